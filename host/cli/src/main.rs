@@ -1,0 +1,2 @@
+//! The `flankscope` command.
+fn main() {}

@@ -1,0 +1,1 @@
+//! Points against CAD: meshes, registration, exact deviation, wear, verdict.

@@ -1,0 +1,1 @@
+//! Fringe images to points with a standard uncertainty each.

@@ -1,0 +1,1 @@
+//! The running instrument: controller client, zero-copy capture, inspection job, report.

@@ -1,0 +1,1 @@
+//! Wire contract between the host and the controller: units, messages, capture plan, framing.

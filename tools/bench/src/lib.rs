@@ -1,0 +1,1 @@
+//! The simulated physical bench: die with wear, fibre optics, camera, stages, and the truth.

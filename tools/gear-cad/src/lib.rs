@@ -1,0 +1,1 @@
+//! Involute gear CAD as a watertight mesh: PLY and STL.

@@ -1,0 +1,2 @@
+//! cargo xtask: every check and chore of the repository.
+fn main() {}
