@@ -1,2 +1,58 @@
-//! The `flankscope` command.
-fn main() {}
+//! The `flankscope` command: arguments in, exit code out, nothing else.
+//!
+//! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn.
+
+mod decode;
+mod deviation;
+mod output;
+mod register;
+mod sample;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use output::Outcome;
+
+/// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
+#[derive(Parser)]
+#[command(name = "flankscope", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Decode(decode::Args),
+    Sample(sample::Args),
+    Register(register::Args),
+    Deviation(deviation::Args),
+}
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // clap exits 2 on a usage error, which here means "indeterminate": bad arguments are "could not run".
+            let _ = error.print();
+            return if error.use_stderr() {
+                Outcome::CouldNotRun.into()
+            } else {
+                ExitCode::SUCCESS
+            };
+        }
+    };
+    let result = match cli.command {
+        Command::Decode(args) => decode::run(&args),
+        Command::Sample(args) => sample::run(&args),
+        Command::Register(args) => register::run(&args),
+        Command::Deviation(args) => deviation::run(&args),
+    };
+    match result {
+        Ok(outcome) => outcome.into(),
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            Outcome::CouldNotRun.into()
+        }
+    }
+}

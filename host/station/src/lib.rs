@@ -1,1 +1,3 @@
 //! The running instrument: controller client, zero-copy capture, inspection job, report.
+
+pub mod files;

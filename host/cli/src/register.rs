@@ -1,0 +1,16 @@
+//! `flankscope register`: A cloud laid on a CAD mesh.
+
+use crate::output::{Common, Outcome};
+
+/// A cloud laid on a CAD mesh.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    args.common.write_json(&())?;
+    Ok(Outcome::CouldNotRun)
+}
