@@ -1,3 +1,4 @@
 //! The running instrument: controller client, zero-copy capture, inspection job, report.
 
+pub mod capture;
 pub mod files;
