@@ -1,0 +1,525 @@
+//! The capture plan: everything the controller needs to take a series of views on its own.
+//!
+//! A plan is declarative. Per view the controller shows and exposes, in this order:
+//! frame 0 = the dark index frame (DMD index 0, all black) at the shortest exposure; then for each exposure, shortest
+//! first, every pattern from DMD index 1 on: set by set, each set step by step.
+
+use crate::units::{Micrometres, Microradians, Microseconds, Milliamps};
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+/// Most views in one plan.
+pub const MAX_VIEWS: usize = 16;
+/// Most exposures per pattern (an HDR series).
+pub const MAX_EXPOSURES: usize = 4;
+/// Most fringe frequencies.
+pub const MAX_FRINGE_SETS: usize = 4;
+/// DMD index of the all-black pattern.
+pub const BLACK_PATTERN: u16 = 0;
+/// Fewest phase steps from which a phase can be computed.
+pub const MIN_STEPS: u8 = 3;
+
+/// One pose of the stages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct View {
+    /// Commanded angle of the rotary stage: the die is turned by this much.
+    pub rotation: Microradians,
+    /// Commanded position of the vertical stage: the head is raised by this much.
+    pub vertical: Micrometres,
+}
+
+/// One fringe frequency, phase-shifted over a full turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FringeSet {
+    /// Fringe periods over the projector's width.
+    pub periods: u16,
+    /// Phase steps; step n is shifted by 2*pi*n/steps.
+    pub steps: u8,
+}
+
+/// How long the controller waits for each device before it declares a fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Timeouts {
+    /// From an accepted move to in position, both axes.
+    pub motion: Microseconds,
+    /// From LED enable to current sense, and from disable to no sense.
+    pub led: Microseconds,
+    /// From DMD trigger to DMD ready.
+    pub dmd: Microseconds,
+    /// For the camera to become ready, to start its exposure after the trigger, and to end it after the trigger fell.
+    pub camera: Microseconds,
+}
+
+impl Default for Timeouts {
+    /// Ten seconds for a full turn of the rotary stage, 50 ms for everything electronic.
+    fn default() -> Self {
+        Self {
+            motion: Microseconds::from_millis(10_000),
+            led: Microseconds::from_millis(50),
+            dmd: Microseconds::from_millis(50),
+            camera: Microseconds::from_millis(50),
+        }
+    }
+}
+
+/// A series of views to capture. Build it with struct syntax, check it with [`CapturePlan::validate`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CapturePlan {
+    /// Chosen by the host, repeated in every event of this capture so that captures cannot be mixed up.
+    pub session: u32,
+    /// Poses, in the order of capture.
+    pub views: Vec<View, MAX_VIEWS>,
+    /// Exposure times, strictly ascending.
+    pub exposures: Vec<Microseconds, MAX_EXPOSURES>,
+    /// Fringe frequencies, lowest first.
+    pub fringes: Vec<FringeSet, MAX_FRINGE_SETS>,
+    /// LED current.
+    pub led: Milliamps,
+    /// Wait from in position to LED on, for vibrations to die down.
+    pub settle: Microseconds,
+    /// Wait from DMD ready to the camera trigger, for the mirrors and the decoders to settle.
+    pub dmd_settle: Microseconds,
+    /// Time the camera needs to read a frame out after its exposure.
+    pub camera_readout: Microseconds,
+    /// Vertical position of the retracted head.
+    pub retract: Micrometres,
+    /// Waits that end in a fault.
+    pub timeouts: Timeouts,
+}
+
+/// What one frame of a view shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameSpec {
+    /// DMD index: 0 is black, fringe patterns count from 1.
+    pub pattern: u16,
+    /// Exposure time.
+    pub exposure: Microseconds,
+}
+
+/// Bounds within which a plan is accepted; sent by the controller in its hello.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Limits {
+    /// Shortest exposure.
+    pub exposure_min: Microseconds,
+    /// Longest exposure.
+    pub exposure_max: Microseconds,
+    /// Largest LED current.
+    pub led_max: Milliamps,
+    /// Longest time the LED may be on, starting cold.
+    pub led_on_max: Microseconds,
+    /// Part of the time, in thousandths, that the LED may be on for ever: how fast a used-up on-time comes back.
+    pub led_duty_permille: u16,
+    /// Travel of the rotary stage, lower end.
+    pub rotation_min: Microradians,
+    /// Travel of the rotary stage, upper end.
+    pub rotation_max: Microradians,
+    /// Travel of the vertical stage, lower end.
+    pub vertical_min: Micrometres,
+    /// Travel of the vertical stage, upper end.
+    pub vertical_max: Micrometres,
+    /// Most fringe patterns that the DMD holds, black not counted.
+    pub patterns_max: u16,
+    /// Most frames per view.
+    pub frames_max: u16,
+    /// Longest settle, DMD settle or readout wait.
+    pub wait_max: Microseconds,
+    /// Longest timeout for electronics (LED, DMD, camera).
+    pub timeout_max: Microseconds,
+    /// Longest timeout for a motion.
+    pub motion_timeout_max: Microseconds,
+}
+
+impl Limits {
+    /// Limits of the instrument with the 20 mm head.
+    ///
+    /// LED: a view of 49 frames (`scan16` x 3 exposures up to 50 ms) needs about 2.2 s, so 4 s cold; half duty for ever.
+    /// Travel: one turn either way; ±150 mm of a 300 mm stage.
+    pub const DEFAULT: Self = Self {
+        exposure_min: Microseconds(1_000),
+        exposure_max: Microseconds(100_000),
+        led_max: Milliamps(3_000),
+        led_on_max: Microseconds(4_000_000),
+        led_duty_permille: 500,
+        rotation_min: Microradians(-6_283_186),
+        rotation_max: Microradians(6_283_186),
+        vertical_min: Micrometres(-150_000),
+        vertical_max: Micrometres(150_000),
+        patterns_max: 128,
+        frames_max: 256,
+        wait_max: Microseconds(2_000_000),
+        timeout_max: Microseconds(1_000_000),
+        motion_timeout_max: Microseconds(60_000_000),
+    };
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// A wait or timeout of a plan, to say which one was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Wait {
+    /// [`CapturePlan::settle`].
+    Settle,
+    /// [`CapturePlan::dmd_settle`].
+    DmdSettle,
+    /// [`CapturePlan::camera_readout`].
+    CameraReadout,
+    /// [`Timeouts::motion`].
+    MotionTimeout,
+    /// [`Timeouts::led`].
+    LedTimeout,
+    /// [`Timeouts::dmd`].
+    DmdTimeout,
+    /// [`Timeouts::camera`].
+    CameraTimeout,
+}
+
+/// Why a plan was refused, as a whole: the offending value and the limit it broke.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanError {
+    /// No view.
+    #[error("the plan has no view; at least 1 is needed")]
+    NoViews,
+    /// No exposure.
+    #[error("the plan has no exposure; at least 1 is needed")]
+    NoExposures,
+    /// No fringe set.
+    #[error("the plan has no fringe set; at least 1 is needed")]
+    NoFringes,
+    /// An exposure below the limit.
+    #[error("exposure {got} is shorter than {limit}")]
+    ExposureTooShort {
+        /// Offending value.
+        got: Microseconds,
+        /// Shortest allowed.
+        limit: Microseconds,
+    },
+    /// An exposure above the limit.
+    #[error("exposure {got} is longer than {limit}")]
+    ExposureTooLong {
+        /// Offending value.
+        got: Microseconds,
+        /// Longest allowed.
+        limit: Microseconds,
+    },
+    /// Exposures must rise, so that the first is the shortest and none is taken twice.
+    #[error("exposure {got} does not exceed the one before it, {limit}")]
+    ExposuresNotAscending {
+        /// Offending value.
+        got: Microseconds,
+        /// The exposure before it, which it must exceed.
+        limit: Microseconds,
+    },
+    /// Too few steps for a phase.
+    #[error("a fringe set has {got} phase steps; a phase needs at least {limit}")]
+    TooFewSteps {
+        /// Offending value.
+        got: u8,
+        /// Fewest allowed.
+        limit: u8,
+    },
+    /// A fringe set without fringes.
+    #[error("a fringe set has {got} periods; at least {limit} is needed")]
+    TooFewPeriods {
+        /// Offending value.
+        got: u16,
+        /// Fewest allowed.
+        limit: u16,
+    },
+    /// More patterns than the DMD holds.
+    #[error("the plan needs {got} patterns; the DMD holds {limit}")]
+    TooManyPatterns {
+        /// Offending value.
+        got: u16,
+        /// Most allowed.
+        limit: u16,
+    },
+    /// More frames per view than allowed.
+    #[error("the plan takes {got} frames per view; the limit is {limit}")]
+    TooManyFrames {
+        /// Offending value.
+        got: u16,
+        /// Most allowed.
+        limit: u16,
+    },
+    /// LED current above the limit.
+    #[error("LED current {got} exceeds {limit}")]
+    LedCurrent {
+        /// Offending value.
+        got: Milliamps,
+        /// Largest allowed.
+        limit: Milliamps,
+    },
+    /// LED on for too long in one view.
+    #[error("a view keeps the LED on for {got}; the budget is {limit}")]
+    LedOnTime {
+        /// Offending value.
+        got: Microseconds,
+        /// Longest allowed.
+        limit: Microseconds,
+    },
+    /// A view beyond the rotary stage's travel.
+    #[error("rotation {got} is outside {min} .. {max}")]
+    RotationOutOfTravel {
+        /// Offending value.
+        got: Microradians,
+        /// Lower end of the travel.
+        min: Microradians,
+        /// Upper end of the travel.
+        max: Microradians,
+    },
+    /// A view or the retract position beyond the vertical stage's travel.
+    #[error("vertical position {got} is outside {min} .. {max}")]
+    VerticalOutOfTravel {
+        /// Offending value.
+        got: Micrometres,
+        /// Lower end of the travel.
+        min: Micrometres,
+        /// Upper end of the travel.
+        max: Micrometres,
+    },
+    /// A wait or timeout beyond its limit.
+    #[error("{which:?} of {got} exceeds {limit}")]
+    WaitTooLong {
+        /// Which wait.
+        which: Wait,
+        /// Offending value.
+        got: Microseconds,
+        /// Longest allowed.
+        limit: Microseconds,
+    },
+    /// A timeout of zero would be a fault at once.
+    #[error("{which:?} of {got} is shorter than {limit}")]
+    WaitTooShort {
+        /// Which wait.
+        which: Wait,
+        /// Offending value.
+        got: Microseconds,
+        /// Shortest allowed.
+        limit: Microseconds,
+    },
+}
+
+/// Shortest timeout that makes sense on any link or device.
+const TIMEOUT_MIN: Microseconds = Microseconds(1_000);
+
+impl CapturePlan {
+    /// Fringe patterns in all sets together; their DMD indices are 1..=this.
+    #[must_use]
+    pub fn pattern_count(&self) -> u16 {
+        self.fringes
+            .iter()
+            .fold(0u16, |sum, set| sum.saturating_add(u16::from(set.steps)))
+    }
+
+    /// Frames taken per view: the dark index frame and every pattern at every exposure.
+    #[must_use]
+    pub fn frames_per_view(&self) -> u16 {
+        let exposures = u16::try_from(self.exposures.len()).unwrap_or(u16::MAX);
+        self.pattern_count()
+            .saturating_mul(exposures)
+            .saturating_add(1)
+    }
+
+    /// Pattern and exposure of frame `index` of a view; `None` beyond the last frame.
+    #[must_use]
+    pub fn frame(&self, index: u16) -> Option<FrameSpec> {
+        let shortest = *self.exposures.first()?;
+        let Some(fringe_frame) = index.checked_sub(1) else {
+            return Some(FrameSpec {
+                pattern: BLACK_PATTERN,
+                exposure: shortest,
+            });
+        };
+        let patterns = self.pattern_count();
+        let exposure = *self
+            .exposures
+            .get(usize::from(fringe_frame.checked_div(patterns)?))?;
+        let pattern = fringe_frame.checked_rem(patterns)?.saturating_add(1);
+        Some(FrameSpec { pattern, exposure })
+    }
+
+    /// Set and step of DMD index `pattern`; `None` for black and beyond the last pattern.
+    #[must_use]
+    pub fn fringe(&self, pattern: u16) -> Option<(FringeSet, u8)> {
+        let mut step = pattern.checked_sub(1)?;
+        for &set in &self.fringes {
+            match step.checked_sub(u16::from(set.steps)) {
+                None => return Some((set, u8::try_from(step).ok()?)),
+                Some(rest) => step = rest,
+            }
+        }
+        None
+    }
+
+    /// Time the LED is on for one view, with nothing overlapped: exposure, DMD settle and readout of every frame.
+    ///
+    /// The real sequence overlaps readout with the next frame and is shorter, unless a device dawdles.
+    #[must_use]
+    pub fn led_on_per_view(&self) -> Microseconds {
+        let overhead = self.dmd_settle.0.saturating_add(self.camera_readout.0);
+        let frame = |exposure: Microseconds| exposure.0.saturating_add(overhead);
+        let patterns = u32::from(self.pattern_count());
+        let dark = self.exposures.first().copied().map_or(0, frame);
+        Microseconds(self.exposures.iter().fold(dark, |sum, &exposure| {
+            sum.saturating_add(frame(exposure).saturating_mul(patterns))
+        }))
+    }
+
+    /// Accepts the plan whole or refuses it whole.
+    ///
+    /// # Errors
+    /// The first value found beyond its limit, with that limit.
+    pub fn validate(&self, limits: &Limits) -> Result<(), PlanError> {
+        self.validate_light(limits)?;
+        self.validate_patterns(limits)?;
+        if self.led_on_per_view() > limits.led_on_max {
+            return Err(PlanError::LedOnTime {
+                got: self.led_on_per_view(),
+                limit: limits.led_on_max,
+            });
+        }
+        self.validate_travel(limits)?;
+        self.validate_waits(limits)
+    }
+
+    fn validate_light(&self, limits: &Limits) -> Result<(), PlanError> {
+        if self.exposures.is_empty() {
+            return Err(PlanError::NoExposures);
+        }
+        let mut before: Option<Microseconds> = None;
+        for &got in &self.exposures {
+            if got < limits.exposure_min {
+                return Err(PlanError::ExposureTooShort {
+                    got,
+                    limit: limits.exposure_min,
+                });
+            }
+            if got > limits.exposure_max {
+                return Err(PlanError::ExposureTooLong {
+                    got,
+                    limit: limits.exposure_max,
+                });
+            }
+            if let Some(limit) = before.filter(|&before| got <= before) {
+                return Err(PlanError::ExposuresNotAscending { got, limit });
+            }
+            before = Some(got);
+        }
+        if self.led > limits.led_max {
+            return Err(PlanError::LedCurrent {
+                got: self.led,
+                limit: limits.led_max,
+            });
+        }
+        Ok(())
+    }
+
+    fn validate_patterns(&self, limits: &Limits) -> Result<(), PlanError> {
+        if self.fringes.is_empty() {
+            return Err(PlanError::NoFringes);
+        }
+        for set in &self.fringes {
+            if set.steps < MIN_STEPS {
+                return Err(PlanError::TooFewSteps {
+                    got: set.steps,
+                    limit: MIN_STEPS,
+                });
+            }
+            if set.periods == 0 {
+                return Err(PlanError::TooFewPeriods { got: 0, limit: 1 });
+            }
+        }
+        if self.pattern_count() > limits.patterns_max {
+            return Err(PlanError::TooManyPatterns {
+                got: self.pattern_count(),
+                limit: limits.patterns_max,
+            });
+        }
+        if self.frames_per_view() > limits.frames_max {
+            return Err(PlanError::TooManyFrames {
+                got: self.frames_per_view(),
+                limit: limits.frames_max,
+            });
+        }
+        Ok(())
+    }
+
+    fn validate_travel(&self, limits: &Limits) -> Result<(), PlanError> {
+        if self.views.is_empty() {
+            return Err(PlanError::NoViews);
+        }
+        let (min, max) = (limits.vertical_min, limits.vertical_max);
+        let heights = self.views.iter().map(|view| view.vertical);
+        if let Some(got) = heights
+            .chain([self.retract])
+            .find(|got| *got < min || *got > max)
+        {
+            return Err(PlanError::VerticalOutOfTravel { got, min, max });
+        }
+        let (min, max) = (limits.rotation_min, limits.rotation_max);
+        if let Some(got) = self
+            .views
+            .iter()
+            .map(|view| view.rotation)
+            .find(|got| *got < min || *got > max)
+        {
+            return Err(PlanError::RotationOutOfTravel { got, min, max });
+        }
+        Ok(())
+    }
+
+    fn validate_waits(&self, limits: &Limits) -> Result<(), PlanError> {
+        let zero = Microseconds(0);
+        for (which, got, least, limit) in [
+            (Wait::Settle, self.settle, zero, limits.wait_max),
+            (Wait::DmdSettle, self.dmd_settle, zero, limits.wait_max),
+            (
+                Wait::CameraReadout,
+                self.camera_readout,
+                zero,
+                limits.wait_max,
+            ),
+            (
+                Wait::MotionTimeout,
+                self.timeouts.motion,
+                TIMEOUT_MIN,
+                limits.motion_timeout_max,
+            ),
+            (
+                Wait::LedTimeout,
+                self.timeouts.led,
+                TIMEOUT_MIN,
+                limits.timeout_max,
+            ),
+            (
+                Wait::DmdTimeout,
+                self.timeouts.dmd,
+                TIMEOUT_MIN,
+                limits.timeout_max,
+            ),
+            (
+                Wait::CameraTimeout,
+                self.timeouts.camera,
+                TIMEOUT_MIN,
+                limits.timeout_max,
+            ),
+        ] {
+            if got < least {
+                return Err(PlanError::WaitTooShort {
+                    which,
+                    got,
+                    limit: least,
+                });
+            }
+            if got > limit {
+                return Err(PlanError::WaitTooLong { which, got, limit });
+            }
+        }
+        Ok(())
+    }
+}
