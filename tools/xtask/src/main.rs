@@ -1,2 +1,137 @@
-//! cargo xtask: every check and chore of the repository.
-fn main() {}
+//! `cargo xtask`: every check and chore of the repository.
+//!
+//! | command | does |
+//! |---|---|
+//! | `test [--all]` | every test that this machine can run; says what it could not and how to get it; `--all`: fails instead |
+//! | `deps` | the arrows between the rooms: who may depend on whom |
+//! | `lint` | rustfmt and clippy, warnings are errors |
+//! | `doc` | documentation, warnings are errors |
+//! | `demo` | the README's first command, as a newcomer runs it |
+//! | `ci` | all of it, in the order of `.ci/run` |
+
+mod deps;
+mod prerequisites;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let result = match words.as_slice() {
+        ["test"] => test(false),
+        ["test", "--all"] => test(true),
+        ["deps"] => deps::check(&root()),
+        ["lint"] => lint(),
+        ["doc"] => doc(),
+        ["demo"] => demo(),
+        ["ci"] => ci(),
+        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | demo | ci".into()),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The workspace root: two folders above this crate.
+fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.ancestors().nth(2).unwrap_or(here).to_path_buf()
+}
+
+fn test(all: bool) -> Result<(), String> {
+    let missing = prerequisites::missing(&root());
+    for item in &missing {
+        eprintln!(
+            "not run here: {} — needs {}; get it: {}",
+            item.what, item.needs, item.how
+        );
+    }
+    if all && !missing.is_empty() {
+        return Err(format!(
+            "{} group(s) of tests cannot run on this machine",
+            missing.len()
+        ));
+    }
+    let mut cargo = cargo(&["test", "--workspace", "--no-fail-fast"]);
+    if all {
+        // Tests that look for something themselves fail instead of skipping.
+        cargo.env("FLANKSCOPE_TEST_ALL", "1");
+    }
+    run(cargo)?;
+    deps::check(&root())?;
+    match missing.len() {
+        0 => eprintln!("every test ran"),
+        count => eprintln!(
+            "every test that this machine can run has passed; {count} group(s) listed above did not run"
+        ),
+    }
+    Ok(())
+}
+
+fn lint() -> Result<(), String> {
+    run(cargo(&["fmt", "--all", "--check"]))?;
+    run(cargo(&[
+        "clippy",
+        "--workspace",
+        "--all-targets",
+        "--",
+        "-D",
+        "warnings",
+    ]))?;
+    // What a deployment builds: no bench.
+    run(cargo(&[
+        "clippy",
+        "-p",
+        "flankscope",
+        "--no-default-features",
+        "--",
+        "-D",
+        "warnings",
+    ]))
+}
+
+fn doc() -> Result<(), String> {
+    let mut cargo = cargo(&[
+        "doc",
+        "--workspace",
+        "--no-deps",
+        "--document-private-items",
+    ]);
+    cargo.env(
+        "RUSTDOCFLAGS",
+        "-D warnings -A rustdoc::private_intra_doc_links",
+    );
+    run(cargo)
+}
+
+fn demo() -> Result<(), String> {
+    run(cargo(&["run", "--release", "--", "inspect"]))
+}
+
+fn ci() -> Result<(), String> {
+    test(true)?;
+    lint()?;
+    doc()?;
+    deps::check(&root())?;
+    demo()
+}
+
+fn cargo(arguments: &[&str]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(arguments).current_dir(root());
+    command
+}
+
+fn run(mut command: Command) -> Result<(), String> {
+    eprintln!("$ {command:?}");
+    match command.status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(format!("{command:?} ended with {status}")),
+        Err(error) => Err(format!("{command:?} could not start: {error}")),
+    }
+}

@@ -1,0 +1,299 @@
+//! Orders with an answer, events in order, and a heartbeat while both are awaited.
+
+use std::collections::VecDeque;
+use std::path::Path;
+use std::time::Duration;
+
+use flankscope_protocol::{
+    Command, Event, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, Status,
+};
+use tokio::time::{Instant, timeout_at};
+
+use super::link::{Incoming, Link, LinkError};
+
+/// Attempts at one command, the first included.
+const ATTEMPTS: u32 = 4;
+
+/// How patiently the client talks.
+#[derive(Clone, Copy, Debug)]
+pub struct ClientSettings {
+    /// Wait for an answer before the same command is sent again.
+    pub answer: Duration,
+    /// Time between heartbeats; `None`: a third of what the controller allows.
+    pub heartbeat: Option<Duration>,
+}
+
+impl Default for ClientSettings {
+    /// 250 ms for an answer: a hundred times a frame's time on the wire.
+    fn default() -> Self {
+        Self {
+            answer: Duration::from_millis(250),
+            heartbeat: None,
+        }
+    }
+}
+
+/// Why the controller cannot be worked with. Link trouble, refusals and nonsense are told apart.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ClientError {
+    /// The bytes do not flow.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// No answer in spite of retries.
+    #[error(
+        "the port answers nothing: {attempts} tries of {timeout_ms} ms each (is it the controller's port, is the firmware running?)"
+    )]
+    Silent {
+        /// Tries made.
+        attempts: u32,
+        /// Patience per try, ms.
+        timeout_ms: u128,
+    },
+    /// The controller said no.
+    #[error("the controller refuses: {0}")]
+    Refused(#[from] Refusal),
+    /// An answer of the wrong kind.
+    #[error("the controller gave an answer that does not fit the command")]
+    Unfitting,
+    /// Versions differ.
+    #[error(
+        "the controller speaks protocol {controller} (layout {controller_schema:#010x}), this host {host} (layout {host_schema:#010x}): install matching releases"
+    )]
+    Version {
+        /// Controller's version.
+        controller: u32,
+        /// Controller's layout.
+        controller_schema: u32,
+        /// Host's version.
+        host: u32,
+        /// Host's layout.
+        host_schema: u32,
+    },
+    /// An event is missing from the record.
+    #[error("{missing} event(s) before number {sequence} are missing")]
+    EventsMissing {
+        /// How many.
+        missing: u16,
+        /// The event after the gap.
+        sequence: u16,
+    },
+    /// Nothing happened within the time allowed.
+    #[error("no event within {timeout_ms} ms")]
+    NoEvent {
+        /// Patience, ms.
+        timeout_ms: u128,
+    },
+}
+
+/// A session with the controller.
+#[derive(Debug)]
+pub struct Client {
+    link: Link,
+    settings: ClientSettings,
+    identity: Identity,
+    session: u32,
+    sequence: u16,
+    heartbeat: Duration,
+    next_heartbeat: Instant,
+    events: VecDeque<Event>,
+    last_event: Option<u16>,
+    /// Frames that were no message.
+    dropped: u64,
+}
+
+impl Client {
+    /// Opens the port and says hello.
+    ///
+    /// # Errors
+    /// No port, no answer, or a controller of another version.
+    pub async fn connect(port: &Path, settings: ClientSettings) -> Result<Self, ClientError> {
+        let link = Link::open(port)?;
+        // A session number that an earlier run of the host is unlikely to have used: replies to its commands are then
+        // told from replies to ours.
+        let session = crate::capture::monotonic_ns() as u32 | 1;
+        let mut client = Self {
+            link,
+            settings,
+            identity: Identity {
+                protocol: PROTOCOL_VERSION,
+                schema: SCHEMA_HASH,
+                firmware: [0; 3],
+                limits: flankscope_protocol::Limits::DEFAULT,
+                host_silence: flankscope_protocol::Microseconds(0),
+                boot: flankscope_protocol::message::Boot::PowerUp,
+            },
+            session,
+            sequence: 0,
+            heartbeat: settings.answer,
+            next_heartbeat: Instant::now() + settings.answer,
+            events: VecDeque::new(),
+            last_event: None,
+            dropped: 0,
+        };
+        let hello = Command::Hello {
+            protocol: PROTOCOL_VERSION,
+            schema: SCHEMA_HASH,
+        };
+        client.identity = match client.request(&hello).await {
+            Ok(Reply::Hello(identity)) => identity,
+            Ok(_) => return Err(ClientError::Unfitting),
+            Err(ClientError::Refused(Refusal::ProtocolVersion { want, .. })) => {
+                return Err(version_error(want, SCHEMA_HASH));
+            }
+            Err(ClientError::Refused(Refusal::SchemaHash { want, .. })) => {
+                return Err(version_error(PROTOCOL_VERSION, want));
+            }
+            Err(error) => return Err(error),
+        };
+        if (client.identity.protocol, client.identity.schema) != (PROTOCOL_VERSION, SCHEMA_HASH) {
+            return Err(version_error(
+                client.identity.protocol,
+                client.identity.schema,
+            ));
+        }
+        let allowed = Duration::from_micros(u64::from(client.identity.host_silence.get()));
+        client.heartbeat = settings
+            .heartbeat
+            .unwrap_or(allowed / 3)
+            .max(Duration::from_millis(1));
+        client.next_heartbeat = Instant::now() + client.heartbeat;
+        Ok(client)
+    }
+
+    /// What answered.
+    #[must_use]
+    pub fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    /// Frames that came damaged and were dropped.
+    #[must_use]
+    pub fn frames_dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Gives an order that is answered by "accepted".
+    ///
+    /// # Errors
+    /// Refused, or no answer.
+    pub async fn order(&mut self, command: &Command) -> Result<(), ClientError> {
+        match self.request(command).await? {
+            Reply::Accepted => Ok(()),
+            _ => Err(ClientError::Unfitting),
+        }
+    }
+
+    /// What the controller is doing.
+    ///
+    /// # Errors
+    /// No answer.
+    pub async fn status(&mut self) -> Result<Status, ClientError> {
+        match self.request(&Command::Status).await? {
+            Reply::Status(status) => Ok(status),
+            _ => Err(ClientError::Unfitting),
+        }
+    }
+
+    /// The next event, in order; heartbeats go out meanwhile.
+    ///
+    /// # Errors
+    /// None within `patience`, a hole in the events' numbers, or no link.
+    pub async fn event(&mut self, patience: Duration) -> Result<Event, ClientError> {
+        let end = Instant::now() + patience;
+        loop {
+            if let Some(event) = self.events.pop_front() {
+                return Ok(event);
+            }
+            if Instant::now() >= self.next_heartbeat {
+                // Its reply is not waited for: a lost heartbeat is followed by the next one.
+                self.sequence = self.sequence.wrapping_add(1);
+                self.link.send(self.header(), &Command::Heartbeat)?;
+                self.next_heartbeat = Instant::now() + self.heartbeat;
+            }
+            match timeout_at(end.min(self.next_heartbeat), self.link.receive()).await {
+                Ok(incoming) => drop(self.sort(incoming?)?),
+                Err(_) if Instant::now() < end => {}
+                Err(_) => {
+                    return Err(ClientError::NoEvent {
+                        timeout_ms: patience.as_millis(),
+                    });
+                }
+            }
+        }
+    }
+
+    /// Sends a command until it is answered: a retry repeats the sequence number, so it is never carried out twice.
+    async fn request(&mut self, command: &Command) -> Result<Reply, ClientError> {
+        self.sequence = self.sequence.wrapping_add(1);
+        let header = self.header();
+        for attempt in 0..ATTEMPTS {
+            if attempt > 0 {
+                tracing::warn!(attempt, ?command, "no answer, sending again");
+            }
+            self.link.send(header, command)?;
+            self.next_heartbeat = Instant::now() + self.heartbeat;
+            let end = Instant::now() + self.settings.answer;
+            while let Ok(incoming) = timeout_at(end, self.link.receive()).await {
+                match self.sort(incoming?)? {
+                    Some((ack, Reply::Refused(refusal))) if ack == header.sequence => {
+                        return Err(refusal.into());
+                    }
+                    Some((ack, reply)) if ack == header.sequence => return Ok(reply),
+                    _ => {} // an event, or the answer to an earlier heartbeat
+                }
+            }
+        }
+        Err(ClientError::Silent {
+            attempts: ATTEMPTS,
+            timeout_ms: self.settings.answer.as_millis(),
+        })
+    }
+
+    fn header(&self) -> Header {
+        Header {
+            session: self.session,
+            sequence: self.sequence,
+            ack: self.last_event.unwrap_or(0),
+        }
+    }
+
+    /// Queues events, counts dropped frames, returns replies of this session.
+    fn sort(&mut self, incoming: Incoming) -> Result<Option<(u16, Reply)>, ClientError> {
+        match incoming {
+            Incoming::Reply(header, reply) if header.session == self.session => {
+                return Ok(Some((header.ack, reply)));
+            }
+            Incoming::Reply(..) => {}
+            Incoming::Event(header, event) if header.session == self.session => {
+                if let Some(last) = self.last_event {
+                    let missing = header.sequence.wrapping_sub(last).wrapping_sub(1);
+                    if missing != 0 {
+                        return Err(ClientError::EventsMissing {
+                            missing,
+                            sequence: header.sequence,
+                        });
+                    }
+                }
+                self.last_event = Some(header.sequence);
+                self.events.push_back(event);
+            }
+            Incoming::Event(..) => {}
+            Incoming::Dropped(reason) => {
+                self.dropped += 1;
+                tracing::warn!(%reason, "dropped a damaged frame");
+            }
+            Incoming::Gone(reason) => return Err(LinkError::Gone { reason }.into()),
+        }
+        Ok(None)
+    }
+}
+
+fn version_error(controller: u32, controller_schema: u32) -> ClientError {
+    ClientError::Version {
+        controller,
+        controller_schema,
+        host: PROTOCOL_VERSION,
+        host_schema: SCHEMA_HASH,
+    }
+}

@@ -1,0 +1,178 @@
+//! Bytes to messages and back, on two threads, so that neither a slow port nor a slow host blocks the other.
+
+use std::io::{Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use flankscope_protocol::frame::Kind;
+use flankscope_protocol::{
+    Command, DecodeError, Decoder, Event, Header, MAX_FRAME_BYTES, Reply, encode,
+};
+use tokio::sync::mpsc;
+
+/// Line speed of a real port, bit/s; a pseudo-terminal ignores it. A trigger event of 40 bytes then takes 0.4 ms.
+const BAUD: u32 = 921_600;
+/// How long the reader waits for bytes before it looks whether the link was closed.
+const POLL: Duration = Duration::from_millis(20);
+
+/// Why there is no link.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LinkError {
+    /// The port cannot be opened.
+    #[error(
+        "cannot open the port {port}: {source} (is the controller plugged in, and the port free?)"
+    )]
+    Open {
+        /// The port.
+        port: String,
+        /// The driver's reason.
+        source: serialport::Error,
+    },
+    /// The port went away.
+    #[error("the link is gone: {reason}")]
+    Gone {
+        /// The driver's reason.
+        reason: String,
+    },
+    /// The message does not fit a frame.
+    #[error(transparent)]
+    Encode(#[from] flankscope_protocol::EncodeError),
+}
+
+/// One thing that came over the link.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Incoming {
+    /// An answer.
+    Reply(Header, Reply),
+    /// Something that happened.
+    Event(Header, Event),
+    /// Bytes that were no message.
+    Dropped(DecodeError),
+    /// The port is gone; nothing follows.
+    Gone(String),
+}
+
+/// An open port.
+#[derive(Debug)]
+pub struct Link {
+    outgoing: std::sync::mpsc::Sender<Vec<u8>>,
+    incoming: mpsc::UnboundedReceiver<Incoming>,
+    open: Arc<AtomicBool>,
+}
+
+impl Link {
+    /// Opens a serial port or pseudo-terminal.
+    ///
+    /// # Errors
+    /// There is no such port, or another program holds it.
+    pub fn open(port: &Path) -> Result<Self, LinkError> {
+        let name = port.to_string_lossy().into_owned();
+        let opened = serialport::new(&name, BAUD).timeout(POLL).open();
+        let mut reader = opened.map_err(|source| LinkError::Open {
+            port: name.clone(),
+            source,
+        })?;
+        let mut writer = reader
+            .try_clone()
+            .map_err(|source| LinkError::Open { port: name, source })?;
+        let (outgoing, to_write) = std::sync::mpsc::channel::<Vec<u8>>();
+        let (to_host, incoming) = mpsc::unbounded_channel();
+        let open = Arc::new(AtomicBool::new(true));
+        let still_open = Arc::clone(&open);
+        let gone = to_host.clone();
+        std::thread::spawn(move || {
+            while let Ok(frame) = to_write.recv() {
+                if let Err(error) = writer.write_all(&frame).and_then(|()| writer.flush()) {
+                    let _ = gone.send(Incoming::Gone(error.to_string()));
+                    return;
+                }
+            }
+        });
+        std::thread::spawn(move || {
+            let mut decoder = Decoder::new();
+            let mut bytes = [0_u8; 512];
+            while still_open.load(Ordering::Relaxed) {
+                let count = match reader.read(&mut bytes) {
+                    Ok(0) => {
+                        let _ = to_host.send(Incoming::Gone("the port was closed".into()));
+                        return;
+                    }
+                    Ok(count) => count,
+                    Err(error) if error.kind() == std::io::ErrorKind::TimedOut => continue,
+                    Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+                    Err(error) => {
+                        let _ = to_host.send(Incoming::Gone(error.to_string()));
+                        return;
+                    }
+                };
+                for &byte in bytes.get(..count).unwrap_or_default() {
+                    let Some(frame) = decoder.push(byte) else {
+                        continue;
+                    };
+                    let message = match frame {
+                        Ok(frame) => match frame.kind() {
+                            Kind::Reply => frame
+                                .message()
+                                .map(|reply| Incoming::Reply(frame.header(), reply)),
+                            Kind::Event => frame
+                                .message()
+                                .map(|event| Incoming::Event(frame.header(), event)),
+                            Kind::Command => Err(DecodeError::WrongKind {
+                                got: Kind::Command,
+                                want: Kind::Reply,
+                            }),
+                        },
+                        Err(error) => Err(error),
+                    };
+                    if to_host
+                        .send(message.unwrap_or_else(Incoming::Dropped))
+                        .is_err()
+                    {
+                        return;
+                    }
+                }
+            }
+        });
+        Ok(Self {
+            outgoing,
+            incoming,
+            open,
+        })
+    }
+
+    /// Hands a command to the writer.
+    ///
+    /// # Errors
+    /// The message does not fit a frame, or the port is gone.
+    pub fn send(&self, header: Header, command: &Command) -> Result<(), LinkError> {
+        let mut frame = vec![0; MAX_FRAME_BYTES];
+        let length = encode(header, command, &mut frame)?;
+        frame.truncate(length);
+        self.outgoing.send(frame).map_err(|_| LinkError::Gone {
+            reason: "the writer has ended".into(),
+        })
+    }
+
+    /// The next thing that comes.
+    ///
+    /// # Errors
+    /// The port is gone.
+    pub async fn receive(&mut self) -> Result<Incoming, LinkError> {
+        match self.incoming.recv().await {
+            Some(Incoming::Gone(reason)) => Err(LinkError::Gone { reason }),
+            Some(message) => Ok(message),
+            None => Err(LinkError::Gone {
+                reason: "the reader has ended".into(),
+            }),
+        }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.open.store(false, Ordering::Relaxed);
+    }
+}

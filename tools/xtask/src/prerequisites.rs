@@ -1,0 +1,33 @@
+//! What the tests need beyond Rust and a C compiler, and how to get it.
+
+use std::path::Path;
+
+/// Something a group of tests needs and this machine lacks.
+pub struct Missing {
+    /// The tests that cannot run.
+    pub what: &'static str,
+    /// What they need.
+    pub needs: &'static str,
+    /// How to get it.
+    pub how: &'static str,
+}
+
+/// Everything missing on this machine.
+pub fn missing(root: &Path) -> Vec<Missing> {
+    let mut missing = Vec::new();
+    if !root.join("../shared/data").is_dir() {
+        missing.push(Missing {
+            what: "tests on other people's data (real fringe images, a CAD gear)",
+            needs: "the folder ../shared/data beside the repository",
+            how: "place it there: fringe-skull is example data of jakobwilm/slstudio, cad-ring84 was exported with cq_gears",
+        });
+    }
+    if !Path::new("/dev/shm").is_dir() {
+        missing.push(Missing {
+            what: "tests of the zero-copy frame path",
+            needs: "POSIX shared memory at /dev/shm",
+            how: "mount -t tmpfs tmpfs /dev/shm",
+        });
+    }
+    missing
+}
