@@ -1,5 +1,13 @@
 //! The running instrument: controller client, zero-copy capture, inspection job, report.
+//!
+//! ```text
+//!  controller ── orders, triggers ──┐
+//!                                   ├─ inspection ── verdict ── report
+//!  capture ───── frames, in place ──┘
+//! ```
 
 pub mod capture;
 pub mod controller;
 pub mod files;
+pub mod inspection;
+pub mod report;

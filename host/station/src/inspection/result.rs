@@ -1,0 +1,150 @@
+//! What an inspection hands over: the JSON document, and what the report draws from.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+/// One inspected flank: a row of the table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Feature {
+    /// Tooth number, 1 is the first.
+    pub tooth: u32,
+    /// `left` or `right`.
+    pub flank: String,
+    /// Wear, µm, positive for loss; absent when it could not be measured.
+    pub wear_um: Option<f64>,
+    /// Expanded uncertainty of the wear (95 %), µm.
+    pub u95_um: Option<f64>,
+    /// Mean loss over the zone, µm.
+    pub mean_um: Option<f64>,
+    /// Part of the zone that was measured, 0..1.
+    pub coverage_ratio: f64,
+    /// Warn limit, µm.
+    pub warn_um: f64,
+    /// Stop limit, µm.
+    pub limit_um: f64,
+    /// `go`, `warn`, `no-go` or `indeterminate`.
+    pub verdict: String,
+    /// Why it is indeterminate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+}
+
+/// Where the time went, ms.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Timing {
+    /// From the start order to the verdict with the head retracted.
+    pub total: f64,
+    /// Moving and settling, retract included, on the controller's clock.
+    pub positioning: f64,
+    /// Sum of the exposures, on the controller's clock.
+    pub exposure: f64,
+    /// From the end of the last exposure to the verdict.
+    pub last_exposure_to_verdict: f64,
+}
+
+/// Frames: triggered by the controller, received by the host.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct FrameCount {
+    /// Triggers reported.
+    pub triggered: u64,
+    /// Frames received and paired.
+    pub received: u64,
+    /// Bytes of pixels copied out of the shared memory.
+    pub bytes_copied: u64,
+    /// Views that had to be captured again.
+    pub recaptured_views: u32,
+}
+
+/// How one view was laid on the CAD.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewRegistration {
+    /// Tooth in the middle of the view.
+    pub tooth: u32,
+    /// `registered` or `indeterminate`.
+    pub status: String,
+    /// Why it is indeterminate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Points decoded.
+    pub points: usize,
+    /// Points that the fit used.
+    pub inliers: usize,
+    /// Robust rms distance of the inliers, mm.
+    pub rms_mm: f64,
+    /// Iterations.
+    pub iterations: usize,
+    /// How far the pose moved from the stage's: along x, y, z of the tool, mm.
+    pub shift_mm: [f64; 3],
+    /// And about x, y, z, rad.
+    pub turn_rad: [f64; 3],
+    /// Directions that the surface does not fix: unit 6-vectors (rotation, translation) and the prior's share.
+    pub weak_directions: Vec<WeakDirection>,
+    /// Decoding, registration and evaluation, ms.
+    pub elapsed_ms: BTreeMap<&'static str, f64>,
+}
+
+/// A direction of motion that the measured surface says little about.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct WeakDirection {
+    /// Rotation (3) and translation (3), unit length in scaled units.
+    pub direction: [f64; 6],
+    /// Part of the knowledge that comes from the stage, 0..1.
+    pub prior_share: f64,
+}
+
+/// The whole result: serialised as the `--json` document.
+#[derive(Clone, Debug, Serialize)]
+pub struct Inspection {
+    /// `go`, `warn`, `no-go` or `indeterminate`.
+    pub verdict: String,
+    /// Why, in one sentence.
+    pub reason: String,
+    /// One entry per inspected flank.
+    pub features: Vec<Feature>,
+    /// Where the time went.
+    pub timing_ms: Timing,
+    /// Frame bookkeeping.
+    pub frames: FrameCount,
+    /// One entry per view.
+    pub registration: Vec<ViewRegistration>,
+    /// Tool name.
+    pub tool: String,
+    /// Host, protocol, firmware.
+    pub versions: BTreeMap<&'static str, String>,
+    /// BLAKE3 of what went in: CAD, tool file, head file.
+    pub hashes: BTreeMap<&'static str, String>,
+    /// What only the report draws.
+    #[serde(skip)]
+    pub pictures: Pictures,
+}
+
+/// Raw material of the report's pictures.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures {
+    /// Deviation maps, one per inspected flank.
+    pub maps: Vec<FlankMap>,
+    /// Signed deviations in the inspected zones, µm.
+    pub deviations_um: Vec<f64>,
+    /// Activity of the devices.
+    pub lanes: Vec<crate::report::Lane>,
+    /// One raw frame as a grey picture: width, height, 8-bit pixels.
+    pub frame: Option<(usize, usize, Vec<u8>)>,
+}
+
+/// Mean deviation per cell of one flank.
+#[derive(Clone, Debug)]
+pub struct FlankMap {
+    /// Tooth number.
+    pub tooth: u32,
+    /// `left` or `right`.
+    pub flank: String,
+    /// Cells along the profile (from tip to root).
+    pub columns: usize,
+    /// Cells along the die axis.
+    pub rows: usize,
+    /// Size of the map, mm: profile, axis.
+    pub size_mm: [f64; 2],
+    /// Mean deviation, µm, row by row from the top; NaN without points.
+    pub deviation_um: Vec<f64>,
+}

@@ -1,0 +1,83 @@
+//! The one colour scale of the product: blue for missing material, white for none, red for material that stands proud.
+
+use png::{BitDepth, ColorType, Encoder};
+
+/// Colour of a deviation as a share of full scale, −1..1: a diverging scale that a colour-blind reader can tell apart.
+#[must_use]
+pub fn diverging(share: f64) -> [u8; 3] {
+    // End colours after Moreland's "cool to warm": equal lightness at both ends, white-grey in the middle.
+    const COOL: [f64; 3] = [33.0, 80.0, 180.0];
+    const MIDDLE: [f64; 3] = [242.0, 242.0, 242.0];
+    const WARM: [f64; 3] = [178.0, 24.0, 43.0];
+    let share = share.clamp(-1.0, 1.0);
+    let end = if share < 0.0 { COOL } else { WARM };
+    let t = share.abs().sqrt(); // small deviations stay visible
+    std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * t).round() as u8)
+}
+
+/// Colour of a cell without a measured point.
+pub const NO_DATA: [u8; 3] = [120, 124, 130];
+
+/// An RGB picture as a `data:` address for an `<img>`.
+///
+/// `pixels` holds `width * height` colours, row by row.
+#[must_use]
+pub fn rgb_data_uri(width: usize, height: usize, pixels: &[[u8; 3]]) -> String {
+    data_uri(width, height, ColorType::Rgb, pixels.as_flattened())
+}
+
+/// A grey picture as a `data:` address for an `<img>`.
+#[must_use]
+pub fn grey_data_uri(width: usize, height: usize, pixels: &[u8]) -> String {
+    data_uri(width, height, ColorType::Grayscale, pixels)
+}
+
+fn data_uri(width: usize, height: usize, colour: ColorType, bytes: &[u8]) -> String {
+    use base64::Engine as _;
+    let mut file = Vec::new();
+    let mut encoder = Encoder::new(&mut file, width as u32, height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(BitDepth::Eight);
+    let written = encoder
+        .write_header()
+        .and_then(|mut writer| writer.write_image_data(bytes));
+    debug_assert!(
+        written.is_ok(),
+        "encoding into memory fails only for wrong sizes"
+    );
+    format!(
+        "data:image/png;base64,{}",
+        base64::engine::general_purpose::STANDARD.encode(file)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_scale_is_symmetric_monotonic_and_clamped() {
+        assert_eq!(diverging(0.0), [242, 242, 242]);
+        assert_eq!(diverging(-7.0), diverging(-1.0));
+        assert_eq!(diverging(7.0), diverging(1.0));
+        for i in 0..100 {
+            let (a, b) = (f64::from(i) / 100.0, f64::from(i + 1) / 100.0);
+            assert!(diverging(a)[2] >= diverging(b)[2], "red side loses blue");
+            assert!(diverging(-a)[0] >= diverging(-b)[0], "blue side loses red");
+        }
+    }
+
+    #[test]
+    fn pictures_decode_to_what_was_drawn() {
+        let uri = rgb_data_uri(2, 1, &[[1, 2, 3], [4, 5, 6]]);
+        let (_, data) = uri.split_once("base64,").unwrap();
+        let file =
+            base64::Engine::decode(&base64::engine::general_purpose::STANDARD, data).unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(file))
+            .read_info()
+            .unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        assert_eq!(pixels, [1, 2, 3, 4, 5, 6]);
+    }
+}

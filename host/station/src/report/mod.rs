@@ -1,0 +1,115 @@
+//! The report: one HTML file that needs nothing else, for the screen, the mail and the printer.
+
+mod chart;
+mod colour;
+
+use askama::Template;
+
+pub use chart::{Lane, Span};
+
+use crate::inspection::{FlankMap, Inspection};
+
+/// The report's page.
+#[derive(Template)]
+#[template(path = "report.html")]
+struct Page<'a> {
+    inspection: &'a Inspection,
+    maps: Vec<Map<'a>>,
+    colour_bar: String,
+    histogram: String,
+    timeline: String,
+    frame: Option<String>,
+    max_abs_um: f64,
+}
+
+/// A deviation map as a picture.
+struct Map<'a> {
+    map: &'a FlankMap,
+    verdict: &'a str,
+    picture: String,
+    width_px: f64,
+    height_px: f64,
+}
+
+/// Writes the page of an inspection.
+///
+/// # Errors
+/// The template engine's, which formatting into memory never raises.
+pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
+    let limit_um = inspection
+        .features
+        .iter()
+        .map(|f| f.limit_um)
+        .fold(0.0, f64::max);
+    // Full scale: twice the stop limit, so that a limit violation is dark but not the end of the scale.
+    let full_um = if limit_um > 0.0 {
+        2.0 * limit_um
+    } else {
+        100.0
+    };
+    let pictures = &inspection.pictures;
+    let maps = pictures
+        .maps
+        .iter()
+        .map(|map| draw(map, inspection, full_um))
+        .collect();
+    let end_ms = pictures
+        .lanes
+        .iter()
+        .flat_map(|lane| &lane.spans)
+        .map(|s| s.end_ms)
+        .fold(0.0, f64::max);
+    let marks = inspection
+        .features
+        .first()
+        .map(|f| [(-f.warn_um, "warn"), (-f.limit_um, "stop")]);
+    let page = Page {
+        inspection,
+        maps,
+        colour_bar: chart::colour_bar(full_um),
+        histogram: chart::histogram(
+            &pictures.deviations_um,
+            full_um,
+            marks.as_ref().map_or(&[], |m| m),
+        ),
+        timeline: chart::timeline(&pictures.lanes, end_ms),
+        frame: pictures
+            .frame
+            .as_ref()
+            .map(|(width, height, pixels)| colour::grey_data_uri(*width, *height, pixels)),
+        max_abs_um: full_um,
+    };
+    page.render()
+}
+
+fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {
+    let pixels: Vec<[u8; 3]> = map
+        .deviation_um
+        .iter()
+        .map(|&um| {
+            if um.is_finite() {
+                colour::diverging(um / full_um)
+            } else {
+                colour::NO_DATA
+            }
+        })
+        .collect();
+    let verdict = inspection
+        .features
+        .iter()
+        .find(|f| f.tooth == map.tooth && f.flank == map.flank)
+        .map_or("indeterminate", |f| f.verdict.as_str());
+    const PX_PER_MM: f64 = 42.0;
+    Map {
+        map,
+        verdict,
+        picture: colour::rgb_data_uri(map.columns, map.rows, &pixels),
+        width_px: map.size_mm[0] * PX_PER_MM,
+        height_px: map.size_mm[1] * PX_PER_MM,
+    }
+}
+
+/// A number for the table, a dash where there is none.
+fn number(value: &Option<f64>) -> String {
+    value.map_or_else(|| "–".into(), |v| format!("{v:.1}"))
+}
