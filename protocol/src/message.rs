@@ -173,14 +173,8 @@ pub enum State {
     Cooling,
     /// LED enabled, waiting for its current.
     Lighting,
-    /// DMD triggered, waiting for the pattern and its settle time.
-    Patterning,
-    /// Pattern stands, waiting for the camera and the end of the last readout.
-    Arming,
-    /// Exposure is running.
-    Exposing,
-    /// Exposure is over, waiting for the camera to say so.
-    Closing,
+    /// Showing patterns and exposing them; the status says which frame.
+    Capturing,
     /// LED disabled, waiting for its current to be gone.
     Darkening,
     /// LED off, retracting the head.
