@@ -64,4 +64,4 @@ pub const PROTOCOL_VERSION: u32 = 1;
 ///
 /// Two builds whose messages are laid out differently have different hashes and refuse each other in the hello,
 /// even when somebody forgot to raise [`PROTOCOL_VERSION`].
-pub const SCHEMA_HASH: u32 = 0;
+pub const SCHEMA_HASH: u32 = 0xfbf3_30d5;

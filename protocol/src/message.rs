@@ -61,7 +61,6 @@ pub enum Reply {
 
 /// Why a command was not carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-#[non_exhaustive]
 pub enum Refusal {
     /// The hello named another protocol version. Layout and number of this variant never change.
     #[error("the host speaks protocol {got}, the controller speaks {want}")]
@@ -146,7 +145,6 @@ pub struct Identity {
 
 /// Why the controller last started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum Boot {
     /// Power came on.
     PowerUp,
@@ -160,7 +158,6 @@ pub enum Boot {
 
 /// What the controller is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum State {
     /// After power-up or a failed retract: position unknown, waiting for a home command.
     Unhomed,
@@ -176,14 +173,8 @@ pub enum State {
     Cooling,
     /// LED enabled, waiting for its current.
     Lighting,
-    /// DMD triggered, waiting for the pattern and its settle time.
-    Patterning,
-    /// Pattern stands, waiting for the camera and the end of the last readout.
-    Arming,
-    /// Exposure is running.
-    Exposing,
-    /// Exposure is over, waiting for the camera to say so.
-    Closing,
+    /// Showing patterns and exposing them; the status says which frame.
+    Capturing,
     /// LED disabled, waiting for its current to be gone.
     Darkening,
     /// LED off, retracting the head.
@@ -194,7 +185,6 @@ pub enum State {
 
 /// Why the state changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum Why {
     /// The sequence went on as planned.
     Sequence,
@@ -266,7 +256,6 @@ pub struct Trigger {
 
 /// What happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub enum Event {
     /// The controller does something else now.
     StateChanged {

@@ -179,7 +179,6 @@ pub enum Wait {
 
 /// Why a plan was refused, as a whole: the offending value and the limit it broke.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-#[non_exhaustive]
 pub enum PlanError {
     /// No view.
     #[error("the plan has no view; at least 1 is needed")]

@@ -1,0 +1,288 @@
+//! One sample of every message and of every enum variant a message can carry.
+//!
+//! `each!` expands to an exhaustive match, so a new variant does not compile until it has a sample here, and hence
+//! golden bytes.
+#![allow(dead_code, missing_docs)] // each test binary uses its part
+
+use flankscope_protocol::message::Boot;
+use flankscope_protocol::plan::Wait;
+use flankscope_protocol::*;
+
+macro_rules! each {
+    ($type:ty: $($pattern:pat => $sample:expr),+ $(,)?) => {{
+        fn _exhaustive(value: &$type) {
+            match value {
+                $($pattern => (),)+
+            }
+        }
+        let samples: Vec<$type> = vec![$({
+            let sample: $type = $sample;
+            assert!(matches!(sample, $pattern), "the sample for {} is {sample:?}", stringify!($pattern));
+            sample
+        }),+];
+        samples
+    }};
+}
+
+const AT: Timestamp = Timestamp(1_234_567_890);
+
+/// A short plan, so that all triples of bit flips can be tried.
+pub fn short_plan() -> CapturePlan {
+    CapturePlan {
+        session: 3,
+        views: [View {
+            rotation: Microradians(-1_234_567),
+            vertical: Micrometres(33_000),
+        }]
+        .into_iter()
+        .collect(),
+        exposures: [Microseconds(10_000)].into_iter().collect(),
+        fringes: [FringeSet {
+            periods: 48,
+            steps: 8,
+        }]
+        .into_iter()
+        .collect(),
+        led: Milliamps(700),
+        settle: Microseconds(50_000),
+        dmd_settle: Microseconds(500),
+        camera_readout: Microseconds(12_500),
+        retract: Micrometres(100_000),
+        timeouts: Timeouts::default(),
+    }
+}
+
+/// As long as a plan can be on the wire: every list full, every integer of the longest encoding.
+pub fn longest_plan() -> CapturePlan {
+    CapturePlan {
+        session: u32::MAX,
+        views: [View {
+            rotation: Microradians(i32::MIN),
+            vertical: Micrometres(i32::MIN),
+        }; plan::MAX_VIEWS]
+            .into_iter()
+            .collect(),
+        exposures: [Microseconds(u32::MAX); plan::MAX_EXPOSURES]
+            .into_iter()
+            .collect(),
+        fringes: [FringeSet {
+            periods: u16::MAX,
+            steps: u8::MAX,
+        }; plan::MAX_FRINGE_SETS]
+            .into_iter()
+            .collect(),
+        led: Milliamps(u16::MAX),
+        settle: Microseconds(u32::MAX),
+        dmd_settle: Microseconds(u32::MAX),
+        camera_readout: Microseconds(u32::MAX),
+        retract: Micrometres(i32::MIN),
+        timeouts: Timeouts {
+            motion: Microseconds(u32::MAX),
+            led: Microseconds(u32::MAX),
+            dmd: Microseconds(u32::MAX),
+            camera: Microseconds(u32::MAX),
+        },
+    }
+}
+
+pub fn commands() -> Vec<Command> {
+    each!(Command:
+        Command::Hello { .. } => Command::Hello { protocol: 1, schema: 0x1234_5678 },
+        Command::LoadPlan(_) => Command::LoadPlan(short_plan()),
+        Command::Start { .. } => Command::Start { session: 3 },
+        Command::Abort => Command::Abort,
+        Command::Retract => Command::Retract,
+        Command::Home => Command::Home,
+        Command::Heartbeat => Command::Heartbeat,
+        Command::Status => Command::Status,
+        Command::AcknowledgeFault => Command::AcknowledgeFault,
+    )
+}
+
+pub fn states() -> Vec<State> {
+    each!(State:
+        State::Unhomed => State::Unhomed,
+        State::Homing => State::Homing,
+        State::Ready => State::Ready,
+        State::Moving => State::Moving,
+        State::Settling => State::Settling,
+        State::Cooling => State::Cooling,
+        State::Lighting => State::Lighting,
+        State::Capturing => State::Capturing,
+        State::Darkening => State::Darkening,
+        State::Retracting => State::Retracting,
+        State::Faulted => State::Faulted,
+    )
+}
+
+fn whys() -> Vec<Why> {
+    each!(Why:
+        Why::Sequence => Why::Sequence,
+        Why::Start => Why::Start,
+        Why::Abort => Why::Abort,
+        Why::Retract => Why::Retract,
+        Why::Home => Why::Home,
+        Why::Complete => Why::Complete,
+        Why::Fault(_) => Why::Fault(Fault::DmdNotReady.code()),
+        Why::Acknowledged => Why::Acknowledged,
+    )
+}
+
+fn boots() -> Vec<Boot> {
+    each!(Boot:
+        Boot::PowerUp => Boot::PowerUp,
+        Boot::Watchdog => Boot::Watchdog,
+        Boot::Panic => Boot::Panic,
+        Boot::Requested => Boot::Requested,
+    )
+}
+
+fn waits() -> Vec<Wait> {
+    each!(Wait:
+        Wait::Settle => Wait::Settle,
+        Wait::DmdSettle => Wait::DmdSettle,
+        Wait::CameraReadout => Wait::CameraReadout,
+        Wait::MotionTimeout => Wait::MotionTimeout,
+        Wait::LedTimeout => Wait::LedTimeout,
+        Wait::DmdTimeout => Wait::DmdTimeout,
+        Wait::CameraTimeout => Wait::CameraTimeout,
+    )
+}
+
+fn plan_errors() -> Vec<PlanError> {
+    let (us, um, urad) = (Microseconds, Micrometres, Microradians);
+    let mut all = each!(PlanError:
+        PlanError::NoViews => PlanError::NoViews,
+        PlanError::NoExposures => PlanError::NoExposures,
+        PlanError::NoFringes => PlanError::NoFringes,
+        PlanError::ExposureTooShort { .. } => PlanError::ExposureTooShort { got: us(1), limit: us(1_000) },
+        PlanError::ExposureTooLong { .. } => PlanError::ExposureTooLong { got: us(200_000), limit: us(100_000) },
+        PlanError::ExposuresNotAscending { .. } => PlanError::ExposuresNotAscending { got: us(10), limit: us(20) },
+        PlanError::TooFewSteps { .. } => PlanError::TooFewSteps { got: 2, limit: 3 },
+        PlanError::TooFewPeriods { .. } => PlanError::TooFewPeriods { got: 0, limit: 1 },
+        PlanError::TooManyPatterns { .. } => PlanError::TooManyPatterns { got: 300, limit: 128 },
+        PlanError::TooManyFrames { .. } => PlanError::TooManyFrames { got: 300, limit: 256 },
+        PlanError::LedCurrent { .. } => PlanError::LedCurrent { got: Milliamps(5_000), limit: Milliamps(3_000) },
+        PlanError::LedOnTime { .. } => PlanError::LedOnTime { got: us(5_000_000), limit: us(4_000_000) },
+        PlanError::RotationOutOfTravel { .. } =>
+            PlanError::RotationOutOfTravel { got: urad(-9), min: urad(-8), max: urad(8) },
+        PlanError::VerticalOutOfTravel { .. } => PlanError::VerticalOutOfTravel { got: um(9), min: um(-8), max: um(8) },
+        PlanError::WaitTooLong { .. } => PlanError::WaitTooLong { which: Wait::Settle, got: us(9), limit: us(8) },
+        PlanError::WaitTooShort { .. } =>
+            PlanError::WaitTooShort { which: Wait::LedTimeout, got: us(0), limit: us(1_000) },
+    );
+    all.extend(waits().into_iter().map(|which| PlanError::WaitTooLong {
+        which,
+        got: us(9),
+        limit: us(8),
+    }));
+    all
+}
+
+fn refusals() -> Vec<Refusal> {
+    let mut all = each!(Refusal:
+        Refusal::ProtocolVersion { .. } => Refusal::ProtocolVersion { got: 2, want: 1 },
+        Refusal::SchemaHash { .. } => Refusal::SchemaHash { got: 0x1234_5678, want: 0x8765_4321 },
+        Refusal::NoSession { .. } => Refusal::NoSession { got: 77 },
+        Refusal::StaleSequence { .. } => Refusal::StaleSequence { got: 4, last: 9 },
+        Refusal::Unreadable => Refusal::Unreadable,
+        Refusal::Plan(_) => Refusal::Plan(PlanError::NoViews),
+        Refusal::NoPlan => Refusal::NoPlan,
+        Refusal::WrongPlan { .. } => Refusal::WrongPlan { got: 5, want: 3 },
+        Refusal::Busy { .. } => Refusal::Busy { state: State::Capturing },
+        Refusal::NotHomed => Refusal::NotHomed,
+        Refusal::Faulted { .. } => Refusal::Faulted { fault: Fault::LedNotOn.code() },
+    );
+    all.extend(plan_errors().into_iter().map(Refusal::Plan));
+    all
+}
+
+fn identity(boot: Boot) -> Identity {
+    Identity {
+        protocol: 1,
+        schema: 0x1234_5678,
+        firmware: [0, 1, 0],
+        limits: Limits::DEFAULT,
+        host_silence: Microseconds(100_000),
+        boot,
+    }
+}
+
+fn status(state: State) -> Status {
+    Status {
+        state,
+        fault: Some(Fault::MotionTimeout.code()),
+        plan: Some(3),
+        view: 2,
+        frame: 24,
+        led_on: true,
+        homed: true,
+        rotation: Microradians(74_800),
+        vertical: Micrometres(33_000),
+        at: AT,
+        frames_dropped: 1,
+        events_lost: 0,
+    }
+}
+
+pub fn replies() -> Vec<Reply> {
+    let mut all = each!(Reply:
+        Reply::Accepted => Reply::Accepted,
+        Reply::Refused(_) => Reply::Refused(Refusal::NoPlan),
+        Reply::Hello(_) => Reply::Hello(identity(Boot::PowerUp)),
+        Reply::Status(_) => Reply::Status(status(State::Ready)),
+    );
+    all.extend(refusals().into_iter().map(Reply::Refused));
+    all.extend(boots().into_iter().map(|boot| Reply::Hello(identity(boot))));
+    all.extend(
+        states()
+            .into_iter()
+            .map(|state| Reply::Status(status(state))),
+    );
+    all
+}
+
+pub fn events() -> Vec<Event> {
+    let mut all = each!(Event:
+        Event::StateChanged { .. } =>
+            Event::StateChanged { prev: State::Ready, next: State::Moving, why: Why::Start, at: AT },
+        Event::Triggered(_) => Event::Triggered(Trigger {
+            session: 3,
+            view: 2,
+            frame: 24,
+            pattern: 12,
+            exposure: Microseconds(30_000),
+            dmd_at: Timestamp(1_000_000),
+            camera_at: Timestamp(1_000_700),
+            end_at: Timestamp(1_030_700),
+        }),
+        Event::InPosition { .. } =>
+            Event::InPosition { view: 2, rotation: Microradians(-1), vertical: Micrometres(33_000), at: AT },
+        Event::Led { .. } => Event::Led { on: true, at: AT },
+        Event::ViewDone { .. } => Event::ViewDone { session: 3, view: 2, frames: 25, at: AT },
+        Event::CaptureDone { .. } => Event::CaptureDone { session: 3, views: 3, frames: 75, at: AT },
+        Event::Fault { .. } =>
+            Event::Fault { fault: Fault::StageError.code(), state: State::Moving, detail: 106, at: AT },
+        Event::EventsLost { .. } => Event::EventsLost { count: 4, at: AT },
+    );
+    all.extend(whys().into_iter().map(|why| Event::StateChanged {
+        prev: State::Moving,
+        next: State::Settling,
+        why,
+        at: AT,
+    }));
+    all
+}
+
+pub const HEADER: Header = Header {
+    session: 0xDEAD_00EF,
+    sequence: 0x0102,
+    ack: 0x0100,
+};
+
+/// The frame of a message under [`HEADER`].
+pub fn frame<M: Message>(message: &M) -> Vec<u8> {
+    let mut wire = [0; MAX_FRAME_BYTES];
+    let length = encode(HEADER, message, &mut wire).expect("every message fits");
+    wire[..length].to_vec()
+}
