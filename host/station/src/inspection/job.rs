@@ -1,0 +1,535 @@
+//! The check from hello to verdict: orders to the controller, frames to sums, sums to flanks.
+//!
+//! ```text
+//!  I/O runtime           capture thread            compute thread
+//!  ───────────           ──────────────            ──────────────
+//!  hello, home, plan ──► armed
+//!  start ──────────────► frame, frame, … summed
+//!  triggers collected    view ───────────► pair ─► points, registration, wear
+//!  retracting                                      └► outcome ─► verdict
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
+use flankscope_protocol::{CapturePlan, Command, Event, FaultCode, PlanError, State, Trigger};
+use tokio::sync::mpsc as channel;
+
+use super::pairing::pair;
+use super::plan::{Itinerary, PlanningError, capture_plan};
+use super::recorder::{CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError};
+use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
+use super::timeline::Timeline;
+use super::verdict::{self, Judged};
+use super::views::{Evaluator, EvaluatorError, ViewOutcome};
+use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
+use crate::controller::{Client, ClientError, ClientSettings};
+
+/// Longest silence of the controller during a capture: the longest move of the plan's timeouts, and a margin.
+const EVENT_PATIENCE: Duration = Duration::from_secs(15);
+/// Patience for the capture thread once every trigger was fired.
+const FRAME_PATIENCE: Duration = Duration::from_secs(5);
+
+/// What is inspected, with what.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// The tool.
+    pub tool: Arc<flankscope_metrology::tool::Tool>,
+    /// The head.
+    pub head: Arc<flankscope_profilometry::HeadModel>,
+    /// BLAKE3 of the files they came from.
+    pub hashes: BTreeMap<&'static str, String>,
+}
+
+/// Why a check could not run at all. What goes wrong once it runs ends in an indeterminate verdict instead.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InspectError {
+    /// No frames.
+    #[error(transparent)]
+    Services(#[from] ServiceError),
+    /// No controller.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// No plan from this tool and head.
+    #[error(transparent)]
+    Planning(#[from] PlanningError),
+    /// The plan breaks the controller's limits.
+    #[error("the controller's limits do not allow the plan: {0}")]
+    Plan(#[from] PlanError),
+    /// The head model cannot decode.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// The tool cannot be evaluated.
+    #[error(transparent)]
+    Evaluator(#[from] EvaluatorError),
+    /// A thread ended early.
+    #[error("the {thread} thread ended early")]
+    Thread {
+        /// Which.
+        thread: &'static str,
+    },
+    /// The controller waits for somebody.
+    #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
+    Faulted {
+        /// Its fault.
+        fault: FaultCode,
+    },
+}
+
+/// How far a running check is; for somebody who watches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// The controller answered.
+    Connected,
+    /// The stages reference.
+    Homing,
+    /// The head moves to a view (its number, of how many).
+    Moving(usize, usize),
+    /// A frame was exposed (view, frame of the view, of how many).
+    Exposed(usize, u16, u16),
+    /// A view is being captured again.
+    Recapture(usize),
+    /// The stages retract.
+    Retracting,
+    /// A view's flanks are known.
+    Evaluated(usize),
+}
+
+/// The instrument's host side: its threads run, frames have a place to arrive.
+///
+/// Made before the camera process starts, so that the services are there when it comes.
+#[derive(Debug)]
+pub struct Station {
+    subject: Subject,
+    decoder: Arc<Decoder>,
+    orders: Option<Orders>,
+    recorded: channel::UnboundedReceiver<Recorded>,
+    capture: Option<JoinHandle<()>>,
+    work: Option<mpsc::Sender<(usize, Accumulator)>>,
+    outcomes: channel::UnboundedReceiver<(usize, Box<ViewOutcome>)>,
+    compute: Option<JoinHandle<()>>,
+    itinerary: Arc<Itinerary>,
+}
+
+impl Station {
+    /// Starts the capture and compute threads for one subject, with frames arriving below `root`.
+    ///
+    /// # Errors
+    /// The subject is unfit, or shared memory is refused.
+    pub fn open(subject: Subject, teeth: Option<&[u32]>, root: Arc<SharedRoot>) -> Result<Self, InspectError> {
+        let itinerary = Arc::new(Itinerary::new(&subject.tool, &subject.head, teeth)?);
+        let decoder = Arc::new(Decoder::for_head(&subject.head)?);
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        let sensor = decoder.sensor();
+        let settings = RecorderSettings {
+            // 1 % of full scale above the offset: ten times the read noise's mean shift, a tenth of a dim fringe frame.
+            dark_limit_dn: sensor.offset_dn + 0.01 * f64::from(sensor.full_scale_dn()),
+            keepsake: Keepsake {
+                exposure: itinerary.exposures_us.len() as u16 / 2,
+                pattern: itinerary.patterns.frames_per_exposure() as u16,
+            },
+            full_scale_dn: sensor.full_scale_dn(),
+        };
+        let (order_sender, order_receiver) = mpsc::channel();
+        let (recorded_sender, recorded) = channel::unbounded_channel();
+        let (ready_sender, ready) = mpsc::channel();
+        let capture_decoder = Arc::clone(&decoder);
+        // Ports stay on the thread that made them.
+        let capture = std::thread::Builder::new().name("capture".into()).spawn(move || {
+            let receiver = match FrameReceiver::create(&root) {
+                Ok(receiver) => receiver,
+                Err(error) => return drop(ready_sender.send(Err(error))),
+            };
+            let _ = ready_sender.send(Ok(()));
+            let kinds = capture_decoder.kinds();
+            let fresh = || capture_decoder.begin();
+            Recorder::new(&receiver, settings, kinds, order_receiver, recorded_sender, fresh).run();
+        });
+        let capture = capture.map_err(|_| InspectError::Thread { thread: "capture" })?;
+        ready.recv().map_err(|_| InspectError::Thread { thread: "capture" })??;
+        let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
+        let (outcome_sender, outcomes) = channel::unbounded_channel();
+        let recycle = order_sender.clone();
+        let compute = std::thread::Builder::new().name("compute".into()).spawn(move || {
+            while let Ok((view, accumulator)) = to_do.recv() {
+                let outcome = evaluator.evaluate(view, &accumulator);
+                let _ = recycle.send(Order::Recycle(accumulator));
+                if outcome_sender.send((view, Box::new(outcome))).is_err() {
+                    return;
+                }
+            }
+        });
+        let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
+        Ok(Self {
+            subject,
+            decoder,
+            orders: Some(order_sender),
+            recorded,
+            capture: Some(capture),
+            work: Some(work),
+            outcomes,
+            compute: Some(compute),
+            itinerary,
+        })
+    }
+
+    /// Runs one check through the controller at `port`.
+    ///
+    /// # Errors
+    /// The check could not begin. Once it has begun, every trouble ends in an indeterminate verdict.
+    pub async fn inspect(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Inspection, InspectError> {
+        let mut client = Client::connect(port, settings).await?;
+        watch(Progress::Connected);
+        let rotation_rad = self.prepare(&mut client, &mut watch).await?;
+        let limits = client.identity().limits;
+        let order = self.itinerary.order_from(rotation_rad);
+        let mut run = Run::new(&self.itinerary, order.clone());
+        let begun_ns = monotonic_ns();
+        let mut stopped = self.capture(&mut client, &mut run, &order, &limits, &mut watch).await?;
+        let again = run.missing();
+        if stopped.is_none() && !again.is_empty() {
+            for &view in &again {
+                watch(Progress::Recapture(view));
+            }
+            run.recaptured += again.len() as u32;
+            stopped = self.capture(&mut client, &mut run, &again, &limits, &mut watch).await?;
+        }
+        Ok(self.conclude(run, stopped, begun_ns, &client))
+    }
+
+    /// Brings the controller to `Ready`; returns where the rotary stage stands, rad.
+    async fn prepare(&self, client: &mut Client, watch: &mut impl FnMut(Progress)) -> Result<f64, InspectError> {
+        let mut status = client.status().await?;
+        if let Some(fault) = status.fault {
+            return Err(InspectError::Faulted { fault });
+        }
+        if !status.homed {
+            watch(Progress::Homing);
+            client.order(&Command::Home).await?;
+            loop {
+                match client.event(EVENT_PATIENCE).await? {
+                    Event::StateChanged { next: State::Ready, .. } => break,
+                    Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
+                    _ => {}
+                }
+            }
+            status = client.status().await?;
+        }
+        Ok(f64::from(status.rotation.get()) * 1e-6)
+    }
+
+    /// Captures `views`; returns why the capture stopped early, if it did.
+    async fn capture(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run,
+        views: &[usize],
+        limits: &flankscope_protocol::Limits,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<String>, InspectError> {
+        let plan = capture_plan(&self.itinerary, views, limits)?;
+        plan.validate(limits)?;
+        run.begin_session(views);
+        self.order(Order::Arm(arm_of(&plan)))?;
+        client.order(&Command::LoadPlan(plan.clone())).await?;
+        client.order(&Command::Start { session: plan.session }).await?;
+        match self.follow(client, run, &plan, watch).await {
+            Ok(stopped) => Ok(stopped),
+            // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
+            Err(error) => Ok(Some(error.to_string())),
+        }
+    }
+
+    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated.
+    async fn follow(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run,
+        plan: &CapturePlan,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<String>, InspectError> {
+        let frames = plan.frames_per_view();
+        let (mut captured, mut closed, mut fault) = (false, false, None);
+        let mut closing_ends = None;
+        loop {
+            self.evaluate_whole_views(run, frames)?;
+            if captured && closed && run.evaluating == 0 {
+                return Ok(fault);
+            }
+            if closing_ends.is_some_and(|end| tokio::time::Instant::now() > end) {
+                return Ok(Some("the capture thread does not answer".into()));
+            }
+            let pause = Duration::from_millis(200);
+            tokio::select! {
+                recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
+                    Recorded::View(view) => run.recorded(*view),
+                    Recorded::Closed => closed = true,
+                    Recorded::Picture(width, height, grey) => run.picture = Some((width, height, grey)),
+                },
+                outcome = self.outcomes.recv() => {
+                    let (view, outcome) = outcome.ok_or(InspectError::Thread { thread: "compute" })?;
+                    watch(Progress::Evaluated(view));
+                    run.evaluated(view, *outcome);
+                }
+                () = tokio::time::sleep(pause), if captured => {}
+                event = client.event(EVENT_PATIENCE), if !captured => {
+                    let event = match event {
+                        Ok(event) => event,
+                        Err(error) => {
+                            let _ = self.order(Order::Close);
+                            captured = true;
+                            fault.get_or_insert(error.to_string());
+                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
+                            continue;
+                        }
+                    };
+                    tracing::debug!(?event);
+                    run.timeline.note(&event);
+                    match event {
+                        Event::StateChanged { next: State::Moving, .. } => {
+                            watch(Progress::Moving(run.views_begun(), run.session.len()));
+                        }
+                        Event::StateChanged { next: State::Retracting, .. } => watch(Progress::Retracting),
+                        Event::Triggered(trigger) => {
+                            watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
+                            run.triggered(trigger);
+                        }
+                        Event::Fault { fault: code, .. } if code.0 < 96 => drop(fault.get_or_insert(code.to_string())),
+                        Event::EventsLost { count, .. } => {
+                            fault.get_or_insert(format!("{count} events were lost in the controller"));
+                        }
+                        Event::CaptureDone { .. } => captured = true,
+                        Event::StateChanged { next: State::Faulted, .. } => captured = true,
+                        _ => {}
+                    }
+                    // All triggers of the last view are known when the head begins to retract: nothing to wait for.
+                    if captured || matches!(event, Event::StateChanged { next: State::Retracting, .. }) {
+                        if closing_ends.is_none() {
+                            self.order(Order::Close)?;
+                        }
+                        closing_ends.get_or_insert(tokio::time::Instant::now() + FRAME_PATIENCE);
+                        if captured {
+                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends every view whose triggers and frames are complete and pair to the compute thread.
+    fn evaluate_whole_views(&self, run: &mut Run, frames_per_view: u16) -> Result<(), InspectError> {
+        let work = self.work.as_ref().ok_or(InspectError::Thread { thread: "compute" })?;
+        for captured in run.take_complete(frames_per_view) {
+            let CapturedView { view, accumulator, frames, problem } = captured;
+            let place = run.session.get(usize::from(view)).copied();
+            let Some(view_number) = place else { continue };
+            let triggers = run.triggers.get(usize::from(view)).map_or(&[][..], Vec::as_slice);
+            let result = match problem {
+                Some(problem) => Err(problem),
+                None => pair(triggers, &frames).map_err(ViewError::from),
+            };
+            match result {
+                Ok(()) => {
+                    run.received += frames.len() as u64;
+                    let ended = frames.last().map_or(0, |frame| frame.exposure_end_monotonic_ns);
+                    run.last_exposure_ns = run.last_exposure_ns.max(ended);
+                    run.evaluating += 1;
+                    run.problems.remove(&view_number);
+                    work.send((view_number, accumulator)).map_err(|_| InspectError::Thread { thread: "compute" })?;
+                }
+                Err(problem) => {
+                    tracing::warn!(view = view_number, %problem, "view refused");
+                    run.problems.insert(view_number, problem.to_string());
+                    self.order(Order::Recycle(accumulator))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn order(&self, order: Order) -> Result<(), InspectError> {
+        let gone = InspectError::Thread { thread: "capture" };
+        self.orders.as_ref().ok_or(gone).and_then(|orders| {
+            orders.send(order).map_err(|_| InspectError::Thread { thread: "capture" })
+        })
+    }
+
+    fn conclude(&self, run: Run, stopped: Option<String>, begun_ns: u64, client: &Client) -> Inspection {
+        let gear = &self.subject.tool;
+        let mut judged: Vec<Judged> = Vec::new();
+        let mut registration = Vec::new();
+        let mut pictures = Pictures { frame: run.picture, ..Pictures::default() };
+        for (view, planned) in self.itinerary.views.iter().enumerate() {
+            match run.outcomes.get(&view) {
+                Some(outcome) => {
+                    judged.extend(outcome.flanks.iter().cloned());
+                    registration.push(outcome.registration.clone());
+                    pictures.maps.extend(outcome.maps.iter().cloned());
+                    pictures.deviations_um.extend_from_slice(&outcome.deviations_um);
+                }
+                None => {
+                    let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
+                    let why = why.unwrap_or_else(|| "the view was not captured".into());
+                    judged.extend(verdict::unmeasured(planned.tooth, gear, &why));
+                }
+            }
+        }
+        let (verdict, reason) = verdict::of_tool(&judged, stopped.as_deref());
+        let positioning = run.timeline.positioning_ms();
+        let exposure = run.timeline.exposure_ms();
+        let mut versions = BTreeMap::new();
+        let [major, minor, patch] = client.identity().firmware;
+        versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
+        versions.insert("protocol", flankscope_protocol::PROTOCOL_VERSION.to_string());
+        versions.insert("firmware", format!("{major}.{minor}.{patch}"));
+        let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
+        pictures.lanes = run.timeline.lanes();
+        Inspection {
+            verdict: verdict.to_string(),
+            reason,
+            features: judged.into_iter().map(Feature::from).collect(),
+            timing_ms: Timing {
+                total: since(begun_ns, monotonic_ns()),
+                positioning,
+                exposure,
+                last_exposure_to_verdict: since(run.last_exposure_ns, run.verdict_ns),
+            },
+            frames: FrameCount {
+                triggered: run.triggered,
+                received: run.received,
+                bytes_copied: Frame::bytes_copied(),
+                recaptured_views: run.recaptured,
+            },
+            registration,
+            tool: self.subject.tool.name.clone(),
+            versions,
+            hashes: self.subject.hashes.clone(),
+            pictures,
+        }
+    }
+
+    /// The decoder, for whoever needs the head's precomputed tables.
+    #[must_use]
+    pub fn decoder(&self) -> &Decoder {
+        &self.decoder
+    }
+}
+
+impl Drop for Station {
+    fn drop(&mut self) {
+        // The threads end when their orders end.
+        self.orders = None;
+        self.work = None;
+        for thread in [self.compute.take(), self.capture.take()].into_iter().flatten() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn arm_of(plan: &CapturePlan) -> Arm {
+    Arm {
+        session: plan.session,
+        first_view: 0,
+        views: plan.views.len() as u16,
+        exposures: plan.exposures.len() as u16,
+        patterns: plan.pattern_count(),
+    }
+}
+
+/// What a check has gathered so far.
+#[derive(Debug)]
+struct Run {
+    /// Every view that was asked for.
+    wanted: Vec<usize>,
+    /// View of the itinerary behind each view of the running session.
+    session: Vec<usize>,
+    /// Triggers per view of the session.
+    triggers: Vec<Vec<Trigger>>,
+    /// Captured views of the session that wait for the rest of their triggers.
+    waiting: Vec<CapturedView>,
+    outcomes: BTreeMap<usize, ViewOutcome>,
+    problems: BTreeMap<usize, String>,
+    timeline: Timeline,
+    picture: Option<(usize, usize, Vec<u8>)>,
+    evaluating: usize,
+    triggered: u64,
+    received: u64,
+    recaptured: u32,
+    last_exposure_ns: u64,
+    verdict_ns: u64,
+}
+
+impl Run {
+    fn new(_itinerary: &Itinerary, wanted: Vec<usize>) -> Self {
+        Self {
+            wanted,
+            session: Vec::new(),
+            triggers: Vec::new(),
+            waiting: Vec::new(),
+            outcomes: BTreeMap::new(),
+            problems: BTreeMap::new(),
+            timeline: Timeline::default(),
+            picture: None,
+            evaluating: 0,
+            triggered: 0,
+            received: 0,
+            recaptured: 0,
+            last_exposure_ns: 0,
+            verdict_ns: 0,
+        }
+    }
+
+    fn begin_session(&mut self, views: &[usize]) {
+        self.session = views.to_vec();
+        self.triggers = vec![Vec::new(); views.len()];
+        self.waiting.clear();
+    }
+
+    fn triggered(&mut self, trigger: Trigger) {
+        self.triggered += 1;
+        if let Some(view) = self.triggers.get_mut(usize::from(trigger.view)) {
+            view.push(trigger);
+        }
+    }
+
+    fn views_begun(&self) -> usize {
+        self.triggers.iter().filter(|triggers| !triggers.is_empty()).count()
+    }
+
+    fn recorded(&mut self, view: CapturedView) {
+        self.waiting.push(view);
+    }
+
+    /// Captured views that need not wait any longer: damaged ones, and those whose triggers have all been reported.
+    fn take_complete(&mut self, frames_per_view: u16) -> Vec<CapturedView> {
+        let triggers = &self.triggers;
+        let complete = |view: &mut CapturedView| {
+            view.problem.is_some()
+                || triggers.get(usize::from(view.view)).is_none_or(|t| t.len() >= usize::from(frames_per_view))
+        };
+        self.waiting.extract_if(.., complete).collect()
+    }
+
+    fn evaluated(&mut self, view: usize, outcome: ViewOutcome) {
+        self.evaluating -= 1;
+        self.verdict_ns = monotonic_ns();
+        self.outcomes.insert(view, outcome);
+    }
+
+    /// Views that were asked for and have no outcome.
+    fn missing(&self) -> Vec<usize> {
+        self.wanted.iter().copied().filter(|view| !self.outcomes.contains_key(view)).collect()
+    }
+}

@@ -1,0 +1,187 @@
+//! From the tool's critical teeth and the head's geometry to a capture plan.
+
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::{HeadModel, PatternSet};
+use flankscope_protocol::{
+    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts, View,
+};
+
+/// Wait from in position to light: the die's and the head's ringing at 20 Hz and more has died down (10 periods of 100 Hz).
+const SETTLE: Microseconds = Microseconds::from_millis(100);
+/// Wait from DMD ready to the camera trigger: mirrors settle within tens of µs.
+const DMD_SETTLE: Microseconds = Microseconds(200);
+/// Readout of a 1920 x 1200 frame at 16 bit over USB 3: about 80 frames/s.
+const CAMERA_READOUT: Microseconds = Microseconds(12_500);
+/// LED current of the head.
+const LED: Milliamps = Milliamps(1_000);
+/// The head clears the die when it stands this far above its upper face, mm.
+const CLEARANCE_MM: f64 = 20.0;
+
+/// One view: which tooth is in its middle, and where the stages must stand.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedView {
+    /// Tooth in the middle of the field.
+    pub tooth: u32,
+    /// Commanded angle of the rotary stage, rad.
+    pub rotation_rad: f64,
+    /// Commanded position of the vertical stage, mm.
+    pub vertical_mm: f64,
+}
+
+/// All views of a check and how each is exposed.
+#[derive(Clone, Debug)]
+pub struct Itinerary {
+    /// The views, in the tool file's order.
+    pub views: Vec<PlannedView>,
+    /// Fringe patterns.
+    pub patterns: PatternSet,
+    /// Exposure times, ascending, µs.
+    pub exposures_us: Vec<u32>,
+    /// Vertical position of the retracted head, mm.
+    pub retract_mm: f64,
+}
+
+/// Why no plan can be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlanningError {
+    /// The tool file says nothing about teeth.
+    #[error("the tool has no [gear] and [inspect] section; a check needs both (see docs/formats.md)")]
+    NoGear,
+    /// No teeth to inspect.
+    #[error("no tooth is to be inspected; name some with --teeth or in the tool file's inspect.teeth")]
+    NoTeeth,
+    /// A tooth that the gear does not have.
+    #[error("tooth {got} is not on this gear; it has teeth 1 to {teeth}")]
+    NoSuchTooth {
+        /// Asked for.
+        got: u32,
+        /// Teeth of the gear.
+        teeth: u32,
+    },
+    /// A tooth was named twice.
+    #[error("tooth {got} is named twice; once is enough")]
+    Twice {
+        /// The tooth.
+        got: u32,
+    },
+    /// Too many views for one plan.
+    #[error("{got} teeth are too many for one check; at most {limit}")]
+    TooMany {
+        /// Asked for.
+        got: usize,
+        /// Most views of a plan.
+        limit: usize,
+    },
+    /// The head file names no patterns or exposures.
+    #[error("the head file has no {what}; a check needs it (see docs/formats.md)")]
+    HeadLacks {
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The pattern set's name is unknown.
+    #[error(transparent)]
+    Pattern(#[from] flankscope_profilometry::PatternError),
+}
+
+impl Itinerary {
+    /// The views for the tool's critical teeth, or for `teeth` instead.
+    ///
+    /// # Errors
+    /// Teeth that are not there, or a tool or head file without what a check needs.
+    pub fn new(tool: &Tool, head: &HeadModel, teeth: Option<&[u32]>) -> Result<Self, PlanningError> {
+        let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else { return Err(PlanningError::NoGear) };
+        let teeth = teeth.unwrap_or(&inspect.teeth);
+        let limit = flankscope_protocol::plan::MAX_VIEWS;
+        if teeth.is_empty() {
+            return Err(PlanningError::NoTeeth);
+        }
+        if teeth.len() > limit {
+            return Err(PlanningError::TooMany { got: teeth.len(), limit });
+        }
+        let mut views = Vec::with_capacity(teeth.len());
+        for (i, &tooth) in teeth.iter().enumerate() {
+            if tooth == 0 || tooth > gear.teeth {
+                return Err(PlanningError::NoSuchTooth { got: tooth, teeth: gear.teeth });
+            }
+            if teeth.iter().take(i).any(|&earlier| earlier == tooth) {
+                return Err(PlanningError::Twice { got: tooth });
+            }
+            // The die is turned until the tooth's centre lies on the stage's +x axis, where the camera looks.
+            let rotation_rad = wrapped(-gear.tooth_centre_rad(tooth));
+            views.push(PlannedView { tooth, rotation_rad, vertical_mm: inspect.height_mm });
+        }
+        let lacks = |what| PlanningError::HeadLacks { what };
+        let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
+        if head.exposures_us.is_empty() {
+            return Err(lacks("exposures_us"));
+        }
+        if head.stage_from_camera.is_none() {
+            return Err(lacks("stage_from_camera"));
+        }
+        let top_mm = gear.height_mm[1];
+        Ok(Self { views, patterns, exposures_us: head.exposures_us.clone(), retract_mm: top_mm + CLEARANCE_MM })
+    }
+
+    /// The views in the order of the shortest way for a rotary stage that stands at `rotation_rad`: from the nearer end
+    /// of the sweep to the other.
+    #[must_use]
+    pub fn order_from(&self, rotation_rad: f64) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.views.len()).collect();
+        let angle = |&view: &usize| self.views[view].rotation_rad;
+        order.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+        let (Some(first), Some(last)) = (order.first().map(angle), order.last().map(angle)) else { return order };
+        if (last - rotation_rad).abs() < (first - rotation_rad).abs() {
+            order.reverse();
+        }
+        order
+    }
+}
+
+/// The capture plan for some views of an itinerary.
+///
+/// # Errors
+/// More sets or exposures than a plan holds.
+pub fn capture_plan(
+    itinerary: &Itinerary,
+    views: &[usize],
+    limits: &Limits,
+) -> Result<CapturePlan, PlanningError> {
+    let too_many = |got| PlanningError::TooMany { got, limit: flankscope_protocol::plan::MAX_VIEWS };
+    let fringes = itinerary.patterns.sets.iter().map(|set| FringeSet {
+        periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
+        steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
+    });
+    let mut plan = CapturePlan {
+        session: crate::capture::monotonic_ns() as u32,
+        views: heapless::Vec::new(),
+        exposures: heapless::Vec::new(),
+        fringes: heapless::Vec::new(),
+        led: LED.min(limits.led_max),
+        settle: SETTLE,
+        dmd_settle: DMD_SETTLE,
+        camera_readout: CAMERA_READOUT,
+        retract: Micrometres((itinerary.retract_mm * 1e3).round() as i32),
+        timeouts: Timeouts::default(),
+    };
+    for view in views.iter().filter_map(|&view| itinerary.views.get(view)) {
+        let view = View {
+            rotation: Microradians((view.rotation_rad * 1e6).round() as i32),
+            vertical: Micrometres((view.vertical_mm * 1e3).round() as i32),
+        };
+        plan.views.push(view).map_err(|_| too_many(views.len()))?;
+    }
+    for &exposure in &itinerary.exposures_us {
+        plan.exposures.push(Microseconds(exposure)).map_err(|_| too_many(itinerary.exposures_us.len()))?;
+    }
+    for set in fringes {
+        plan.fringes.push(set).map_err(|_| too_many(itinerary.patterns.sets.len()))?;
+    }
+    Ok(plan)
+}
+
+/// The same angle in −π..π.
+fn wrapped(angle_rad: f64) -> f64 {
+    let turn = std::f64::consts::TAU;
+    angle_rad - (angle_rad / turn).round() * turn
+}

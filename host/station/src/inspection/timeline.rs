@@ -1,0 +1,92 @@
+//! What the devices did when, from the controller's events.
+
+use flankscope_protocol::{Event, State, Timestamp, Trigger};
+
+use crate::report::{Lane, Span};
+
+/// Collects a capture's events.
+#[derive(Debug, Default)]
+pub struct Timeline {
+    start: Option<Timestamp>,
+    end: Timestamp,
+    moving: Vec<Span>,
+    settling: Vec<Span>,
+    led: Vec<Span>,
+    dmd: Vec<Span>,
+    camera: Vec<Span>,
+    state_since: Timestamp,
+    led_since: Option<Timestamp>,
+}
+
+impl Timeline {
+    /// Takes one event.
+    pub fn note(&mut self, event: &Event) {
+        match *event {
+            Event::StateChanged { prev, at, .. } => {
+                let since = self.state_since.max(*self.start.get_or_insert(at));
+                let span = self.span(since, at);
+                match prev {
+                    State::Moving | State::Retracting => self.moving.push(span),
+                    State::Settling => self.settling.push(span),
+                    _ => {}
+                }
+                self.state_since = at;
+                self.end = at;
+            }
+            Event::Led { on: true, at } => self.led_since = Some(at),
+            Event::Led { on: false, at } => {
+                if let Some(since) = self.led_since.take() {
+                    let span = self.span(since, at);
+                    self.led.push(span);
+                }
+            }
+            Event::Triggered(Trigger { dmd_at, camera_at, end_at, .. }) => {
+                let (dmd, camera) = (self.span(dmd_at, camera_at), self.span(camera_at, end_at));
+                self.dmd.push(dmd);
+                self.camera.push(camera);
+            }
+            Event::ViewDone { at, .. } | Event::CaptureDone { at, .. } => self.end = at,
+            _ => {}
+        }
+    }
+
+    fn span(&mut self, from: Timestamp, to: Timestamp) -> Span {
+        let start = *self.start.get_or_insert(from);
+        let ms = |at: Timestamp| at.since_us(start) as f64 / 1000.0;
+        Span { start_ms: ms(from), end_ms: ms(to) }
+    }
+
+    /// Time spent moving and settling, ms.
+    #[must_use]
+    pub fn positioning_ms(&self) -> f64 {
+        self.moving.iter().chain(&self.settling).map(length).sum()
+    }
+
+    /// Sum of the exposures, ms.
+    #[must_use]
+    pub fn exposure_ms(&self) -> f64 {
+        self.camera.iter().map(length).sum()
+    }
+
+    /// From the first event to the last, ms.
+    #[must_use]
+    pub fn total_ms(&self) -> f64 {
+        self.start.map_or(0.0, |start| self.end.since_us(start) as f64 / 1000.0)
+    }
+
+    /// The lanes of the report's picture.
+    #[must_use]
+    pub fn lanes(self) -> Vec<Lane> {
+        vec![
+            Lane { name: "stages move", colour: "#7a8794", spans: self.moving },
+            Lane { name: "settle", colour: "#b9c2cb", spans: self.settling },
+            Lane { name: "LED", colour: "#2f9e5b", spans: self.led },
+            Lane { name: "DMD", colour: "#c77d0a", spans: self.dmd },
+            Lane { name: "camera", colour: "#2b6cb0", spans: self.camera },
+        ]
+    }
+}
+
+fn length(span: &Span) -> f64 {
+    span.end_ms - span.start_ms
+}
