@@ -1,0 +1,725 @@
+//! The whole way: from the sums of a view to points in the camera frame.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::accumulate::{Accumulator, Band, Layout};
+use crate::calibration::{DepthRange, HeadModel, Sensor};
+use crate::conditioning;
+use crate::frame::FrameKind;
+use crate::grid::CellGrid;
+use crate::mask::{self, MaskOptions};
+pub use crate::neighbours::PatchOptions;
+use crate::neighbours::{Depths, small_patches};
+use crate::pattern::PatternSet;
+use crate::phase::{self, CellNoise};
+use crate::triangulate::{Triangulator, depth_sigma_mm};
+use crate::unwrap;
+
+/// What to keep and what to repair. [`DecodeOptions::for_head`] is the instrument's choice.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodeOptions {
+    /// Pixels along a cell's side.
+    pub binning: usize,
+    /// Whether a view starts with a dark frame.
+    pub dark_frame: bool,
+    /// Least contrast B / A in every frequency.
+    pub min_contrast: f64,
+    /// Largest predicted standard uncertainty of the depth.
+    pub max_sigma_z_mm: Option<f64>,
+    /// Sigma of the Gaussian on the phasors of the finest frequency, camera pixels; 0 for none.
+    pub smoothing_px: f64,
+    /// The same for all coarser frequencies, whose only task is the fringe order.
+    pub coarse_smoothing_px: f64,
+    /// Removes the second harmonic that three-step frames let through.
+    pub correct_harmonics: bool,
+    /// The article's mask.
+    pub mask: Option<MaskOptions>,
+    /// Drops small isolated patches.
+    pub patches: Option<PatchOptions>,
+}
+
+impl DecodeOptions {
+    /// The head's binning, a dark frame first, contrast of at least 0.05, patches of at least 10 cells.
+    pub fn for_head(head: &HeadModel) -> Self {
+        Self {
+            binning: head.binning as usize,
+            dark_frame: true,
+            min_contrast: 0.05,
+            max_sigma_z_mm: None,
+            smoothing_px: 0.0,
+            coarse_smoothing_px: 0.0,
+            correct_harmonics: false,
+            mask: None,
+            // 80 degrees of surface tilt: steeper surfaces return no light to a lens.
+            patches: Some(PatchOptions {
+                min_cells: 10,
+                max_slope: 5.7,
+            }),
+        }
+    }
+}
+
+/// Why a head, a pattern set and exposures do not make a decoder, or a view no cloud.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// No exposure, or more than a byte can count.
+    #[error("{got} exposures: 1 to 255 are possible")]
+    ExposureCount {
+        /// How many.
+        got: usize,
+    },
+    /// Not ascending, or zero.
+    #[error("exposures {got:?} us: must be positive and ascending")]
+    Exposures {
+        /// Which.
+        got: Vec<u32>,
+    },
+    /// Nothing known about the camera's counts.
+    #[error("the head says nothing about its sensor: give [sensor] in head.toml")]
+    NoSensor,
+    /// A head value beyond its limits.
+    #[error("{key} = {got}: {expected}")]
+    Head {
+        /// Which.
+        key: String,
+        /// Its value.
+        got: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// An option beyond its limits.
+    #[error("option {option} = {got}: {expected}")]
+    Option {
+        /// Which.
+        option: &'static str,
+        /// Its value.
+        got: f64,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// Binning or image circle leave nothing.
+    #[error(
+        "no cell lies inside the image circle (binning {binning}, camera {width_px} x {height_px}): check image_circle"
+    )]
+    NoCells {
+        /// Binning.
+        binning: usize,
+        /// Camera columns.
+        width_px: u32,
+        /// Camera rows.
+        height_px: u32,
+    },
+    /// The lowest frequency repeats and nothing says which repetition.
+    #[error(
+        "the lowest frequency has {periods} periods and the head no [volume]: give the volume's depth range, or a frequency with a single period"
+    )]
+    NeedsVolume {
+        /// Lowest periods.
+        periods: f64,
+    },
+    /// The lowest frequency repeats within the volume.
+    #[error(
+        "within the measuring volume the lowest frequency ({periods} periods) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
+    )]
+    VolumeTooDeep {
+        /// Lowest periods.
+        periods: f64,
+        /// Periods passed along the worst ray.
+        spanned: f64,
+        /// The limit.
+        limit: f64,
+        /// Periods that would do.
+        usable: f64,
+    },
+    /// The volume reaches behind the projector.
+    #[error(
+        "the measuring volume ({near_mm} to {far_mm} mm) reaches behind the projector: check projector_from_camera and volume"
+    )]
+    VolumeBehindProjector {
+        /// Near end.
+        near_mm: f64,
+        /// Far end.
+        far_mm: f64,
+    },
+    /// The accumulator belongs to another decoder.
+    #[error("the accumulator was begun by another decoder")]
+    ForeignAccumulator,
+    /// Frames are missing.
+    #[error("{received} of {planned} frames are there; next should be {expected}")]
+    Incomplete {
+        /// Frames added.
+        received: usize,
+        /// Frames of a view.
+        planned: usize,
+        /// First missing.
+        expected: FrameKind,
+    },
+}
+
+/// Along any ray the volume may span this part of the lowest frequency's period; the rest is for noise.
+const MAX_SPANNED_PERIODS: f64 = 0.9;
+
+/// A camera ray and what the volume says about it.
+#[derive(Clone, Copy, Debug)]
+struct Ray {
+    /// x and y at z = 1.
+    direction: [f64; 2],
+    /// Phase of the lowest frequency in the middle of the volume.
+    expected_low_rad: f64,
+}
+
+/// Everything about a head and its patterns that does not change from view to view.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    layout: Arc<Layout>,
+    patterns: PatternSet,
+    options: DecodeOptions,
+    sensor: Sensor,
+    triangulator: Triangulator,
+    projector_width_px: f64,
+    volume: Option<DepthRange>,
+    rays: Vec<Ray>,
+    /// Lateral size of a cell per unit of depth.
+    cell_by_depth: f64,
+}
+
+/// Points of one view. All vectors have one entry per point, in row order of the cells.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// Position in the camera frame.
+    pub points_mm: Vec<[f64; 3]>,
+    /// Predicted standard uncertainty of z; the point moves along its camera ray.
+    pub sigma_z_mm: Vec<f32>,
+    /// Column and row in the grid of cells.
+    pub cell: Vec<[u16; 2]>,
+    /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
+    pub modulation_e: Vec<f32>,
+}
+
+impl Cloud {
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points_mm.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.points_mm.is_empty()
+    }
+}
+
+/// How many cells gave no point, by the first reason found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Rejected {
+    /// Every exposure was saturated.
+    pub saturated: usize,
+    /// Contrast below the limit: no fringes here.
+    pub low_contrast: usize,
+    /// Too noisy to tell the fringe order.
+    pub uncertain_order: usize,
+    /// The phase belongs to no projector column.
+    pub outside_projector: usize,
+    /// The ray meets the sheet of light outside the measuring volume, or nowhere.
+    pub outside_volume: usize,
+    /// Predicted uncertainty above the limit.
+    pub uncertain_depth: usize,
+    /// Dropped by the mask.
+    pub masked: usize,
+    /// Part of a small isolated patch.
+    pub isolated: usize,
+}
+
+impl Rejected {
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.saturated
+            + self.low_contrast
+            + self.uncertain_order
+            + self.outside_projector
+            + self.outside_volume
+            + self.uncertain_depth
+            + self.masked
+            + self.isolated
+    }
+}
+
+/// A decoded view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decoded {
+    /// The points.
+    pub cloud: Cloud,
+    /// Cells looked at: points plus rejected.
+    pub cells: usize,
+    /// Cells without a point.
+    pub rejected: Rejected,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Point,
+    Saturated,
+    LowContrast,
+    UncertainOrder,
+    OutsideProjector,
+    OutsideVolume,
+    UncertainDepth,
+    Masked,
+    Isolated,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct CellResult {
+    fate: Fate,
+    depth_mm: f64,
+    sigma_z_mm: f32,
+    modulation_e: f32,
+}
+
+impl CellResult {
+    fn rejected(fate: Fate) -> Self {
+        Self {
+            fate,
+            depth_mm: f64::NAN,
+            sigma_z_mm: f32::NAN,
+            modulation_e: 0.0,
+        }
+    }
+
+    fn reject(&mut self, fate: Fate) {
+        *self = Self::rejected(fate);
+    }
+}
+
+impl Depths for Vec<CellResult> {
+    fn depth_mm(&self, cell: usize) -> f64 {
+        self[cell].depth_mm
+    }
+
+    fn sigma_mm(&self, cell: usize) -> f64 {
+        f64::from(self[cell].sigma_z_mm)
+    }
+}
+
+impl Decoder {
+    /// Checks that head and patterns fit and computes the camera ray of every cell.
+    ///
+    /// # Errors
+    /// [`DecodeError`]: see its variants.
+    pub fn new(
+        head: &HeadModel,
+        patterns: &PatternSet,
+        exposures_us: &[u32],
+        options: DecodeOptions,
+    ) -> Result<Self, DecodeError> {
+        head.check().map_err(|bad| DecodeError::Head {
+            key: bad.key,
+            got: bad.got,
+            expected: bad.expected,
+        })?;
+        check_options(&options)?;
+        if !(1..=255).contains(&exposures_us.len()) {
+            return Err(DecodeError::ExposureCount {
+                got: exposures_us.len(),
+            });
+        }
+        if exposures_us[0] == 0 || exposures_us.windows(2).any(|pair| pair[0] >= pair[1]) {
+            return Err(DecodeError::Exposures {
+                got: exposures_us.to_vec(),
+            });
+        }
+        let sensor = head.sensor.ok_or(DecodeError::NoSensor)?;
+        let lowest_periods = patterns.sets[0].periods;
+        if head.volume.is_none() && lowest_periods > 1.0 {
+            return Err(DecodeError::NeedsVolume {
+                periods: lowest_periods,
+            });
+        }
+        let (width, height) = (
+            head.camera.width_px as usize,
+            head.camera.height_px as usize,
+        );
+        let grid = CellGrid::new(width, height, options.binning, head.image_circle.as_ref());
+        if grid.is_empty() {
+            return Err(DecodeError::NoCells {
+                binning: options.binning,
+                width_px: head.camera.width_px,
+                height_px: head.camera.height_px,
+            });
+        }
+        let triangulator = Triangulator::new(head);
+        let rays = rays(head, patterns, &grid, &triangulator)?;
+        let cell_by_depth =
+            grid.binning as f64 / head.camera.focal_px[0].min(head.camera.focal_px[1]);
+        let layout = Layout {
+            width,
+            height,
+            grid,
+            steps: patterns.sets.iter().map(|set| set.steps).collect(),
+            exposures: exposures_us.len(),
+            dark_frame: options.dark_frame,
+            saturation_limit_dn: sensor.saturation_limit_dn(),
+        };
+        Ok(Self {
+            layout: Arc::new(layout),
+            patterns: patterns.clone(),
+            options,
+            sensor,
+            triangulator,
+            projector_width_px: f64::from(head.projector.width_px),
+            volume: head.volume,
+            rays,
+            cell_by_depth,
+        })
+    }
+
+    /// Empty sums for one view; reuse them with [`Accumulator::reset`].
+    pub fn begin(&self) -> Accumulator {
+        Accumulator::new(Arc::clone(&self.layout))
+    }
+
+    /// The grid of cells.
+    pub fn grid(&self) -> &CellGrid {
+        &self.layout.grid
+    }
+
+    /// The frames of a view in capture order.
+    pub fn capture_order(&self) -> impl Iterator<Item = FrameKind> + '_ {
+        (0..self.layout.planned()).filter_map(|index| self.layout.kind(index))
+    }
+
+    /// A mean level that a dark frame stays below and a lit frame exceeds: the offset plus 1 % of full scale.
+    pub fn dark_limit_dn(&self) -> f64 {
+        self.sensor.offset_dn + 0.01 * (2f64.powi(self.sensor.bits as i32) - 1.0)
+    }
+
+    /// Points of a complete view.
+    ///
+    /// # Errors
+    /// [`DecodeError::Incomplete`], [`DecodeError::ForeignAccumulator`]. A view without any point is no error here.
+    pub fn finish(&self, accumulator: &Accumulator) -> Result<Decoded, DecodeError> {
+        if !Arc::ptr_eq(&accumulator.layout, &self.layout) {
+            return Err(DecodeError::ForeignAccumulator);
+        }
+        if let Some(expected) = accumulator.expected() {
+            return Err(DecodeError::Incomplete {
+                received: accumulator.received(),
+                planned: accumulator.planned(),
+                expected,
+            });
+        }
+        let kept = self
+            .options
+            .mask
+            .as_ref()
+            .map(|options| mask::keep(accumulator, options));
+        let (conditioned, variance_ratios) = self.condition(accumulator);
+        let mut results = self.depths(
+            conditioned.as_ref().unwrap_or(accumulator),
+            &variance_ratios,
+        );
+        if let Some(kept) = kept {
+            for (result, _) in results
+                .iter_mut()
+                .zip(kept)
+                .filter(|(result, keep)| !keep && result.fate == Fate::Point)
+            {
+                result.reject(Fate::Masked);
+            }
+        }
+        if let Some(options) = &self.options.patches {
+            for cell in small_patches(&self.layout.grid, &results, self.cell_by_depth, options) {
+                results[cell].reject(Fate::Isolated);
+            }
+        }
+        Ok(self.collect(&results))
+    }
+
+    /// Repaired phasors, if any repair is wanted, and what it did to the variance of each frequency.
+    fn condition(&self, accumulator: &Accumulator) -> (Option<Accumulator>, Vec<f64>) {
+        let options = &self.options;
+        let wanted = options.correct_harmonics
+            || options.smoothing_px > 0.0
+            || options.coarse_smoothing_px > 0.0;
+        if !wanted {
+            return (None, vec![1.0; self.layout.steps.len()]);
+        }
+        let mut copy = accumulator.clone();
+        if options.correct_harmonics {
+            conditioning::correct_harmonics(&mut copy);
+        }
+        let finest = self.layout.steps.len() - 1;
+        let binning = self.layout.grid.binning as f64;
+        let sigmas: Vec<f64> = (0..=finest)
+            .map(|set| if set == finest { options.smoothing_px } else { options.coarse_smoothing_px } / binning)
+            .collect();
+        let ratios = conditioning::smooth(&mut copy, &sigmas);
+        (Some(copy), ratios)
+    }
+
+    fn depths(&self, accumulator: &Accumulator, variance_ratios: &[f64]) -> Vec<CellResult> {
+        let mut results = vec![CellResult::rejected(Fate::LowContrast); self.rays.len()];
+        let mut rest = results.as_mut_slice();
+        let mut parts = Vec::with_capacity(accumulator.bands.len());
+        for band in &accumulator.bands {
+            let (part, after) = rest.split_at_mut(band.cells);
+            parts.push(part);
+            rest = after;
+        }
+        let sigma_ratios: Vec<f64> = variance_ratios.iter().map(|ratio| ratio.sqrt()).collect();
+        accumulator
+            .bands
+            .par_iter()
+            .zip(parts)
+            .for_each(|(band, part)| {
+                let rays = &self.rays[band.first_cell..][..band.cells];
+                for (index, (result, ray)) in part.iter_mut().zip(rays).enumerate() {
+                    *result = self
+                        .cell(band, index, ray, &sigma_ratios)
+                        .unwrap_or_else(CellResult::rejected);
+                }
+            });
+        results
+    }
+
+    fn cell(
+        &self,
+        band: &Band,
+        index: usize,
+        ray: &Ray,
+        sigma_ratios: &[f64],
+    ) -> Result<CellResult, Fate> {
+        let pixels = (self.layout.grid.binning * self.layout.grid.binning) as f64;
+        let noise = CellNoise {
+            gain_e_per_dn: self.sensor.gain_e_per_dn,
+            offset_dn: band
+                .dark
+                .get(index)
+                .map_or(self.sensor.offset_dn, |&dark| f64::from(dark) / pixels),
+            dark_variance_e2: self.sensor.dark_variance_e2(),
+            pixels,
+        };
+        // Phase of `periods` fringes counted from the projector's edge, and its uncertainty; finest last.
+        let mut absolute_rad = 0.0;
+        let mut sigma_rad = 0.0;
+        let mut modulation_e = 0.0;
+        for (set, fringes) in self.patterns.sets.iter().enumerate() {
+            let phasor = band.phasor(set, index);
+            if phasor.exposures == 0 {
+                return Err(Fate::Saturated);
+            }
+            let estimate = phase::estimate(
+                &phasor,
+                fringes.steps,
+                self.patterns.step_sign.factor(),
+                &noise,
+            );
+            // Written so that a NaN fails.
+            if !(estimate.contrast() >= self.options.min_contrast) {
+                return Err(Fate::LowContrast);
+            }
+            let wrapped_rad = estimate.phase_rad - self.patterns.phase_at_left_edge_rad;
+            let own_sigma_rad = estimate.sigma_rad * sigma_ratios[set];
+            absolute_rad = if set == 0 {
+                unwrap::nearest_turn(wrapped_rad, ray.expected_low_rad)
+            } else {
+                let ratio = fringes.periods / self.patterns.sets[set - 1].periods;
+                unwrap::refine(ratio, absolute_rad, sigma_rad, wrapped_rad, own_sigma_rad)
+                    .ok_or(Fate::UncertainOrder)?
+            };
+            sigma_rad = own_sigma_rad;
+            modulation_e = estimate.modulation_e;
+        }
+        let finest = self.patterns.finest();
+        let edge_rad = self.patterns.phase_at_left_edge_rad;
+        let column_px = self.patterns.column_px(
+            finest.periods,
+            absolute_rad + edge_rad,
+            self.projector_width_px,
+        );
+        if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
+            return Err(Fate::OutsideProjector);
+        }
+        let hit = self
+            .triangulator
+            .intersect(ray.direction, column_px)
+            .ok_or(Fate::OutsideVolume)?;
+        if self
+            .volume
+            .is_some_and(|volume| !(volume.near_mm..=volume.far_mm).contains(&hit.depth_mm))
+        {
+            return Err(Fate::OutsideVolume);
+        }
+        let sigma_z_mm = depth_sigma_mm(sigma_rad, finest.periods, self.projector_width_px, &hit);
+        if self
+            .options
+            .max_sigma_z_mm
+            .is_some_and(|limit| !(sigma_z_mm <= limit))
+        {
+            return Err(Fate::UncertainDepth);
+        }
+        Ok(CellResult {
+            fate: Fate::Point,
+            depth_mm: hit.depth_mm,
+            sigma_z_mm: sigma_z_mm as f32,
+            modulation_e: modulation_e as f32,
+        })
+    }
+
+    fn collect(&self, results: &[CellResult]) -> Decoded {
+        let grid = &self.layout.grid;
+        let mut rejected = Rejected::default();
+        let mut cloud = Cloud::default();
+        for row in 0..grid.rows {
+            let span = grid.span(row);
+            for column in span.begin..span.end {
+                let cell = span.first_cell + column - span.begin;
+                let result = &results[cell];
+                let counter = match result.fate {
+                    Fate::Point => {
+                        let [x, y] = self.rays[cell].direction;
+                        let z = result.depth_mm;
+                        cloud.points_mm.push([x * z, y * z, z]);
+                        cloud.sigma_z_mm.push(result.sigma_z_mm);
+                        cloud.cell.push([column as u16, row as u16]);
+                        cloud.modulation_e.push(result.modulation_e);
+                        continue;
+                    }
+                    Fate::Saturated => &mut rejected.saturated,
+                    Fate::LowContrast => &mut rejected.low_contrast,
+                    Fate::UncertainOrder => &mut rejected.uncertain_order,
+                    Fate::OutsideProjector => &mut rejected.outside_projector,
+                    Fate::OutsideVolume => &mut rejected.outside_volume,
+                    Fate::UncertainDepth => &mut rejected.uncertain_depth,
+                    Fate::Masked => &mut rejected.masked,
+                    Fate::Isolated => &mut rejected.isolated,
+                };
+                *counter += 1;
+            }
+        }
+        Decoded {
+            cloud,
+            cells: results.len(),
+            rejected,
+        }
+    }
+}
+
+fn check_options(options: &DecodeOptions) -> Result<(), DecodeError> {
+    let bad = |option, got, expected| {
+        Err(DecodeError::Option {
+            option,
+            got,
+            expected,
+        })
+    };
+    if !(1..=64).contains(&options.binning) {
+        return bad("binning", options.binning as f64, "must be 1 to 64 pixels");
+    }
+    if !(0.0..1.0).contains(&options.min_contrast) {
+        return bad(
+            "min_contrast",
+            options.min_contrast,
+            "must be at least 0 and below 1",
+        );
+    }
+    for (name, value) in [
+        ("smoothing_px", options.smoothing_px),
+        ("coarse_smoothing_px", options.coarse_smoothing_px),
+    ] {
+        if !(0.0..=100.0).contains(&value) {
+            return bad(name, value, "must be 0 to 100 pixels");
+        }
+    }
+    if let Some(limit) = options.max_sigma_z_mm
+        && !(limit > 0.0)
+    {
+        return bad("max_sigma_z_mm", limit, "must be positive");
+    }
+    if let Some(mask) = options.mask {
+        if !(mask.threshold_dn >= 0.0 && mask.threshold_dn.is_finite()) {
+            return bad(
+                "mask.threshold_dn",
+                mask.threshold_dn,
+                "must be at least 0 counts",
+            );
+        }
+        if !(0.0..=100.0).contains(&mask.smoothing_px) {
+            return bad(
+                "mask.smoothing_px",
+                mask.smoothing_px,
+                "must be 0 to 100 pixels",
+            );
+        }
+    }
+    if let Some(patches) = options.patches
+        && !(patches.max_slope > 0.0 && patches.max_slope.is_finite())
+    {
+        return bad("patches.max_slope", patches.max_slope, "must be positive");
+    }
+    Ok(())
+}
+
+fn rays(
+    head: &HeadModel,
+    patterns: &PatternSet,
+    grid: &CellGrid,
+    triangulator: &Triangulator,
+) -> Result<Vec<Ray>, DecodeError> {
+    let periods = patterns.sets[0].periods;
+    let radians_by_column = std::f64::consts::TAU * periods / f64::from(head.projector.width_px);
+    let row_rays = |row: usize| -> Result<Vec<Ray>, DecodeError> {
+        let span = grid.span(row);
+        (span.begin..span.end)
+            .map(|column| {
+                let pixel = grid.centre_px(column, row);
+                let direction = head
+                    .camera
+                    .undistort(pixel)
+                    .ok_or_else(|| DecodeError::Head {
+                        key: "camera.distortion".to_owned(),
+                        got: format!("{:?} at pixel {pixel:?}", head.camera.distortion),
+                        expected: "must have an inverse everywhere in the image",
+                    })?;
+                let Some(volume) = head.volume else {
+                    // A single period: the middle of the projector.
+                    return Ok(Ray {
+                        direction,
+                        expected_low_rad: std::f64::consts::PI * periods,
+                    });
+                };
+                let behind = || DecodeError::VolumeBehindProjector {
+                    near_mm: volume.near_mm,
+                    far_mm: volume.far_mm,
+                };
+                let (near, _) = triangulator
+                    .column(direction, volume.near_mm)
+                    .ok_or_else(behind)?;
+                let (far, _) = triangulator
+                    .column(direction, volume.far_mm)
+                    .ok_or_else(behind)?;
+                let spanned = (far - near).abs() * periods / f64::from(head.projector.width_px);
+                if spanned > MAX_SPANNED_PERIODS {
+                    return Err(DecodeError::VolumeTooDeep {
+                        periods,
+                        spanned,
+                        limit: MAX_SPANNED_PERIODS,
+                        usable: periods * MAX_SPANNED_PERIODS / spanned,
+                    });
+                }
+                Ok(Ray {
+                    direction,
+                    expected_low_rad: radians_by_column * (0.5 * (near + far) + 0.5),
+                })
+            })
+            .collect()
+    };
+    let rows: Vec<Vec<Ray>> = (0..grid.rows)
+        .into_par_iter()
+        .map(row_rays)
+        .collect::<Result<_, _>>()?;
+    Ok(rows.into_iter().flatten().collect())
+}

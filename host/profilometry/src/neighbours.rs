@@ -1,0 +1,148 @@
+//! Image-space consistency: a surface continues from cell to cell, a wrong fringe order stands alone.
+
+use crate::grid::CellGrid;
+
+/// Which cells belong to one surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatchOptions {
+    /// Patches with fewer cells are dropped.
+    pub min_cells: usize,
+    /// Steepest surface: depth per lateral distance. Neighbours within this slope, plus noise, are connected.
+    pub max_slope: f64,
+}
+
+/// Depth and its uncertainty as the patch search sees them; NaN depth marks a cell without a point.
+pub(crate) trait Depths {
+    fn depth_mm(&self, cell: usize) -> f64;
+    fn sigma_mm(&self, cell: usize) -> f64;
+}
+
+/// Neighbouring depths may differ by this many standard deviations on top of the slope.
+const NOISE_FACTOR: f64 = 5.0;
+
+/// The cells of all patches that are too small.
+///
+/// `cell_by_depth` is the lateral size of a cell per unit of depth (cell size in pixels over focal length).
+pub(crate) fn small_patches(
+    grid: &CellGrid,
+    depths: &impl Depths,
+    cell_by_depth: f64,
+    options: &PatchOptions,
+) -> Vec<usize> {
+    let mut patches = Patches::new(grid.len());
+    for row in 0..grid.rows {
+        let span = grid.span(row);
+        let above = (row > 0).then(|| grid.span(row - 1));
+        for column in span.begin..span.end {
+            let cell = span.first_cell + column - span.begin;
+            let depth = depths.depth_mm(cell);
+            if depth.is_nan() {
+                continue;
+            }
+            let left = column.checked_sub(1).and_then(|column| span.cell(column));
+            let upper = above.and_then(|above| above.cell(column));
+            let upper_left =
+                above.and_then(|above| column.checked_sub(1).and_then(|column| above.cell(column)));
+            let upper_right = above.and_then(|above| above.cell(column + 1));
+            for neighbour in [left, upper, upper_left, upper_right].into_iter().flatten() {
+                let other = depths.depth_mm(neighbour);
+                let noise = depths.sigma_mm(cell).hypot(depths.sigma_mm(neighbour));
+                let allowed = options.max_slope * cell_by_depth * depth + NOISE_FACTOR * noise;
+                // A NaN neighbour fails the comparison.
+                if (other - depth).abs() <= allowed {
+                    patches.join(cell, neighbour);
+                }
+            }
+        }
+    }
+    (0..grid.len())
+        .filter(|&cell| {
+            !depths.depth_mm(cell).is_nan() && patches.size_of(cell) < options.min_cells
+        })
+        .collect()
+}
+
+/// Union-find; a root stores its size, negated.
+struct Patches {
+    links: Vec<i32>,
+}
+
+impl Patches {
+    fn new(cells: usize) -> Self {
+        Self {
+            links: vec![-1; cells],
+        }
+    }
+
+    fn root(&mut self, mut cell: usize) -> usize {
+        while self.links[cell] >= 0 {
+            let parent = self.links[cell] as usize;
+            if self.links[parent] >= 0 {
+                self.links[cell] = self.links[parent];
+            }
+            cell = parent;
+        }
+        cell
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.root(a), self.root(b));
+        if a == b {
+            return;
+        }
+        let (small, large) = if self.links[a] > self.links[b] {
+            (a, b)
+        } else {
+            (b, a)
+        };
+        self.links[large] += self.links[small];
+        self.links[small] = large as i32;
+    }
+
+    fn size_of(&mut self, cell: usize) -> usize {
+        let root = self.root(cell);
+        self.links[root].unsigned_abs() as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Field(Vec<f64>);
+
+    impl Depths for Field {
+        fn depth_mm(&self, cell: usize) -> f64 {
+            self.0[cell]
+        }
+        fn sigma_mm(&self, _: usize) -> f64 {
+            0.001
+        }
+    }
+
+    #[test]
+    fn islands_go_and_slopes_stay() {
+        let (width, height) = (20, 10);
+        let grid = CellGrid::new(width, height, 1, None);
+        // A slope of half a cell per cell, a slipped island of 3 cells, a diagonal line of 4, and a hole.
+        let mut depth: Vec<f64> = (0..width * height)
+            .map(|cell| 100.0 + 0.05 * (cell % width) as f64)
+            .collect();
+        for cell in [3 * width + 4, 3 * width + 5, 4 * width + 5] {
+            depth[cell] += 7.0;
+        }
+        for i in 0..4 {
+            depth[(5 + i) * width + 10 + i] += 3.0;
+        }
+        depth[0] = f64::NAN;
+        let options = |min_cells| PatchOptions {
+            min_cells,
+            max_slope: 2.0,
+        };
+        let small =
+            |min_cells| small_patches(&grid, &Field(depth.clone()), 0.001, &options(min_cells));
+        assert_eq!(small(3), vec![]);
+        assert_eq!(small(4), vec![64, 65, 85]);
+        assert_eq!(small(5), vec![64, 65, 85, 110, 131, 152, 173]);
+    }
+}

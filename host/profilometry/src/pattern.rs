@@ -1,0 +1,283 @@
+//! Which fringes are projected: frequencies, low to high, with their phase steps.
+
+use std::f64::consts::TAU;
+
+/// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FringeSet {
+    /// Periods over the projector's full width.
+    pub periods: f64,
+    /// Phase steps, at least 3.
+    pub steps: u32,
+}
+
+/// Which way the fringes move from step to step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StepSign {
+    /// Step n shows `cos(phase + TAU n / N)`: the instrument's own patterns.
+    #[default]
+    Plus,
+    /// Step n shows `cos(phase - TAU n / N)`.
+    Minus,
+}
+
+impl StepSign {
+    /// +1 or -1.
+    pub fn factor(self) -> f64 {
+        match self {
+            Self::Plus => 1.0,
+            Self::Minus => -1.0,
+        }
+    }
+}
+
+/// The frequencies of one capture, low to high, and how phase relates to the projector's columns:
+/// `phase = TAU periods (column + 0.5) / width + phase_at_left_edge_rad`, columns counted at pixel centres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PatternSet {
+    /// `insitu12`, the plan file's name, ...
+    pub name: String,
+    /// 1 to 4 frequencies, ascending.
+    pub sets: Vec<FringeSet>,
+    /// Which way the fringes step.
+    pub step_sign: StepSign,
+    /// Phase at the outer edge of the projector's first column; 0 for the instrument's own patterns.
+    pub phase_at_left_edge_rad: f64,
+}
+
+/// Why a pattern set is refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PatternError {
+    /// Not one of the built-in names.
+    #[error(
+        "pattern set \"{name}\" is unknown: the built-in sets are article8, insitu12 and scan16; any other goes into a plan file"
+    )]
+    UnknownName {
+        /// What was asked for.
+        name: String,
+    },
+    /// None, or more than four.
+    #[error("{got} frequencies: 1 to {MAX_FREQUENCIES} are possible")]
+    FrequencyCount {
+        /// How many there were.
+        got: usize,
+    },
+    /// A sinusoid has three unknowns.
+    #[error(
+        "{got} phase steps in frequency {set}: 3 to {MAX_STEPS} are possible (offset, amplitude and phase are three unknowns)"
+    )]
+    Steps {
+        /// Index of the frequency.
+        set: usize,
+        /// Its number of steps.
+        got: u32,
+    },
+    /// Zero, negative or not finite.
+    #[error("{got} periods in frequency {set}: must be above 0 and at most {MAX_PERIODS}")]
+    Periods {
+        /// Index of the frequency.
+        set: usize,
+        /// Its periods.
+        got: f64,
+    },
+    /// Unwrapping goes from low to high.
+    #[error("frequency {set} has {got} periods after {previous}: frequencies must ascend")]
+    Order {
+        /// Index of the frequency.
+        set: usize,
+        /// Its periods.
+        got: f64,
+        /// The periods before it.
+        previous: f64,
+    },
+    /// The edge phase is not a number.
+    #[error("phase at the left edge is {got}: must be finite")]
+    EdgePhase {
+        /// What it was.
+        got: f64,
+    },
+}
+
+/// Hierarchical unwrapping needs no more.
+pub const MAX_FREQUENCIES: usize = 4;
+/// More steps than any pattern memory holds.
+pub const MAX_STEPS: u32 = 64;
+/// Finer than two columns per period on any projector.
+pub const MAX_PERIODS: f64 = 4096.0;
+
+impl PatternSet {
+    /// A set in the instrument's own convention (`StepSign::Plus`, zero edge phase).
+    ///
+    /// # Errors
+    /// [`PatternError`]: see its variants for the limits.
+    pub fn new(name: impl Into<String>, sets: Vec<FringeSet>) -> Result<Self, PatternError> {
+        Self::with_convention(name, sets, StepSign::Plus, 0.0)
+    }
+
+    /// A set of somebody else's patterns.
+    ///
+    /// # Errors
+    /// [`PatternError`]: see its variants for the limits.
+    pub fn with_convention(
+        name: impl Into<String>,
+        sets: Vec<FringeSet>,
+        step_sign: StepSign,
+        phase_at_left_edge_rad: f64,
+    ) -> Result<Self, PatternError> {
+        if sets.is_empty() || sets.len() > MAX_FREQUENCIES {
+            return Err(PatternError::FrequencyCount { got: sets.len() });
+        }
+        if !phase_at_left_edge_rad.is_finite() {
+            return Err(PatternError::EdgePhase {
+                got: phase_at_left_edge_rad,
+            });
+        }
+        for (set, fringes) in sets.iter().enumerate() {
+            if !(3..=MAX_STEPS).contains(&fringes.steps) {
+                return Err(PatternError::Steps {
+                    set,
+                    got: fringes.steps,
+                });
+            }
+            // Written so that NaN fails.
+            if !(fringes.periods > 0.0 && fringes.periods <= MAX_PERIODS) {
+                return Err(PatternError::Periods {
+                    set,
+                    got: fringes.periods,
+                });
+            }
+            if set > 0 && fringes.periods <= sets[set - 1].periods {
+                return Err(PatternError::Order {
+                    set,
+                    got: fringes.periods,
+                    previous: sets[set - 1].periods,
+                });
+            }
+        }
+        Ok(Self {
+            name: name.into(),
+            sets,
+            step_sign,
+            phase_at_left_edge_rad,
+        })
+    }
+
+    /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8} or `scan16` {4 x 4; 13 x 4; 48 x 8} (periods x steps).
+    ///
+    /// Eight steps on the finest frequency cancel the harmonics of a non-linear response up to the sixth; the lowest is
+    /// not a unit frequency because the measuring volume already fixes its fringe order.
+    ///
+    /// # Errors
+    /// [`PatternError::UnknownName`].
+    pub fn named(name: &str) -> Result<Self, PatternError> {
+        let sets: &[(f64, u32)] = match name {
+            "article8" => &[(4.0, 4), (48.0, 4)],
+            "insitu12" => &[(4.0, 4), (48.0, 8)],
+            "scan16" => &[(4.0, 4), (13.0, 4), (48.0, 8)],
+            _ => {
+                return Err(PatternError::UnknownName {
+                    name: name.to_owned(),
+                });
+            }
+        };
+        Self::new(
+            name,
+            sets.iter()
+                .map(|&(periods, steps)| FringeSet { periods, steps })
+                .collect(),
+        )
+    }
+
+    /// The finest frequency.
+    pub fn finest(&self) -> FringeSet {
+        self.sets[self.sets.len() - 1]
+    }
+
+    /// Frames of one exposure.
+    pub fn frames_per_exposure(&self) -> usize {
+        self.sets.iter().map(|set| set.steps as usize).sum()
+    }
+
+    /// What the projector shows in column `column` (pixel centres at integers), 0 dark to 1 bright.
+    pub fn intensity(&self, set: usize, step: u32, column: f64, width_px: f64) -> f64 {
+        let FringeSet { periods, steps } = self.sets[set];
+        let phase_rad = self.phase_rad(periods, column, width_px);
+        let shift_rad = self.step_sign.factor() * TAU * f64::from(step) / f64::from(steps);
+        0.5 + 0.5 * (phase_rad + shift_rad).cos()
+    }
+
+    /// The unwrapped phase of `periods` fringes at `column`.
+    pub fn phase_rad(&self, periods: f64, column: f64, width_px: f64) -> f64 {
+        TAU * periods * (column + 0.5) / width_px + self.phase_at_left_edge_rad
+    }
+
+    /// The inverse of [`PatternSet::phase_rad`].
+    pub fn column_px(&self, periods: f64, phase_rad: f64, width_px: f64) -> f64 {
+        (phase_rad - self.phase_at_left_edge_rad) * width_px / (TAU * periods) - 0.5
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn named_sets_have_as_many_frames_as_their_names_say() {
+        for (name, frames) in [("article8", 8), ("insitu12", 12), ("scan16", 16)] {
+            assert_eq!(
+                PatternSet::named(name).unwrap().frames_per_exposure(),
+                frames
+            );
+        }
+        assert!(matches!(
+            PatternSet::named("insitu"),
+            Err(PatternError::UnknownName { .. })
+        ));
+    }
+
+    #[test]
+    fn limits_are_named() {
+        let set = |periods, steps| FringeSet { periods, steps };
+        assert_eq!(
+            PatternSet::new("", vec![]),
+            Err(PatternError::FrequencyCount { got: 0 })
+        );
+        assert_eq!(
+            PatternSet::new("", vec![set(1.0, 2)]),
+            Err(PatternError::Steps { set: 0, got: 2 })
+        );
+        assert!(matches!(
+            PatternSet::new("", vec![set(f64::NAN, 3)]),
+            Err(PatternError::Periods { .. })
+        ));
+        assert_eq!(
+            PatternSet::new("", vec![set(4.0, 3), set(4.0, 3)]),
+            Err(PatternError::Order {
+                set: 1,
+                got: 4.0,
+                previous: 4.0
+            })
+        );
+    }
+
+    #[test]
+    fn column_and_phase_are_inverse() {
+        let set = PatternSet::with_convention(
+            "",
+            vec![FringeSet {
+                periods: 7.0,
+                steps: 3,
+            }],
+            StepSign::Minus,
+            0.3,
+        )
+        .unwrap();
+        for column in [-0.5, 0.0, 17.25, 1023.0] {
+            let phase_rad = set.phase_rad(7.0, column, 1024.0);
+            assert!((set.column_px(7.0, phase_rad, 1024.0) - column).abs() < 1e-10);
+        }
+        // Half a column left of the first centre lies the edge.
+        assert!((set.phase_rad(7.0, -0.5, 1024.0) - 0.3).abs() < 1e-15);
+    }
+}

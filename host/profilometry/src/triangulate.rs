@@ -1,0 +1,102 @@
+//! A camera ray meets the sheet of light of one projector column.
+
+use crate::calibration::HeadModel;
+use crate::camera::Pinhole;
+
+/// Where a ray meets a sheet of light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Depth z in the camera frame; the point is `z (x, y, 1)`.
+    pub depth_mm: f64,
+    /// How far the projector column moves when the point moves 1 mm in depth along the ray.
+    pub column_by_depth_px_per_mm: f64,
+}
+
+/// Camera and projector, ready to intersect.
+#[derive(Clone, Debug)]
+pub struct Triangulator {
+    projector: Pinhole,
+    rotation: [[f64; 3]; 3],
+    translation_mm: [f64; 3],
+    distorted: bool,
+}
+
+/// The column must be met to this; a millionth of it is far below any calibration.
+const COLUMN_TOLERANCE_PX: f64 = 1e-9;
+const MAX_ITERATIONS: usize = 12;
+
+impl Triangulator {
+    /// For one head.
+    pub fn new(head: &HeadModel) -> Self {
+        Self {
+            projector: head.projector.clone(),
+            rotation: head.projector_from_camera.rotation,
+            translation_mm: head.projector_from_camera.translation_mm,
+            distorted: head.projector.distortion != [0.0; 5],
+        }
+    }
+
+    /// The projector column of the point `depth_mm (x, y, 1)` and its derivative by depth; `None` behind the projector.
+    pub fn column(&self, ray: [f64; 2], depth_mm: f64) -> Option<(f64, f64)> {
+        self.column_along(self.direction(ray), depth_mm)
+    }
+
+    /// The ray's direction in the projector frame.
+    fn direction(&self, [x, y]: [f64; 2]) -> [f64; 3] {
+        self.rotation.map(|row| row[0] * x + row[1] * y + row[2])
+    }
+
+    fn column_along(&self, a: [f64; 3], depth_mm: f64) -> Option<(f64, f64)> {
+        let t = self.translation_mm;
+        let [x, y, z] = [
+            a[0] * depth_mm + t[0],
+            a[1] * depth_mm + t[1],
+            a[2] * depth_mm + t[2],
+        ];
+        if !(z > 0.0) {
+            return None;
+        }
+        let [u, v] = [x / z, y / z];
+        let [du, dv] = [(a[0] - u * a[2]) / z, (a[1] - v * a[2]) / z];
+        let focal = self.projector.focal_px[0];
+        let principal = self.projector.principal_px[0];
+        if !self.distorted {
+            return Some((focal * u + principal, focal * du));
+        }
+        let distorted = self.projector.distort([u, v]);
+        let slope = distorted.gradient_x[0] * du + distorted.gradient_x[1] * dv;
+        Some((focal * distorted.value[0] + principal, focal * slope))
+    }
+
+    /// The depth at which the ray `(x, y, 1)` (undistorted image plane) lies in the sheet of `column_px`.
+    ///
+    /// Starts from the undistorted sheet, which is a plane, and follows the ray by Newton's method on the distorted
+    /// column. `None` when ray and sheet do not meet in front of both camera and projector.
+    pub fn intersect(&self, ray: [f64; 2], column_px: f64) -> Option<Hit> {
+        let a = self.direction(ray);
+        let t = self.translation_mm;
+        let u = (column_px - self.projector.principal_px[0]) / self.projector.focal_px[0];
+        let mut depth_mm = (t[0] - u * t[2]) / (u * a[2] - a[0]);
+        for _ in 0..MAX_ITERATIONS {
+            let (column, slope) = self.column_along(a, depth_mm)?;
+            let error_px = column - column_px;
+            if error_px.abs() <= COLUMN_TOLERANCE_PX {
+                let usable =
+                    depth_mm > 0.0 && depth_mm.is_finite() && slope.abs() > f64::MIN_POSITIVE;
+                return usable.then_some(Hit {
+                    depth_mm,
+                    column_by_depth_px_per_mm: slope,
+                });
+            }
+            depth_mm -= error_px / slope;
+        }
+        None
+    }
+}
+
+/// Standard uncertainty of the depth for a phase of `periods` over `width_px` columns:
+/// `sigma_phase width / (TAU periods |d column / d depth|)`.
+pub fn depth_sigma_mm(phase_sigma_rad: f64, periods: f64, width_px: f64, hit: &Hit) -> f64 {
+    phase_sigma_rad * width_px
+        / (std::f64::consts::TAU * periods * hit.column_by_depth_px_per_mm.abs())
+}
