@@ -2,8 +2,11 @@
 //!
 //! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn.
 
+#[cfg(feature = "bench")]
+mod bench_link;
 mod decode;
 mod deviation;
+mod inspect;
 mod output;
 mod register;
 mod sample;
@@ -23,10 +26,15 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Inspect(inspect::Args),
     Decode(decode::Args),
     Sample(sample::Args),
     Register(register::Args),
     Deviation(deviation::Args),
+    /// The simulated bench, as its own process.
+    #[cfg(feature = "bench")]
+    #[command(hide = true)]
+    Bench(flankscope_bench::process::Args),
 }
 
 fn main() -> ExitCode {
@@ -43,10 +51,13 @@ fn main() -> ExitCode {
         }
     };
     let result = match cli.command {
+        Command::Inspect(args) => inspect::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),
         Command::Deviation(args) => deviation::run(&args),
+        #[cfg(feature = "bench")]
+        Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
     };
     match result {
         Ok(outcome) => outcome.into(),

@@ -396,6 +396,11 @@ impl Decoder {
         self.sensor.offset_dn + 0.01 * (2f64.powi(self.sensor.bits as i32) - 1.0)
     }
 
+    /// The largest count of the sensor.
+    pub fn full_scale_dn(&self) -> u16 {
+        ((1_u32 << self.sensor.bits.min(16)) - 1) as u16
+    }
+
     /// Points of a complete view.
     ///
     /// # Errors

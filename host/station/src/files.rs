@@ -33,3 +33,9 @@ pub fn stream_whole(
     file.persist(path).map_err(|error| error.error)?;
     Ok(())
 }
+
+/// BLAKE3 of some bytes, as hexadecimal text.
+#[must_use]
+pub fn hash(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}

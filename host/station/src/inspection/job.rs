@@ -16,7 +16,7 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, FrameKind};
 use flankscope_protocol::{CapturePlan, Command, Event, FaultCode, PlanError, State, Trigger};
 use tokio::sync::mpsc as channel;
 
@@ -124,17 +124,17 @@ impl Station {
     /// The subject is unfit, or shared memory is refused.
     pub fn open(subject: Subject, teeth: Option<&[u32]>, root: Arc<SharedRoot>) -> Result<Self, InspectError> {
         let itinerary = Arc::new(Itinerary::new(&subject.tool, &subject.head, teeth)?);
-        let decoder = Arc::new(Decoder::for_head(&subject.head)?);
+        let options = DecodeOptions::for_head(&subject.head);
+        let decoder = Decoder::new(&subject.head, &itinerary.patterns, &itinerary.exposures_us, options)?;
+        let decoder = Arc::new(decoder);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
-        let sensor = decoder.sensor();
         let settings = RecorderSettings {
-            // 1 % of full scale above the offset: ten times the read noise's mean shift, a tenth of a dim fringe frame.
-            dark_limit_dn: sensor.offset_dn + 0.01 * f64::from(sensor.full_scale_dn()),
+            dark_limit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
                 exposure: itinerary.exposures_us.len() as u16 / 2,
                 pattern: itinerary.patterns.frames_per_exposure() as u16,
             },
-            full_scale_dn: sensor.full_scale_dn(),
+            full_scale_dn: decoder.full_scale_dn(),
         };
         let (order_sender, order_receiver) = mpsc::channel();
         let (recorded_sender, recorded) = channel::unbounded_channel();
@@ -147,7 +147,7 @@ impl Station {
                 Err(error) => return drop(ready_sender.send(Err(error))),
             };
             let _ = ready_sender.send(Ok(()));
-            let kinds = capture_decoder.kinds();
+            let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
             let fresh = || capture_decoder.begin();
             Recorder::new(&receiver, settings, kinds, order_receiver, recorded_sender, fresh).run();
         });

@@ -1,7 +1,29 @@
 //! The in-situ check: a few critical teeth, between two strokes, to one verdict.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `plan` | which poses, patterns and exposures: from tool and head to a capture plan |
+//! | `job` | orders, events and threads of one check |
+//! | `recorder` | the capture thread: frames summed where they lie |
+//! | `pairing` | triggers against frames |
+//! | `views` | one view's sums to points, pose and wear |
+//! | `verdict` | flanks to one verdict |
+//! | `timeline` | what the devices did when |
+//! | `result` | the JSON document and the report's material |
 
+mod job;
+mod pairing;
+mod plan;
+mod recorder;
 mod result;
+mod timeline;
+mod verdict;
+mod views;
 
+pub use job::{InspectError, Progress, Station, Subject};
+pub use pairing::{PairingError, pair};
+pub use plan::{Itinerary, PlannedView, PlanningError};
+pub use recorder::ViewError;
 pub use result::{
     Feature, FlankMap, FrameCount, Inspection, Pictures, Timing, ViewRegistration, WeakDirection,
 };

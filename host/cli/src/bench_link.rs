@@ -1,0 +1,102 @@
+//! The simulated bench as a process of its own: this very program, started again.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use anyhow::{Context, bail};
+use flankscope_station::capture::SharedRoot;
+use flankscope_station::controller::ClientSettings;
+use serde_json::Value;
+
+use crate::inspect::BenchArgs;
+
+/// A running bench.
+pub struct Bench {
+    child: Child,
+    stdout: BufReader<ChildStdout>,
+    hello: flankscope_bench::process::Hello,
+}
+
+/// What the bench says about itself when the check is over.
+pub struct Truth(flankscope_bench::process::Farewell);
+
+/// Writes the demo tool's folder and returns it.
+pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
+    let folder = scratch.join("demo");
+    if !folder.join("tool.toml").exists() {
+        flankscope_bench::demo::write_tool(&folder).context("cannot write the demo tool")?;
+    }
+    Ok(folder)
+}
+
+impl Bench {
+    /// Starts the bench for a tool folder, with its camera sending frames below `root`.
+    pub fn start(args: &BenchArgs, tool: &Path, root: &SharedRoot) -> anyhow::Result<Self> {
+        let program = std::env::current_exe().context("cannot find this program to start the bench")?;
+        let mut command = Command::new(program);
+        command.arg("bench").arg("run").arg("--root").arg(root.path()).arg("--tool").arg(tool);
+        command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
+        for wear in &args.wear {
+            command.args(["--wear", wear]);
+        }
+        // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().context("cannot start the bench")?;
+        let Some(stdout) = child.stdout.take() else { bail!("the bench has no standard output") };
+        let mut stdout = BufReader::new(stdout);
+        let mut line = String::new();
+        stdout.read_line(&mut line)?;
+        let hello = serde_json::from_str(&line);
+        let mut bench = match hello {
+            Ok(hello) => Self { child, stdout, hello },
+            Err(_) => {
+                // It has said why on standard error.
+                let _ = child.wait();
+                bail!("the simulated bench did not start");
+            }
+        };
+        if bench.child.try_wait()?.is_some() {
+            bail!("the simulated bench ended early");
+        }
+        Ok(bench)
+    }
+
+    /// The controller's port.
+    pub fn port(&self) -> &Path {
+        &self.hello.port
+    }
+
+    /// How patiently to talk to a controller whose clock runs faster.
+    pub fn client_settings(&self) -> ClientSettings {
+        ClientSettings { heartbeat: Some(self.hello.heartbeat()), ..ClientSettings::default() }
+    }
+
+    /// Ends the bench and takes its truth.
+    pub fn finish(mut self) -> anyhow::Result<Truth> {
+        drop(self.child.stdin.take());
+        let mut text = String::new();
+        self.stdout.read_to_string(&mut text)?;
+        self.child.wait()?;
+        let farewell = serde_json::from_str(&text).context("the simulated bench ended without its truth")?;
+        Ok(Truth(farewell))
+    }
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        drop(self.child.stdin.take());
+        let _ = self.child.wait();
+    }
+}
+
+impl Truth {
+    /// For the JSON document.
+    pub fn document(&self) -> Value {
+        serde_json::to_value(&self.0).unwrap_or(Value::Null)
+    }
+
+    /// A line for the user where the bench did not keep up.
+    pub fn notice(&self) -> Option<String> {
+        self.0.notice()
+    }
+}
