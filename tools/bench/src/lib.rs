@@ -1,1 +1,4 @@
 //! The simulated physical bench: die with wear, fibre optics, camera, stages, and the truth.
+
+pub mod demo;
+pub mod world;

@@ -1,0 +1,36 @@
+//! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
+
+use crate::world::WorldConfig;
+use flankscope_gear_cad::{GearKind, GearSpec, MeshError, Meshing};
+
+/// Radius of the demo die's pitch circle, mm.
+const PITCH_RADIUS_MM: f64 = 41.45;
+/// Chord error of the demo die's flanks, mm.
+pub const CHORD_ERROR_MM: f64 = 0.2e-3;
+
+/// Gear data of the demo die: 84 internal teeth on 82.9 mm, 66 mm high, about 10 kg of steel.
+pub fn gear() -> GearSpec {
+    let teeth = 84;
+    let module_mm = 2.0 * PITCH_RADIUS_MM / f64::from(teeth);
+    GearSpec {
+        kind: GearKind::Internal,
+        teeth,
+        module_mm,
+        pressure_angle_rad: 20f64.to_radians(),
+        tip_radius_mm: PITCH_RADIUS_MM - module_mm,
+        root_radius_mm: PITCH_RADIUS_MM + 1.25 * module_mm,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: 88.5,
+        height_mm: [0.0, 66.0],
+    }
+}
+
+/// The demo die before the demo head, undamaged.
+pub fn world_config() -> Result<WorldConfig, MeshError> {
+    let gear = gear();
+    let cad = gear.mesh(&Meshing {
+        chord_error_mm: CHORD_ERROR_MM,
+        ..Meshing::default()
+    })?;
+    Ok(WorldConfig::new(cad, gear))
+}

@@ -1,0 +1,407 @@
+//! The physical world of the simulated bench: a worn die, the measuring head and its camera, and the truth.
+//!
+//! ```text
+//! WorldConfig ──► Die (CAD + wear)   ──rays──► what each camera core sees ─┐
+//!                 Bundle x 2, optics ─────────► how it is lit ─────────────┴─► ViewState: light per pixel and pattern
+//!                                                                             │ exposure, LED, noise
+//!                                                                             ▼ frame (counts)     and the truth per core
+//! ```
+//!
+//! Nothing here knows how frames are decoded: the forward model stands on its own, so that agreement between a decoded
+//! point and the truth means something. Millimetres and radians; frames as in the head's description: `tool` has the die's
+//! axis as z, `stage` the rotation axis, `camera` looks along +z with x to the right and y down.
+//!
+//! A view is prepared once per pose (the costly part, on all threads); its frames are then rendered in milliseconds.
+
+mod bundle;
+mod die;
+mod optics;
+mod pattern;
+mod random;
+mod rays;
+mod refine;
+mod scene;
+mod sensor;
+mod surface;
+mod wear;
+
+pub use bundle::{Bundle, BundleSpec};
+pub use die::Die;
+pub use optics::{HeadOptics, Objective, Pinhole};
+pub use pattern::PatternSpec;
+pub use rays::{Hit, RayCaster};
+pub use scene::CoreTruth;
+pub use sensor::SensorSpec;
+pub use surface::Surface;
+pub use wear::{FlankId, FlankZone, MAX_DEPTH_UM, Wear, WearError, WearField, WearKind};
+
+use flankscope_gear_cad::{Flank, GearSpec, Mesh};
+use random::{Normals, Purpose, stream};
+use rayon::prelude::*;
+use scene::{CoreView, Sight, Stage};
+use sensor::{Rates, Sensor};
+
+/// Everything that defines a world. The same configuration gives the same frames.
+#[derive(Clone, Debug)]
+pub struct WorldConfig {
+    /// CAD surface of the die in the tool frame, mm, facing outwards.
+    pub cad: Mesh,
+    /// Gear data of that surface: where its flanks are.
+    pub gear: GearSpec,
+    /// What the press has done to it.
+    pub wear: Vec<Wear>,
+    /// Reflectance.
+    pub surface: Surface,
+    /// The head.
+    pub optics: HeadOptics,
+    /// Bundle between objective and camera, px of the camera.
+    pub camera_bundle: BundleSpec,
+    /// Bundle between DMD and objective, px of the DMD.
+    pub projector_bundle: BundleSpec,
+    /// The camera.
+    pub sensor: SensorSpec,
+    /// Draws the head's individual traits: cores, gains, pixel response. One seed is one head.
+    pub head_seed: u64,
+    /// Draws what differs from run to run: surface grain and noise.
+    pub run_seed: u64,
+}
+
+impl WorldConfig {
+    /// The 20 mm head before a sprayed die.
+    pub fn new(cad: Mesh, gear: GearSpec) -> Self {
+        let optics = HeadOptics::prism_20mm();
+        // The two bundles lie differently in their ferrules: hence the moiré.
+        let camera_bundle = BundleSpec::imaged(1150.0, optics.camera.centre_px, 0.21);
+        let projector_bundle = BundleSpec::imaged(1024.0, optics.projector.centre_px, -0.13);
+        Self {
+            cad,
+            gear,
+            wear: Vec::new(),
+            surface: Surface::sprayed(),
+            optics,
+            camera_bundle,
+            projector_bundle,
+            sensor: SensorSpec::imx174(),
+            head_seed: 1,
+            run_seed: 1,
+        }
+    }
+}
+
+/// Why there is no such world, view or frame.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum WorldError {
+    /// A parameter lies outside the range that the model describes.
+    #[error("{name} is {got}; it must be a number from {min} to {max}")]
+    Parameter {
+        /// Its name.
+        name: &'static str,
+        /// Its value.
+        got: f64,
+        /// Smallest.
+        min: f64,
+        /// Largest.
+        max: f64,
+    },
+    /// Too few or too many cores.
+    #[error("a bundle of {got} cores; {min} to {max} are possible")]
+    Cores {
+        /// Number asked for.
+        got: usize,
+        /// Fewest.
+        min: usize,
+        /// Most.
+        max: usize,
+    },
+    /// The CAD mesh has no triangle.
+    #[error("the CAD mesh has no triangle; a closed surface is needed")]
+    EmptyMesh,
+    /// A vertex is not a place near the machine.
+    #[error(
+        "vertex {vertex} has the coordinate {got_mm} mm; finite values within ±{limit_mm} mm are needed"
+    )]
+    Vertex {
+        /// Index of the vertex.
+        vertex: usize,
+        /// The coordinate, mm.
+        got_mm: f64,
+        /// Largest magnitude, mm.
+        limit_mm: f64,
+    },
+    /// A triangle names a vertex that does not exist.
+    #[error("triangle {triangle} names vertex {got}, but there are only {vertices}")]
+    Index {
+        /// Index of the triangle.
+        triangle: usize,
+        /// The vertex it names.
+        got: u32,
+        /// Vertices there are.
+        vertices: usize,
+    },
+    /// The mesh has no triangle where the gear data put a flank.
+    #[error(
+        "no triangle lies within {limit_mm} mm of the {flank:?} flank of tooth {tooth}: CAD and gear data do not belong together"
+    )]
+    FlankNotFound {
+        /// Tooth.
+        tooth: u32,
+        /// Flank.
+        flank: Flank,
+        /// Largest distance, mm.
+        limit_mm: f64,
+    },
+    /// Damage that this die cannot have.
+    #[error(transparent)]
+    Wear(#[from] WearError),
+    /// More frequencies than one set may have.
+    #[error("a pattern set of {got} different frequencies; at most {max} are possible")]
+    Frequencies {
+        /// Frequencies asked for.
+        got: usize,
+        /// Most.
+        max: usize,
+    },
+    /// The view has no such pattern.
+    #[error("pattern {got} was asked for; this view has 0 (black) to {last}")]
+    Pattern {
+        /// Index asked for.
+        got: u16,
+        /// Largest index.
+        last: usize,
+    },
+    /// The buffer does not fit the sensor.
+    #[error("a buffer of {got} pixels; the sensor has {need}")]
+    Buffer {
+        /// Length given.
+        got: usize,
+        /// Length needed.
+        need: usize,
+    },
+}
+
+impl WorldError {
+    /// Refuses NaN and whatever lies outside the range.
+    fn check(name: &'static str, got: f64, min: f64, max: f64) -> Result<(), Self> {
+        if got >= min && got <= max {
+            Ok(())
+        } else {
+            Err(Self::Parameter {
+                name,
+                got,
+                min,
+                max,
+            })
+        }
+    }
+}
+
+/// The bench's world.
+pub struct World {
+    optics: HeadOptics,
+    sensor_spec: SensorSpec,
+    surface: Surface,
+    camera_bundle: Bundle,
+    projector_bundle: Bundle,
+    sights: Vec<Sight>,
+    core_exponents: Vec<f32>,
+    die: Die,
+    rays: RayCaster,
+    sensor: Sensor,
+    run_seed: u64,
+}
+
+/// One pose, ready to be photographed.
+pub struct ViewState {
+    rates: Rates,
+    truth: Vec<CoreTruth>,
+}
+
+impl World {
+    /// Builds die, head and sensor (about a second on two cores).
+    pub fn new(config: &WorldConfig) -> Result<Self, WorldError> {
+        config.optics.validate()?;
+        config.surface.validate()?;
+        config.sensor.validate()?;
+        let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
+        let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
+        let die = Die::as_built(&config.cad, WearField::new(&config.gear, &config.wear)?)?;
+        let mut random = Normals::new(stream(config.head_seed, Purpose::CoreResponse));
+        let spread = config.sensor.core_exponent_spread;
+        let core_exponents = camera_bundle
+            .positions_px()
+            .iter()
+            .map(|_| (1.0 + spread * random.next().clamp(-3.0, 3.0)) as f32)
+            .collect();
+        let sensor = Sensor::new(
+            &config.sensor,
+            config.optics.camera_size_px,
+            &camera_bundle,
+            config.head_seed,
+            config.run_seed,
+        );
+        Ok(Self {
+            sights: scene::sights(&config.optics, &camera_bundle),
+            rays: RayCaster::new(die.mesh()),
+            optics: config.optics.clone(),
+            sensor_spec: config.sensor.clone(),
+            surface: config.surface.clone(),
+            camera_bundle,
+            projector_bundle,
+            core_exponents,
+            die,
+            sensor,
+            run_seed: config.run_seed,
+        })
+    }
+
+    /// Columns and rows of a frame.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.optics.camera_size_px
+    }
+
+    /// The die as it really is.
+    pub fn die(&self) -> &Die {
+        &self.die
+    }
+
+    /// The camera's bundle: where its cores lie on the sensor.
+    pub fn camera_bundle(&self) -> &Bundle {
+        &self.camera_bundle
+    }
+
+    /// The projector's bundle: where its cores lie on the DMD.
+    pub fn projector_bundle(&self) -> &Bundle {
+        &self.projector_bundle
+    }
+
+    /// The head's optics.
+    pub fn optics(&self) -> &HeadOptics {
+        &self.optics
+    }
+
+    /// Puts the stages at their *true* position and computes the light of every pattern on every pixel.
+    ///
+    /// `rotation_rad` turns the die, `vertical_mm` raises the head; stage errors are the caller's to add. Pattern `i` of
+    /// `patterns` becomes index `i + 1`, index 0 is black. Runs on rayon's threads; the result does not depend on their
+    /// number.
+    pub fn prepare(
+        &self,
+        rotation_rad: f64,
+        vertical_mm: f64,
+        patterns: &[PatternSpec],
+    ) -> Result<ViewState, WorldError> {
+        WorldError::check("rotation_rad", rotation_rad, -1e6, 1e6)?;
+        WorldError::check("vertical_mm", vertical_mm, -1e4, 1e4)?;
+        for pattern in patterns {
+            pattern.validate()?;
+        }
+        let frequencies = scene::frequencies(patterns);
+        if frequencies.len() > scene::MAX_FREQUENCIES {
+            return Err(WorldError::Frequencies {
+                got: frequencies.len(),
+                max: scene::MAX_FREQUENCIES,
+            });
+        }
+        let stage = Stage {
+            optics: &self.optics,
+            camera_bundle: &self.camera_bundle,
+            projector_bundle: &self.projector_bundle,
+            sights: &self.sights,
+            die: &self.die,
+            rays: &self.rays,
+            surface: &self.surface,
+            seed: self.run_seed,
+        };
+        let emission = scene::emission(&self.optics, &self.projector_bundle, &frequencies);
+        let views = stage.look(
+            self.optics.tool_from_camera(rotation_rad, vertical_mm),
+            &emission,
+        );
+
+        let leak = self.optics.dmd_leak_ratio as f32;
+        let black = |view: &CoreView| leak * view.light[0];
+        let mut per_core = vec![self.core_rates(&views, black)];
+        per_core.extend(patterns.iter().map(|pattern| {
+            self.core_rates(&views, |view| {
+                black(view) + scene::brightness(&view.light, pattern, &frequencies)
+            })
+        }));
+        let rates = self.sensor.expose(&per_core);
+        Ok(ViewState {
+            rates,
+            truth: views.into_iter().filter_map(|view| view.truth).collect(),
+        })
+    }
+
+    /// Charge rate per mean pixel of each core, e⁻/ms, after gain, cross-talk and the core's own response.
+    fn core_rates(
+        &self,
+        views: &[CoreView],
+        brightness: impl Fn(&CoreView) -> f32 + Sync,
+    ) -> Vec<f32> {
+        // The sensor's rate is stated for reflectance 0.3 and half brightness.
+        let scale = (self.sensor_spec.rate_e_per_ms / (0.3 * 0.5)) as f32;
+        let entering: Vec<[f32; 1]> = views
+            .par_iter()
+            .map(|view| [scale * brightness(view)])
+            .collect();
+        let mixed = self.camera_bundle.with_crosstalk(&entering);
+        let reference = 2.0 * self.sensor_spec.rate_e_per_ms as f32;
+        let bent = |(([light], gain), exponent): ((&[f32; 1], &f32), &f32)| {
+            let relative = (light / reference).max(0.0);
+            if relative == 0.0 {
+                0.0
+            } else {
+                gain * reference * relative.powf(*exponent)
+            }
+        };
+        mixed
+            .par_iter()
+            .zip(self.camera_bundle.gains())
+            .zip(&self.core_exponents)
+            .map(bent)
+            .collect()
+    }
+
+    /// Takes one frame: 12-bit counts, row by row.
+    ///
+    /// `frame_counter` seeds the noise: the same counter gives the same frame.
+    pub fn render(
+        &self,
+        view: &ViewState,
+        pattern_index: u16,
+        exposure_us: u32,
+        led_on: bool,
+        frame_counter: u32,
+        out: &mut [u16],
+    ) -> Result<(), WorldError> {
+        let need = self.size_px()[0] * self.size_px()[1];
+        if out.len() != need {
+            return Err(WorldError::Buffer {
+                got: out.len(),
+                need,
+            });
+        }
+        let pattern = usize::from(pattern_index);
+        if pattern >= view.rates.patterns() {
+            return Err(WorldError::Pattern {
+                got: pattern_index,
+                last: view.rates.patterns() - 1,
+            });
+        }
+        let lit_ms = if led_on {
+            f64::from(exposure_us) * 1e-3
+        } else {
+            0.0
+        };
+        self.sensor
+            .read_out(&view.rates, pattern, lit_ms, frame_counter, out);
+        Ok(())
+    }
+
+    /// The truth of a view: one entry per camera core that sees the die.
+    pub fn truth<'a>(&self, view: &'a ViewState) -> &'a [CoreTruth] {
+        &view.truth
+    }
+}

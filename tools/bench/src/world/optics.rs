@@ -1,0 +1,255 @@
+//! The head's two objectives: where light goes, how sharp and how bright it arrives.
+
+use super::WorldError;
+use nalgebra::{
+    Isometry3, Matrix2, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
+};
+
+/// A pinhole with Brown's distortion (radial k1, k2, k3 and tangential p1, p2).
+///
+/// Pixel centres are at integer coordinates; x to the right, y down, z forward.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pinhole {
+    /// Focal length in x and y, px.
+    pub focal_px: [f64; 2],
+    /// Principal point, px.
+    pub centre_px: [f64; 2],
+    /// k1, k2, p1, p2, k3.
+    pub distortion: [f64; 5],
+}
+
+impl Pinhole {
+    /// Pixel of a point in front of the pinhole; `None` behind it.
+    pub fn project(&self, p: Point3<f64>) -> Option<[f64; 2]> {
+        (p.z > 0.0).then(|| self.pixel(self.distort(Vector2::new(p.x / p.z, p.y / p.z))))
+    }
+
+    /// Direction (z = 1, not normalised) of the light that meets pixel `px`.
+    pub fn direction(&self, px: [f64; 2]) -> Vector3<f64> {
+        let seen = Vector2::new(
+            (px[0] - self.centre_px[0]) / self.focal_px[0],
+            (px[1] - self.centre_px[1]) / self.focal_px[1],
+        );
+        // Newton: the distortion is a small, smooth change of the identity; its Jacobian by central differences.
+        let mut ideal = seen;
+        const STEP: f64 = 1e-6;
+        for _ in 0..10 {
+            let off = self.distort(ideal) - seen;
+            if off.norm() < 1e-15 {
+                break;
+            }
+            let column = |axis: Vector2<f64>| {
+                (self.distort(ideal + STEP * axis) - self.distort(ideal - STEP * axis))
+                    / (2.0 * STEP)
+            };
+            let jacobian = Matrix2::from_columns(&[column(Vector2::x()), column(Vector2::y())]);
+            let Some(inverse) = jacobian.try_inverse() else {
+                break;
+            };
+            ideal -= inverse * off;
+        }
+        Vector3::new(ideal.x, ideal.y, 1.0)
+    }
+
+    fn pixel(&self, seen: Vector2<f64>) -> [f64; 2] {
+        [
+            self.centre_px[0] + self.focal_px[0] * seen.x,
+            self.centre_px[1] + self.focal_px[1] * seen.y,
+        ]
+    }
+
+    fn distort(&self, ideal: Vector2<f64>) -> Vector2<f64> {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let (x, y) = (ideal.x, ideal.y);
+        let r2 = x * x + y * y;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        Vector2::new(
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        )
+    }
+}
+
+/// Sharpness and brightness of one objective over its field and depth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Objective {
+    /// Distance of best focus on the axis, mm.
+    pub focus_mm: f64,
+    /// Best focus comes nearer by this much per squared lateral distance, mm/mm².
+    pub field_curvature_per_mm: f64,
+    /// Radius of the measured field at best focus, mm.
+    pub field_radius_mm: f64,
+    /// Blur in best focus, standard deviation in core pitches.
+    pub focus_sigma_pitch: f64,
+    /// Blur gained per distance from best focus, core pitches per mm.
+    pub defocus_sigma_pitch_per_mm: f64,
+    /// Share of the light lost at the edge of the field.
+    pub edge_loss_ratio: f64,
+}
+
+impl Objective {
+    /// Standard deviation of the blur at a point in the objective's own frame, core pitches.
+    pub fn sigma_pitch(&self, p: Point3<f64>) -> f64 {
+        let lateral_mm2 = p.x * p.x + p.y * p.y;
+        let defocus_mm = p.z - (self.focus_mm - self.field_curvature_per_mm * lateral_mm2);
+        self.focus_sigma_pitch
+            .hypot(self.defocus_sigma_pitch_per_mm * defocus_mm)
+    }
+
+    /// Squared distance from the axis relative to the field's edge, at most 1.5.
+    pub fn field_ratio2(&self, p: Point3<f64>) -> f64 {
+        let at_focus = self.focus_mm / p.z;
+        ((p.x * p.x + p.y * p.y) * at_focus * at_focus
+            / (self.field_radius_mm * self.field_radius_mm))
+            .min(1.5)
+    }
+
+    /// Brightness relative to the centre of the field.
+    pub fn brightness(&self, p: Point3<f64>) -> f64 {
+        (1.0 - self.edge_loss_ratio * self.field_ratio2(p)).max(0.0)
+    }
+}
+
+/// Everything optical in the measuring head.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeadOptics {
+    /// Camera through its bundle and objective.
+    pub camera: Pinhole,
+    /// Columns and rows of the sensor.
+    pub camera_size_px: [usize; 2],
+    /// Blur and brightness on the camera side.
+    pub camera_objective: Objective,
+    /// Projector (DMD) through its bundle and objective.
+    pub projector: Pinhole,
+    /// Columns and rows of the DMD.
+    pub projector_size_px: [usize; 2],
+    /// Blur and brightness on the projector side.
+    pub projector_objective: Objective,
+    /// Projector frame from camera frame.
+    pub projector_from_camera: Isometry3<f64>,
+    /// Stage frame from camera frame with both stages at zero.
+    pub stage_from_camera: Isometry3<f64>,
+    /// Modulation of a coarse pattern at the centre of the field: the rest is stray light.
+    pub contrast_centre: f64,
+    /// The same at the edge of the field.
+    pub contrast_edge: f64,
+    /// Light that the DMD still sends when all mirrors are off, relative to all on.
+    pub dmd_leak_ratio: f64,
+}
+
+impl HeadOptics {
+    /// The prism head for 20 mm: 10 mm field, 30° between camera and projector, looking outwards from inside the bore.
+    ///
+    /// The camera pinhole lies 22 mm before the focus point at radius 41.5 mm, its columns along the die axis; the projector
+    /// is turned about the camera's y axis through the focus point.
+    pub fn prism_20mm() -> Self {
+        const STAND_OFF_MM: f64 = 22.0;
+        const FOCUS_RADIUS_MM: f64 = 41.5;
+        const FIELD_MM: f64 = 10.0;
+        const CAMERA_CIRCLE_PX: f64 = 1150.0;
+        const DMD_COLUMNS_PX: f64 = 1024.0;
+        let camera_focal_px = CAMERA_CIRCLE_PX * STAND_OFF_MM / FIELD_MM;
+        let projector_focal_px = DMD_COLUMNS_PX * STAND_OFF_MM / FIELD_MM;
+
+        // Columns along +z of the stage, rows along -y, view along +x.
+        let axes = Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
+        let stage_from_camera = Isometry3::from_parts(
+            Translation3::new(FOCUS_RADIUS_MM - STAND_OFF_MM, 0.0, 0.0),
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
+        );
+        let focus = Vector3::new(0.0, 0.0, STAND_OFF_MM);
+        // A positive turn about y moves the view towards +x, so the projector itself sits at negative x.
+        let camera_from_projector =
+            Rotation3::from_axis_angle(&Vector3::y_axis(), 30f64.to_radians());
+        let rotation = camera_from_projector.inverse();
+        let projector_from_camera = Isometry3::from_parts(
+            Translation3::from(focus - rotation * focus),
+            UnitQuaternion::from(rotation),
+        );
+
+        let objective = |focus_sigma_pitch, edge_loss_ratio| Objective {
+            focus_mm: STAND_OFF_MM,
+            field_curvature_per_mm: 0.03,
+            field_radius_mm: 0.5 * FIELD_MM,
+            focus_sigma_pitch,
+            defocus_sigma_pitch_per_mm: 0.30,
+            edge_loss_ratio,
+        };
+        Self {
+            camera: Pinhole {
+                focal_px: [camera_focal_px, camera_focal_px],
+                centre_px: [959.5, 599.5],
+                distortion: [-0.08, 0.05, 4e-4, -3e-4, 0.0],
+            },
+            camera_size_px: [1920, 1200],
+            camera_objective: objective(0.30, 0.45),
+            projector: Pinhole {
+                focal_px: [projector_focal_px, projector_focal_px],
+                centre_px: [511.5, 383.5],
+                distortion: [0.06, -0.04, -3e-4, 4e-4, 0.0],
+            },
+            projector_size_px: [1024, 768],
+            projector_objective: objective(0.40, 0.30),
+            projector_from_camera,
+            stage_from_camera,
+            contrast_centre: 0.64,
+            contrast_edge: 0.42,
+            dmd_leak_ratio: 0.001,
+        }
+    }
+
+    /// Tool frame from camera frame with the die turned by `rotation_rad` and the head raised by `vertical_mm`.
+    pub fn tool_from_camera(&self, rotation_rad: f64, vertical_mm: f64) -> Isometry3<f64> {
+        let tool_from_stage = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -rotation_rad);
+        tool_from_stage * Translation3::new(0.0, 0.0, vertical_mm) * self.stage_from_camera
+    }
+
+    /// Modulation of a coarse pattern at a point in the camera frame.
+    pub fn contrast(&self, p_camera: Point3<f64>) -> f64 {
+        let ratio2 = self.camera_objective.field_ratio2(p_camera).min(1.0);
+        self.contrast_centre + (self.contrast_edge - self.contrast_centre) * ratio2
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), WorldError> {
+        let pinholes = [(&self.camera, "camera"), (&self.projector, "projector")];
+        for (pinhole, _) in pinholes {
+            for focal in pinhole.focal_px {
+                WorldError::check("focal_px", focal, 1.0, 1e6)?;
+            }
+            for centre in pinhole.centre_px {
+                WorldError::check("principal point px", centre, -1e5, 1e5)?;
+            }
+            for k in pinhole.distortion {
+                WorldError::check("distortion", k, -10.0, 10.0)?;
+            }
+        }
+        for objective in [&self.camera_objective, &self.projector_objective] {
+            WorldError::check("focus_mm", objective.focus_mm, 0.1, 1e4)?;
+            WorldError::check(
+                "field_curvature_per_mm",
+                objective.field_curvature_per_mm,
+                -1.0,
+                1.0,
+            )?;
+            WorldError::check("field_radius_mm", objective.field_radius_mm, 0.01, 1e4)?;
+            WorldError::check("focus_sigma_pitch", objective.focus_sigma_pitch, 0.05, 10.0)?;
+            WorldError::check(
+                "defocus_sigma_pitch_per_mm",
+                objective.defocus_sigma_pitch_per_mm,
+                0.0,
+                10.0,
+            )?;
+            WorldError::check("edge_loss_ratio", objective.edge_loss_ratio, 0.0, 1.0)?;
+        }
+        for size in self
+            .camera_size_px
+            .into_iter()
+            .chain(self.projector_size_px)
+        {
+            WorldError::check("image size px", size as f64, 16.0, 16_384.0)?;
+        }
+        WorldError::check("contrast_centre", self.contrast_centre, 0.0, 1.0)?;
+        WorldError::check("contrast_edge", self.contrast_edge, 0.0, 1.0)?;
+        WorldError::check("dmd_leak_ratio", self.dmd_leak_ratio, 0.0, 1.0)
+    }
+}

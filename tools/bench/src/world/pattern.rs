@@ -1,0 +1,55 @@
+//! What the DMD shows.
+
+use super::WorldError;
+
+/// One sinusoidal frame of the DMD: brightness `0.5 + 0.5 cos(2π periods (x + 0.5) / width + 2π step / steps)` at column x.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PatternSpec {
+    /// Periods over the width of the DMD; 0 is evenly lit.
+    pub periods: f64,
+    /// Number of the phase step, from 0.
+    pub step: u32,
+    /// Phase steps per turn.
+    pub steps: u32,
+}
+
+impl PatternSpec {
+    /// All frames of sets given as (periods, steps), set by set in the order in which the DMD shows them.
+    pub fn sequence(sets: &[(f64, u32)]) -> Vec<Self> {
+        sets.iter()
+            .flat_map(|&(periods, steps)| {
+                (0..steps).map(move |step| Self {
+                    periods,
+                    step,
+                    steps,
+                })
+            })
+            .collect()
+    }
+
+    /// In-situ set: 4 periods in 4 steps, 48 periods in 8 steps.
+    pub fn insitu12() -> Vec<Self> {
+        Self::sequence(&[(4.0, 4), (48.0, 8)])
+    }
+
+    /// Offline set: 4 and 13 periods in 4 steps, 48 periods in 8 steps.
+    pub fn scan16() -> Vec<Self> {
+        Self::sequence(&[(4.0, 4), (13.0, 4), (48.0, 8)])
+    }
+
+    /// Phase by which the step moves the fringes, rad.
+    pub fn step_rad(&self) -> f64 {
+        std::f64::consts::TAU * f64::from(self.step) / f64::from(self.steps)
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), WorldError> {
+        WorldError::check("periods", self.periods, 0.0, 512.0)?;
+        WorldError::check("steps", f64::from(self.steps), 1.0, 1000.0)?;
+        WorldError::check(
+            "step",
+            f64::from(self.step),
+            0.0,
+            f64::from(self.steps) - 1.0,
+        )
+    }
+}

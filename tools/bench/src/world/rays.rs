@@ -1,0 +1,138 @@
+//! Rays against a triangle mesh: a bounding volume hierarchy finds candidates, double precision decides.
+
+use flankscope_gear_cad::Mesh;
+use nalgebra::{Point3, Vector3};
+use obvhs::BvhBuildParams;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::{Bvh2, builder::build_bvh2};
+use obvhs::ray::{Ray, RayHit};
+use std::time::Duration;
+
+/// The hierarchy stores single precision: half a unit in the last place at 100 mm is 4e-6 mm, so boxes grow by ten times
+/// that and never lose a triangle.
+const BOX_MARGIN_MM: f32 = 5e-5;
+
+/// Where a ray meets the mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Index of the triangle in the mesh.
+    pub triangle: usize,
+    /// Distance along the ray in units of its direction.
+    pub distance: f64,
+    /// Unit normal of the triangle, out of the material.
+    pub normal: Vector3<f64>,
+}
+
+/// A mesh ready for rays.
+pub struct RayCaster {
+    bvh: Bvh2,
+    /// Corner and two edges per triangle, in the order of the hierarchy's leaves.
+    corners: Vec<[Vector3<f64>; 3]>,
+}
+
+impl RayCaster {
+    /// Prepares `mesh`. Its coordinates must be finite and below 1000 mm (see [`BOX_MARGIN_MM`]).
+    pub fn new(mesh: &Mesh) -> Self {
+        let corners: Vec<[Vector3<f64>; 3]> = mesh
+            .triangles
+            .iter()
+            .map(|t| t.map(|i| Vector3::from(mesh.vertices[i as usize])))
+            .collect();
+        let boxes: Vec<Aabb> = corners
+            .iter()
+            .map(|[a, b, c]| {
+                let low = a.inf(b).inf(c).map(|x| x as f32 - BOX_MARGIN_MM);
+                let high = a.sup(b).sup(c).map(|x| x as f32 + BOX_MARGIN_MM);
+                Aabb {
+                    min: <[f32; 3]>::from(low).into(),
+                    max: <[f32; 3]>::from(high).into(),
+                }
+            })
+            .collect();
+        let bvh = build_bvh2(
+            &boxes,
+            BvhBuildParams::fast_build(),
+            &mut Duration::default(),
+        );
+        let corners = bvh
+            .primitive_indices
+            .iter()
+            .map(|&i| {
+                let [a, b, c] = corners[i as usize];
+                [a, b - a, c - a]
+            })
+            .collect();
+        Self { bvh, corners }
+    }
+
+    /// First triangle that the ray meets from `origin` along `direction`, from either side.
+    pub fn nearest(&self, origin: Point3<f64>, direction: Vector3<f64>) -> Option<Hit> {
+        let mut best: Option<(usize, f64)> = None;
+        let mut ignored = RayHit::none();
+        self.bvh.ray_traverse(
+            single_precision(origin, direction, f32::INFINITY),
+            &mut ignored,
+            |_, leaf| {
+                match self.distance(leaf, origin, direction) {
+                    Some(t) if best.is_none_or(|(_, nearest)| t < nearest) => {
+                        best = Some((leaf, t));
+                        // Rounded up, so that boxes at the same distance are still opened.
+                        (t as f32) * (1.0 + 1e-6)
+                    }
+                    _ => f32::INFINITY,
+                }
+            },
+        );
+        best.map(|(leaf, distance)| {
+            let [_, u, v] = self.corners[leaf];
+            Hit {
+                triangle: self.bvh.primitive_indices[leaf] as usize,
+                distance,
+                normal: u.cross(&v).normalize(),
+            }
+        })
+    }
+
+    /// Whether anything lies between two points. Leave the surface first: an end on a triangle counts as blocked.
+    pub fn blocked(&self, from: Point3<f64>, to: Point3<f64>) -> bool {
+        let way = to - from;
+        !self
+            .bvh
+            .ray_traverse_miss(single_precision(from, way, 1.0), |_, leaf| {
+                match self.distance(leaf, from, way) {
+                    Some(t) if t < 1.0 => 0.0,
+                    _ => f32::INFINITY,
+                }
+            })
+    }
+
+    /// Ray parameter where triangle `leaf` is met in front of the origin (Möller and Trumbore 1997).
+    fn distance(&self, leaf: usize, origin: Point3<f64>, direction: Vector3<f64>) -> Option<f64> {
+        // A hair of overlap, so that a ray through a shared edge meets at least one of its triangles.
+        const OVERLAP: f64 = 1e-12;
+        let [a, u, v] = self.corners[leaf];
+        let p = direction.cross(&v);
+        let determinant = u.dot(&p);
+        if determinant == 0.0 {
+            return None;
+        }
+        let s = origin.coords - a;
+        let along_u = s.dot(&p) / determinant;
+        if !(-OVERLAP..=1.0 + OVERLAP).contains(&along_u) {
+            return None;
+        }
+        let q = s.cross(&u);
+        let along_v = direction.dot(&q) / determinant;
+        if along_v < -OVERLAP || along_u + along_v > 1.0 + OVERLAP {
+            return None;
+        }
+        let t = v.dot(&q) / determinant;
+        (t > 0.0).then_some(t)
+    }
+}
+
+fn single_precision(origin: Point3<f64>, direction: Vector3<f64>, reach: f32) -> Ray {
+    let origin = <[f32; 3]>::from(origin.coords.map(|x| x as f32));
+    let direction = <[f32; 3]>::from(direction.map(|x| x as f32));
+    Ray::new(origin.into(), direction.into(), 0.0, reach)
+}

@@ -1,0 +1,301 @@
+//! One view: what every camera core sees of the die, and how brightly the projector's cores light it.
+
+use super::bundle::Bundle;
+use super::die::Die;
+use super::optics::HeadOptics;
+use super::pattern::PatternSpec;
+use super::rays::RayCaster;
+use super::surface::Surface;
+use super::wear::FlankId;
+use nalgebra::{Isometry3, Matrix2, Point3, Vector3};
+use rayon::prelude::*;
+
+/// What is really there at one camera core.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoreTruth {
+    /// Index of the core in the camera bundle.
+    pub core: u32,
+    /// Point of the real surface in the tool frame, mm.
+    pub point_tool_mm: [f64; 3],
+    /// Unit normal there, out of the material.
+    pub normal_tool: [f64; 3],
+    /// The projector sees the point too.
+    pub lit: bool,
+    /// DMD column and row whose light arrives there, px.
+    pub projector_px: [f64; 2],
+    /// Flank that the point lies on, if any.
+    pub flank: Option<FlankId>,
+    /// Wear depth there, mm: positive for loss.
+    pub wear_mm: f64,
+}
+
+/// Most distinct fringe frequencies in one set.
+pub(crate) const MAX_FREQUENCIES: usize = 4;
+/// Sums carried per core: the evenly lit pattern, and cosine and sine of each frequency.
+pub(crate) const LANES: usize = 1 + 2 * MAX_FREQUENCIES;
+/// Light of one projector core or on one camera core, in the lanes above.
+pub(crate) type Lanes = [f32; LANES];
+
+/// A core collects DMD pixels over its own area: standard deviation in pitches.
+const CORE_APERTURE_PITCH: f64 = 0.2;
+/// A shadow ray starts this far off the surface, mm: more than rounding, less than any feature.
+const SHADOW_START_MM: f64 = 5e-4;
+/// Largest footprint of a camera core on the DMD in projector pitches: at grazing incidence modulation is lost anyway.
+const MAX_FOOTPRINT_PITCH: f64 = 4.0;
+/// The blur is cut at this many standard deviations.
+const BLUR_REACH: f64 = 3.0;
+
+/// A camera core's line of sight in the camera frame (z = 1) and its change per pixel in x and y.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight {
+    direction: Vector3<f64>,
+    per_px: [Vector3<f64>; 2],
+}
+
+/// Lines of sight of all cores.
+pub(crate) fn sights(optics: &HeadOptics, bundle: &Bundle) -> Vec<Sight> {
+    let camera = &optics.camera;
+    let sight = |&[x, y]: &[f64; 2]| Sight {
+        direction: camera.direction([x, y]),
+        per_px: [
+            camera.direction([x + 0.5, y]) - camera.direction([x - 0.5, y]),
+            camera.direction([x, y + 0.5]) - camera.direction([x, y - 0.5]),
+        ],
+    };
+    bundle.positions_px().par_iter().map(sight).collect()
+}
+
+/// Light that leaves each projector core for the frequencies of a pattern set.
+pub(crate) fn emission(optics: &HeadOptics, bundle: &Bundle, frequencies: &[f64]) -> Vec<Lanes> {
+    let [columns, rows] = optics.projector_size_px.map(|n| n as f64);
+    let pitch = bundle.spec().pitch_px();
+    let leaving = |(&[x, y], &gain): (&[f64; 2], &f32)| {
+        let mut lanes = [0f32; LANES];
+        let on_dmd = x >= -0.5 && x < columns - 0.5 && y >= -0.5 && y < rows - 0.5;
+        if !on_dmd {
+            return lanes;
+        }
+        lanes[0] = gain;
+        for (pair, periods) in lanes[1..].chunks_exact_mut(2).zip(frequencies) {
+            let per_px = std::f64::consts::TAU * periods / columns;
+            let averaged = (-0.5 * (per_px * CORE_APERTURE_PITCH * pitch).powi(2)).exp();
+            let (sin, cos) = (per_px * (x + 0.5)).sin_cos();
+            pair[0] = gain * (averaged * cos) as f32;
+            pair[1] = gain * (averaged * sin) as f32;
+        }
+        lanes
+    };
+    let light: Vec<Lanes> = bundle
+        .positions_px()
+        .iter()
+        .zip(bundle.gains())
+        .map(leaving)
+        .collect();
+    bundle.with_crosstalk(&light)
+}
+
+/// The parts of the world that a view is made of.
+pub(crate) struct Stage<'a> {
+    pub optics: &'a HeadOptics,
+    pub camera_bundle: &'a Bundle,
+    pub projector_bundle: &'a Bundle,
+    pub sights: &'a [Sight],
+    pub die: &'a Die,
+    pub rays: &'a RayCaster,
+    pub surface: &'a Surface,
+    pub seed: u64,
+}
+
+/// One camera core's share of a view.
+pub(crate) struct CoreView {
+    pub truth: Option<CoreTruth>,
+    /// Light that enters the core in the lanes of [`emission`], relative to a plane of reflectance 1 that faces the
+    /// projector in the middle of the field, evenly lit; contrast already taken off the fringes.
+    pub light: Lanes,
+}
+
+impl Stage<'_> {
+    /// All camera cores for one pose of the stages.
+    pub(crate) fn look(
+        &self,
+        tool_from_camera: Isometry3<f64>,
+        emission: &[Lanes],
+    ) -> Vec<CoreView> {
+        let eye = tool_from_camera * Point3::origin();
+        let lamp =
+            tool_from_camera * (self.optics.projector_from_camera.inverse() * Point3::origin());
+        (0..self.sights.len())
+            .into_par_iter()
+            .with_min_len(512)
+            .map(|core| self.look_through(core, &tool_from_camera, eye, lamp, emission))
+            .collect()
+    }
+
+    fn look_through(
+        &self,
+        core: usize,
+        tool_from_camera: &Isometry3<f64>,
+        eye: Point3<f64>,
+        lamp: Point3<f64>,
+        emission: &[Lanes],
+    ) -> CoreView {
+        let dark = CoreView {
+            truth: None,
+            light: [0.0; LANES],
+        };
+        let sight = &self.sights[core];
+        let along = tool_from_camera * sight.direction;
+        let Some(hit) = self.rays.nearest(eye, along) else {
+            return dark;
+        };
+        // Seen from inside the material: the head has been driven into the die.
+        if hit.normal.dot(&along) >= 0.0 {
+            return dark;
+        }
+        let point = eye + hit.distance * along;
+        let p_camera = Point3::from(hit.distance * sight.direction);
+        let p_projector = self.optics.projector_from_camera * p_camera;
+        let Some(projector_px) = self.optics.projector.project(p_projector) else {
+            return dark;
+        };
+
+        let to_lamp = lamp - point;
+        let faces_lamp = hit.normal.dot(&to_lamp) > 0.0;
+        let lit = faces_lamp
+            && !self
+                .rays
+                .blocked(point + SHADOW_START_MM * hit.normal, lamp);
+        let flank = self.die.flank(hit.triangle);
+        let truth = CoreTruth {
+            core: core as u32,
+            point_tool_mm: point.coords.into(),
+            normal_tool: hit.normal.into(),
+            lit,
+            projector_px,
+            flank,
+            wear_mm: flank.map_or(0.0, |id| self.die.wear_at_mm(id, point.coords.into())),
+        };
+        if !lit {
+            return CoreView {
+                truth: Some(truth),
+                light: [0.0; LANES],
+            };
+        }
+
+        let returned = self.surface.returned(
+            self.seed,
+            point,
+            hit.normal,
+            to_lamp.normalize(),
+            -along.normalize(),
+        );
+        let projector = &self.optics.projector_objective;
+        let nearer = (projector.focus_mm / to_lamp.norm()).powi(2);
+        let brightness = returned
+            * nearer
+            * projector.brightness(p_projector)
+            * self.optics.camera_objective.brightness(p_camera);
+        let normal_camera = tool_from_camera.inverse_transform_vector(&hit.normal);
+        let blur = self.blur_px2(sight, hit.distance, normal_camera, p_camera, projector_px);
+        let mut light = self.gather(projector_px, blur, emission);
+        let contrast = self.optics.contrast(p_camera);
+        for (lane, value) in light.iter_mut().enumerate() {
+            *value *= (brightness * if lane == 0 { 1.0 } else { contrast }) as f32;
+        }
+        CoreView {
+            truth: Some(truth),
+            light,
+        }
+    }
+
+    /// Covariance on the DMD of the light that one camera core collects: the projector's blur, and the core's own blurred
+    /// footprint carried over the tangent plane of the surface, px².
+    fn blur_px2(
+        &self,
+        sight: &Sight,
+        distance: f64,
+        normal_camera: Vector3<f64>,
+        p_camera: Point3<f64>,
+        projector_px: [f64; 2],
+    ) -> Matrix2<f64> {
+        let projector_pitch = self.projector_bundle.spec().pitch_px();
+        let p_projector = self.optics.projector_from_camera * p_camera;
+        let sharp = self.optics.projector_objective.sigma_pitch(p_projector) * projector_pitch;
+        let own = Matrix2::identity() * (sharp * sharp);
+
+        // One pixel aside in the image, on the tangent plane.
+        let aside = |change: Vector3<f64>| {
+            let receding = normal_camera.dot(&change) / normal_camera.dot(&sight.direction);
+            let moved = p_camera + distance * (change - receding * sight.direction);
+            self.optics
+                .projector
+                .project(self.optics.projector_from_camera * moved)
+        };
+        let [Some(x), Some(y)] = sight.per_px.map(aside) else {
+            return own;
+        };
+        let [u, v] = projector_px;
+        let per_px = Matrix2::new(x[0] - u, y[0] - u, x[1] - v, y[1] - v);
+        let sigma_px = self.optics.camera_objective.sigma_pitch(p_camera)
+            * self.camera_bundle.spec().pitch_px();
+        let mut footprint = per_px * per_px.transpose() * (sigma_px * sigma_px);
+        let limit = (MAX_FOOTPRINT_PITCH * projector_pitch).powi(2);
+        if footprint.trace() > limit {
+            footprint *= limit / footprint.trace();
+        }
+        own + footprint
+    }
+
+    /// Light of the projector cores around `at_px`, weighted by a Gaussian of covariance `blur_px2`.
+    fn gather(&self, at_px: [f64; 2], blur_px2: Matrix2<f64>, emission: &[Lanes]) -> Lanes {
+        let (a, b, c) = (blur_px2[(0, 0)], blur_px2[(0, 1)], blur_px2[(1, 1)]);
+        let determinant = a * c - b * b;
+        let largest = 0.5 * (a + c) + (0.25 * (a - c) * (a - c) + b * b).sqrt();
+        let reach_px = BLUR_REACH * largest.sqrt();
+        let inverse = [c / determinant, -b / determinant, a / determinant];
+        let positions = self.projector_bundle.positions_px();
+        let mut sum = [0f32; LANES];
+        for run in self.projector_bundle.near(at_px, reach_px) {
+            for (position, light) in positions[run.clone()].iter().zip(&emission[run]) {
+                let (dx, dy) = (position[0] - at_px[0], position[1] - at_px[1]);
+                let squares =
+                    inverse[0] * dx * dx + 2.0 * inverse[1] * dx * dy + inverse[2] * dy * dy;
+                if squares < BLUR_REACH * BLUR_REACH {
+                    let weight = (-0.5 * squares as f32).exp();
+                    for (s, l) in sum.iter_mut().zip(light) {
+                        *s += weight * l;
+                    }
+                }
+            }
+        }
+        // An evenly lit perfect lattice sums to 1: integral of the cut Gaussian over the area of a core's cell.
+        let pitch = self.projector_bundle.spec().pitch_px();
+        let cell_px2 = 0.5 * 3f64.sqrt() * pitch * pitch;
+        let integral = std::f64::consts::TAU
+            * determinant.sqrt()
+            * (1.0 - (-0.5 * BLUR_REACH * BLUR_REACH).exp());
+        let scale = (cell_px2 / integral) as f32;
+        sum.map(|s| s * scale)
+    }
+}
+
+/// Frequencies of a pattern set, each once, in order of appearance.
+pub(crate) fn frequencies(patterns: &[PatternSpec]) -> Vec<f64> {
+    let mut distinct: Vec<f64> = Vec::new();
+    for pattern in patterns {
+        if pattern.periods != 0.0 && !distinct.contains(&pattern.periods) {
+            distinct.push(pattern.periods);
+        }
+    }
+    distinct
+}
+
+/// Brightness of one pattern from the lanes of a core: half its even light, and half its fringe moved by the step.
+pub(crate) fn brightness(lanes: &Lanes, pattern: &PatternSpec, frequencies: &[f64]) -> f32 {
+    let (sin, cos) = pattern.step_rad().sin_cos();
+    match frequencies.iter().position(|&f| f == pattern.periods) {
+        Some(i) => 0.5 * (lanes[0] + cos as f32 * lanes[1 + 2 * i] - sin as f32 * lanes[2 + 2 * i]),
+        // Evenly lit: the cosine of the step alone.
+        None => 0.5 * lanes[0] * (1.0 + cos as f32),
+    }
+}

@@ -1,0 +1,338 @@
+//! From light per core to counts per pixel, with the noise of a camera.
+
+use super::WorldError;
+use super::bundle::Bundle;
+use super::random::{Normals, Purpose, stream};
+use rand::RngExt;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// The camera behind the bundle (an IMX174-class sensor).
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorSpec {
+    /// Charge at which a pixel is full, e⁻.
+    pub full_well_e: f64,
+    /// Read noise, e⁻.
+    pub read_noise_e: f64,
+    /// Counts without light, DN.
+    pub offset_dn: f64,
+    /// Bits per pixel.
+    pub bits: u32,
+    /// Spread of the pixels' response, fixed.
+    pub prnu_ratio: f64,
+    /// Spread of the lamp from frame to frame, common to all pixels.
+    pub lamp_noise_ratio: f64,
+    /// Standard deviation of one core's image, px.
+    pub core_sigma_px: f64,
+    /// Charge per mean pixel and millisecond in the middle of the field on a plane of reflectance 0.3 that faces the
+    /// projector, all mirrors half on, e⁻.
+    pub rate_e_per_ms: f64,
+    /// Spread of the exponent with which a core's light answers to light; 0 is a linear bundle.
+    pub core_exponent_spread: f64,
+}
+
+impl SensorSpec {
+    /// 12 bit, 32 400 e⁻ full well, 7 e⁻ read noise; 5.8 mW of green light through the 20 mm head.
+    pub fn imx174() -> Self {
+        Self {
+            full_well_e: 32_400.0,
+            read_noise_e: 7.0,
+            offset_dn: 100.0,
+            bits: 12,
+            prnu_ratio: 0.01,
+            lamp_noise_ratio: 0.001,
+            core_sigma_px: 1.0,
+            rate_e_per_ms: 406.0,
+            core_exponent_spread: 0.02,
+        }
+    }
+
+    /// Electrons per count: the full well over the number of codes.
+    pub fn gain_e_per_dn(&self) -> f64 {
+        self.full_well_e / f64::from(1u32 << self.bits)
+    }
+
+    /// Largest count.
+    pub fn max_dn(&self) -> u16 {
+        ((1u32 << self.bits) - 1) as u16
+    }
+
+    pub(crate) fn validate(&self) -> Result<(), WorldError> {
+        WorldError::check("full_well_e", self.full_well_e, 100.0, 1e7)?;
+        WorldError::check("read_noise_e", self.read_noise_e, 0.0, 1e4)?;
+        WorldError::check("bits", f64::from(self.bits), 8.0, 16.0)?;
+        WorldError::check("offset_dn", self.offset_dn, 0.0, f64::from(self.max_dn()))?;
+        WorldError::check("prnu_ratio", self.prnu_ratio, 0.0, 0.2)?;
+        WorldError::check("lamp_noise_ratio", self.lamp_noise_ratio, 0.0, 0.2)?;
+        WorldError::check("core_sigma_px", self.core_sigma_px, 0.3, 5.0)?;
+        WorldError::check("rate_e_per_ms", self.rate_e_per_ms, 0.0, 1e6)?;
+        WorldError::check("core_exponent_spread", self.core_exponent_spread, 0.0, 0.2)
+    }
+}
+
+/// A row's pixels that see the bundle.
+#[derive(Clone, Debug)]
+struct Span {
+    row: usize,
+    columns: Range<usize>,
+    /// First of its pixels in the order of all spans.
+    first: usize,
+}
+
+/// Patterns summed in one go: their weights are read once.
+const BLOCK: usize = 8;
+
+/// Which cores each pixel sees, how strongly it answers, and the noise tables.
+pub(crate) struct Sensor {
+    spec: SensorSpec,
+    size_px: [usize; 2],
+    spans: Vec<Span>,
+    /// First weight of each pixel of the spans, and the total as a last entry.
+    starts: Vec<u32>,
+    cores: Vec<u32>,
+    weights: Vec<f32>,
+    response: Vec<f32>,
+    normals: Vec<f32>,
+    dark: Vec<u16>,
+    seed: u64,
+}
+
+/// Light rates of one view on the sensor, e⁻/ms: per span, per pattern, per pixel.
+pub(crate) struct Rates {
+    values: Vec<f32>,
+    patterns: usize,
+}
+
+impl Rates {
+    /// Frames, black included.
+    pub(crate) fn patterns(&self) -> usize {
+        self.patterns
+    }
+}
+
+/// Length of the noise tables; a prime, so that rows of any image width do not fall in step with it.
+const NOISE_TABLE: usize = 1_048_583;
+
+impl Sensor {
+    pub(crate) fn new(
+        spec: &SensorSpec,
+        size_px: [usize; 2],
+        bundle: &Bundle,
+        head_seed: u64,
+        run_seed: u64,
+    ) -> Self {
+        let reach = 3.5 * spec.core_sigma_px;
+        let rows: Vec<RowWeights> = (0..size_px[1])
+            .into_par_iter()
+            .filter_map(|row| row_weights(spec, size_px, bundle, row, reach))
+            .collect();
+        let (mut spans, mut starts, mut cores, mut weights) =
+            (Vec::new(), vec![0u32], Vec::new(), Vec::new());
+        for row in rows {
+            spans.push(Span {
+                row: row.row,
+                columns: row.columns,
+                first: starts.len() - 1,
+            });
+            let before = cores.len() as u32;
+            starts.extend(row.ends.iter().map(|end| before + end));
+            cores.extend(row.cores);
+            weights.extend(row.weights);
+        }
+        let mut random = Normals::new(stream(head_seed, Purpose::PixelResponse));
+        let response = (1..starts.len())
+            .map(|_| (1.0 + spec.prnu_ratio * random.next()).max(0.0) as f32)
+            .collect();
+        let mut random = Normals::new(stream(run_seed, Purpose::NoiseTable));
+        let normals: Vec<f32> = (0..NOISE_TABLE + size_px[0])
+            .map(|_| random.next() as f32)
+            .collect();
+        let read_dn = spec.read_noise_e / spec.gain_e_per_dn();
+        let max = f64::from(spec.max_dn());
+        let dark = normals.iter().map(|&g| {
+            (spec.offset_dn + read_dn * f64::from(g))
+                .round()
+                .clamp(0.0, max) as u16
+        });
+        let dark = dark.collect();
+        Self {
+            spec: spec.clone(),
+            size_px,
+            spans,
+            starts,
+            cores,
+            weights,
+            response,
+            normals,
+            dark,
+            seed: run_seed,
+        }
+    }
+
+    /// Spreads light per core (e⁻/ms per mean pixel, core by core, one entry per pattern) over the pixels.
+    pub(crate) fn expose(&self, per_core: &[Vec<f32>]) -> Rates {
+        let patterns = per_core.len();
+        let cores = per_core.first().map_or(0, Vec::len);
+        let blocks: Vec<Vec<[f32; BLOCK]>> = per_core
+            .chunks(BLOCK)
+            .map(|of_block| {
+                let light =
+                    |core: usize| std::array::from_fn(|k| of_block.get(k).map_or(0.0, |p| p[core]));
+                (0..cores).into_par_iter().map(light).collect()
+            })
+            .collect();
+        let mut values = vec![0f32; self.response.len() * patterns];
+        let mut rest = values.as_mut_slice();
+        let mut jobs = Vec::with_capacity(self.spans.len());
+        for span in &self.spans {
+            let (row, tail) = rest.split_at_mut(span.columns.len() * patterns);
+            rest = tail;
+            jobs.push((span, row));
+        }
+        jobs.into_par_iter()
+            .with_min_len(8)
+            .for_each(|(span, row)| {
+                let length = span.columns.len();
+                for i in 0..length {
+                    let pixel = span.first + i;
+                    let seen = self.starts[pixel] as usize..self.starts[pixel + 1] as usize;
+                    let response = self.response[pixel];
+                    for (block, light) in blocks.iter().enumerate() {
+                        let mut sum = [0f32; BLOCK];
+                        for (&core, &weight) in self.cores[seen.clone()]
+                            .iter()
+                            .zip(&self.weights[seen.clone()])
+                        {
+                            for (s, l) in sum.iter_mut().zip(&light[core as usize]) {
+                                *s += weight * l;
+                            }
+                        }
+                        for (k, s) in sum.iter().enumerate().take(patterns - block * BLOCK) {
+                            row[(block * BLOCK + k) * length + i] = s * response;
+                        }
+                    }
+                }
+            });
+        Rates { values, patterns }
+    }
+
+    /// One frame. `out` has one count per pixel, row by row.
+    pub(crate) fn read_out(
+        &self,
+        rates: &Rates,
+        pattern: usize,
+        exposure_ms: f64,
+        frame: u32,
+        out: &mut [u16],
+    ) {
+        let mut random = stream(self.seed, Purpose::Frame(frame));
+        let lamp = 1.0
+            + self.spec.lamp_noise_ratio
+                * f64::from(self.normals[random.random_range(0..NOISE_TABLE)]);
+        let width = self.size_px[0];
+        let counts = Counts {
+            time_ms: (exposure_ms * lamp) as f32,
+            full_e: self.spec.full_well_e as f32,
+            read_e2: (self.spec.read_noise_e * self.spec.read_noise_e) as f32,
+            dn_per_e: (1.0 / self.spec.gain_e_per_dn()) as f32,
+            offset_dn: self.spec.offset_dn as f32,
+            max_dn: f32::from(self.spec.max_dn()),
+        };
+        let mut spans = self.spans.iter().peekable();
+        for (row, pixels) in out.chunks_exact_mut(width).enumerate() {
+            let from = random.random_range(0..NOISE_TABLE);
+            let Some(span) = spans.next_if(|span| span.row == row) else {
+                pixels.copy_from_slice(&self.dark[from..from + width]);
+                continue;
+            };
+            let [left, right] = [span.columns.start, span.columns.end];
+            pixels[..left].copy_from_slice(&self.dark[from..from + left]);
+            pixels[right..].copy_from_slice(&self.dark[from + right..from + width]);
+            let length = right - left;
+            let at = span.first * rates.patterns + pattern * length;
+            counts.fill(
+                &rates.values[at..at + length],
+                &self.normals[from + left..from + right],
+                &mut pixels[left..right],
+            );
+        }
+    }
+}
+
+/// Constants of one frame.
+struct Counts {
+    time_ms: f32,
+    full_e: f32,
+    read_e2: f32,
+    dn_per_e: f32,
+    offset_dn: f32,
+    max_dn: f32,
+}
+
+impl Counts {
+    /// Shot and read noise are independent: one normal deviate of the summed variance stands for both. A Poisson
+    /// distribution below some 50 e⁻ is skewed, but there the read noise of 7 e⁻ hides it.
+    fn fill(&self, rates: &[f32], normals: &[f32], out: &mut [u16]) {
+        for ((dn, &rate), &normal) in out.iter_mut().zip(rates).zip(normals) {
+            let mean = rate * self.time_ms;
+            let charge = (mean + (mean + self.read_e2).sqrt() * normal).min(self.full_e);
+            let count = (charge * self.dn_per_e + self.offset_dn + 0.5).clamp(0.0, self.max_dn);
+            *dn = count as i32 as u16;
+        }
+    }
+}
+
+/// Weights of one row's pixels.
+struct RowWeights {
+    row: usize,
+    columns: Range<usize>,
+    /// End of each pixel's weights.
+    ends: Vec<u32>,
+    cores: Vec<u32>,
+    weights: Vec<f32>,
+}
+
+fn row_weights(
+    spec: &SensorSpec,
+    size_px: [usize; 2],
+    bundle: &Bundle,
+    row: usize,
+    reach_px: f64,
+) -> Option<RowWeights> {
+    let [cx, cy] = bundle.spec().centre_px;
+    let radius = 0.5 * bundle.spec().diameter_px + 2.0 * bundle.spec().pitch_px() + reach_px;
+    let half = (radius * radius - (row as f64 - cy).powi(2))
+        .max(0.0)
+        .sqrt();
+    let columns = (cx - half).ceil().max(0.0) as usize
+        ..((cx + half).floor() + 1.0).clamp(0.0, size_px[0] as f64) as usize;
+    if columns.is_empty() {
+        return None;
+    }
+    // A core's light spreads over a cell of the lattice: rates are per mean pixel.
+    let pitch = bundle.spec().pitch_px();
+    let variance = spec.core_sigma_px * spec.core_sigma_px;
+    let peak = 0.5 * 3f64.sqrt() * pitch * pitch / (std::f64::consts::TAU * variance);
+    let mut found = RowWeights {
+        row,
+        columns: columns.clone(),
+        ends: Vec::new(),
+        cores: Vec::new(),
+        weights: Vec::new(),
+    };
+    for column in columns {
+        let at = [column as f64, row as f64];
+        for core in bundle.near(at, reach_px).flatten() {
+            let [x, y] = bundle.positions_px()[core];
+            let distance2 = (x - at[0]).powi(2) + (y - at[1]).powi(2);
+            if distance2 < reach_px * reach_px {
+                found.cores.push(core as u32);
+                found
+                    .weights
+                    .push((peak * (-0.5 * distance2 / variance).exp()) as f32);
+            }
+        }
+        found.ends.push(found.cores.len() as u32);
+    }
+    Some(found)
+}
