@@ -1,0 +1,146 @@
+//! Area-uniform random points on a mesh (the reference cloud of the nearest-point metric), and the region of interest.
+
+use rayon::prelude::*;
+
+use crate::mesh::TriMesh;
+use crate::random::uniform;
+
+const CHUNK: usize = 1 << 13;
+
+/// Why a mesh could not be sampled.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[non_exhaustive]
+pub enum SampleError {
+    /// Nothing to sample.
+    #[error(
+        "the mesh has no area ({area_mm2} mm2 in {triangles} triangles); sampling needs a surface"
+    )]
+    NoArea {
+        /// Total area.
+        area_mm2: f64,
+        /// Number of triangles.
+        triangles: usize,
+    },
+    /// No points wanted.
+    #[error("0 points wanted; right would be at least 1")]
+    NoPoints,
+    /// A box that contains nothing.
+    #[error("no triangle lies in the region of interest")]
+    NothingInRegion,
+}
+
+/// Draws `count` points uniformly by area. The same mesh, count and seed give the same bytes on any number of threads.
+///
+/// Within a triangle A, B, C a point is A(1 - s) + B s(1 - v) + C s v with s = sqrt(u): the strip at parameter s has a
+/// length proportional to s, so s needs the density 2 s (its distribution function s^2 is inverted by the root), and on
+/// the strip v is uniform.
+///
+/// # Errors
+/// [`SampleError`] for no area or no points.
+pub fn sample(mesh: &TriMesh, count: usize, seed: u64) -> Result<Vec<[f64; 3]>, SampleError> {
+    if count == 0 {
+        return Err(SampleError::NoPoints);
+    }
+    let cumulative = cumulative_areas(mesh);
+    let area_mm2 = cumulative.last().copied().unwrap_or(0.0);
+    if !(area_mm2 > 0.0) {
+        return Err(SampleError::NoArea {
+            area_mm2,
+            triangles: mesh.triangles.len(),
+        });
+    }
+    let mut points = vec![[0.0; 3]; count];
+    points
+        .par_chunks_mut(CHUNK)
+        .enumerate()
+        .for_each(|(chunk, points)| {
+            for (i, point) in points.iter_mut().enumerate() {
+                let draw = 3 * (chunk * CHUNK + i) as u64;
+                let target = uniform(seed, draw) * area_mm2;
+                let triangle = cumulative.partition_point(|&total| total <= target);
+                let [a, b, c] = mesh.corners(triangle.min(mesh.triangles.len() - 1));
+                let s = uniform(seed, draw + 1).sqrt();
+                let v = uniform(seed, draw + 2);
+                let (wa, wb, wc) = (1.0 - s, s * (1.0 - v), s * v);
+                *point = std::array::from_fn(|k| wa * a[k] + wb * b[k] + wc * c[k]);
+            }
+        });
+    Ok(points)
+}
+
+/// Running sum of the triangles' areas, mm2. Chunk sums are added in order, so the result does not depend on threads.
+fn cumulative_areas(mesh: &TriMesh) -> Vec<f64> {
+    let mut areas: Vec<f64> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .with_min_len(CHUNK)
+        .map(|index| area(mesh.corners(index)))
+        .collect();
+    let mut total = 0.0;
+    for area in &mut areas {
+        total += *area;
+        *area = total;
+    }
+    areas
+}
+
+fn area([a, b, c]: [[f64; 3]; 3]) -> f64 {
+    let ab: [f64; 3] = std::array::from_fn(|k| b[k] - a[k]);
+    let ac: [f64; 3] = std::array::from_fn(|k| c[k] - a[k]);
+    let cross = [
+        ab[1] * ac[2] - ab[2] * ac[1],
+        ab[2] * ac[0] - ab[0] * ac[2],
+        ab[0] * ac[1] - ab[1] * ac[0],
+    ];
+    0.5 * cross.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+/// The part of CAD that a view can see: a window about the view's centre of mass in cylinder coordinates of the tool axis z.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Region {
+    /// Half height of the window, mm.
+    pub half_height_mm: f64,
+    /// Half width of the window, rad.
+    pub half_angle_rad: f64,
+    /// Only points nearer to the axis than this belong to the toothing, mm.
+    pub radial_threshold_mm: f64,
+}
+
+impl Default for Region {
+    /// The article's window: +-10 mm, +-0.2 rad, 50 mm.
+    fn default() -> Self {
+        Self {
+            half_height_mm: 10.0,
+            half_angle_rad: 0.2,
+            radial_threshold_mm: 50.0,
+        }
+    }
+}
+
+impl Region {
+    /// Whether `point` lies in the window about `centre`, both in tool coordinates, mm.
+    pub fn contains(&self, centre: [f64; 3], point: [f64; 3]) -> bool {
+        let angle = (point[1].atan2(point[0]) - centre[1].atan2(centre[0]))
+            .rem_euclid(std::f64::consts::TAU);
+        let angle = angle.min(std::f64::consts::TAU - angle);
+        (point[2] - centre[2]).abs() <= self.half_height_mm
+            && angle <= self.half_angle_rad
+            && point[0].hypot(point[1]) <= self.radial_threshold_mm
+    }
+
+    /// The points in the window about `centre`, in order.
+    pub fn trim(&self, centre: [f64; 3], points: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let inside = |point: &&[f64; 3]| self.contains(centre, **point);
+        points.iter().filter(inside).copied().collect()
+    }
+}
+
+/// Centre of mass of a cloud, mm; none when empty.
+pub fn centre_of_mass(points: &[[f64; 3]]) -> Option<[f64; 3]> {
+    let mut sum = [0.0; 3];
+    for point in points {
+        for k in 0..3 {
+            sum[k] += point[k];
+        }
+    }
+    (!points.is_empty()).then(|| sum.map(|s| s / points.len() as f64))
+}

@@ -1,0 +1,381 @@
+//! Bounding volume hierarchy for closest-point queries on triangles.
+//!
+//! Built top-down by the surface area heuristic (binned), then collapsed to four children per node whose boxes lie side
+//! by side in f32, rounded outwards: one node test is twelve vector operations on any processor. Boxes only decide what
+//! is visited, so they may be coarse; triangles are f64 and decide the answer.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::triangle::{Nearest, Prepared};
+
+/// Axis-aligned box in f64, mm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Aabb {
+    /// Smallest coordinates.
+    pub low: [f64; 3],
+    /// Largest coordinates.
+    pub high: [f64; 3],
+}
+
+impl Aabb {
+    const EMPTY: Self = Self {
+        low: [f64::INFINITY; 3],
+        high: [f64::NEG_INFINITY; 3],
+    };
+
+    /// The smallest box around the points.
+    pub fn around(points: &[[f64; 3]]) -> Self {
+        let mut all = Self::EMPTY;
+        for point in points {
+            all.grow(&Self {
+                low: *point,
+                high: *point,
+            });
+        }
+        all
+    }
+
+    /// The box's middle.
+    pub fn centre(&self) -> [f64; 3] {
+        std::array::from_fn(|k| 0.5 * (self.low[k] + self.high[k]))
+    }
+
+    fn grow(&mut self, other: &Self) {
+        for k in 0..3 {
+            self.low[k] = self.low[k].min(other.low[k]);
+            self.high[k] = self.high[k].max(other.high[k]);
+        }
+    }
+
+    fn half_area(&self) -> f64 {
+        let [x, y, z] = std::array::from_fn(|k| (self.high[k] - self.low[k]).max(0.0));
+        x * y + y * z + z * x
+    }
+}
+
+const WIDTH: usize = 4;
+const LEAF_TRIANGLES: usize = 4;
+const BINS: usize = 16;
+/// Below this many triangles a subtree is built on the current thread.
+const PARALLEL_FROM: usize = 1 << 13;
+
+/// Four child boxes side by side, and what they hold.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+struct Node {
+    low: [[f32; WIDTH]; 3],
+    high: [[f32; WIDTH]; 3],
+    child: [u32; WIDTH],
+    /// Triangles in the child when it is a leaf, else 0.
+    count: [u32; WIDTH],
+}
+
+impl Node {
+    const EMPTY: Self = Self {
+        low: [[f32::INFINITY; WIDTH]; 3],
+        high: [[f32::NEG_INFINITY; WIDTH]; 3],
+        child: [0; WIDTH],
+        count: [0; WIDTH],
+    };
+
+    fn set(&mut self, slot: usize, aabb: &Aabb, child: u32, count: u32) {
+        for k in 0..3 {
+            self.low[k][slot] = (aabb.low[k] as f32).next_down();
+            self.high[k][slot] = (aabb.high[k] as f32).next_up();
+        }
+        self.child[slot] = child;
+        self.count[slot] = count;
+    }
+
+    /// Squared distances from `q` to the four boxes.
+    #[inline]
+    fn distances2(&self, q: &[f32; 3]) -> [f32; WIDTH] {
+        let mut sum = [0.0f32; WIDTH];
+        for k in 0..3 {
+            for (slot, total) in sum.iter_mut().enumerate() {
+                let outside = (self.low[k][slot] - q[k]).max(q[k] - self.high[k][slot]);
+                let outside = outside.max(0.0);
+                *total += outside * outside;
+            }
+        }
+        sum
+    }
+}
+
+/// The hierarchy over a set of triangles.
+#[derive(Debug, Clone)]
+pub(crate) struct Bvh {
+    nodes: Vec<Node>,
+    triangles: Vec<Prepared>,
+    ids: Vec<u32>,
+}
+
+/// A closest triangle: place in the hierarchy (a good hint for the next query near by) and the closest point.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Found {
+    pub place: u32,
+    pub nearest: Nearest,
+}
+
+/// The stack of a query: (squared distance, child, count). Reused, because clearing it would cost as much as a query.
+/// Depth is bounded by the build, with three siblings left behind per level.
+pub(crate) struct Scratch([(f32, u32, u32); 3 * MAX_DEPTH + WIDTH]);
+
+impl Scratch {
+    pub fn new() -> Self {
+        Self([(0.0, 0, 0); 3 * MAX_DEPTH + WIDTH])
+    }
+}
+
+enum Tree {
+    Leaf { start: u32, count: u32 },
+    Fork { children: Box<[(Aabb, Tree); 2]> },
+}
+
+#[derive(Clone, Copy)]
+struct Reference {
+    aabb: Aabb,
+    centre: [f64; 3],
+    id: u32,
+}
+
+impl Bvh {
+    /// Builds the hierarchy over `items`: corner positions and the caller's number of each triangle. `items` is not empty.
+    pub fn new(items: &[([[f64; 3]; 3], u32)]) -> Self {
+        let mut references: Vec<Reference> = items
+            .par_iter()
+            .with_min_len(1 << 12)
+            .enumerate()
+            .map(|(index, (corners, _))| {
+                let aabb = Aabb::around(corners);
+                Reference {
+                    aabb,
+                    centre: aabb.centre(),
+                    id: index as u32,
+                }
+            })
+            .collect();
+        let tree = split(&mut references, 0);
+        let mut nodes = Vec::with_capacity(items.len() / 2);
+        flatten(&tree, &references, &mut nodes);
+        let (triangles, ids) = references
+            .par_iter()
+            .with_min_len(1 << 12)
+            .map(|reference| {
+                let (corners, id) = items[reference.id as usize];
+                (Prepared::new(corners), id)
+            })
+            .unzip();
+        Self {
+            nodes,
+            triangles,
+            ids,
+        }
+    }
+
+    /// The caller's number of the triangle at `place`.
+    pub fn id(&self, place: u32) -> u32 {
+        self.ids[place as usize]
+    }
+
+    /// The closest triangle to `p`, which must be finite. `hint` is any place; a near one makes the query faster.
+    #[inline]
+    pub fn closest(&self, p: [f64; 3], hint: u32, scratch: &mut Scratch) -> Found {
+        let p64 = Vector3::from(p);
+        let q = p.map(|c| c as f32);
+        // Rounding p to f32 moves it by at most 2^-24 of its size per axis; the sums below lose a few 2^-24 more.
+        let slack = 4e-7 * (q[0].abs() + q[1].abs() + q[2].abs());
+        let limit_of = |distance2: f64| {
+            let reach = distance2.sqrt() as f32 * (1.0 + 4e-7) + slack;
+            reach * reach * (1.0 + 4e-7)
+        };
+        let hint = (hint as usize).min(self.triangles.len() - 1) as u32;
+        let mut best = Found {
+            place: hint,
+            nearest: self.triangles[hint as usize].nearest(p64),
+        };
+        let mut limit = limit_of(best.nearest.distance2_mm2);
+        let stack = &mut scratch.0;
+        stack[0] = (0.0, 0, 0);
+        let mut top = 1;
+        while top > 0 {
+            top -= 1;
+            let (distance2, child, count) = stack[top];
+            if distance2 > limit {
+                continue;
+            }
+            if count > 0 {
+                for place in child..child + count {
+                    let nearest = self.triangles[place as usize].nearest(p64);
+                    if nearest.distance2_mm2 < best.nearest.distance2_mm2 {
+                        best = Found { place, nearest };
+                        limit = limit_of(nearest.distance2_mm2);
+                    }
+                }
+                continue;
+            }
+            let node = &self.nodes[child as usize];
+            let distances2 = node.distances2(&q);
+            let first = top;
+            for (slot, &distance2) in distances2.iter().enumerate() {
+                if distance2 <= limit {
+                    // Insertion into the new part of the stack, nearest on top.
+                    let mut at = top;
+                    while at > first && stack[at - 1].0 < distance2 {
+                        stack[at] = stack[at - 1];
+                        at -= 1;
+                    }
+                    stack[at] = (distance2, node.child[slot], node.count[slot]);
+                    top += 1;
+                }
+            }
+        }
+        best
+    }
+}
+
+const MAX_DEPTH: usize = 64;
+
+fn split(references: &mut [Reference], offset: u32) -> Tree {
+    split_at_depth(references, offset, 0)
+}
+
+fn split_at_depth(references: &mut [Reference], offset: u32, depth: usize) -> Tree {
+    if references.len() <= LEAF_TRIANGLES {
+        return Tree::Leaf {
+            start: offset,
+            count: references.len() as u32,
+        };
+    }
+    let middle = partition(references, depth);
+    let (left, right) = references.split_at_mut(middle);
+    let (left_box, right_box) = (bounds(left), bounds(right));
+    let right_offset = offset + middle as u32;
+    let (a, b) = if left.len() + right.len() >= PARALLEL_FROM {
+        rayon::join(
+            || split_at_depth(left, offset, depth + 1),
+            || split_at_depth(right, right_offset, depth + 1),
+        )
+    } else {
+        (
+            split_at_depth(left, offset, depth + 1),
+            split_at_depth(right, right_offset, depth + 1),
+        )
+    };
+    Tree::Fork {
+        children: Box::new([(left_box, a), (right_box, b)]),
+    }
+}
+
+fn bounds(references: &[Reference]) -> Aabb {
+    let mut all = Aabb::EMPTY;
+    for reference in references {
+        all.grow(&reference.aabb);
+    }
+    all
+}
+
+/// Orders the references into two non-empty parts and returns where the second starts.
+fn partition(references: &mut [Reference], depth: usize) -> usize {
+    let mut centres = Aabb::EMPTY;
+    for reference in references.iter() {
+        centres.grow(&Aabb {
+            low: reference.centre,
+            high: reference.centre,
+        });
+    }
+    let mut best: Option<(f64, usize, usize)> = None;
+    for axis in 0..3 {
+        let (low, extent) = (centres.low[axis], centres.high[axis] - centres.low[axis]);
+        if !(extent > 0.0) {
+            continue;
+        }
+        let mut bins = [(Aabb::EMPTY, 0usize); BINS];
+        for reference in references.iter() {
+            let bin = bin_of(reference.centre[axis], low, extent);
+            bins[bin].0.grow(&reference.aabb);
+            bins[bin].1 += 1;
+        }
+        let mut right_cost = [0.0; BINS];
+        let (mut aabb, mut count) = (Aabb::EMPTY, 0);
+        for bin in (1..BINS).rev() {
+            aabb.grow(&bins[bin].0);
+            count += bins[bin].1;
+            right_cost[bin] = if count > 0 {
+                aabb.half_area() * count as f64
+            } else {
+                0.0
+            };
+        }
+        let (mut aabb, mut count) = (Aabb::EMPTY, 0);
+        for bin in 1..BINS {
+            aabb.grow(&bins[bin - 1].0);
+            count += bins[bin - 1].1;
+            if count == 0 || count == references.len() {
+                continue;
+            }
+            let cost = aabb.half_area() * count as f64 + right_cost[bin];
+            if best.is_none_or(|(least, ..)| cost < least) {
+                best = Some((cost, axis, bin));
+            }
+        }
+    }
+    // Late in a lopsided tree, and for coinciding centres, halving by count bounds the depth.
+    if let Some((_, axis, bin)) = best.filter(|_| depth < MAX_DEPTH / 2) {
+        let (low, extent) = (centres.low[axis], centres.high[axis] - centres.low[axis]);
+        let mut middle = 0;
+        for index in 0..references.len() {
+            if bin_of(references[index].centre[axis], low, extent) < bin {
+                references.swap(index, middle);
+                middle += 1;
+            }
+        }
+        return middle;
+    }
+    let extent = |k: usize| centres.high[k] - centres.low[k];
+    let axis = (0..3).max_by(|&i, &j| extent(i).total_cmp(&extent(j)));
+    let axis = axis.unwrap_or(0);
+    let middle = references.len() / 2;
+    references.select_nth_unstable_by(middle, |a, b| {
+        a.centre[axis]
+            .total_cmp(&b.centre[axis])
+            .then(a.id.cmp(&b.id))
+    });
+    middle
+}
+
+fn bin_of(centre: f64, low: f64, extent: f64) -> usize {
+    (((centre - low) / extent * BINS as f64) as usize).min(BINS - 1)
+}
+
+/// Collapses the binary tree to four children per node; the root is node 0.
+fn flatten(tree: &Tree, references: &[Reference], nodes: &mut Vec<Node>) -> u32 {
+    let index = nodes.len();
+    nodes.push(Node::EMPTY);
+    let mut slots: Vec<(Aabb, &Tree)> = vec![(bounds(references), tree)];
+    // Open the widest fork until the node is full.
+    while slots.len() < WIDTH {
+        let widest = slots
+            .iter()
+            .enumerate()
+            .filter(|(_, (_, tree))| matches!(tree, Tree::Fork { .. }))
+            .max_by(|(_, a), (_, b)| a.0.half_area().total_cmp(&b.0.half_area()))
+            .map(|(at, _)| at);
+        let Some(at) = widest else { break };
+        let (_, Tree::Fork { children }) = slots.swap_remove(at) else {
+            break;
+        };
+        let [a, b] = children.as_ref();
+        slots.push((a.0, &a.1));
+        slots.push((b.0, &b.1));
+    }
+    for (slot, (aabb, tree)) in slots.into_iter().enumerate() {
+        let (child, count) = match tree {
+            Tree::Leaf { start, count } => (*start, *count),
+            Tree::Fork { .. } => (flatten(tree, &[], nodes), 0),
+        };
+        nodes[index].set(slot, &aabb, child, count);
+    }
+    index as u32
+}

@@ -1,0 +1,75 @@
+//! Wavefront OBJ: `v` and `f` lines; everything else (normals, groups, materials) is skipped.
+
+use super::{MeshError, TriMesh};
+
+/// Whether the first lines hold OBJ statements.
+pub(super) fn looks_like(bytes: &[u8]) -> bool {
+    let head = &bytes[..bytes.len().min(1 << 16)];
+    !head.contains(&0)
+        && head.split(|&b| b == b'\n').any(|line| {
+            let line = line.trim_ascii_start();
+            line.starts_with(b"v ") || line.starts_with(b"f ")
+        })
+}
+
+pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
+    let mut vertices: Vec<[f64; 3]> = Vec::new();
+    let mut triangles = Vec::new();
+    let mut polygon = Vec::new();
+    for (number, raw) in bytes.split(|&b| b == b'\n').enumerate() {
+        let text = String::from_utf8_lossy(raw);
+        let refuse = |expected| MeshError::Line {
+            line: number + 1,
+            text: text.trim().chars().take(40).collect(),
+            expected,
+        };
+        let mut words = text.split_ascii_whitespace();
+        match words.next() {
+            Some("v") => {
+                let mut vertex = [0.0; 3];
+                for value in &mut vertex {
+                    *value = words
+                        .next()
+                        .and_then(|word| word.parse().ok())
+                        .filter(|value: &f64| value.is_finite())
+                        .ok_or_else(|| refuse("`v x y z` with three finite numbers"))?;
+                }
+                vertices.push(vertex);
+            }
+            Some("f") => {
+                polygon.clear();
+                for word in words {
+                    // `f v/vt/vn`: only the first number matters here; negative ones count back from the last vertex.
+                    let index: i64 = word
+                        .split('/')
+                        .next()
+                        .and_then(|first| first.parse().ok())
+                        .ok_or_else(|| refuse("`f` with at least three vertex numbers"))?;
+                    let have = vertices.len() as i64;
+                    let zero_based = if index < 0 { have + index } else { index - 1 };
+                    // A face may name a vertex that follows later, so the upper end is checked with the whole mesh.
+                    let Some(corner) = u32::try_from(zero_based).ok().filter(|&i| i < u32::MAX)
+                    else {
+                        return Err(MeshError::IndexOutOfRange {
+                            triangle: triangles.len(),
+                            index,
+                            vertices: vertices.len(),
+                        });
+                    };
+                    polygon.push(corner);
+                }
+                if polygon.len() < 3 {
+                    return Err(refuse("`f` with at least three vertex numbers"));
+                }
+                for pair in polygon[1..].windows(2) {
+                    triangles.push([polygon[0], pair[0], pair[1]]);
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(TriMesh {
+        vertices,
+        triangles,
+    })
+}

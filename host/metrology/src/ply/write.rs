@@ -1,0 +1,118 @@
+//! Writing PLY, always binary little-endian.
+
+use std::io::{self, Write};
+
+use super::Extra;
+use super::header::Scalar;
+
+/// A vertex column to be written after x, y and z.
+#[derive(Debug, Clone, Copy)]
+pub enum Column<'a> {
+    /// A property carried over from another file.
+    Carried(&'a Extra),
+    /// A computed quantity, stored as `float`.
+    Float(&'a str, &'a [f64]),
+}
+
+impl Column<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Self::Carried(extra) => extra.bytes.len() / extra.kind.size(),
+            Self::Float(_, values) => values.len(),
+        }
+    }
+}
+
+/// Writes points in their order with further columns.
+///
+/// `coordinate` is the type of x, y, z: [`Scalar::F64`] keeps everything, [`Scalar::F32`] suits points that were read as float.
+///
+/// # Errors
+/// Those of `out`; `InvalidInput` when a column is not as long as the points.
+pub fn write_table(
+    out: &mut dyn Write,
+    comment: &str,
+    points: &[[f64; 3]],
+    coordinate: Scalar,
+    columns: &[Column<'_>],
+) -> io::Result<()> {
+    if columns.iter().any(|column| column.len() != points.len()) {
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "a column is not as long as the points",
+        ));
+    }
+    writeln!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment {comment}"
+    )?;
+    writeln!(out, "element vertex {}", points.len())?;
+    for axis in ["x", "y", "z"] {
+        writeln!(out, "property {coordinate} {axis}")?;
+    }
+    for column in columns {
+        match column {
+            Column::Carried(extra) => writeln!(out, "property {} {}", extra.kind, extra.name)?,
+            Column::Float(name, _) => writeln!(out, "property float {name}")?,
+        }
+    }
+    writeln!(out, "end_header")?;
+    let mut block = Vec::new();
+    for (start, chunk) in points.chunks(1 << 12).enumerate() {
+        block.clear();
+        for (i, point) in chunk.iter().enumerate() {
+            let index = (start << 12) + i;
+            for &value in point {
+                coordinate.encode(value, &mut block);
+            }
+            for column in columns {
+                match column {
+                    Column::Carried(extra) => {
+                        let size = extra.kind.size();
+                        block.extend_from_slice(&extra.bytes[index * size..(index + 1) * size]);
+                    }
+                    Column::Float(_, values) => {
+                        block.extend_from_slice(&(values[index] as f32).to_le_bytes());
+                    }
+                }
+            }
+        }
+        out.write_all(&block)?;
+    }
+    Ok(())
+}
+
+/// Writes a triangle mesh with double coordinates.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_triangles(
+    out: &mut dyn Write,
+    comment: &str,
+    vertices: &[[f64; 3]],
+    triangles: &[[u32; 3]],
+) -> io::Result<()> {
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {}\n\
+         property double x\nproperty double y\nproperty double z\nelement face {}\n\
+         property list uchar uint vertex_indices\nend_header\n",
+        vertices.len(),
+        triangles.len()
+    )?;
+    let mut block = Vec::new();
+    for chunk in vertices.chunks(1 << 12) {
+        block.clear();
+        block.extend(chunk.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        out.write_all(&block)?;
+    }
+    for chunk in triangles.chunks(1 << 12) {
+        block.clear();
+        for triangle in chunk {
+            block.push(3);
+            block.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
+        }
+        out.write_all(&block)?;
+    }
+    Ok(())
+}

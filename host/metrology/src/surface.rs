@@ -1,0 +1,295 @@
+//! Exact signed distance to a triangle surface.
+//!
+//! The distance is the Euclidean one to the nearest point of any triangle, in f64. Its sign comes from angle-weighted
+//! pseudo-normals at faces, edges and corners (Baerentzen and Aanaes, IEEE TVCG 11, 243, 2005), so it is right at
+//! ridges too, where the normal of one face alone misleads. Positive is outside the material.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+pub use crate::bvh::Aabb;
+use crate::bvh::{Bvh, Found, Scratch};
+use crate::mesh::{MeshError, TriMesh, weld};
+pub use crate::triangle::Feature;
+use crate::triangle::unit_normal;
+
+/// Points per parallel task. Fixed, so that hints and sums, and with them every bit, do not depend on the thread count.
+pub const CHUNK: usize = 1024;
+
+/// A surface ready for closest-point queries.
+#[derive(Debug, Clone)]
+pub struct Surface {
+    facets: Arc<Vec<Facet>>,
+    bvh: Bvh,
+    bounds: Aabb,
+}
+
+/// What is known of one triangle beside its corners. Order of corners: as in the mesh, turned for triangles without area.
+#[derive(Debug, Clone)]
+struct Facet {
+    corners: [[f64; 3]; 3],
+    /// Number of the triangle in the mesh.
+    triangle: u32,
+    normal: [f64; 3],
+    edge_normals: [[f64; 3]; 3],
+    corner_normals: [[f64; 3]; 3],
+}
+
+/// The closest point of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Closest {
+    /// The point on the surface, mm.
+    pub point: [f64; 3],
+    /// Distance, mm; positive outside the material, negative inside.
+    pub signed_distance_mm: f64,
+    /// Unit outward normal at the point; at edges and corners the pseudo-normal.
+    pub normal: [f64; 3],
+    /// Number of the triangle in the mesh.
+    pub triangle: u32,
+    /// Part of the triangle that holds the point.
+    pub feature: Feature,
+    /// Cosine of the angle between `normal` and the triangle's own normal: 1 on faces and smooth edges, clearly less on sharp edges.
+    pub smoothness: f64,
+    /// Where the search ended: a hint for a query near by.
+    pub(crate) place: u32,
+}
+
+impl Surface {
+    /// Prepares a mesh. Corners that are equal bit by bit are joined first; triangles without area stay as segments.
+    ///
+    /// # Errors
+    /// [`MeshError`] when the mesh breaks its invariants or has no area.
+    pub fn new(mesh: &TriMesh) -> Result<Self, MeshError> {
+        mesh.check()?;
+        let (_, joined) = weld(&mesh.vertices);
+        let facets = facets(mesh, &joined);
+        if facets.iter().all(|facet| facet.normal == [0.0; 3]) {
+            return Err(MeshError::NoArea {
+                triangles: mesh.triangles.len(),
+            });
+        }
+        Ok(Self::over(Arc::new(facets), |_| true).unwrap_or_else(|| unreachable!()))
+    }
+
+    fn over(facets: Arc<Vec<Facet>>, keep: impl Fn(&Aabb) -> bool) -> Option<Self> {
+        let mut bounds: Option<Aabb> = None;
+        let mut items = Vec::with_capacity(facets.len());
+        for (index, facet) in facets.iter().enumerate() {
+            let aabb = Aabb::around(&facet.corners);
+            if keep(&aabb) {
+                items.push((facet.corners, index as u32));
+                let all = bounds.get_or_insert(aabb);
+                *all = Aabb::around(&[all.low, all.high, aabb.low, aabb.high]);
+            }
+        }
+        let bounds = bounds?;
+        let bvh = Bvh::new(&items);
+        Some(Self {
+            facets,
+            bvh,
+            bounds,
+        })
+    }
+
+    /// The part of the surface whose triangles' boxes pass `keep`, or none when nothing passes. Signs near the cut stay
+    /// those of the whole surface. The caller keeps a margin: a point nearer to a dropped triangle is measured to a kept one.
+    pub fn restrict(&self, keep: impl Fn(&Aabb) -> bool) -> Option<Self> {
+        Self::over(Arc::clone(&self.facets), keep)
+    }
+
+    /// Box around all triangles, mm.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// The closest point to a finite `p`, mm.
+    pub fn closest(&self, p: [f64; 3]) -> Closest {
+        self.closest_near(p, 0, &mut Scratch::new())
+    }
+
+    /// As [`Surface::closest`], faster when `place` is that of a point near by. The hint never changes the distance.
+    pub(crate) fn closest_near(&self, p: [f64; 3], place: u32, scratch: &mut Scratch) -> Closest {
+        let Found { place, nearest } = self.bvh.closest(p, place, scratch);
+        let facet = &self.facets[self.bvh.id(place) as usize];
+        let normal = match nearest.feature {
+            Feature::Face => facet.normal,
+            Feature::Edge(k) => facet.edge_normals[usize::from(k)],
+            Feature::Corner(k) => facet.corner_normals[usize::from(k)],
+        };
+        let normal_vector = Vector3::from(normal);
+        let outside = normal_vector.dot(&(Vector3::from(p) - nearest.point));
+        let distance = nearest.distance2_mm2.sqrt();
+        Closest {
+            point: nearest.point.into(),
+            signed_distance_mm: if outside < 0.0 { -distance } else { distance },
+            normal,
+            triangle: facet.triangle,
+            feature: nearest.feature,
+            smoothness: normal_vector.dot(&Vector3::from(facet.normal)),
+            place,
+        }
+    }
+
+    /// Closest points of many finite points, in order, on all threads; the same bytes for any thread count.
+    pub fn closest_many(&self, points: &[[f64; 3]]) -> Vec<Closest> {
+        self.map_closest(points, |closest| *closest)
+    }
+
+    /// As [`Surface::closest_many`], keeping only what `pick` takes.
+    pub fn map_closest<T: Send>(
+        &self,
+        points: &[[f64; 3]],
+        pick: impl Fn(&Closest) -> T + Sync,
+    ) -> Vec<T> {
+        let mut chunks: Vec<Vec<T>> = Vec::new();
+        points
+            .par_chunks(CHUNK)
+            .map(|chunk| {
+                let mut place = 0;
+                let mut scratch = Scratch::new();
+                chunk
+                    .iter()
+                    .map(|&point| {
+                        let closest = self.closest_near(point, place, &mut scratch);
+                        place = closest.place;
+                        pick(&closest)
+                    })
+                    .collect()
+            })
+            .collect_into_vec(&mut chunks);
+        chunks.into_iter().flatten().collect()
+    }
+}
+
+/// Sums and their normals per edge and corner of the joined mesh.
+fn facets(mesh: &TriMesh, joined: &[u32]) -> Vec<Facet> {
+    // Triangles that name one position twice are segments which their neighbours already have.
+    let mut kept: Vec<(u32, [u32; 3], [[f64; 3]; 3])> = Vec::with_capacity(mesh.triangles.len());
+    for (number, triangle) in mesh.triangles.iter().enumerate() {
+        let ids = triangle.map(|i| joined[i as usize]);
+        let corners = mesh.corners(number);
+        if ids[0] != ids[1] && ids[1] != ids[2] && ids[2] != ids[0] {
+            kept.push((number as u32, ids, corners));
+        }
+    }
+    let mut normals: Vec<[f64; 3]> = Vec::with_capacity(kept.len());
+    let mut flat = Vec::new();
+    for (index, (_, ids, corners)) in kept.iter_mut().enumerate() {
+        let normal = unit_normal(*corners);
+        if normal.is_none() {
+            let turn = longest_edge(corners);
+            corners.rotate_left(turn);
+            ids.rotate_left(turn);
+            flat.push(index);
+        }
+        normals.push(normal.unwrap_or([0.0; 3]));
+    }
+
+    let mut edges: HashMap<(u32, u32), Vector3<f64>, EdgeHash> =
+        HashMap::with_capacity_and_hasher(kept.len() * 3 / 2, EdgeHash);
+    let edge_key = |ids: &[u32; 3], k: usize| {
+        let (a, b) = (ids[k], ids[(k + 1) % 3]);
+        (a.min(b), a.max(b))
+    };
+    for ((_, ids, _), normal) in kept.iter().zip(&normals) {
+        for k in 0..3 {
+            *edges.entry(edge_key(ids, k)).or_insert_with(Vector3::zeros) += Vector3::from(*normal);
+        }
+    }
+    // A triangle flat to a segment (a T-junction closed by a sliver) passes on what lies across its longest edge, so that
+    // its two short edges and the corner between them see both sides.
+    let mut stands_for: HashMap<usize, Vector3<f64>> = HashMap::new();
+    for &index in &flat {
+        let ids = &kept[index].1;
+        let keys = [0, 1, 2].map(|k| edge_key(ids, k));
+        let sums = keys.map(|key| edges.get(&key).copied().unwrap_or_else(Vector3::zeros));
+        stands_for.insert(index, sums[0]);
+        let all = sums[0] + sums[1] + sums[2];
+        for key in keys {
+            edges.insert(key, all);
+        }
+    }
+
+    let positions = joined.iter().max().map_or(0, |&m| m as usize + 1);
+    let mut corner_sums = vec![Vector3::zeros(); positions];
+    for (index, (_, ids, corners)) in kept.iter().enumerate() {
+        let normal = stands_for
+            .get(&index)
+            .map_or_else(|| Vector3::from(normals[index]), |across| unit(*across));
+        for k in 0..3 {
+            let at = Vector3::from(corners[k]);
+            let to = Vector3::from(corners[(k + 1) % 3]) - at;
+            let from = Vector3::from(corners[(k + 2) % 3]) - at;
+            // atan2 keeps its digits for very small and very blunt angles, where acos does not.
+            let angle = to.cross(&from).norm().atan2(to.dot(&from));
+            corner_sums[ids[k] as usize] += normal * angle;
+        }
+    }
+
+    kept.iter()
+        .zip(normals)
+        .map(|((triangle, ids, corners), normal)| {
+            let own = Vector3::from(normal);
+            let or_own = |sum: Vector3<f64>| -> [f64; 3] {
+                // Opposite faces (a sheet without thickness) cancel; the face's own side is then as good as any.
+                if sum.norm() > 1e-9 { unit(sum) } else { own }.into()
+            };
+            Facet {
+                corners: *corners,
+                triangle: *triangle,
+                normal,
+                edge_normals: std::array::from_fn(|k| {
+                    or_own(edges.get(&edge_key(ids, k)).copied().unwrap_or(own))
+                }),
+                corner_normals: ids.map(|id| or_own(corner_sums[id as usize])),
+            }
+        })
+        .collect()
+}
+
+fn unit(v: Vector3<f64>) -> Vector3<f64> {
+    let norm = v.norm();
+    if norm > 0.0 { v / norm } else { v }
+}
+
+fn longest_edge(corners: &[[f64; 3]; 3]) -> usize {
+    let length2 =
+        |k: usize| (Vector3::from(corners[(k + 1) % 3]) - Vector3::from(corners[k])).norm_squared();
+    let mut longest = 0;
+    for k in 1..3 {
+        if length2(k) > length2(longest) {
+            longest = k;
+        }
+    }
+    longest
+}
+
+/// Multiplicative hash for pairs of corner numbers: the keys are our own, so no defence against crafted keys is needed.
+#[derive(Clone, Copy, Default)]
+struct EdgeHash;
+
+struct EdgeHasher(u64);
+
+impl std::hash::BuildHasher for EdgeHash {
+    type Hasher = EdgeHasher;
+    fn build_hasher(&self) -> EdgeHasher {
+        EdgeHasher(0)
+    }
+}
+
+impl std::hash::Hasher for EdgeHasher {
+    fn finish(&self) -> u64 {
+        self.0 ^ (self.0 >> 29)
+    }
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.write_u32(u32::from(byte));
+        }
+    }
+    fn write_u32(&mut self, value: u32) {
+        self.0 = (self.0.rotate_left(32) ^ u64::from(value)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    }
+}
