@@ -1,0 +1,193 @@
+//! Where orders are judged: hello, plan, state. Pure, like the sequence behind it.
+
+use crate::sequence::{Actions, Input, Sequence};
+use crate::session::{Judgement, Session};
+use flankscope_protocol::message::Boot;
+use flankscope_protocol::{
+    Command, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, State, Timestamp,
+};
+
+/// Firmware release, from the package version.
+const FIRMWARE: [u8; 3] = [
+    number(env!("CARGO_PKG_VERSION_MAJOR")),
+    number(env!("CARGO_PKG_VERSION_MINOR")),
+    number(env!("CARGO_PKG_VERSION_PATCH")),
+];
+
+/// Decimal digits to a number, at compile time.
+const fn number(digits: &str) -> u8 {
+    let mut rest = digits.as_bytes();
+    let mut value = 0u8;
+    while let [digit, tail @ ..] = rest {
+        value = value * 10 + (*digit - b'0');
+        rest = tail;
+    }
+    value
+}
+
+/// What the link knows and a status repeats.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LinkCounts {
+    /// Damaged or foreign frames dropped.
+    pub frames_dropped: u32,
+    /// Events lost to a full queue.
+    pub events_lost: u32,
+}
+
+/// The sequence together with the session through which a host commands it.
+#[derive(Debug, Clone)]
+pub struct Desk {
+    /// The sequence.
+    pub sequence: Sequence,
+    session: Session,
+    boot: Boot,
+}
+
+impl Desk {
+    /// After power-up.
+    #[must_use]
+    pub fn new(sequence: Sequence, boot: Boot) -> Self {
+        Self {
+            sequence,
+            session: Session::new(),
+            boot,
+        }
+    }
+
+    /// The open link session.
+    #[must_use]
+    pub fn session(&self) -> Option<u32> {
+        self.session.id()
+    }
+
+    /// Handles one frame's command (`None`: whole frame, unreadable payload) and returns the reply to send.
+    ///
+    /// A repeated command is answered again and not carried out again. Any frame of the open session counts as a sign
+    /// of life of the host.
+    pub fn handle(
+        &mut self,
+        now: Timestamp,
+        header: Header,
+        command: Option<&Command>,
+        link: LinkCounts,
+        out: &mut Actions,
+    ) -> Reply {
+        let hello = matches!(command, Some(Command::Hello { .. }));
+        match self.session.judge(header, hello) {
+            Judgement::Repeat(reply) => {
+                self.sequence.step(now, Input::HostAlive, out);
+                reply
+            }
+            Judgement::Refuse(refusal) => Reply::Refused(refusal),
+            Judgement::Execute => {
+                // Time first: what is overdue happens before what is ordered.
+                self.sequence.step(now, Input::HostAlive, out);
+                let reply = match command {
+                    None => Reply::Refused(Refusal::Unreadable),
+                    Some(command) => self
+                        .execute(now, header, command, link, out)
+                        .unwrap_or_else(Reply::Refused),
+                };
+                self.session.remember(header, &reply);
+                reply
+            }
+        }
+    }
+
+    fn execute(
+        &mut self,
+        now: Timestamp,
+        header: Header,
+        command: &Command,
+        link: LinkCounts,
+        out: &mut Actions,
+    ) -> Result<Reply, Refusal> {
+        let sequence = &mut self.sequence;
+        match command {
+            Command::Hello { protocol, schema } => {
+                self.greet(header, *protocol, *schema)?;
+                return Ok(Reply::Hello(self.identity()));
+            }
+            Command::Status => {
+                let mut status = sequence.status(now);
+                (status.frames_dropped, status.events_lost) =
+                    (link.frames_dropped, link.events_lost);
+                return Ok(Reply::Status(status));
+            }
+            Command::Heartbeat => {}
+            Command::Abort => sequence.abort(now, out),
+            Command::Retract => match sequence.state() {
+                State::Unhomed => return Err(Refusal::NotHomed),
+                State::Faulted if !sequence.homed() => return Err(Refusal::NotHomed),
+                _ => sequence.retract(now, out),
+            },
+            Command::LoadPlan(plan) => {
+                match sequence.state() {
+                    State::Unhomed | State::Ready | State::Faulted => {}
+                    state => return Err(Refusal::Busy { state }),
+                }
+                plan.validate(&sequence.config().limits)?;
+                sequence.store(plan.clone());
+            }
+            Command::Start { session } => {
+                let got = *session;
+                match sequence.state() {
+                    State::Ready => {}
+                    State::Unhomed => return Err(Refusal::NotHomed),
+                    State::Faulted => return Err(faulted(sequence)),
+                    state => return Err(Refusal::Busy { state }),
+                }
+                let want = sequence.plan().ok_or(Refusal::NoPlan)?.session;
+                if got != want {
+                    return Err(Refusal::WrongPlan { got, want });
+                }
+                sequence.start(now, out);
+            }
+            Command::Home => match sequence.state() {
+                State::Unhomed | State::Ready => sequence.home(now, out),
+                State::Faulted => return Err(faulted(sequence)),
+                state => return Err(Refusal::Busy { state }),
+            },
+            Command::AcknowledgeFault => sequence.acknowledge(now, out),
+        }
+        Ok(Reply::Accepted)
+    }
+
+    fn greet(&mut self, header: Header, protocol: u32, schema: u32) -> Result<(), Refusal> {
+        if protocol != PROTOCOL_VERSION {
+            return Err(Refusal::ProtocolVersion {
+                got: protocol,
+                want: PROTOCOL_VERSION,
+            });
+        }
+        if schema != SCHEMA_HASH {
+            return Err(Refusal::SchemaHash {
+                got: schema,
+                want: SCHEMA_HASH,
+            });
+        }
+        self.session.open(header);
+        Ok(())
+    }
+
+    fn identity(&self) -> Identity {
+        let config = self.sequence.config();
+        Identity {
+            protocol: PROTOCOL_VERSION,
+            schema: SCHEMA_HASH,
+            firmware: FIRMWARE,
+            limits: config.limits,
+            host_silence: config.host_silence,
+            boot: self.boot,
+        }
+    }
+}
+
+fn faulted(sequence: &Sequence) -> Refusal {
+    let fault = sequence
+        .fault()
+        .unwrap_or(flankscope_protocol::Fault::OutOfStep);
+    Refusal::Faulted {
+        fault: fault.code(),
+    }
+}

@@ -1,0 +1,205 @@
+//! The sequencer task and the mailboxes between the tasks.
+
+use crate::desk::{Desk, LinkCounts};
+use crate::devices::{Camera, Dmd, Led, Optics};
+use crate::sequence::{Action, Actions, Input};
+use crate::stage::{StageReport, StageRequest};
+use core::sync::atomic::{AtomicU32, Ordering};
+use embassy_futures::select::{Either4, select4};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_time::{Duration, Instant, Timer, with_timeout};
+use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
+
+/// Events waiting for the link: about two views' worth of triggers.
+pub const EVENTS_QUEUED: usize = 64;
+/// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
+const SELECT_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// A channel between tasks, and from interrupts.
+pub(crate) type Mailbox<T, const N: usize> = Channel<CriticalSectionRawMutex, T, N>;
+
+/// A command as it came off the link; `None` when the payload could not be read.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// Addressing of its frame.
+    pub header: Header,
+    /// The command.
+    pub command: Option<Command>,
+}
+
+/// A message on its way to the host.
+#[derive(Debug, Clone)]
+#[allow(clippy::large_enum_variant)] // queued in static memory
+pub enum Outgoing {
+    /// To the command with this addressing.
+    Reply(Header, Reply),
+    /// In the open session.
+    Event(Event),
+}
+
+/// Everything the tasks share; one static per controller.
+pub struct Mailboxes {
+    pub(crate) requests: Mailbox<Request, 2>,
+    pub(crate) outgoing: Mailbox<Outgoing, EVENTS_QUEUED>,
+    pub(crate) stage_requests: Mailbox<StageRequest, 4>,
+    pub(crate) stage_reports: Mailbox<StageReport, 4>,
+    pub(crate) session: AtomicU32,
+    pub(crate) frames_dropped: AtomicU32,
+    pub(crate) events_lost: AtomicU32,
+}
+
+impl Mailboxes {
+    /// Empty.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            requests: Channel::new(),
+            outgoing: Channel::new(),
+            stage_requests: Channel::new(),
+            stage_reports: Channel::new(),
+            session: AtomicU32::new(0),
+            frames_dropped: AtomicU32::new(0),
+            events_lost: AtomicU32::new(0),
+        }
+    }
+}
+
+impl Default for Mailboxes {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The controller's clock.
+#[must_use]
+pub fn now() -> Timestamp {
+    Timestamp(Instant::now().as_micros())
+}
+
+/// Runs the sequence for ever: waits for a command, a stage, a pin or a deadline, and does what the sequence says.
+pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
+    mut desk: Desk,
+    mut optics: Optics<L, D, C>,
+    mail: &Mailboxes,
+) -> ! {
+    let mut unreported = 0u32;
+    loop {
+        let awaiting = desk.sequence.awaiting();
+        let deadline = desk.sequence.deadline();
+        let woken = select4(
+            mail.requests.receive(),
+            mail.stage_reports.receive(),
+            sleep_until(deadline),
+            optics.wait(awaiting),
+        )
+        .await;
+        let mut actions = Actions::new();
+        match woken {
+            Either4::First(request) => {
+                let link = LinkCounts {
+                    frames_dropped: mail.frames_dropped.load(Ordering::Relaxed),
+                    events_lost: mail.events_lost.load(Ordering::Relaxed),
+                };
+                let Request { header, command } = request;
+                let reply = desk.handle(now(), header, command.as_ref(), link, &mut actions);
+                mail.session
+                    .store(desk.session().unwrap_or(0), Ordering::Relaxed);
+                // The outputs follow before the reply is sent: an accepted abort has already put out the LED.
+                perform(&mut desk, &mut optics, mail, actions, &mut unreported).await;
+                // No room: the host asks again, and the reply is remembered.
+                let _room = mail.outgoing.try_send(Outgoing::Reply(header, reply));
+                continue;
+            }
+            Either4::Second(report) => desk.sequence.step(now(), report.into(), &mut actions),
+            Either4::Third(()) => desk.sequence.step(now(), Input::Tick, &mut actions),
+            Either4::Fourth(input) => desk.sequence.step(now(), input, &mut actions),
+        }
+        perform(&mut desk, &mut optics, mail, actions, &mut unreported).await;
+    }
+}
+
+/// Carries out actions in order, and what follows from them.
+async fn perform<L: Led, D: Dmd, C: Camera>(
+    desk: &mut Desk,
+    optics: &mut Optics<L, D, C>,
+    mail: &Mailboxes,
+    first: Actions,
+    unreported: &mut u32,
+) {
+    let mut actions = first;
+    loop {
+        let mut follow_up = None;
+        for action in &actions {
+            match *action {
+                Action::LedOn(current) => optics.led.on(current),
+                Action::LedOff => optics.led.off(),
+                Action::CameraTrigger(level) => optics.camera.trigger(level),
+                Action::DmdTrigger(level) => optics.dmd.trigger(level),
+                Action::SelectPattern(pattern) => {
+                    let taken = with_timeout(SELECT_TIMEOUT, optics.dmd.select(pattern)).await;
+                    follow_up = Some(Input::PatternSelected(matches!(taken, Ok(Ok(())))));
+                }
+                Action::Home { ticket } => {
+                    follow_up = ask(mail, StageRequest::Home { ticket }).or(follow_up)
+                }
+                Action::Move { ticket, view } => {
+                    follow_up = ask(mail, StageRequest::Move { ticket, view }).or(follow_up);
+                }
+                Action::Retract { ticket, vertical } => {
+                    follow_up = ask(mail, StageRequest::Retract { ticket, vertical }).or(follow_up);
+                }
+                Action::StopStages => follow_up = ask(mail, StageRequest::Stop).or(follow_up),
+                Action::Report(event) => {
+                    if !report(mail, event, unreported) {
+                        follow_up = Some(Input::EventsLost);
+                    }
+                }
+            }
+        }
+        let Some(input) = follow_up else { return };
+        actions = Actions::new();
+        desk.sequence.step(now(), input, &mut actions);
+    }
+}
+
+/// Queues an event; false on the first one of a row that finds no room.
+///
+/// A hole is announced by [`Event::EventsLost`] as soon as there is room again.
+fn report(mail: &Mailboxes, event: Event, unreported: &mut u32) -> bool {
+    if *unreported > 0 {
+        let lost = Event::EventsLost {
+            count: *unreported,
+            at: now(),
+        };
+        if mail.outgoing.free_capacity() >= 2
+            && mail.outgoing.try_send(Outgoing::Event(lost)).is_ok()
+        {
+            *unreported = 0;
+        }
+    }
+    if *unreported == 0 && mail.outgoing.try_send(Outgoing::Event(event)).is_ok() {
+        return true;
+    }
+    *unreported = unreported.saturating_add(1);
+    mail.events_lost.fetch_add(1, Ordering::Relaxed);
+    *unreported > 1
+}
+
+/// Queues a request to the stages; the answer to it if that is not possible because they hang.
+fn ask(mail: &Mailboxes, request: StageRequest) -> Option<Input> {
+    mail.stage_requests.try_send(request).err()?;
+    let ticket = request.ticket()?;
+    Some(Input::StageFailed {
+        ticket,
+        fault: flankscope_protocol::Fault::StageSilent,
+        detail: 0,
+    })
+}
+
+async fn sleep_until(deadline: Option<Timestamp>) {
+    match deadline {
+        Some(at) => Timer::at(Instant::from_micros(at.get())).await,
+        None => core::future::pending().await,
+    }
+}

@@ -1,0 +1,724 @@
+//! The sequence in hand-stepped time, against a world of ideal devices that can be cloned and disturbed at any step.
+
+extern crate std;
+
+use super::*;
+use crate::devices::CameraWait;
+use flankscope_protocol::{FringeSet, Timeouts};
+use std::{vec, vec::Vec};
+
+const RETRACTED: Micrometres = Micrometres(90_000);
+
+fn config() -> Config {
+    Config {
+        host_silence: Microseconds::from_millis(100),
+        ..Config::DEFAULT
+    }
+}
+
+fn plan() -> CapturePlan {
+    CapturePlan {
+        session: 9,
+        views: [(0, 33_000), (74_800, 33_000), (-149_600, 20_000)]
+            .map(|(rotation, vertical)| View {
+                rotation: Microradians(rotation),
+                vertical: Micrometres(vertical),
+            })
+            .into_iter()
+            .collect(),
+        exposures: [10_000, 30_000].map(Microseconds).into_iter().collect(),
+        fringes: [
+            FringeSet {
+                periods: 4,
+                steps: 4,
+            },
+            FringeSet {
+                periods: 48,
+                steps: 8,
+            },
+        ]
+        .into_iter()
+        .collect(),
+        led: Milliamps(700),
+        settle: Microseconds(20_000),
+        dmd_settle: Microseconds(500),
+        camera_readout: Microseconds(12_500),
+        retract: RETRACTED,
+        timeouts: Timeouts::default(),
+    }
+}
+
+/// Ideal devices: each answers after a fixed time.
+#[derive(Debug, Clone)]
+struct World {
+    led: bool,
+    led_flips_at: Timestamp,
+    ready_at: Option<Timestamp>,
+    dmd_switch_us: u32,
+    exposing: bool,
+    exposing_flips_at: Timestamp,
+    motion: Option<(Timestamp, u16, View)>,
+    pose: View,
+    /// No device answers any more.
+    frozen: bool,
+    host_alive: bool,
+    host_next: Timestamp,
+    /// How much later than its deadline the sequence is woken.
+    lateness_us: u64,
+}
+
+const LED_RISE_US: u32 = 200;
+const DMD_SWITCH_US: u32 = 700;
+const STROBE_US: u32 = 5;
+const MOTION_US: u32 = 300_000;
+const HEARTBEAT_US: u32 = 30_000;
+
+#[derive(Debug, Clone)]
+struct Rig {
+    now: Timestamp,
+    sequence: Sequence,
+    world: World,
+    /// Every action with its time.
+    log: Vec<(Timestamp, Action)>,
+}
+
+impl Rig {
+    fn new(config: Config) -> Self {
+        let home = View {
+            rotation: Microradians(0),
+            vertical: config.home_vertical,
+        };
+        let world = World {
+            led: false,
+            led_flips_at: Timestamp(0),
+            ready_at: None,
+            dmd_switch_us: DMD_SWITCH_US,
+            exposing: false,
+            exposing_flips_at: Timestamp(0),
+            motion: None,
+            pose: home,
+            frozen: false,
+            host_alive: true,
+            host_next: Timestamp(0),
+            lateness_us: 0,
+        };
+        Self {
+            now: Timestamp(1_000),
+            sequence: Sequence::new(config),
+            world,
+            log: Vec::new(),
+        }
+    }
+
+    /// Homed and started.
+    fn started(config: Config, plan: CapturePlan) -> Self {
+        let mut rig = Self::new(config);
+        rig.order(|sequence, now, out| sequence.home(now, out));
+        rig.run();
+        assert_eq!(rig.sequence.state(), State::Ready);
+        assert_eq!(plan.validate(&config.limits), Ok(()));
+        rig.sequence.store(plan);
+        rig.log.clear();
+        rig.order(|sequence, now, out| sequence.start(now, out));
+        rig
+    }
+
+    fn order(&mut self, order: impl FnOnce(&mut Sequence, Timestamp, &mut Actions)) {
+        let mut out = Actions::new();
+        order(&mut self.sequence, self.now, &mut out);
+        self.perform(out);
+    }
+
+    fn input(&mut self, input: Input) {
+        let mut out = Actions::new();
+        self.sequence.step(self.now, input, &mut out);
+        self.perform(out);
+    }
+
+    fn perform(&mut self, actions: Actions) {
+        assert!(actions.len() < MAX_ACTIONS, "no room left: {actions:?}");
+        let mut selected = false;
+        for action in actions {
+            self.log.push((self.now, action));
+            let world = &mut self.world;
+            match action {
+                Action::LedOn(_) => {
+                    (world.led, world.led_flips_at) =
+                        (true, self.now.after(Microseconds(LED_RISE_US)))
+                }
+                Action::LedOff => {
+                    (world.led, world.led_flips_at) =
+                        (false, self.now.after(Microseconds(LED_RISE_US)))
+                }
+                Action::SelectPattern(_) => (world.ready_at, selected) = (None, true),
+                Action::DmdTrigger(true) => {
+                    world.ready_at = Some(self.now.after(Microseconds(world.dmd_switch_us)))
+                }
+                Action::DmdTrigger(false) => {}
+                Action::CameraTrigger(level) => {
+                    if level != world.exposing {
+                        (world.exposing, world.exposing_flips_at) =
+                            (level, self.now.after(Microseconds(STROBE_US)));
+                    }
+                }
+                Action::Home { ticket } => {
+                    let vertical = self.sequence.config().home_vertical;
+                    let view = View {
+                        rotation: Microradians(0),
+                        vertical,
+                    };
+                    world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
+                }
+                Action::Move { ticket, view } => {
+                    assert!(!world.led, "moving with the LED on");
+                    world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
+                }
+                Action::Retract { ticket, vertical } => {
+                    let view = View {
+                        vertical,
+                        ..world.pose
+                    };
+                    world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
+                }
+                Action::StopStages => world.motion = None,
+                Action::Report(_) => {}
+            }
+        }
+        if selected && !self.world.frozen {
+            self.input(Input::PatternSelected(true));
+        }
+    }
+
+    /// The next thing the world says, and when; levels that already hold are said at once.
+    fn next(&self) -> Option<(Timestamp, Input)> {
+        let (world, awaiting) = (&self.world, self.sequence.awaiting());
+        let mut said = Vec::new();
+        if !world.frozen {
+            if awaiting.led_sense == Some(world.led) {
+                said.push((world.led_flips_at, Input::LedSense(world.led)));
+            }
+            if let Some(at) = world.ready_at.filter(|_| awaiting.dmd_ready) {
+                said.push((at, Input::DmdReady));
+            }
+            match awaiting.camera {
+                Some(CameraWait::Ready) if !world.exposing => {
+                    said.push((world.exposing_flips_at, Input::CameraReady))
+                }
+                Some(CameraWait::Exposing(level)) if level == world.exposing => {
+                    said.push((world.exposing_flips_at, Input::CameraExposing(level)));
+                }
+                _ => {}
+            }
+            if let Some((at, ticket, view)) = world.motion {
+                let View { rotation, vertical } = view;
+                said.push((
+                    at,
+                    Input::InPosition {
+                        ticket,
+                        rotation,
+                        vertical,
+                    },
+                ));
+            }
+        }
+        if world.host_alive && self.sequence.capturing() {
+            said.push((world.host_next, Input::HostAlive));
+        }
+        if let Some(deadline) = self.sequence.deadline() {
+            said.push((Timestamp(deadline.get() + world.lateness_us), Input::Tick));
+        }
+        said.into_iter()
+            .map(|(at, input)| (at.max(self.now), input))
+            .min_by_key(|(at, _)| *at)
+    }
+
+    /// One step; false when nothing is left to happen.
+    fn advance(&mut self) -> bool {
+        let Some((at, input)) = self.next() else {
+            return false;
+        };
+        self.now = at;
+        match input {
+            Input::InPosition { .. } => {
+                if let Some((_, _, view)) = self.world.motion.take() {
+                    self.world.pose = view;
+                }
+            }
+            Input::HostAlive => self.world.host_next = at.after(Microseconds(HEARTBEAT_US)),
+            _ => {}
+        }
+        self.input(input);
+        true
+    }
+
+    fn run(&mut self) {
+        for _ in 0..10_000 {
+            if !self.advance() {
+                return;
+            }
+        }
+        panic!("no rest after 10 000 steps in {:?}", self.sequence.step);
+    }
+
+    fn events(&self) -> impl Iterator<Item = Event> + '_ {
+        self.log.iter().filter_map(|(_, action)| match action {
+            Action::Report(event) => Some(*event),
+            _ => None,
+        })
+    }
+
+    fn triggers(&self) -> Vec<Trigger> {
+        self.events()
+            .filter_map(|event| match event {
+                Event::Triggered(trigger) => Some(trigger),
+                _ => None,
+            })
+            .collect()
+    }
+
+    fn faults(&self) -> Vec<Fault> {
+        self.events()
+            .filter_map(|event| match event {
+                Event::Fault { fault, .. } => fault.known(),
+                _ => None,
+            })
+            .collect()
+    }
+
+    fn dark(&self) -> bool {
+        !self.world.led && !self.world.exposing && !self.sequence.lamp.enabled()
+    }
+}
+
+/// Every step of an undisturbed capture.
+fn every_step() -> Vec<Rig> {
+    let mut rig = Rig::started(config(), plan());
+    let mut steps = vec![rig.clone()];
+    while rig.advance() {
+        steps.push(rig.clone());
+    }
+    steps
+}
+
+#[test]
+fn a_capture_takes_every_frame_in_the_order_of_the_plan() {
+    let mut rig = Rig::started(config(), plan());
+    rig.run();
+    let plan = plan();
+    let mut expected = Vec::new();
+    for view in 0..3u8 {
+        for frame in 0..plan.frames_per_view() {
+            let spec = plan.frame(frame).expect("a frame of the plan");
+            expected.push((view, frame, spec.pattern, spec.exposure));
+        }
+    }
+    let taken: Vec<_> = rig
+        .triggers()
+        .iter()
+        .map(|t| (t.view, t.frame, t.pattern, t.exposure))
+        .collect();
+    assert_eq!(taken, expected);
+    assert_eq!(
+        rig.triggers()[0].pattern,
+        0,
+        "the dark index frame comes first"
+    );
+    for t in rig.triggers() {
+        assert_eq!(
+            t.end_at,
+            t.camera_at.after(t.exposure),
+            "the pulse is the exposure"
+        );
+        assert!(
+            t.camera_at >= t.dmd_at.after(Microseconds(DMD_SWITCH_US + 500)),
+            "the pattern stands"
+        );
+    }
+    assert_eq!(rig.faults(), []);
+    assert_eq!(
+        (rig.sequence.state(), rig.world.pose.vertical),
+        (State::Ready, RETRACTED)
+    );
+    let done = Event::CaptureDone {
+        session: 9,
+        views: 3,
+        frames: 75,
+        at: rig.now,
+    };
+    assert!(rig.events().any(|event| event == done));
+}
+
+#[test]
+fn states_follow_each_other_as_drawn() {
+    let mut rig = Rig::started(config(), plan());
+    rig.run();
+    let mut states = vec![State::Ready];
+    for event in rig.events() {
+        if let Event::StateChanged { prev, next, .. } = event {
+            assert_eq!(states.last(), Some(&prev));
+            states.push(next);
+        }
+    }
+    let view = [
+        State::Moving,
+        State::Settling,
+        State::Lighting,
+        State::Capturing,
+        State::Darkening,
+    ];
+    let expected = [
+        &[State::Ready][..],
+        &view,
+        &view,
+        &view,
+        &[State::Retracting, State::Ready],
+    ]
+    .concat();
+    assert_eq!(states, expected);
+}
+
+#[test]
+fn the_pattern_shown_is_the_one_selected_last() {
+    let mut rig = Rig::started(config(), plan());
+    rig.run();
+    let mut selected = None;
+    let mut shown = Vec::new();
+    for (_, action) in &rig.log {
+        match action {
+            Action::SelectPattern(pattern) => selected = Some(*pattern),
+            Action::CameraTrigger(true) => shown.push(selected.expect("a pattern")),
+            _ => {}
+        }
+    }
+    let reported: Vec<_> = rig
+        .triggers()
+        .iter()
+        .map(|trigger| trigger.pattern)
+        .collect();
+    assert_eq!(shown, reported);
+}
+
+#[test]
+fn the_led_is_on_only_between_settle_and_the_last_frame() {
+    let mut rig = Rig::started(config(), plan());
+    while rig.advance() {
+        let lit = rig.sequence.lamp.enabled();
+        let may = matches!(rig.sequence.state(), State::Lighting | State::Capturing);
+        assert_eq!(lit, may, "in {:?}", rig.sequence.step);
+        assert!(
+            !(lit && rig.world.motion.is_some()),
+            "moving with the LED on"
+        );
+    }
+    let settled: Vec<_> = rig
+        .log
+        .iter()
+        .filter(|(_, action)| {
+            matches!(
+                action,
+                Action::LedOn(_) | Action::Report(Event::InPosition { .. })
+            )
+        })
+        .map(|(at, _)| *at)
+        .collect();
+    for pair in settled.chunks(2) {
+        assert_eq!(pair[1], pair[0].after(plan().settle));
+    }
+    assert_eq!(settled.len(), 6);
+}
+
+#[test]
+fn readout_overlaps_the_next_exposure_but_never_its_end() {
+    for readout in [0, 500, 5_000, 12_500, 29_000, 60_000] {
+        for exposures in [&[1_000][..], &[10_000, 30_000], &[2_000, 12_000, 50_000]] {
+            let plan = CapturePlan {
+                camera_readout: Microseconds(readout),
+                exposures: exposures.iter().copied().map(Microseconds).collect(),
+                fringes: [FringeSet {
+                    periods: 4,
+                    steps: 4,
+                }]
+                .into_iter()
+                .collect(),
+                ..plan()
+            };
+            let mut rig = Rig::started(config(), plan);
+            rig.run();
+            let triggers = rig.triggers();
+            assert_eq!(triggers.len(), 3 * (1 + 4 * exposures.len()));
+            for pair in triggers
+                .windows(2)
+                .filter(|pair| pair[0].view == pair[1].view)
+            {
+                let [last, this] = [pair[0], pair[1]];
+                let readout_end = last.end_at.after(Microseconds(readout));
+                assert!(
+                    this.end_at >= readout_end,
+                    "{this:?} ends inside the readout of {last:?}"
+                );
+                // And no later than needed: as soon as the pattern stands or the readout allows.
+                let stands = this.dmd_at.after(Microseconds(DMD_SWITCH_US + 500));
+                let allowed = Timestamp(
+                    readout_end
+                        .get()
+                        .saturating_sub(u64::from(this.exposure.get())),
+                );
+                assert_eq!(this.camera_at, stands.max(allowed));
+            }
+        }
+    }
+}
+
+#[test]
+fn an_abort_or_retract_at_any_step_darkens_at_once_and_brings_the_head_out() {
+    for rig in every_step() {
+        for stop in [true, false] {
+            let mut rig = rig.clone();
+            let (capturing, before) = (rig.sequence.capturing(), rig.log.len());
+            rig.order(|sequence, now, out| {
+                if stop {
+                    sequence.abort(now, out)
+                } else {
+                    sequence.retract(now, out)
+                }
+            });
+            let halted = rig.log[before..]
+                .iter()
+                .any(|(_, action)| *action == Action::StopStages);
+            assert_eq!(halted, stop && capturing);
+            assert!(rig.dark(), "in {:?}", rig.sequence.step);
+            let taken = rig.triggers().len();
+            rig.run();
+            assert_eq!(
+                rig.triggers().len(),
+                taken,
+                "a frame was taken after the order"
+            );
+            assert_eq!(
+                (rig.sequence.state(), rig.world.pose.vertical),
+                (State::Ready, RETRACTED)
+            );
+            assert_eq!(rig.faults(), []);
+        }
+    }
+}
+
+#[test]
+fn a_host_that_falls_silent_at_any_step_ends_the_capture_in_time() {
+    let mut silenced = 0;
+    for mut rig in every_step() {
+        rig.world.host_alive = false;
+        let capturing = rig.sequence.capturing();
+        let limit = rig.sequence.host_heard.after(config().host_silence);
+        while rig.sequence.capturing() && rig.advance() {}
+        if capturing && rig.sequence.fault().is_some() {
+            assert_eq!(
+                (rig.sequence.fault(), rig.now),
+                (Some(Fault::HostSilent), limit)
+            );
+            assert!(rig.dark());
+            silenced += 1;
+        } else if capturing {
+            assert!(
+                rig.now <= limit,
+                "the capture went on without a host until {:?}",
+                rig.now
+            );
+        }
+        rig.run();
+        assert_eq!(rig.world.pose.vertical, RETRACTED);
+    }
+    assert!(silenced > 300, "only {silenced} captures were ended");
+}
+
+#[test]
+fn devices_that_stop_answering_at_any_step_end_in_the_right_fault() {
+    let mut seen = Vec::new();
+    for mut rig in every_step() {
+        let state = rig.sequence.step;
+        rig.world.frozen = true;
+        let begun = rig.now;
+        rig.run();
+        if state == Step::Ready {
+            continue;
+        }
+        let cause = rig.sequence.fault().expect("a fault");
+        let expected = match state {
+            Step::Moving { .. } => vec![Fault::MotionTimeout],
+            Step::Settling { .. } | Step::Lighting => vec![Fault::LedNotOn],
+            // The selection follows the light in the same step, the next frame the end of the last.
+            Step::Selecting { .. } => vec![Fault::DmdSelect],
+            Step::Switching { .. } => vec![Fault::DmdNotReady],
+            Step::Standing { .. } | Step::Holding { .. } | Step::Arming { .. } => {
+                vec![Fault::CameraNotReady]
+            }
+            Step::Exposing {
+                begin_by: Some(_), ..
+            } => vec![Fault::CameraNoExposure],
+            Step::Exposing { begin_by: None, .. } | Step::Closing { .. } => {
+                vec![Fault::CameraStuck]
+            }
+            Step::Darkening { .. } => vec![Fault::LedStuckOn],
+            // The LED's fall may still be unconfirmed.
+            Step::Retracting { .. } => vec![Fault::RetractFailed, Fault::LedStuckOn],
+            other => panic!("{other:?} in a capture"),
+        };
+        assert!(expected.contains(&cause), "{cause:?} out of {state:?}");
+        assert!(rig.dark());
+        // Nothing came out: the position is not known, and homing is needed before anything else.
+        assert!(!rig.sequence.homed());
+        assert_eq!(rig.sequence.state(), State::Faulted);
+        let longest = u64::from(plan().timeouts.motion.get())
+            + u64::from(config().retract_timeout.get())
+            + 200_000;
+        assert!(rig.now.since_us(begun) <= longest);
+        seen.push(cause);
+    }
+    for fault in [
+        Fault::MotionTimeout,
+        Fault::LedNotOn,
+        Fault::DmdNotReady,
+        Fault::CameraNotReady,
+        Fault::CameraNoExposure,
+        Fault::CameraStuck,
+        Fault::LedStuckOn,
+        Fault::RetractFailed,
+    ] {
+        assert!(seen.contains(&fault), "{fault:?} was never provoked");
+    }
+}
+
+#[test]
+fn a_fault_at_any_step_darkens_at_once_retracts_and_waits() {
+    let disturbances: [fn(&Sequence) -> Input; 3] = [
+        |sequence| Input::StageFailed {
+            ticket: sequence.ticket,
+            fault: Fault::StageError,
+            detail: 106,
+        },
+        |_| Input::EventsLost,
+        |sequence| Input::LedSense(!sequence.lamp.enabled()),
+    ];
+    let mut provoked = 0;
+    for rig in every_step() {
+        for disturb in disturbances {
+            let mut rig = rig.clone();
+            let retracting = matches!(rig.sequence.step, Step::Retracting { .. });
+            let input = disturb(&rig.sequence);
+            rig.input(input);
+            if rig.sequence.fault().is_none() {
+                // The sense may still be on its way to where it should be.
+                assert!(matches!(input, Input::LedSense(_)));
+                continue;
+            }
+            provoked += 1;
+            assert!(rig.dark(), "after {input:?}");
+            let cause = rig.sequence.fault();
+            let taken = rig.triggers().len();
+            rig.run();
+            assert_eq!(rig.triggers().len(), taken);
+            assert_eq!(
+                (rig.sequence.state(), rig.sequence.fault()),
+                (State::Faulted, cause)
+            );
+            let stage_died = retracting && matches!(input, Input::StageFailed { .. });
+            assert_eq!(rig.sequence.homed(), !stage_died);
+            if !stage_died {
+                assert_eq!(rig.world.pose.vertical, RETRACTED);
+            }
+            rig.order(|sequence, now, out| sequence.acknowledge(now, out));
+            let next = if stage_died {
+                State::Unhomed
+            } else {
+                State::Ready
+            };
+            assert_eq!((rig.sequence.state(), rig.sequence.fault()), (next, None));
+        }
+    }
+    assert!(provoked > 1_000, "only {provoked} faults");
+}
+
+#[test]
+fn a_stage_that_stops_beside_its_target_is_a_fault() {
+    for (rotation, vertical, fault) in [
+        (786, 15, None),
+        (787, 0, Some(Fault::OffPosition)),
+        (0, -16, Some(Fault::OffPosition)),
+    ] {
+        let mut rig = Rig::started(config(), plan());
+        let (_, ticket, view) = rig.world.motion.take().expect("moving");
+        rig.input(Input::InPosition {
+            ticket,
+            rotation: Microradians(view.rotation.get() + rotation),
+            vertical: Micrometres(view.vertical.get() + vertical),
+        });
+        assert_eq!(rig.sequence.fault(), fault);
+    }
+}
+
+#[test]
+fn an_answer_to_an_overtaken_request_is_ignored() {
+    let mut rig = Rig::started(config(), plan());
+    let (_, ticket, view) = rig.world.motion.expect("moving");
+    rig.order(|sequence, now, out| sequence.abort(now, out));
+    let before = rig.sequence.step;
+    rig.input(Input::InPosition {
+        ticket,
+        rotation: view.rotation,
+        vertical: view.vertical,
+    });
+    rig.input(Input::StageFailed {
+        ticket,
+        fault: Fault::StageError,
+        detail: 1,
+    });
+    assert_eq!((rig.sequence.step, rig.sequence.fault()), (before, None));
+}
+
+#[test]
+fn a_hot_led_cools_before_the_next_view_and_never_exceeds_its_budget() {
+    let limits = Limits {
+        led_on_max: Microseconds(900_000),
+        led_duty_permille: 200,
+        ..Limits::DEFAULT
+    };
+    let mut rig = Rig::started(Config { limits, ..config() }, plan());
+    while rig.advance() {
+        assert!(rig.sequence.lamp.budget().used_us(rig.now) <= 900_000);
+    }
+    assert_eq!(rig.faults(), [Fault::LedCooling, Fault::LedCooling]);
+    assert_eq!(rig.triggers().len(), 75);
+    assert_eq!(
+        (rig.sequence.state(), rig.sequence.fault()),
+        (State::Ready, None)
+    );
+}
+
+#[test]
+fn devices_that_dawdle_use_up_the_led_budget() {
+    let limits = Limits {
+        led_on_max: Microseconds(820_000),
+        ..Limits::DEFAULT
+    };
+    let mut rig = Rig::started(Config { limits, ..config() }, plan());
+    // Each pattern takes 40 ms instead of 0.7, still within its timeout.
+    rig.world.dmd_switch_us = 40_000;
+    rig.run();
+    assert_eq!(rig.sequence.fault(), Some(Fault::LedBudget));
+    assert!(rig.dark());
+}
+
+#[test]
+fn an_exposure_that_comes_out_too_long_is_a_fault() {
+    for (lateness_us, fault) in [(100, None), (101, Some(Fault::ExposureWidth))] {
+        let mut rig = Rig::started(config(), plan());
+        while !matches!(rig.sequence.step, Step::Exposing { begin_by: None, .. }) {
+            rig.advance();
+        }
+        rig.world.lateness_us = lateness_us;
+        while matches!(rig.sequence.step, Step::Exposing { .. }) {
+            rig.advance();
+        }
+        assert_eq!(rig.sequence.fault(), fault);
+    }
+}

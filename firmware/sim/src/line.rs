@@ -1,0 +1,165 @@
+//! Virtual pins: a line has a level, anyone holding it may drive it or wait for it, and every edge is recorded.
+
+use crate::clock::now_us;
+use core::cell::RefCell;
+use core::convert::Infallible;
+use core::future::poll_fn;
+use core::task::{Poll, Waker};
+use embedded_hal::digital::{ErrorType, InputPin, OutputPin};
+use embedded_hal_async::digital::Wait;
+use std::rc::Rc;
+
+/// One change of one line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Edge {
+    /// Virtual time.
+    pub at_us: u64,
+    /// Name of the line.
+    pub line: &'static str,
+    /// Level after the change.
+    pub level: bool,
+}
+
+/// Collects the edges of all lines of a simulation.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Recorder(Rc<RefCell<Vec<Edge>>>);
+
+impl Recorder {
+    pub(crate) fn edges(&self) -> Vec<Edge> {
+        self.0.borrow().clone()
+    }
+}
+
+#[derive(Debug)]
+struct State {
+    level: bool,
+    rises: u64,
+    falls: u64,
+    waiting: Vec<Waker>,
+}
+
+/// A line between pins. Clones are the same line.
+#[derive(Debug, Clone)]
+pub struct Line {
+    name: &'static str,
+    state: Rc<RefCell<State>>,
+    recorder: Recorder,
+}
+
+impl Line {
+    pub(crate) fn new(name: &'static str, recorder: &Recorder) -> Self {
+        let state = State {
+            level: false,
+            rises: 0,
+            falls: 0,
+            waiting: Vec::new(),
+        };
+        Self {
+            name,
+            state: Rc::new(RefCell::new(state)),
+            recorder: recorder.clone(),
+        }
+    }
+
+    /// The level now.
+    #[must_use]
+    pub fn level(&self) -> bool {
+        self.state.borrow().level
+    }
+
+    /// Drives the line; only a change is an edge.
+    pub fn set(&self, level: bool) {
+        let mut state = self.state.borrow_mut();
+        if state.level == level {
+            return;
+        }
+        state.level = level;
+        *(if level {
+            &mut state.rises
+        } else {
+            &mut state.falls
+        }) += 1;
+        let waiting = core::mem::take(&mut state.waiting);
+        drop(state);
+        self.recorder.0.borrow_mut().push(Edge {
+            at_us: now_us(),
+            line: self.name,
+            level,
+        });
+        waiting.into_iter().for_each(Waker::wake);
+    }
+
+    async fn wait(&self, mut over: impl FnMut(&State) -> bool) {
+        poll_fn(|context| {
+            let mut state = self.state.borrow_mut();
+            if over(&state) {
+                return Poll::Ready(());
+            }
+            if !state
+                .waiting
+                .iter()
+                .any(|waker| waker.will_wake(context.waker()))
+            {
+                state.waiting.push(context.waker().clone());
+            }
+            Poll::Pending
+        })
+        .await;
+    }
+
+    fn counts(&self) -> (u64, u64) {
+        let state = self.state.borrow();
+        (state.rises, state.falls)
+    }
+}
+
+impl ErrorType for Line {
+    type Error = Infallible;
+}
+
+impl OutputPin for Line {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.set(false);
+        Ok(())
+    }
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.set(true);
+        Ok(())
+    }
+}
+
+impl InputPin for Line {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.level())
+    }
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.level())
+    }
+}
+
+impl Wait for Line {
+    async fn wait_for_high(&mut self) -> Result<(), Infallible> {
+        self.wait(|state| state.level).await;
+        Ok(())
+    }
+    async fn wait_for_low(&mut self) -> Result<(), Infallible> {
+        self.wait(|state| !state.level).await;
+        Ok(())
+    }
+    async fn wait_for_rising_edge(&mut self) -> Result<(), Infallible> {
+        let (rises, _) = self.counts();
+        self.wait(|state| state.rises > rises).await;
+        Ok(())
+    }
+    async fn wait_for_falling_edge(&mut self) -> Result<(), Infallible> {
+        let (_, falls) = self.counts();
+        self.wait(|state| state.falls > falls).await;
+        Ok(())
+    }
+    async fn wait_for_any_edge(&mut self) -> Result<(), Infallible> {
+        let before = self.counts();
+        self.wait(|state| (state.rises, state.falls) != before)
+            .await;
+        Ok(())
+    }
+}

@@ -1,0 +1,172 @@
+//! All lines and ports between the controller and the devices around it, and the controller on its side of them.
+
+use crate::executor::Sim;
+use crate::line::Line;
+use crate::uart::Port;
+use core::cell::Cell;
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::channel::Channel;
+use flankscope_controller::devices::{
+    CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
+};
+use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, sequencer, stage};
+use flankscope_protocol::Milliamps;
+use flankscope_protocol::message::Boot;
+use std::rc::Rc;
+
+/// The LED's current setting, a converter's output in real life.
+#[derive(Debug, Clone, Default)]
+pub struct CurrentCell(Rc<Cell<u16>>);
+
+impl CurrentCell {
+    /// The current set.
+    #[must_use]
+    pub fn get(&self) -> Milliamps {
+        Milliamps(self.0.get())
+    }
+}
+
+impl CurrentSetting for CurrentCell {
+    fn set(&mut self, current: Milliamps) {
+        self.0.set(current.get());
+    }
+}
+
+type Exchange<T> = Rc<Channel<NoopRawMutex, T, 1>>;
+
+/// The bus over which the controller selects a pattern. Clones are the same bus.
+#[derive(Clone)]
+pub struct PatternBus {
+    requests: Exchange<u16>,
+    answers: Exchange<bool>,
+}
+
+impl PatternBus {
+    fn new() -> Self {
+        Self {
+            requests: Rc::new(Channel::new()),
+            answers: Rc::new(Channel::new()),
+        }
+    }
+
+    /// Device side: the next pattern asked for.
+    pub async fn requested(&self) -> u16 {
+        self.requests.receive().await
+    }
+
+    /// Device side: takes the selection, or refuses it.
+    pub fn answer(&self, taken: bool) {
+        self.answers.clear();
+        let _room = self.answers.try_send(taken);
+    }
+}
+
+impl PatternPort for PatternBus {
+    async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
+        // What is left of a transaction that was given up.
+        self.requests.clear();
+        self.answers.clear();
+        self.requests.send(pattern).await;
+        if self.answers.receive().await {
+            Ok(())
+        } else {
+            Err(NotSelected)
+        }
+    }
+}
+
+/// Every line once. Both sides hold a clone.
+#[derive(Clone)]
+pub struct Board {
+    /// Controller -> LED driver.
+    pub led_enable: Line,
+    /// LED driver -> controller: current flows.
+    pub led_sense: Line,
+    /// Controller -> LED driver.
+    pub led_current: CurrentCell,
+    /// Controller -> DMD.
+    pub dmd_trigger: Line,
+    /// DMD -> controller: the selected pattern stands.
+    pub dmd_ready: Line,
+    /// Controller <-> DMD.
+    pub pattern_bus: PatternBus,
+    /// Controller -> camera: exposed while high.
+    pub camera_trigger: Line,
+    /// Camera -> controller: a trigger would be obeyed.
+    pub camera_ready: Line,
+    /// Camera -> controller: strobe.
+    pub camera_exposing: Line,
+}
+
+/// The board and the far ends of its two UARTs.
+pub struct Wiring {
+    /// Lines.
+    pub board: Board,
+    /// The host's end of the link.
+    pub host: Port,
+    /// The stage controller's end of its UART.
+    pub stage: Port,
+    controller_link: Port,
+    controller_stage: Port,
+}
+
+impl Wiring {
+    /// All lines low, all ports empty.
+    #[must_use]
+    pub fn new(sim: &Sim) -> Self {
+        let (host, controller_link) = Port::pair();
+        let (stage, controller_stage) = Port::pair();
+        let board = Board {
+            led_enable: sim.line("led_enable"),
+            led_sense: sim.line("led_sense"),
+            led_current: CurrentCell::default(),
+            dmd_trigger: sim.line("dmd_trigger"),
+            dmd_ready: sim.line("dmd_ready"),
+            pattern_bus: PatternBus::new(),
+            camera_trigger: sim.line("camera_trigger"),
+            camera_ready: sim.line("camera_ready"),
+            camera_exposing: sim.line("camera_exposing"),
+        };
+        Self {
+            board,
+            host,
+            stage,
+            controller_link,
+            controller_stage,
+        }
+    }
+}
+
+/// Puts the controller on its side of the wiring.
+pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, axes: Axes) {
+    let mail: &'static Mailboxes = Box::leak(Box::default());
+    let board = wiring.board.clone();
+    let optics = Optics {
+        led: PinLed {
+            enable: board.led_enable,
+            sense: board.led_sense,
+            current: board.led_current,
+        },
+        dmd: PinDmd {
+            trigger: board.dmd_trigger,
+            ready: board.dmd_ready,
+            port: board.pattern_bus,
+        },
+        camera: PinCamera {
+            trigger: board.camera_trigger,
+            ready: board.camera_ready,
+            exposing: board.camera_exposing,
+        },
+    };
+    let desk = Desk::new(Sequence::new(config), Boot::PowerUp);
+    let stages = Esp301::new(wiring.controller_stage.clone(), axes);
+    let (rx, tx) = (
+        wiring.controller_link.clone(),
+        wiring.controller_link.clone(),
+    );
+    sim.spawn(async move { link::receive(rx, mail).await });
+    sim.spawn(async move { link::transmit(tx, mail).await });
+    sim.spawn(async move { stage::run(stages, mail).await });
+    sim.spawn(async move { sequencer(desk, optics, mail).await });
+}
