@@ -31,10 +31,16 @@ fn main() -> Result<()> {
     let world = World::new(&config)?;
     println!("world       {:7.1} ms", lap_ms(&mut clock));
     let rotation_rad = -config.gear.tooth_centre_rad(tooth);
+    let mut patterns = PatternSpec::insitu12();
+    patterns.push(PatternSpec {
+        periods: 0.0,
+        step: 1,
+        steps: 4,
+    });
     let mut prepared = None;
     for _ in 0..3 {
         clock = Instant::now();
-        prepared = Some(world.prepare(rotation_rad, HEIGHT_MM, &PatternSpec::insitu12())?);
+        prepared = Some(world.prepare(rotation_rad, HEIGHT_MM, &patterns)?);
         println!("prepare     {:7.1} ms", lap_ms(&mut clock));
     }
     let view = prepared.context("a view was prepared")?;
@@ -45,6 +51,7 @@ fn main() -> Result<()> {
         ("coarse", 1, 20_000),
         ("fine", 5, 20_000),
         ("saturated", 5, 200_000),
+        ("even", 13, 45_000),
     ];
     let [width, height] = world.size_px();
     let mut counts = vec![0u16; width * height];
@@ -65,7 +72,7 @@ fn main() -> Result<()> {
             width,
             [0, 0, width, height],
         )?;
-        let centre = [width / 2 - 150, height / 2 - 150, 300, 300];
+        let centre = [width / 2 - 300, height / 2 - 200, 600, 400];
         save(
             &folder.join(format!("{name}-centre.png")),
             &counts,

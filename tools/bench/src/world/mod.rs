@@ -72,7 +72,7 @@ impl WorldConfig {
         let optics = HeadOptics::prism_20mm();
         // The two bundles lie differently in their ferrules: hence the moiré.
         let camera_bundle = BundleSpec::imaged(1150.0, optics.camera.centre_px, 0.21);
-        let projector_bundle = BundleSpec::imaged(1024.0, optics.projector.centre_px, -0.13);
+        let projector_bundle = BundleSpec::imaged(1024.0, optics.projector.centre_px, 0.13);
         Self {
             cad,
             gear,

@@ -172,7 +172,7 @@ impl HeadOptics {
             field_curvature_per_mm: 0.03,
             field_radius_mm: 0.5 * FIELD_MM,
             focus_sigma_pitch,
-            defocus_sigma_pitch_per_mm: 0.30,
+            defocus_sigma_pitch_per_mm: 0.12,
             edge_loss_ratio,
         };
         Self {
@@ -182,18 +182,18 @@ impl HeadOptics {
                 distortion: [-0.08, 0.05, 4e-4, -3e-4, 0.0],
             },
             camera_size_px: [1920, 1200],
-            camera_objective: objective(0.30, 0.45),
+            camera_objective: objective(0.22, 0.45),
             projector: Pinhole {
                 focal_px: [projector_focal_px, projector_focal_px],
                 centre_px: [511.5, 383.5],
                 distortion: [0.06, -0.04, -3e-4, 4e-4, 0.0],
             },
             projector_size_px: [1024, 768],
-            projector_objective: objective(0.40, 0.30),
+            projector_objective: objective(0.28, 0.30),
             projector_from_camera,
             stage_from_camera,
-            contrast_centre: 0.64,
-            contrast_edge: 0.42,
+            contrast_centre: 0.62,
+            contrast_edge: 0.30,
             dmd_leak_ratio: 0.001,
         }
     }

@@ -19,7 +19,7 @@ pub struct CoreTruth {
     pub point_tool_mm: [f64; 3],
     /// Unit normal there, out of the material.
     pub normal_tool: [f64; 3],
-    /// The projector sees the point too.
+    /// The projector sees the point too, and has a core and a pixel for it.
     pub lit: bool,
     /// DMD column and row whose light arrives there, px.
     pub projector_px: [f64; 2],
@@ -161,10 +161,13 @@ impl Stage<'_> {
 
         let to_lamp = lamp - point;
         let faces_lamp = hit.normal.dot(&to_lamp) > 0.0;
-        let lit = faces_lamp
+        let lighted = self.projector_reaches(projector_px);
+        // Just outside the lighted field blur still brings some light; in shadow there is none.
+        let unshaded = faces_lamp
             && !self
                 .rays
                 .blocked(point + SHADOW_START_MM * hit.normal, lamp);
+        let lit = unshaded && lighted;
         let flank = self.die.flank(hit.triangle);
         let truth = CoreTruth {
             core: core as u32,
@@ -175,7 +178,7 @@ impl Stage<'_> {
             flank,
             wear_mm: flank.map_or(0.0, |id| self.die.wear_at_mm(id, point.coords.into())),
         };
-        if !lit {
+        if !unshaded {
             return CoreView {
                 truth: Some(truth),
                 light: [0.0; LANES],
@@ -206,6 +209,18 @@ impl Stage<'_> {
             truth: Some(truth),
             light,
         }
+    }
+
+    /// Whether a core of the projector's bundle sits at this place of the DMD.
+    fn projector_reaches(&self, [x, y]: [f64; 2]) -> bool {
+        let [columns, rows] = self.optics.projector_size_px.map(|n| n as f64);
+        let bundle = self.projector_bundle.spec();
+        let from_centre = (x - bundle.centre_px[0]).hypot(y - bundle.centre_px[1]);
+        x >= -0.5
+            && x < columns - 0.5
+            && y >= -0.5
+            && y < rows - 0.5
+            && from_centre < 0.5 * bundle.diameter_px
     }
 
     /// Covariance on the DMD of the light that one camera core collects: the projector's blur, and the core's own blurred

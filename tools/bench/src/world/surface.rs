@@ -24,7 +24,7 @@ impl Surface {
     pub fn sprayed() -> Self {
         Self {
             diffuse_ratio: 0.3,
-            roughness_ratio: 0.10,
+            roughness_ratio: 0.03,
             grain_mm: 0.12,
             gloss_ratio: 0.15,
             gloss_exponent: 24.0,
