@@ -43,7 +43,7 @@ pub fn sample(mesh: &TriMesh, count: usize, seed: u64) -> Result<Vec<[f64; 3]>, 
     }
     let cumulative = cumulative_areas(mesh);
     let area_mm2 = cumulative.last().copied().unwrap_or(0.0);
-    if !(area_mm2 > 0.0) {
+    if area_mm2 <= 0.0 {
         return Err(SampleError::NoArea {
             area_mm2,
             triangles: mesh.triangles.len(),

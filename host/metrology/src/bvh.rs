@@ -92,9 +92,9 @@ impl Node {
     #[inline]
     fn distances2(&self, q: &[f32; 3]) -> [f32; WIDTH] {
         let mut sum = [0.0f32; WIDTH];
-        for k in 0..3 {
+        for ((low, high), &q) in self.low.iter().zip(&self.high).zip(q) {
             for (slot, total) in sum.iter_mut().enumerate() {
-                let outside = (self.low[k][slot] - q[k]).max(q[k] - self.high[k][slot]);
+                let outside = (low[slot] - q).max(q - high[slot]);
                 let outside = outside.max(0.0);
                 *total += outside * outside;
             }
@@ -288,7 +288,7 @@ fn partition(references: &mut [Reference], depth: usize) -> usize {
     let mut best: Option<(f64, usize, usize)> = None;
     for axis in 0..3 {
         let (low, extent) = (centres.low[axis], centres.high[axis] - centres.low[axis]);
-        if !(extent > 0.0) {
+        if extent <= 0.0 {
             continue;
         }
         let mut bins = [(Aabb::EMPTY, 0usize); BINS];

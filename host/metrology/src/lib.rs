@@ -12,5 +12,6 @@ pub mod mesh;
 pub mod outlier;
 pub mod ply;
 mod random;
+pub mod registration;
 pub mod surface;
 mod triangle;

@@ -125,8 +125,8 @@ impl TriMesh {
                 unit,
             });
         }
-        // Written so that an overflowed, infinite diagonal is refused too.
-        if !(diagonal_mm <= MOST_DIAGONAL_MM) {
+        // An overflowed diagonal is infinite, so it is refused here too.
+        if diagonal_mm > MOST_DIAGONAL_MM {
             return Err(MeshError::TooLarge {
                 diagonal_mm,
                 most_mm: MOST_DIAGONAL_MM,

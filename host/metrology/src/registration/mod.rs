@@ -1,0 +1,253 @@
+//! Laying a cloud on CAD.
+//!
+//! [`register`] minimises the distances of the points to the surface itself (point to triangle), robustly, from coarse to
+//! fine, with the physical prior of the stages where there is one. It says which directions the data leave open, leaves
+//! those where they were, and reports success only when the pose deserves it.
+
+mod observe;
+mod pairs;
+mod periodicity;
+mod prior;
+mod solve;
+
+pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
+pub use periodicity::detect_teeth;
+pub use prior::Prior;
+pub use solve::register;
+
+use nalgebra::Matrix6;
+
+use crate::frames::{Cloud, Rigid, Tool};
+
+/// How to register. Lengths mm, angles rad.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Where to start.
+    pub initial: Rigid<Tool, Cloud>,
+    /// What the stages say about the pose.
+    pub prior: Option<Prior>,
+    /// Number of teeth of a toothing about z, when poses one pitch apart may look alike.
+    pub teeth: Option<u32>,
+    /// Least number of points.
+    pub least_points: usize,
+    /// A point farther from the surface than this does not take part.
+    pub capture_mm: f64,
+    /// A point farther from the surface than this after the fit is no inlier, whatever the noise.
+    pub most_inlier_mm: f64,
+    /// Least share of inliers among the points.
+    pub least_inlier_ratio: f64,
+    /// A direction is well observed below this standard deviation.
+    pub observed_mm: f64,
+    /// A direction is not observed at all above this standard deviation: without a prior it is not moved.
+    pub unobserved_mm: f64,
+    /// Mean number of points that share one error (1 per fibre core, about 10 per camera pixel grid).
+    pub correlated_points: f64,
+    /// Most steps on the full cloud.
+    pub most_iterations: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            initial: Rigid::from_isometry(nalgebra::Isometry3::identity()),
+            prior: None,
+            teeth: None,
+            least_points: 100,
+            capture_mm: 5.0,
+            most_inlier_mm: 0.15,
+            least_inlier_ratio: 0.5,
+            observed_mm: 1e-3,
+            unobserved_mm: 10e-3,
+            correlated_points: 1.0,
+            most_iterations: 30,
+        }
+    }
+}
+
+/// Whether the pose may be used.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Status {
+    /// It may.
+    Registered,
+    /// It may not.
+    Indeterminate(Reason),
+}
+
+/// Why a pose may not be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Reason {
+    /// Not enough points.
+    #[error("{points} points, at least {least} are needed")]
+    TooFewPoints {
+        /// Points given.
+        points: usize,
+        /// Least number.
+        least: usize,
+    },
+    /// A coordinate or a sigma that is no usable number.
+    #[error("point {index} has a non-finite coordinate or a sigma that is not positive")]
+    NotFinite {
+        /// The first such point.
+        index: usize,
+    },
+    /// One sigma per point was promised.
+    #[error("{sigmas} sigmas for {points} points; one per point is needed")]
+    SigmaCount {
+        /// Sigmas given.
+        sigmas: usize,
+        /// Points given.
+        points: usize,
+    },
+    /// The start is too far away.
+    #[error("only {:.0} % of the points start within {capture_mm} mm of the surface, at least {:.0} % are needed: the cloud and the CAD are disjoint; give a start pose", 100.0 * ratio, 100.0 * least_ratio)]
+    Disjoint {
+        /// Share of points within reach.
+        ratio: f64,
+        /// Least share.
+        least_ratio: f64,
+        /// Reach.
+        capture_mm: f64,
+    },
+    /// The fit explains too little of the cloud.
+    #[error("only {inliers} of {points} points lie within {reach_mm:.4} mm of the surface after the fit, at least {:.0} % are needed", 100.0 * least_ratio)]
+    TooFewInliers {
+        /// Points on the surface.
+        inliers: usize,
+        /// All points.
+        points: usize,
+        /// Distance up to which a point counts.
+        reach_mm: f64,
+        /// Least share.
+        least_ratio: f64,
+    },
+    /// The steps did not die out.
+    #[error(
+        "not converged after {iterations} steps: the last one was {step_mm:.6} mm, below {limit_mm} mm is needed"
+    )]
+    NotConverged {
+        /// Steps taken.
+        iterations: usize,
+        /// Length of the last step.
+        step_mm: f64,
+        /// Limit.
+        limit_mm: f64,
+    },
+    /// The data leave too much open.
+    #[error(
+        "{unobserved} directions are not observed (standard deviation above {limit_mm} mm); at most 2 may be open without a prior"
+    )]
+    Unconstrained {
+        /// Number of open directions.
+        unobserved: usize,
+        /// Limit.
+        limit_mm: f64,
+    },
+    /// Another tooth fits as well.
+    #[error(
+        "ambiguous tooth: the pose found is {moved_rad:.5} rad from the start, its rival one pitch on is {rival_rad:.5} rad away; a ratio of at most {limit_ratio} is needed"
+    )]
+    AmbiguousTooth {
+        /// Angle between start and pose about the tool axis.
+        moved_rad: f64,
+        /// Angle between start and rival.
+        rival_rad: f64,
+        /// Largest accepted ratio of the two.
+        limit_ratio: f64,
+    },
+    /// The pose contradicts the stages.
+    #[error(
+        "the pose is {distance:.1} standard deviations off what the stages say, at most {limit} are accepted"
+    )]
+    PriorViolated {
+        /// Mahalanobis distance.
+        distance: f64,
+        /// Limit.
+        limit: f64,
+    },
+    /// The prior's covariance is none.
+    #[error("the prior's covariance is not positive definite")]
+    BadPrior,
+}
+
+impl Reason {
+    /// A short stable name for files and reports.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::TooFewPoints { .. } => "too_few_points",
+            Self::NotFinite { .. } => "not_finite",
+            Self::SigmaCount { .. } => "sigma_count",
+            Self::Disjoint { .. } => "disjoint",
+            Self::TooFewInliers { .. } => "too_few_inliers",
+            Self::NotConverged { .. } => "not_converged",
+            Self::Unconstrained { .. } => "unconstrained",
+            Self::AmbiguousTooth { .. } => "ambiguous_tooth",
+            Self::PriorViolated { .. } => "prior_violated",
+            Self::BadPrior => "bad_prior",
+        }
+    }
+}
+
+/// A direction that the points do not fix well.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeakDirection {
+    /// Unit 6-vector (rotation about x, y, z times [`Registration::arm_mm`], translation along x, y, z) in tool
+    /// coordinates about [`Registration::centre_mm`].
+    pub vector: [f64; 6],
+    /// Standard deviation along it from the points alone, mm; infinite when they say nothing.
+    pub sigma_mm: f64,
+    /// Share of the prior in what is known along it: 0 without a prior, near 1 where the points say nothing.
+    pub prior_share: f64,
+}
+
+/// The result of a registration.
+#[derive(Debug, Clone)]
+pub struct Registration {
+    /// Takes cloud points to tool (CAD) coordinates.
+    pub tool_from_cloud: Rigid<Tool, Cloud>,
+    /// Whether it may be used.
+    pub status: Status,
+    /// Whether the steps died out.
+    pub converged: bool,
+    /// Steps over all levels.
+    pub iterations: usize,
+    /// Points on the surface: within three robust standard deviations and within [`Options::most_inlier_mm`].
+    pub inliers: usize,
+    /// Root mean square distance of the inliers, mm.
+    pub rms_mm: f64,
+    /// Robust standard deviation of the distances (1.4826 times their median size), mm.
+    pub noise_mm: f64,
+    /// Directions that the points leave weak, weakest first.
+    pub weak_directions: Vec<WeakDirection>,
+    /// Covariance of (rotation rad, translation mm) about [`Registration::centre_mm`]; 1 mm2 (and the rotation that moves
+    /// a point by 1 mm) stands for directions of which nothing is known.
+    pub covariance: Matrix6<f64>,
+    /// Centre of the cloud in tool coordinates, mm.
+    pub centre_mm: [f64; 3],
+    /// Root mean square distance of the points from the centre: turns rotations into lengths, mm.
+    pub arm_mm: f64,
+}
+
+impl Registration {
+    /// Whether the pose may be used.
+    pub fn is_registered(&self) -> bool {
+        self.status == Status::Registered
+    }
+
+    /// A result without a pose better than the start.
+    pub(crate) fn refused(initial: Rigid<Tool, Cloud>, reason: Reason) -> Self {
+        Self {
+            tool_from_cloud: initial,
+            status: Status::Indeterminate(reason),
+            converged: false,
+            iterations: 0,
+            inliers: 0,
+            rms_mm: f64::NAN,
+            noise_mm: f64::NAN,
+            weak_directions: Vec::new(),
+            covariance: Matrix6::identity(),
+            centre_mm: [0.0; 3],
+            arm_mm: 1.0,
+        }
+    }
+}

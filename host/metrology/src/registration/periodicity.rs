@@ -1,0 +1,49 @@
+//! How many times a surface repeats about the tool axis.
+
+use nalgebra::{Rotation3, Vector3};
+
+use crate::mesh::TriMesh;
+use crate::random::uniform;
+use crate::surface::Surface;
+
+/// Most teeth that are looked for.
+const MOST_TEETH: u32 = 400;
+const PROBES: u64 = 64;
+
+/// The largest n of at least 3 for which the surface turned by 2 pi / n about z falls onto itself within `tolerance_mm`
+/// everywhere at 64 probes; none when there is no such n. A body of revolution repeats at any angle and has no teeth: none.
+pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Option<u32> {
+    let probes = inner_probes(mesh);
+    let fits = |angle: f64| {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
+        probes.iter().all(|&probe| {
+            let turned: [f64; 3] = (turn * Vector3::from(probe)).into();
+            surface.closest(turned).signed_distance_mm.abs() <= tolerance_mm
+        })
+    };
+    // Irrational parts of a turn tell a body of revolution.
+    if fits(0.123_456_7) && fits(0.765_432_1) {
+        return None;
+    }
+    (3..=MOST_TEETH)
+        .rev()
+        .find(|&n| fits(std::f64::consts::TAU / f64::from(n)))
+}
+
+/// Corner points spread over the mesh, those nearest the axis: there the teeth of an internal gear are; an outer wall would
+/// fit any turn.
+fn inner_probes(mesh: &TriMesh) -> Vec<[f64; 3]> {
+    let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
+    let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
+    let middle = radii.len() / 2;
+    let (_, &mut median, _) = radii.select_nth_unstable_by(middle, f64::total_cmp);
+    let inner: Vec<[f64; 3]> = mesh
+        .vertices
+        .iter()
+        .filter(|v| radius(v) <= median)
+        .copied()
+        .collect();
+    (0..PROBES)
+        .map(|i| inner[(uniform(1, i) * inner.len() as f64) as usize])
+        .collect()
+}
