@@ -39,7 +39,7 @@ fn camera_process() {
                 exposure_end_monotonic_ns: monotonic_ns(),
                 ..FrameHeader::default()
             };
-            let _ = sender.send(frame, header); // a host that does not take frames is one of the cases
+            let _ = sender.send(frame.seal(header)); // a host that does not take frames is one of the cases
             counter += 1;
             std::thread::sleep(Duration::from_millis(2));
         }

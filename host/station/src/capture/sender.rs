@@ -44,6 +44,10 @@ pub struct LoanedFrame {
     sample: iceoryx2::sample_mut::SampleMut<ipc::Service, [u16], FrameHeader>,
 }
 
+/// A frame whose pixels and header are final; only the hand-over is left.
+#[derive(Debug)]
+pub struct SealedFrame(LoanedFrame);
+
 impl FrameSender {
     /// Connects to the services of the host that owns `root`.
     ///
@@ -110,32 +114,22 @@ impl FrameSender {
         Ok(LoanedFrame { sample })
     }
 
-    /// Hands the frame over and wakes the host. The checksum and the time of hand-over are filled in.
+    /// Hands the frame over and wakes the host. The time of hand-over is filled in.
     ///
     /// # Errors
     /// The host did not get it.
-    pub fn send(&self, mut frame: LoanedFrame, header: FrameHeader) -> Result<(), SendError> {
+    pub fn send(&self, frame: SealedFrame) -> Result<(), SendError> {
+        let SealedFrame(LoanedFrame { mut sample }) = frame;
+        let header = sample.user_header_mut();
+        header.published_monotonic_ns = monotonic_ns();
         let counter = header.counter;
-        let checksum = checksum(frame.sample.payload());
-        *frame.sample.user_header_mut() = FrameHeader {
-            checksum,
-            published_monotonic_ns: monotonic_ns(),
-            ..header
-        };
         let undelivered = |reason: String| SendError::Undelivered { counter, reason };
-        match frame.sample.send() {
+        match sample.send() {
             Ok(1..) => {}
-            Ok(0) => {
-                return Err(undelivered(
-                    "no host is connected or its buffer is full".into(),
-                ));
-            }
+            Ok(0) => return Err(undelivered("no host is connected or its buffer is full".into())),
             Err(error) => return Err(undelivered(format!("{error:?}"))),
         }
-        self.notifier
-            .notify()
-            .map(drop)
-            .map_err(|error| undelivered(format!("{error:?}")))
+        self.notifier.notify().map(drop).map_err(|error| undelivered(format!("{error:?}")))
     }
 }
 
@@ -143,5 +137,13 @@ impl LoanedFrame {
     /// The pixels, in the shared memory.
     pub fn pixels(&mut self) -> &mut [u16] {
         self.sample.payload_mut()
+    }
+
+    /// Closes the frame: header and checksum are written beside the pixels.
+    #[must_use]
+    pub fn seal(mut self, header: FrameHeader) -> SealedFrame {
+        let checksum = checksum(self.sample.payload());
+        *self.sample.user_header_mut() = FrameHeader { checksum, ..header };
+        SealedFrame(self)
     }
 }

@@ -1,0 +1,211 @@
+//! The camera process: renders each exposure straight into the shared memory and hands it over when its readout ends.
+//!
+//! Rendering runs on a thread of its own, beside the simulation. A view is computed as soon as the stages know where
+//! they are going, a frame as soon as its exposure has ended. If either is not ready when the camera would hand the
+//! frame over, virtual time is held until it is, so that the bench's own work never counts as the instrument's; the
+//! time held is reported.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+
+use flankscope_sim::{Hold, Remote};
+use flankscope_station::capture::{
+    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, SealedFrame, SharedRoot, monotonic_ns,
+};
+
+use crate::devices::{Exposure, ExposureSink};
+use crate::truth::Truth;
+use crate::world::{PatternSpec, ViewState, World};
+
+/// Prepared views kept: the one being photographed and the next.
+const VIEWS_KEPT: usize = 2;
+
+enum Job {
+    Prepare { rotation_rad: f64, vertical_mm: f64 },
+    Expose { exposure: Exposure, ended_monotonic_ns: u64 },
+    HandOver { counter: u32, _hold: Hold },
+    /// Ends the thread; its truth goes to the sender.
+    Finish(Sender<Truth>),
+}
+
+/// The camera's end in the simulation.
+pub struct Camera {
+    jobs: Sender<Job>,
+    remote: Remote,
+}
+
+/// The camera's thread.
+pub struct CameraThread {
+    jobs: Sender<Job>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Starts the camera thread for a world, with frames going to the host that owns `root`.
+///
+/// # Errors
+/// The host's services cannot be opened.
+pub fn start(
+    world: World,
+    patterns: Vec<PatternSpec>,
+    root: SharedRoot,
+) -> anyhow::Result<(CameraThread, impl FnOnce(Remote) -> Camera)> {
+    let (jobs, queue) = channel();
+    let (opened_sender, opened) = channel();
+    let thread = std::thread::Builder::new().name("camera".into()).spawn(move || {
+        // Ports stay on the thread that made them.
+        match FrameSender::open(&root) {
+            Ok(sender) => {
+                let _ = opened_sender.send(Ok(()));
+                Darkroom::new(world, patterns, sender).run(&queue);
+            }
+            Err(error) => drop(opened_sender.send(Err(error))),
+        }
+    })?;
+    opened.recv()??;
+    let for_sim = jobs.clone();
+    Ok((CameraThread { jobs, thread: Some(thread) }, move |remote| Camera { jobs: for_sim, remote }))
+}
+
+impl CameraThread {
+    /// Ends the thread and returns what really was photographed.
+    pub fn finish(mut self) -> anyhow::Result<Truth> {
+        let (sender, truth) = channel();
+        self.jobs.send(Job::Finish(sender))?;
+        let truth = truth.recv()?;
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        Ok(truth)
+    }
+}
+
+impl ExposureSink for Camera {
+    fn moving(&mut self, rotation_rad: f64, vertical_mm: f64) {
+        let _ = self.jobs.send(Job::Prepare { rotation_rad, vertical_mm });
+    }
+
+    fn exposed(&mut self, exposure: Exposure) {
+        let _ = self.jobs.send(Job::Expose { exposure, ended_monotonic_ns: monotonic_ns() });
+    }
+
+    fn read_out(&mut self, counter: u32) {
+        let _ = self.jobs.send(Job::HandOver { counter, _hold: self.remote.hold() });
+    }
+}
+
+/// What the thread works with.
+struct Darkroom {
+    world: World,
+    patterns: Vec<PatternSpec>,
+    sender: FrameSender,
+    views: VecDeque<([u64; 2], ViewState)>,
+    ready: VecDeque<(u32, SealedFrame)>,
+    arm: Option<Arm>,
+    since_arming: u32,
+    truth: Truth,
+}
+
+impl Darkroom {
+    fn new(world: World, patterns: Vec<PatternSpec>, sender: FrameSender) -> Self {
+        Self {
+            world,
+            patterns,
+            sender,
+            views: VecDeque::new(),
+            ready: VecDeque::new(),
+            arm: None,
+            since_arming: 0,
+            truth: Truth::default(),
+        }
+    }
+
+    fn run(mut self, queue: &Receiver<Job>) {
+        while let Ok(job) = queue.recv() {
+            match job {
+                Job::Prepare { rotation_rad, vertical_mm } => self.prepare(rotation_rad, vertical_mm),
+                Job::Expose { exposure, ended_monotonic_ns } => self.develop(&exposure, ended_monotonic_ns),
+                Job::HandOver { counter, _hold } => self.hand_over(counter),
+                Job::Finish(truth) => return drop(truth.send(self.truth)),
+            }
+        }
+    }
+
+    fn prepare(&mut self, rotation_rad: f64, vertical_mm: f64) {
+        let key = [rotation_rad.to_bits(), vertical_mm.to_bits()];
+        if self.views.iter().any(|(known, _)| *known == key) {
+            return;
+        }
+        match self.world.prepare(rotation_rad, vertical_mm, &self.patterns) {
+            Ok(view) => {
+                self.views.truncate(VIEWS_KEPT - 1);
+                self.views.push_front((key, view));
+            }
+            Err(error) => eprintln!("bench: view at {rotation_rad} rad, {vertical_mm} mm: {error}"),
+        }
+    }
+
+    /// Renders an exposure into a slot of the shared memory.
+    fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
+        if let Some(arm) = self.sender.armed() {
+            self.arm = Some(arm);
+            self.since_arming = 0;
+        }
+        let arm = self.arm.unwrap_or_default();
+        let beyond = FrameLabel { view: u16::MAX, ..FrameLabel::default() };
+        let label = self.arm.and_then(|arm| arm.label(self.since_arming)).unwrap_or(beyond);
+        self.since_arming += 1;
+        let [width, height] = self.world.size_px();
+        let frame = match self.sender.loan(width * height, exposure.counter) {
+            Ok(frame) => frame,
+            Err(error) => return eprintln!("bench: {error}"),
+        };
+        let header = FrameHeader {
+            session: arm.session,
+            counter: exposure.counter,
+            label,
+            width_px: width as u32,
+            height_px: height as u32,
+            stride_px: width as u32,
+            exposure_start_us: exposure.start_us,
+            exposure_end_us: exposure.end_us,
+            exposure_end_monotonic_ns: ended_monotonic_ns,
+            ..FrameHeader::default()
+        };
+        self.prepare(exposure.rotation_rad, exposure.vertical_mm);
+        if let Some(frame) = self.render(exposure, frame) {
+            self.ready.push_back((exposure.counter, frame.seal(header)));
+        }
+    }
+
+    fn render(&mut self, exposure: &Exposure, mut frame: LoanedFrame) -> Option<LoanedFrame> {
+        let key = [exposure.rotation_rad.to_bits(), exposure.vertical_mm.to_bits()];
+        let (_, view) = self.views.iter().find(|(known, _)| *known == key)?;
+        let exposure_us = u32::try_from(exposure.end_us - exposure.start_us).unwrap_or(u32::MAX);
+        let rendered = self.world.render(
+            view,
+            exposure.pattern,
+            exposure_us,
+            exposure.led_on,
+            exposure.counter,
+            frame.pixels(),
+        );
+        if let Err(error) = rendered {
+            eprintln!("bench: frame {}: {error}", exposure.counter);
+            return None;
+        }
+        self.truth.photographed(exposure, self.world.truth(view));
+        Some(frame)
+    }
+
+    fn hand_over(&mut self, counter: u32) {
+        while let Some((number, frame)) = self.ready.pop_front() {
+            if number == counter {
+                if let Err(error) = self.sender.send(frame) {
+                    eprintln!("bench: {error}");
+                }
+                return;
+            }
+        }
+    }
+}
