@@ -1,16 +1,215 @@
 //! `flankscope decode`: Fringe images to a point cloud.
 
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use flankscope_profilometry::calibration::{HeadModel, Sensor};
+use flankscope_profilometry::decode::{Cloud, DecodeOptions, Decoder, PatchOptions, Rejected};
+use flankscope_profilometry::frame::FrameKind;
+use flankscope_profilometry::images::{GreyImage, ImageError, load_grey_png};
+use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::plan::Plan;
+use serde::Serialize;
+
 use crate::output::{Common, Outcome};
 
 /// Fringe images to a point cloud.
+///
+/// Reads grey PNG images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
+/// with the predicted standard uncertainty of the depth at every point (property sigma_z).
 #[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope decode --images frames --plan PLAN.toml --head calibration.xml -o cloud.ply --json -\n\nThe formats of PLAN.toml and head.toml are described in docs/formats.md."
+)]
 pub struct Args {
+    /// Folder of the images.
+    #[arg(long, value_name = "DIR")]
+    images: PathBuf,
+    /// Patterns, exposures and image names.
+    #[arg(long, value_name = "PLAN.toml")]
+    plan: PathBuf,
+    /// head.toml, or an OpenCV calibration (XML or YAML with Kc kc Kp kp Rp Tp).
+    #[arg(long, value_name = "FILE")]
+    head: PathBuf,
+    /// Where the cloud goes.
+    #[arg(long, short, value_name = "CLOUD.ply")]
+    output: PathBuf,
+    /// Pixels along the side of a measuring cell [default: the head's].
+    #[arg(long, value_name = "PIXELS")]
+    binning: Option<usize>,
+    /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels; 0 for none.
+    #[arg(long, value_name = "PIXELS", default_value_t = 0.7)]
+    smooth: f64,
+    /// The same for the coarser fringes, which only count the finest ones.
+    #[arg(long, value_name = "PIXELS", default_value_t = 3.0)]
+    smooth_coarse: f64,
+    /// Least contrast (amplitude over mean) of every frequency.
+    #[arg(long, value_name = "RATIO", default_value_t = 0.1)]
+    min_contrast: f64,
+    /// Drop points with a larger predicted standard uncertainty of the depth.
+    #[arg(long, value_name = "MM")]
+    max_sigma: Option<f64>,
+    /// Drop patches of fewer connected cells; 0 keeps all.
+    #[arg(long, value_name = "CELLS", default_value_t = 200)]
+    min_patch: usize,
+    /// Mask: least standard deviation over the finest frequency's steps, in counts.
+    #[arg(long, value_name = "DN")]
+    mask_threshold: Option<f64>,
+    /// Mask: sigma of the Gaussian over the standard deviation, in camera pixels.
+    #[arg(
+        long,
+        value_name = "PIXELS",
+        default_value_t = 3.0,
+        requires = "mask_threshold"
+    )]
+    mask_smooth: f64,
     #[command(flatten)]
     common: Common,
 }
 
+#[derive(Serialize)]
+struct Document<'a> {
+    count: usize,
+    cells: usize,
+    rejected: Rejected,
+    frames: usize,
+    pattern_set: &'a str,
+    /// Whether the uncertainties rest on an assumed sensor.
+    sensor_assumed: bool,
+    /// Median of the predicted standard uncertainties of the depth.
+    sigma_z_median_mm: Option<f32>,
+    elapsed_ms: Elapsed,
+}
+
+#[derive(Serialize)]
+struct Elapsed {
+    load: f64,
+    decode: f64,
+    write: f64,
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    args.common.write_json(&())?;
-    Ok(Outcome::CouldNotRun)
+    let start = Instant::now();
+    let mut head = HeadModel::load(&args.head).context("head")?;
+    let plan = Plan::load(&args.plan).context("plan")?;
+    let frames = load_frames(&plan, &args.images, &head)?;
+    let loaded = Instant::now();
+
+    let bits = frames.first().map_or(8, |(_, image)| image.bits);
+    let sensor_assumed = plan.sensor.is_none() && head.sensor.is_none();
+    head.sensor = plan.sensor.or(head.sensor).or(Some(Sensor::assumed(bits)));
+    let decoder = Decoder::new(
+        &head,
+        &plan.patterns,
+        &plan.exposures_us,
+        options(args, &head, &plan),
+    )?;
+    let mut accumulator = decoder.begin();
+    for (kind, image) in &frames {
+        accumulator.add(image.view(), *kind)?;
+    }
+    let decoded = decoder.finish(&accumulator)?;
+    let done = Instant::now();
+
+    let cloud = &decoded.cloud;
+    flankscope_station::files::stream_whole(&args.output, |file| write_ply(file, cloud))
+        .with_context(|| format!("cannot write {}", args.output.display()))?;
+    let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
+    let document = Document {
+        count: cloud.len(),
+        cells: decoded.cells,
+        rejected: decoded.rejected,
+        frames: frames.len(),
+        pattern_set: &plan.patterns.name,
+        sensor_assumed,
+        sigma_z_median_mm: median(&cloud.sigma_z_mm),
+        elapsed_ms: Elapsed {
+            load: milliseconds(start, loaded),
+            decode: milliseconds(loaded, done),
+            write: milliseconds(done, Instant::now()),
+        },
+    };
+    if !args.common.quiet {
+        eprintln!(
+            "{} points of {} cells from {} frames -> {}",
+            document.count,
+            document.cells,
+            document.frames,
+            args.output.display()
+        );
+    }
+    args.common.write_json(&document)?;
+    Ok(Outcome::Go)
+}
+
+fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
+    let defaults = DecodeOptions::for_head(head);
+    DecodeOptions {
+        binning: args.binning.unwrap_or(defaults.binning),
+        dark_frame: plan.dark_frame,
+        min_contrast: args.min_contrast,
+        max_sigma_z_mm: args.max_sigma,
+        smoothing_px: args.smooth,
+        coarse_smoothing_px: args.smooth_coarse,
+        mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
+            threshold_dn,
+            smoothing_px: args.mask_smooth,
+        }),
+        patches: defaults
+            .patches
+            .filter(|_| args.min_patch > 0)
+            .map(|patches| PatchOptions {
+                min_cells: args.min_patch,
+                ..patches
+            }),
+    }
+}
+
+fn load_frames(
+    plan: &Plan,
+    folder: &Path,
+    head: &HeadModel,
+) -> Result<Vec<(FrameKind, GreyImage)>, ImageError> {
+    let mut frames: Vec<(FrameKind, GreyImage)> = Vec::new();
+    for (kind, path) in plan.frames(folder)? {
+        let image = load_grey_png(&path, head.camera.width_px, head.camera.height_px)?;
+        if let Some((_, first)) = frames.first()
+            && first.bits != image.bits
+        {
+            return Err(ImageError::Bits {
+                path,
+                got: image.bits,
+                expected: first.bits,
+            });
+        }
+        frames.push((kind, image));
+    }
+    Ok(frames)
+}
+
+fn write_ply(file: &mut dyn Write, cloud: &Cloud) -> io::Result<()> {
+    write!(
+        file,
+        "ply\nformat binary_little_endian 1.0\ncomment camera frame, mm; sigma_z is the standard uncertainty of z\n\
+         element vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float sigma_z\nend_header\n",
+        cloud.len()
+    )?;
+    for (point, sigma) in cloud.points_mm.iter().zip(&cloud.sigma_z_mm) {
+        let mut vertex = [0u8; 16];
+        let values = [point[0] as f32, point[1] as f32, point[2] as f32, *sigma];
+        for (bytes, value) in vertex.chunks_exact_mut(4).zip(values) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        file.write_all(&vertex)?;
+    }
+    Ok(())
+}
+
+fn median(values: &[f32]) -> Option<f32> {
+    let mut sorted = values.to_vec();
+    let middle = sorted.len() / 2;
+    (!sorted.is_empty()).then(|| *sorted.select_nth_unstable_by(middle, f32::total_cmp).1)
 }

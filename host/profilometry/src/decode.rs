@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::calibration::{DepthRange, HeadModel, Sensor};
-use crate::conditioning;
 use crate::frame::FrameKind;
 use crate::grid::CellGrid;
 use crate::mask::{self, MaskOptions};
@@ -15,6 +14,7 @@ pub use crate::neighbours::PatchOptions;
 use crate::neighbours::{Depths, small_patches};
 use crate::pattern::PatternSet;
 use crate::phase::{self, CellNoise};
+use crate::smoothing;
 use crate::triangulate::{Triangulator, depth_sigma_mm};
 use crate::unwrap;
 
@@ -33,8 +33,6 @@ pub struct DecodeOptions {
     pub smoothing_px: f64,
     /// The same for all coarser frequencies, whose only task is the fringe order.
     pub coarse_smoothing_px: f64,
-    /// Removes the second harmonic that three-step frames let through.
-    pub correct_harmonics: bool,
     /// The article's mask.
     pub mask: Option<MaskOptions>,
     /// Drops small isolated patches.
@@ -51,12 +49,11 @@ impl DecodeOptions {
             max_sigma_z_mm: None,
             smoothing_px: 0.0,
             coarse_smoothing_px: 0.0,
-            correct_harmonics: false,
             mask: None,
-            // 80 degrees of surface tilt: steeper surfaces return no light to a lens.
+            // 72 degrees of surface tilt: steeper surfaces hardly return light to a lens.
             patches: Some(PatchOptions {
                 min_cells: 10,
-                max_slope: 5.7,
+                max_slope: 3.0,
             }),
         }
     }
@@ -160,8 +157,9 @@ pub enum DecodeError {
     },
 }
 
-/// Along any ray the volume may span this part of the lowest frequency's period; the rest is for noise.
-const MAX_SPANNED_PERIODS: f64 = 0.9;
+/// Along any ray the volume may span this part of the lowest frequency's period. The rest is for noise: 0.16 rad at
+/// either end, three standard deviations of the noisiest phase that unwrapping over a ratio of 12 accepts.
+const MAX_SPANNED_PERIODS: f64 = 0.95;
 
 /// A camera ray and what the volume says about it.
 #[derive(Clone, Copy, Debug)]
@@ -446,22 +444,17 @@ impl Decoder {
     /// Repaired phasors, if any repair is wanted, and what it did to the variance of each frequency.
     fn condition(&self, accumulator: &Accumulator) -> (Option<Accumulator>, Vec<f64>) {
         let options = &self.options;
-        let wanted = options.correct_harmonics
-            || options.smoothing_px > 0.0
-            || options.coarse_smoothing_px > 0.0;
+        let wanted = options.smoothing_px > 0.0 || options.coarse_smoothing_px > 0.0;
         if !wanted {
             return (None, vec![1.0; self.layout.steps.len()]);
         }
         let mut copy = accumulator.clone();
-        if options.correct_harmonics {
-            conditioning::correct_harmonics(&mut copy);
-        }
         let finest = self.layout.steps.len() - 1;
         let binning = self.layout.grid.binning as f64;
         let sigmas: Vec<f64> = (0..=finest)
             .map(|set| if set == finest { options.smoothing_px } else { options.coarse_smoothing_px } / binning)
             .collect();
-        let ratios = conditioning::smooth(&mut copy, &sigmas);
+        let ratios = smoothing::smooth(&mut copy, &sigmas);
         (Some(copy), ratios)
     }
 
@@ -507,7 +500,7 @@ impl Decoder {
             dark_variance_e2: self.sensor.dark_variance_e2(),
             pixels,
         };
-        // Phase of `periods` fringes counted from the projector's edge, and its uncertainty; finest last.
+        // Absolute phase of the frequency just done, and its uncertainty; finest last.
         let mut absolute_rad = 0.0;
         let mut sigma_rad = 0.0;
         let mut modulation_e = 0.0;
@@ -526,7 +519,7 @@ impl Decoder {
             if !(estimate.contrast() >= self.options.min_contrast) {
                 return Err(Fate::LowContrast);
             }
-            let wrapped_rad = estimate.phase_rad - self.patterns.phase_at_left_edge_rad;
+            let wrapped_rad = estimate.phase_rad;
             let own_sigma_rad = estimate.sigma_rad * sigma_ratios[set];
             absolute_rad = if set == 0 {
                 unwrap::nearest_turn(wrapped_rad, ray.expected_low_rad)
@@ -539,12 +532,9 @@ impl Decoder {
             modulation_e = estimate.modulation_e;
         }
         let finest = self.patterns.finest();
-        let edge_rad = self.patterns.phase_at_left_edge_rad;
-        let column_px = self.patterns.column_px(
-            finest.periods,
-            absolute_rad + edge_rad,
-            self.projector_width_px,
-        );
+        let column_px =
+            self.patterns
+                .column_px(finest.periods, absolute_rad, self.projector_width_px);
         if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
             return Err(Fate::OutsideProjector);
         }
@@ -717,7 +707,8 @@ fn rays(
                 }
                 Ok(Ray {
                     direction,
-                    expected_low_rad: radians_by_column * (0.5 * (near + far) + 0.5),
+                    expected_low_rad: radians_by_column
+                        * (0.5 * (near + far) - patterns.phase_origin_px),
                 })
             })
             .collect()

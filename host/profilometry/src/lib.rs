@@ -31,7 +31,6 @@
 pub mod accumulate;
 pub mod calibration;
 pub mod camera;
-pub mod conditioning;
 pub mod decode;
 pub mod frame;
 pub mod grid;
@@ -42,6 +41,7 @@ mod opencv;
 pub mod pattern;
 pub mod phase;
 pub mod plan;
+pub mod smoothing;
 pub mod textfile;
 pub mod triangulate;
 pub mod unwrap;

@@ -5,7 +5,7 @@
 //! what a mask should not react to; for three steps it is the very standard deviation.
 
 use crate::accumulate::Accumulator;
-use crate::conditioning::{Blur, dense};
+use crate::smoothing::{Blur, dense};
 
 /// Mask parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]

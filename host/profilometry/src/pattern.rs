@@ -32,7 +32,7 @@ impl StepSign {
 }
 
 /// The frequencies of one capture, low to high, and how phase relates to the projector's columns:
-/// `phase = TAU periods (column + 0.5) / width + phase_at_left_edge_rad`, columns counted at pixel centres.
+/// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatternSet {
     /// `insitu12`, the plan file's name, ...
@@ -41,8 +41,9 @@ pub struct PatternSet {
     pub sets: Vec<FringeSet>,
     /// Which way the fringes step.
     pub step_sign: StepSign,
-    /// Phase at the outer edge of the projector's first column; 0 for the instrument's own patterns.
-    pub phase_at_left_edge_rad: f64,
+    /// The column where the phase of every frequency is zero: -0.5, the outer edge of the first column, for the
+    /// instrument's own patterns; 0 where somebody counted phase from the centre of the first column.
+    pub phase_origin_px: f64,
 }
 
 /// Why a pattern set is refused.
@@ -91,14 +92,16 @@ pub enum PatternError {
         /// The periods before it.
         previous: f64,
     },
-    /// The edge phase is not a number.
-    #[error("phase at the left edge is {got}: must be finite")]
-    EdgePhase {
+    /// The phase origin is not a column near the projector.
+    #[error("phase origin at column {got}: must be within a projector's width of column 0")]
+    Origin {
         /// What it was.
         got: f64,
     },
 }
 
+/// The instrument's patterns have phase zero at the outer edge of the projector's first column.
+pub const OWN_PHASE_ORIGIN_PX: f64 = -0.5;
 /// Hierarchical unwrapping needs no more.
 pub const MAX_FREQUENCIES: usize = 4;
 /// More steps than any pattern memory holds.
@@ -107,12 +110,12 @@ pub const MAX_STEPS: u32 = 64;
 pub const MAX_PERIODS: f64 = 4096.0;
 
 impl PatternSet {
-    /// A set in the instrument's own convention (`StepSign::Plus`, zero edge phase).
+    /// A set in the instrument's own convention (`StepSign::Plus`, [`OWN_PHASE_ORIGIN_PX`]).
     ///
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
     pub fn new(name: impl Into<String>, sets: Vec<FringeSet>) -> Result<Self, PatternError> {
-        Self::with_convention(name, sets, StepSign::Plus, 0.0)
+        Self::with_convention(name, sets, StepSign::Plus, OWN_PHASE_ORIGIN_PX)
     }
 
     /// A set of somebody else's patterns.
@@ -123,14 +126,14 @@ impl PatternSet {
         name: impl Into<String>,
         sets: Vec<FringeSet>,
         step_sign: StepSign,
-        phase_at_left_edge_rad: f64,
+        phase_origin_px: f64,
     ) -> Result<Self, PatternError> {
         if sets.is_empty() || sets.len() > MAX_FREQUENCIES {
             return Err(PatternError::FrequencyCount { got: sets.len() });
         }
-        if !phase_at_left_edge_rad.is_finite() {
-            return Err(PatternError::EdgePhase {
-                got: phase_at_left_edge_rad,
+        if phase_origin_px.is_nan() || phase_origin_px.abs() > 16384.0 {
+            return Err(PatternError::Origin {
+                got: phase_origin_px,
             });
         }
         for (set, fringes) in sets.iter().enumerate() {
@@ -159,7 +162,7 @@ impl PatternSet {
             name: name.into(),
             sets,
             step_sign,
-            phase_at_left_edge_rad,
+            phase_origin_px,
         })
     }
 
@@ -209,12 +212,12 @@ impl PatternSet {
 
     /// The unwrapped phase of `periods` fringes at `column`.
     pub fn phase_rad(&self, periods: f64, column: f64, width_px: f64) -> f64 {
-        TAU * periods * (column + 0.5) / width_px + self.phase_at_left_edge_rad
+        TAU * periods * (column - self.phase_origin_px) / width_px
     }
 
     /// The inverse of [`PatternSet::phase_rad`].
     pub fn column_px(&self, periods: f64, phase_rad: f64, width_px: f64) -> f64 {
-        (phase_rad - self.phase_at_left_edge_rad) * width_px / (TAU * periods) - 0.5
+        phase_rad * width_px / (TAU * periods) + self.phase_origin_px
     }
 }
 
@@ -278,6 +281,11 @@ mod tests {
             assert!((set.column_px(7.0, phase_rad, 1024.0) - column).abs() < 1e-10);
         }
         // Half a column left of the first centre lies the edge.
-        assert!((set.phase_rad(7.0, -0.5, 1024.0) - 0.3).abs() < 1e-15);
+        assert_eq!(
+            PatternSet::named("insitu12")
+                .unwrap()
+                .phase_rad(7.0, -0.5, 1024.0),
+            0.0
+        );
     }
 }

@@ -96,7 +96,7 @@ mod tests {
         pixels: 1.0,
     };
 
-    fn phasor(steps: u32, frames: impl Fn(f64) -> f64) -> Phasor {
+    fn phasor(steps: u32, mut frames: impl FnMut(f64) -> f64) -> Phasor {
         let mut phasor = Phasor {
             exposures: 1,
             ..Phasor::default()

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use crate::calibration::Sensor;
 use crate::frame::FrameKind;
 use crate::images::{ImageError, list_pngs};
-use crate::pattern::{FringeSet, PatternError, PatternSet, StepSign};
+use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
 use crate::textfile::{self, BadValue, TextFileError};
 
 /// A plan: patterns, exposures and, for every frame, its image.
@@ -42,8 +42,7 @@ struct PlanFile {
     exposures_us: Vec<u32>,
     #[serde(default)]
     step_sign: Option<i32>,
-    #[serde(default)]
-    phase_at_left_edge_rad: f64,
+    phase_origin_px: Option<f64>,
     dark: Option<PathBuf>,
     dark_first: Option<bool>,
     sensor: Option<Sensor>,
@@ -132,9 +131,13 @@ impl Plan {
             .name
             .or(file.pattern_set)
             .unwrap_or_else(|| "plan".to_owned());
-        let patterns =
-            PatternSet::with_convention(name, sets, step_sign, file.phase_at_left_edge_rad)
-                .map_err(|error| bad_pattern(&error, &order))?;
+        let patterns = PatternSet::with_convention(
+            name,
+            sets,
+            step_sign,
+            file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX),
+        )
+        .map_err(|error| bad_pattern(&error, &order))?;
         if order.is_empty() {
             order = (0..patterns.sets.len()).collect();
         }
@@ -271,9 +274,11 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
         PatternError::FrequencyCount { got } => {
             BadValue::new("set", got, "must be 1 to 4 [[set]] tables")
         }
-        PatternError::EdgePhase { got } => {
-            BadValue::new("phase_at_left_edge_rad", got, "must be finite")
-        }
+        PatternError::Origin { got } => BadValue::new(
+            "phase_origin_px",
+            got,
+            "must be within a projector's width of column 0",
+        ),
         PatternError::UnknownName { ref name } => {
             BadValue::new("pattern_set", name, "must be article8, insitu12 or scan16")
         }

@@ -1,4 +1,4 @@
-//! Optional repairs of the phasors before they become phases: harmonics and smoothing.
+//! Optional smoothing of the phasors before they become phases.
 
 use rayon::prelude::*;
 
@@ -117,56 +117,4 @@ pub(crate) fn smooth(accumulator: &mut Accumulator, sigma_cells: &[f64]) -> Vec<
         }
     }
     ratios
-}
-
-/// Removes the second harmonic from frequencies of three steps.
-///
-/// With three steps a projector or camera that is not linear (`B2 cos 2 phase` beside `B cos phase`) leaks into the
-/// phasor as `(3/2)(B exp(j phase) + B2 exp(-2j phase))`, a phase error of `-(B2 / B) sin 3 phase`. Over many fringes
-/// true phases are uniform, so the mean of `cos 3 phase` over the finest frequency's strong cells is `(3/2) B2 / B`;
-/// the other frequencies pass through the same response. More steps cancel this harmonic by themselves.
-pub(crate) fn correct_harmonics(accumulator: &mut Accumulator) {
-    let finest = accumulator.layout.steps.len() - 1;
-    if accumulator.layout.steps[finest] != 3 {
-        return;
-    }
-    let ratio = second_harmonic_ratio(accumulator, finest);
-    let steps = accumulator.layout.steps.clone();
-    for band in &mut accumulator.bands {
-        for (merged, _) in band
-            .merged
-            .iter_mut()
-            .zip(&steps)
-            .filter(|(_, steps)| **steps == 3)
-        {
-            for (re, im) in merged.planes.re.iter_mut().zip(&mut merged.planes.im) {
-                let (a, b) = (f64::from(*re), f64::from(*im));
-                let length = a.hypot(b);
-                if length > 0.0 {
-                    // exp(-2j phase) = conj(C)^2 / |C|^2.
-                    *re = (a - ratio * (a * a - b * b) / length) as f32;
-                    *im = (b + ratio * 2.0 * a * b / length) as f32;
-                }
-            }
-        }
-    }
-}
-
-/// B2 / B of the finest frequency; cells count by their modulation, so that background does not.
-fn second_harmonic_ratio(accumulator: &Accumulator, set: usize) -> f64 {
-    let (mut weighted, mut weights) = (0.0, 0.0);
-    for band in &accumulator.bands {
-        for cell in 0..band.cells {
-            let phasor = band.phasor(set, cell);
-            let (re, im) = (f64::from(phasor.re), f64::from(phasor.im));
-            let weight = re.hypot(im);
-            weighted += weight * (3.0 * im.atan2(re)).cos();
-            weights += weight;
-        }
-    }
-    if weights > 0.0 {
-        2.0 / 3.0 * weighted / weights
-    } else {
-        0.0
-    }
 }

@@ -1,0 +1,228 @@
+//! Known surfaces, traced by other code, come back where they are and as uncertain as predicted.
+
+mod bench_scene;
+
+use bench_scene::*;
+use flankscope_profilometry::calibration::HeadModel;
+use flankscope_profilometry::pattern::{FringeSet, PatternSet};
+use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
+
+const BRIGHT: Light = Light {
+    mean_e: 20_000.0,
+    contrast: 0.6,
+    noise_seed: None,
+};
+
+fn decode(
+    head: &HeadModel,
+    patterns: &PatternSet,
+    columns: &[f64],
+    gains: &[f64],
+    light: &Light,
+    binning: usize,
+) -> Decoded {
+    let exposures_us: Vec<u32> = (1..=gains.len() as u32).map(|i| 1000 * i).collect();
+    let options = DecodeOptions {
+        binning,
+        ..DecodeOptions::for_head(head)
+    };
+    let decoder = Decoder::new(head, patterns, &exposures_us, options).unwrap();
+    let frames = capture(head, &decoder, patterns, columns, gains, light);
+    decoder.finish(&accumulate(&decoder, &frames)).unwrap()
+}
+
+#[test]
+fn planes_and_spheres_come_back() {
+    let head = head();
+    let tilted = plane([0.21, -0.13, 1.0], 21.9);
+    let ball = sphere([0.4, -0.3, 24.4], 3.2, 23.6);
+    let surfaces: [(&str, &dyn Fn([f64; 2]) -> f64); 2] = [("plane", &tilted), ("sphere", &ball)];
+    for (name, surface) in surfaces {
+        let columns = columns(&head, surface);
+        for set in ["article8", "insitu12", "scan16"] {
+            let patterns = PatternSet::named(set).unwrap();
+            let decoded = decode(&head, &patterns, &columns, &[1.0], &BRIGHT, 1);
+            let cloud = &decoded.cloud;
+            assert_eq!(cloud.len() + decoded.rejected.total(), decoded.cells);
+            // A few cells fall off the projector or the volume at the corners.
+            assert!(
+                cloud.len() * 10 > decoded.cells * 9,
+                "{name} {set}: {:?}",
+                decoded.rejected
+            );
+            let mut worst = 0f64;
+            for (point, cell) in cloud.points_mm.iter().zip(&cloud.cell) {
+                let [x, y] = ray(&head, f64::from(cell[0]), f64::from(cell[1]));
+                let z = surface([x, y]);
+                let error = (point[0] - x * z)
+                    .hypot(point[1] - y * z)
+                    .hypot(point[2] - z);
+                worst = worst.max(error);
+            }
+            // Rounding to whole counts of 12 000 is 2e-5 rad in four steps and sums in single precision as much:
+            // 1e-6 mm at 50 columns per mm and 48 periods; ten times that is far below anything that matters.
+            assert!(worst < 1e-5, "{name} {set}: {worst} mm");
+        }
+    }
+}
+
+#[test]
+fn three_to_eight_steps_and_one_to_three_frequencies_agree() {
+    let head = head();
+    let surface = plane([0.1, 0.2, 1.0], 22.1);
+    let columns = columns(&head, &surface);
+    let sets: [&[(f64, u32)]; 4] = [
+        &[(4.0, 3), (24.0, 3)],
+        &[(4.0, 4), (48.0, 5)],
+        &[(3.0, 8)],
+        &[(1.0, 5), (7.5, 4), (48.0, 8)],
+    ];
+    for set in sets {
+        let sets = set
+            .iter()
+            .map(|&(periods, steps)| FringeSet { periods, steps })
+            .collect();
+        let patterns = PatternSet::new("test", sets).unwrap();
+        let decoded = decode(&head, &patterns, &columns, &[1.0], &BRIGHT, 1);
+        assert!(
+            decoded.cloud.len() * 10 > decoded.cells * 9,
+            "{set:?} {:?}",
+            decoded.rejected
+        );
+        let finest = set[set.len() - 1].0;
+        for (point, cell) in decoded.cloud.points_mm.iter().zip(&decoded.cloud.cell) {
+            let z = surface(ray(&head, f64::from(cell[0]), f64::from(cell[1])));
+            // As above, scaled to the periods.
+            assert!(
+                (point[2] - z).abs() < 1e-5 * 48.0 / finest,
+                "{set:?} {}",
+                point[2] - z
+            );
+        }
+    }
+}
+
+#[test]
+fn predicted_uncertainty_is_the_spread() {
+    let head = head();
+    let surface = plane([0.1, -0.2, 1.0], 22.0);
+    let columns = columns(&head, &surface);
+    for (set, gains, mean_e, binning) in [
+        ("insitu12", &[1.0][..], 4000.0, 1),
+        ("scan16", &[1.0, 2.0], 900.0, 1),
+        ("article8", &[1.0], 3000.0, 3),
+    ] {
+        let patterns = PatternSet::named(set).unwrap();
+        let light = Light {
+            mean_e,
+            contrast: 0.5,
+            noise_seed: Some(11),
+        };
+        let decoded = decode(&head, &patterns, &columns, gains, &light, binning);
+        let cloud = &decoded.cloud;
+        assert!(
+            cloud.len() * 10 > decoded.cells * 8,
+            "{:?}",
+            decoded.rejected
+        );
+        let (mut squares, mut sum) = (0.0, 0.0);
+        for ((point, cell), sigma) in cloud
+            .points_mm
+            .iter()
+            .zip(&cloud.cell)
+            .zip(&cloud.sigma_z_mm)
+        {
+            let centre =
+                |index: u16| f64::from(index) * binning as f64 + (binning - 1) as f64 / 2.0;
+            let z = surface(ray(&head, centre(cell[0]), centre(cell[1])));
+            let error = (point[2] - z) / f64::from(*sigma);
+            squares += error * error;
+            sum += error;
+        }
+        let count = cloud.len() as f64;
+        let ratio = (squares / count).sqrt();
+        // The rms of n draws is known to 1/sqrt(2 n); four of these, and 2 % for gates that cut the tails.
+        let tolerance = 4.0 / (2.0 * count).sqrt() + 0.02;
+        assert!((ratio - 1.0).abs() < tolerance, "{set}: {ratio} of {count}");
+        assert!(
+            (sum / count).abs() < 4.0 / count.sqrt() + 0.02,
+            "{set}: bias {}",
+            sum / count
+        );
+    }
+}
+
+#[test]
+fn the_same_bytes_on_any_number_of_threads() {
+    let head = head();
+    let columns = columns(&head, sphere([0.0, 0.0, 24.0], 3.0, 23.0));
+    let light = Light {
+        mean_e: 2000.0,
+        contrast: 0.5,
+        noise_seed: Some(3),
+    };
+    let patterns = PatternSet::named("scan16").unwrap();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| decode(&head, &patterns, &columns, &[1.0, 3.0], &light, 2))
+    };
+    let serial = run(1);
+    assert!(serial.cloud.len() > 1000);
+    for threads in [2, 5] {
+        assert_eq!(serial, run(threads));
+    }
+}
+
+#[test]
+fn what_lies_outside_the_volume_is_not_guessed() {
+    // Between the volume's far end and where its near end repeats (a period of the lowest frequency spans more than
+    // 4.2 mm of depth) no fringe order leads into the volume.
+    let head = head();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let behind = columns(&head, plane([0.0, 0.0, 1.0], 24.15));
+    let decoded = decode(&head, &patterns, &behind, &[1.0], &BRIGHT, 1);
+    assert_eq!(decoded.cloud.len(), 0);
+    assert!(
+        decoded.rejected.outside_volume > decoded.cells / 2,
+        "{:?}",
+        decoded.rejected
+    );
+}
+
+#[test]
+fn an_ambiguous_volume_is_refused() {
+    let mut head = head();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let new = |head: &HeadModel| {
+        Decoder::new(head, &patterns, &[1000], DecodeOptions::for_head(head)).map(|_| ())
+    };
+    assert_eq!(new(&head), Ok(()));
+    head.volume.as_mut().unwrap().far_mm = 32.0;
+    assert!(
+        matches!(new(&head), Err(DecodeError::VolumeTooDeep { spanned, .. }) if spanned > 0.95)
+    );
+    head.volume = None;
+    assert_eq!(new(&head), Err(DecodeError::NeedsVolume { periods: 4.0 }));
+    head.sensor = None;
+    assert_eq!(new(&head), Err(DecodeError::NoSensor));
+}
+
+#[test]
+fn head_files_survive_the_round_trip() {
+    let folder = std::env::temp_dir().join(format!("flankscope-head-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("head.toml");
+    let mut full = head();
+    full.stage_from_camera = Some(full.projector_from_camera);
+    full.pattern_set = Some("insitu12".to_owned());
+    full.exposures_us = vec![10_000, 20_000];
+    full.working_distance_mm = Some(20.0);
+    for head in [head(), full] {
+        std::fs::write(&path, head.to_toml().unwrap()).unwrap();
+        assert_eq!(HeadModel::load(&path).unwrap(), head);
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
