@@ -4,6 +4,8 @@
 //! they are going, a frame as soon as its exposure has ended. If either is not ready when the camera would hand the
 //! frame over, virtual time is held until it is, so that the bench's own work never counts as the instrument's; the
 //! time held is reported.
+//!
+//! A [`FrameFault`] makes the camera misbehave as cameras do.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -17,6 +19,51 @@ use flankscope_station::capture::{
 use crate::devices::{Exposure, ExposureSink};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, ViewState, World};
+
+/// A camera that misbehaves at one frame of every capture, or of the first capture only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameFault {
+    /// What happens.
+    pub kind: FrameFaultKind,
+    /// At which frame since arming, from 0.
+    pub frame: u32,
+    /// Only in the first capture: the second one is good.
+    pub once: bool,
+}
+
+/// How a camera misbehaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameFaultKind {
+    /// The frame is exposed but never arrives.
+    Lose,
+    /// The frame arrives twice.
+    Repeat,
+    /// The camera exposes once more than it was triggered.
+    Extra,
+}
+
+impl std::str::FromStr for FrameFault {
+    type Err = anyhow::Error;
+
+    /// `lose:12`, `repeat:12` or `extra:12`, with `:once` for the first capture only.
+    fn from_str(text: &str) -> anyhow::Result<Self> {
+        let mut words = text.split(':');
+        let kind = match words.next() {
+            Some("lose") => FrameFaultKind::Lose,
+            Some("repeat") => FrameFaultKind::Repeat,
+            Some("extra") => FrameFaultKind::Extra,
+            _ => anyhow::bail!("frame fault {text:?}: lose, repeat or extra is needed, for example lose:12"),
+        };
+        let frame = words.next().unwrap_or_default();
+        let frame = frame.parse().map_err(|_| anyhow::anyhow!("frame fault {text:?}: {frame:?} is no frame number"))?;
+        let once = match (words.next(), words.next()) {
+            (None, _) => false,
+            (Some("once"), None) => true,
+            _ => anyhow::bail!("frame fault {text:?}: only :once may follow"),
+        };
+        Ok(Self { kind, frame, once })
+    }
+}
 
 /// Prepared views kept: the one being photographed and the next.
 const VIEWS_KEPT: usize = 2;
@@ -48,6 +95,7 @@ pub struct CameraThread {
 pub fn start(
     world: World,
     patterns: Vec<PatternSpec>,
+    fault: Option<FrameFault>,
     root: SharedRoot,
 ) -> anyhow::Result<(CameraThread, impl FnOnce(Remote) -> Camera)> {
     let (jobs, queue) = channel();
@@ -57,7 +105,7 @@ pub fn start(
         match FrameSender::open(&root) {
             Ok(sender) => {
                 let _ = opened_sender.send(Ok(()));
-                Darkroom::new(world, patterns, sender).run(&queue);
+                Darkroom::new(world, patterns, fault, sender).run(&queue);
             }
             Err(error) => drop(opened_sender.send(Err(error))),
         }
@@ -103,11 +151,16 @@ struct Darkroom {
     ready: VecDeque<(u32, SealedFrame)>,
     arm: Option<Arm>,
     since_arming: u32,
+    fault: Option<FrameFault>,
+    /// Captures armed so far.
+    captures: u32,
+    /// Frames exposed without a trigger.
+    extra: u32,
     truth: Truth,
 }
 
 impl Darkroom {
-    fn new(world: World, patterns: Vec<PatternSpec>, sender: FrameSender) -> Self {
+    fn new(world: World, patterns: Vec<PatternSpec>, fault: Option<FrameFault>, sender: FrameSender) -> Self {
         Self {
             world,
             patterns,
@@ -116,6 +169,9 @@ impl Darkroom {
             ready: VecDeque::new(),
             arm: None,
             since_arming: 0,
+            fault,
+            captures: 0,
+            extra: 0,
             truth: Truth::default(),
         }
     }
@@ -145,24 +201,50 @@ impl Darkroom {
         }
     }
 
-    /// Renders an exposure into a slot of the shared memory.
+    /// Turns an exposure into frames: one, unless the camera misbehaves.
     fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
         if let Some(arm) = self.sender.armed() {
             self.arm = Some(arm);
             self.since_arming = 0;
+            self.captures += 1;
         }
-        let arm = self.arm.unwrap_or_default();
+        let struck = |fault: &FrameFault| fault.frame == self.since_arming && !(fault.once && self.captures > 1);
+        let fault = self.fault.filter(struck).map(|fault| fault.kind);
+        let frame = self.expose(exposure, ended_monotonic_ns);
+        match fault {
+            None => self.ready.extend(frame),
+            Some(FrameFaultKind::Lose) => {}
+            Some(FrameFaultKind::Repeat) => {
+                self.ready.extend(frame);
+                self.since_arming -= 1; // the same label and number once more
+                let again = self.expose(exposure, ended_monotonic_ns);
+                self.ready.extend(again);
+            }
+            Some(FrameFaultKind::Extra) => {
+                self.ready.extend(frame);
+                self.extra += 1;
+                let extra = self.expose(exposure, ended_monotonic_ns);
+                self.ready.extend(extra);
+            }
+        }
+    }
+
+    /// Renders an exposure into a slot of the shared memory and labels it.
+    fn expose(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) -> Option<(u32, SealedFrame)> {
         let beyond = FrameLabel { view: u16::MAX, ..FrameLabel::default() };
         let label = self.arm.and_then(|arm| arm.label(self.since_arming)).unwrap_or(beyond);
         self.since_arming += 1;
         let [width, height] = self.world.size_px();
         let frame = match self.sender.loan(width * height, exposure.counter) {
             Ok(frame) => frame,
-            Err(error) => return eprintln!("bench: {error}"),
+            Err(error) => {
+                eprintln!("bench: {error}");
+                return None;
+            }
         };
         let header = FrameHeader {
-            session: arm.session,
-            counter: exposure.counter,
+            session: self.arm.unwrap_or_default().session,
+            counter: exposure.counter + self.extra,
             label,
             width_px: width as u32,
             height_px: height as u32,
@@ -173,9 +255,8 @@ impl Darkroom {
             ..FrameHeader::default()
         };
         self.prepare(exposure.rotation_rad, exposure.vertical_mm);
-        if let Some(frame) = self.render(exposure, frame) {
-            self.ready.push_back((exposure.counter, frame.seal(header)));
-        }
+        let frame = self.render(exposure, frame)?;
+        Some((exposure.counter, frame.seal(header)))
     }
 
     fn render(&mut self, exposure: &Exposure, mut frame: LoanedFrame) -> Option<LoanedFrame> {
@@ -198,13 +279,13 @@ impl Darkroom {
         Some(frame)
     }
 
+    /// Hands over every frame of an exposure, and drops what was never asked for.
     fn hand_over(&mut self, counter: u32) {
-        while let Some((number, frame)) = self.ready.pop_front() {
-            if number == counter {
-                if let Err(error) = self.sender.send(frame) {
-                    eprintln!("bench: {error}");
-                }
-                return;
+        while let Some((number, frame)) = self.ready.pop_front_if(|(number, _)| *number <= counter) {
+            if number == counter
+                && let Err(error) = self.sender.send(frame)
+            {
+                eprintln!("bench: {error}");
             }
         }
     }

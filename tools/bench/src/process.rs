@@ -1,0 +1,186 @@
+//! The bench as a process: `flankscope bench run`, started by the host as a child.
+//!
+//! It says hello on standard output (where the controller's port is), runs until its standard input ends, and says
+//! farewell there (what was really photographed, and how well the bench kept up).
+
+use std::io::{Read, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::{HeadModel, PatternSet};
+use flankscope_sim::{Clock, Sim};
+use flankscope_station::capture::SharedRoot;
+use serde::{Deserialize, Serialize};
+
+use crate::camera::{self, FrameFault};
+use crate::demo;
+use crate::devices;
+use crate::truth::Truth;
+use crate::world::{PatternSpec, Wear, World};
+
+/// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
+const MAX_SPEED: f64 = 50.0;
+
+/// The simulated bench.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Run the bench until standard input ends.
+    Run(RunArgs),
+    /// Write the demo tool's folder: CAD, tool.toml, head.toml.
+    DemoTool {
+        /// Folder to write into.
+        #[arg(long, short)]
+        out: PathBuf,
+    },
+}
+
+/// What is on the bench.
+#[derive(clap::Args)]
+struct RunArgs {
+    /// The host's shared-memory root.
+    #[arg(long)]
+    root: PathBuf,
+    /// Tool folder; its head.toml, else the demo head.
+    #[arg(long)]
+    tool: PathBuf,
+    /// Seed of stage errors, surface grain and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Damage: TOOTH:FLANK:DEPTH_UM[:KIND].
+    #[arg(long)]
+    wear: Vec<Wear>,
+    /// Virtual seconds per second, or max.
+    #[arg(long, default_value = "1")]
+    speed: Speed,
+    /// A camera that misbehaves: lose|repeat|extra:FRAME[:once].
+    #[arg(long)]
+    frame_fault: Option<FrameFault>,
+}
+
+/// How fast virtual time runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Speed(f64);
+
+impl std::str::FromStr for Speed {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "max" {
+            return Ok(Self(MAX_SPEED));
+        }
+        match text.parse::<f64>() {
+            Ok(speed) if (0.1..=MAX_SPEED).contains(&speed) => Ok(Self(speed)),
+            _ => Err(format!("{text} is no speed; 0.1 to {MAX_SPEED} or max is")),
+        }
+    }
+}
+
+/// First line on standard output.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Hello {
+    /// The controller's port.
+    pub port: PathBuf,
+    heartbeat_us: u64,
+}
+
+impl Hello {
+    /// How often the host must speak, in real time.
+    #[must_use]
+    pub fn heartbeat(&self) -> Duration {
+        Duration::from_micros(self.heartbeat_us)
+    }
+}
+
+/// Last line on standard output.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Farewell {
+    /// Seed of the run.
+    pub seed: u64,
+    /// What was photographed.
+    #[serde(flatten)]
+    pub truth: Truth,
+    /// Virtual time that passed, s.
+    pub virtual_s: f64,
+    /// Real time during which virtual time was held for rendering, ms.
+    pub held_ms: f64,
+    /// Real time by which the simulation itself fell behind, ms.
+    pub lagged_ms: f64,
+}
+
+impl Farewell {
+    /// A line for the user when the bench did not keep up with real time.
+    #[must_use]
+    pub fn notice(&self) -> Option<String> {
+        let late_ms = self.held_ms + self.lagged_ms;
+        (late_ms > 20.0).then(|| {
+            format!(
+                "the bench lagged {late_ms:.0} ms behind real time (its rendering {:.0} ms); its clock stood still meanwhile",
+                self.held_ms
+            )
+        })
+    }
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// Unreadable files, wear that the die cannot have, no pseudo-terminal, no shared memory.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    match &args.command {
+        Command::Run(args) => simulate(args),
+        Command::DemoTool { out } => Ok(demo::write_tool(out)?),
+    }
+}
+
+fn simulate(args: &RunArgs) -> anyhow::Result<()> {
+    let tool = Tool::load(&args.tool)?;
+    let beside = if args.tool.is_dir() { args.tool.join("head.toml") } else { args.tool.with_file_name("head.toml") };
+    let head = if beside.exists() { HeadModel::load(&beside)? } else { demo::head() };
+    let Speed(speed) = args.speed;
+
+    let mut config = demo::world_of(&tool, &head)?;
+    config.wear = args.wear.clone();
+    config.run_seed = args.seed;
+    let world = World::new(&config)?;
+    let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
+    let sets: Vec<(f64, u32)> = set.sets.iter().map(|set| (set.periods, set.steps)).collect();
+    let patterns = PatternSpec::sequence(&sets);
+    let (camera_thread, camera) = camera::start(world, patterns, args.frame_fault, SharedRoot::of_owner(&args.root))?;
+
+    let sim = Sim::new(Clock::Paced { speed });
+    let instrument = devices::Instrument::spawn(&sim, args.seed, speed, camera(sim.remote()))?;
+    let hello = Hello { port: instrument.port(), heartbeat_us: (instrument.host_silence_us() as f64 / speed / 3.0) as u64 };
+    let mut out = std::io::stdout();
+    writeln!(out, "{}", serde_json::to_string(&hello)?)?;
+    out.flush()?;
+
+    let stopped = Arc::new(AtomicBool::new(false));
+    let (seen, remote) = (Arc::clone(&stopped), sim.remote());
+    std::thread::spawn(move || {
+        // Whatever comes is ignored; the end counts, and it comes even when the host is killed.
+        let _ = std::io::stdin().read_to_end(&mut Vec::new());
+        seen.store(true, Ordering::Release);
+        remote.wake();
+    });
+    sim.run_until(|| stopped.load(Ordering::Acquire));
+
+    let pace = sim.pace();
+    let farewell = Farewell {
+        seed: args.seed,
+        truth: camera_thread.finish()?,
+        virtual_s: pace.virtual_us as f64 * 1e-6,
+        held_ms: pace.held.as_secs_f64() * 1e3,
+        lagged_ms: pace.lagged.as_secs_f64() * 1e3,
+    };
+    writeln!(out, "{}", serde_json::to_string(&farewell)?)?;
+    Ok(())
+}
