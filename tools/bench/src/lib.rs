@@ -1,4 +1,17 @@
 //! The simulated physical bench: die with wear, fibre optics, camera, stages, and the truth.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`devices`] | LED, DMD, camera and stages as the controller sees them, in virtual time |
+//! | [`world`] | die, light and sensor: what a frame shows |
+//! | [`camera`] | exposures to frames in shared memory |
+//! | [`truth`] | what really was photographed |
+//! | [`demo`] | the built-in die and head |
+//! | [`process`] | all of it as a process of its own |
 
+pub mod camera;
 pub mod demo;
+pub mod devices;
+pub mod process;
+pub mod truth;
 pub mod world;

@@ -1,0 +1,163 @@
+//! Camera in trigger-width mode: exposed while the trigger is high, read out while the next frame may be exposed.
+
+use super::World;
+use embassy_futures::select::{Either, select};
+use embassy_time::{Duration, Instant, Timer};
+use embedded_hal_async::digital::Wait;
+use flankscope_sim::Board;
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+/// Times of the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CameraTiming {
+    /// Trigger edge to exposure edge: an opto-coupled input takes a few microseconds.
+    pub latency_us: u64,
+    /// Exposure end to the last row: 1920x1200 at 16 bit and 80 frames per second over USB 3.
+    pub readout_us: u64,
+}
+
+impl Default for CameraTiming {
+    fn default() -> Self {
+        Self {
+            latency_us: 5,
+            readout_us: 12_500,
+        }
+    }
+}
+
+/// One frame as it was exposed: everything that a picture of it depends on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exposure {
+    /// Frames since the camera was switched on, counted from 0.
+    pub counter: u32,
+    /// Start of the exposure, virtual time.
+    pub start_us: u64,
+    /// End of the exposure, virtual time.
+    pub end_us: u64,
+    /// DMD index on the mirrors: 0 is black.
+    pub pattern: u16,
+    /// Light came out of the LED from start to end.
+    pub led_on: bool,
+    /// True angle of the rotary stage, its error included.
+    pub rotation_rad: f64,
+    /// True position of the vertical stage, its error included.
+    pub vertical_mm: f64,
+    /// When the frame is read out, virtual time.
+    pub readout_done_us: u64,
+}
+
+/// Why a triggered frame does not exist.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lost {
+    /// Its exposure ended while the frame before was still being read out.
+    Readout,
+}
+
+/// Takes what the camera exposes. Called on the simulation's thread, so whatever takes long belongs on others.
+pub trait ExposureSink {
+    /// The simulation is about to start; `remote` can hold its time.
+    fn attach(&mut self, remote: flankscope_sim::Remote) {
+        let _ = remote;
+    }
+    /// The stages set off and will come to stand at this true pose: time to prepare what will be seen there.
+    fn moving_to(&mut self, pose: super::TruePose) {
+        let _ = pose;
+    }
+    /// A frame was exposed; it is not read out yet.
+    fn exposed(&mut self, exposure: Exposure);
+    /// The frame with this counter is read out: the camera hands it over now.
+    fn read_out(&mut self, counter: u32) {
+        let _ = counter;
+    }
+    /// A frame was triggered in vain; its counter value is skipped.
+    fn lost(&mut self, counter: u32, why: Lost) {
+        let _ = (counter, why);
+    }
+}
+
+pub(super) async fn run<S: ExposureSink>(
+    board: Board,
+    timing: CameraTiming,
+    world: Rc<World>,
+    sink: Rc<RefCell<S>>,
+) {
+    let (mut trigger, ready, exposing) = (
+        board.camera_trigger,
+        board.camera_ready,
+        board.camera_exposing,
+    );
+    let latency = Duration::from_micros(timing.latency_us);
+    let mut counter = 0;
+    let mut reading: VecDeque<(u32, u64)> = VecDeque::new();
+    ready.set(true);
+    loop {
+        // Idle: waiting for a trigger, handing over what is read out meanwhile.
+        until(&mut trigger, true, &mut reading, &sink).await;
+        ready.set(false);
+        Timer::after(latency).await;
+        exposing.set(true);
+        let start_us = now_us();
+        let (pattern, lit) = (world.displayed.get(), world.lit.get());
+        until(&mut trigger, false, &mut reading, &sink).await;
+        Timer::after(latency).await;
+        exposing.set(false);
+        let end_us = now_us();
+        let readout_done_us = end_us + timing.readout_us;
+        if reading.iter().any(|&(_, done_us)| done_us > end_us) {
+            sink.borrow_mut().lost(counter, Lost::Readout);
+        } else {
+            let pose = world.stage.borrow().true_pose(end_us);
+            sink.borrow_mut().exposed(Exposure {
+                counter,
+                start_us,
+                end_us,
+                pattern,
+                led_on: lit && world.lit.get(),
+                rotation_rad: pose.rotation_rad,
+                vertical_mm: pose.vertical_mm,
+                readout_done_us,
+            });
+            reading.push_back((counter, readout_done_us));
+        }
+        counter += 1;
+        ready.set(true);
+    }
+}
+
+/// Waits for a trigger level; readouts that end meanwhile are handed over on time.
+async fn until<S: ExposureSink>(
+    trigger: &mut flankscope_sim::Line,
+    level: bool,
+    reading: &mut VecDeque<(u32, u64)>,
+    sink: &Rc<RefCell<S>>,
+) {
+    loop {
+        let readout = async {
+            match reading.front() {
+                Some(&(_, done_us)) => Timer::at(Instant::from_micros(done_us)).await,
+                None => core::future::pending().await,
+            }
+        };
+        let edge = async {
+            let Ok(()) = if level {
+                trigger.wait_for_high().await
+            } else {
+                trigger.wait_for_low().await
+            };
+        };
+        match select(readout, edge).await {
+            Either::First(()) => {
+                if let Some((counter, _)) = reading.pop_front() {
+                    sink.borrow_mut().read_out(counter);
+                }
+            }
+            Either::Second(()) => return,
+        }
+    }
+}
+
+fn now_us() -> u64 {
+    Instant::now().as_micros()
+}

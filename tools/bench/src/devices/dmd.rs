@@ -1,0 +1,63 @@
+//! DMD controller: pattern selection over a bus, trigger in, ready out.
+
+use super::World;
+use embassy_futures::select::{Either, select};
+use embassy_time::{Duration, Timer};
+use embedded_hal_async::digital::Wait;
+use flankscope_sim::Board;
+use std::rc::Rc;
+
+/// Times of the DMD controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DmdTiming {
+    /// One selection on the bus: five bytes at 400 kHz are 0.11 ms.
+    pub select_us: u64,
+    /// Trigger to pattern standing. A DLP controller of the DLPC350 class loads a bit plane in about 0.2 ms and needs
+    /// eight for 8 bit: pattern rates of 120 Hz at 8 bit are set by LED time, not by this.
+    pub switch_us: u64,
+    /// Patterns held; a selection beyond is refused.
+    pub patterns: u16,
+    /// From this trigger on (counted from 0) ready never comes again.
+    pub dead_from_trigger: Option<u32>,
+}
+
+impl Default for DmdTiming {
+    fn default() -> Self {
+        Self {
+            select_us: 110,
+            switch_us: 500,
+            patterns: 128,
+            dead_from_trigger: None,
+        }
+    }
+}
+
+pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
+    let (mut trigger, ready, bus) = (board.dmd_trigger, board.dmd_ready, board.pattern_bus);
+    let mut selected = 0;
+    let mut triggers = 0;
+    loop {
+        match select(bus.requested(), trigger.wait_for_rising_edge()).await {
+            Either::First(pattern) => {
+                Timer::after(Duration::from_micros(timing.select_us)).await;
+                let taken = pattern <= timing.patterns;
+                if taken {
+                    selected = pattern;
+                    ready.set(false);
+                }
+                bus.answer(taken);
+            }
+            Either::Second(_) => {
+                let dead = timing
+                    .dead_from_trigger
+                    .is_some_and(|from| triggers >= from);
+                triggers += 1;
+                Timer::after(Duration::from_micros(timing.switch_us)).await;
+                if !dead {
+                    world.displayed.set(selected);
+                    ready.set(true);
+                }
+            }
+        }
+    }
+}

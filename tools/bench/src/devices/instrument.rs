@@ -1,0 +1,136 @@
+//! The whole instrument on a thread of its own: controller, devices, and a pseudo-terminal for the host.
+
+use super::{DeviceConfig, ExposureSink, spawn_all};
+use flankscope_controller::sequence;
+use flankscope_controller::stage::esp301::Axes;
+use flankscope_sim::{Clock, Edge, Pace, Pty, Remote, Sim, Wiring, spawn_controller};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+
+/// What to run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InstrumentConfig {
+    /// How virtual time passes.
+    pub clock: Clock,
+    /// The controller's settings; the host's silence is counted in virtual time, so raise it with the speed.
+    pub controller: sequence::Config,
+    /// Mechanics as the controller knows them.
+    pub axes: Axes,
+    /// How the devices behave.
+    pub devices: DeviceConfig,
+}
+
+impl Default for InstrumentConfig {
+    fn default() -> Self {
+        Self {
+            clock: Clock::Paced { speed: 1.0 },
+            controller: sequence::Config::DEFAULT,
+            axes: Axes::DEFAULT,
+            devices: DeviceConfig::default(),
+        }
+    }
+}
+
+/// What a finished run leaves behind.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Outcome {
+    /// Virtual time reached, and how far real time was ahead of it.
+    pub pace: Pace,
+    /// Every pin edge, in order.
+    pub edges: Vec<Edge>,
+}
+
+/// A running instrument. Dropping it stops it.
+pub struct Instrument {
+    port: PathBuf,
+    remote: Remote,
+    stopping: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Outcome>>,
+}
+
+impl Instrument {
+    /// The serial port for the host to open.
+    #[must_use]
+    pub fn port(&self) -> &Path {
+        &self.port
+    }
+
+    /// Holds virtual time, for instance while a frame is being rendered.
+    #[must_use]
+    pub fn remote(&self) -> &Remote {
+        &self.remote
+    }
+
+    /// Stops the instrument. `None` if its thread panicked.
+    #[must_use]
+    pub fn stop(mut self) -> Option<Outcome> {
+        self.finish()
+    }
+
+    fn finish(&mut self) -> Option<Outcome> {
+        self.stopping.store(true, Ordering::Release);
+        self.remote.wake();
+        self.thread.take()?.join().ok()
+    }
+}
+
+impl Drop for Instrument {
+    fn drop(&mut self) {
+        let _outcome = self.finish();
+    }
+}
+
+/// Starts the instrument and returns once its port can be opened.
+///
+/// # Errors
+/// The system has no thread or no pseudo-terminal left.
+pub fn run(
+    config: InstrumentConfig,
+    mut sink: impl ExposureSink + Send + 'static,
+) -> io::Result<Instrument> {
+    let stopping = Arc::new(AtomicBool::new(false));
+    let stop = Arc::clone(&stopping);
+    let (opened, opening) = mpsc::channel();
+    let thread = std::thread::Builder::new()
+        .name("instrument".into())
+        .spawn(move || {
+            let sim = Sim::new(config.clock);
+            let wiring = Wiring::new(&sim);
+            let pty = Pty::open(&sim, wiring.host.clone()).map(|pty| {
+                let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
+                pty
+            });
+            let pty = match pty {
+                Ok(pty) => pty,
+                Err(error) => {
+                    let _starter = opened.send(Err(error));
+                    return Outcome {
+                        pace: sim.pace(),
+                        edges: Vec::new(),
+                    };
+                }
+            };
+            sink.attach(sim.remote());
+            spawn_all(&sim, &wiring, &config.devices, sink);
+            spawn_controller(&sim, &wiring, config.controller, config.axes);
+            sim.run_until(|| stop.load(Ordering::Acquire));
+            drop(pty);
+            Outcome {
+                pace: sim.pace(),
+                edges: sim.edges(),
+            }
+        })?;
+    let (port, remote) = opening
+        .recv()
+        .map_err(|_| io::Error::other("the instrument's thread ended early"))??;
+    Ok(Instrument {
+        port,
+        remote,
+        stopping,
+        thread: Some(thread),
+    })
+}

@@ -1,0 +1,51 @@
+//! LED driver: enable in, current sense out.
+
+use super::World;
+use embassy_futures::select::select;
+use embassy_time::{Duration, Timer};
+use embedded_hal_async::digital::Wait;
+use flankscope_sim::Board;
+use std::rc::Rc;
+
+/// Times of the LED driver, those of a current regulator for a high-power LED (assumed, order of its soft start).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LedTiming {
+    /// Enable to full current.
+    pub rise_us: u64,
+    /// Disable to no current.
+    pub fall_us: u64,
+    /// The LED never draws current.
+    pub open: bool,
+}
+
+impl Default for LedTiming {
+    fn default() -> Self {
+        Self {
+            rise_us: 200,
+            fall_us: 50,
+            open: false,
+        }
+    }
+}
+
+pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
+    let (mut enable, sense) = (board.led_enable, board.led_sense);
+    loop {
+        let Ok(()) = enable.wait_for_high().await;
+        let mut abandoned = enable.clone();
+        // Enable may fall again while the current still rises.
+        select(
+            Timer::after(Duration::from_micros(timing.rise_us)),
+            abandoned.wait_for_low(),
+        )
+        .await;
+        if enable.level() && !timing.open {
+            world.lit.set(true);
+            sense.set(true);
+        }
+        let Ok(()) = enable.wait_for_low().await;
+        Timer::after(Duration::from_micros(timing.fall_us)).await;
+        world.lit.set(false);
+        sense.set(false);
+    }
+}

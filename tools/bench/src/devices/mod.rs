@@ -1,0 +1,78 @@
+//! The devices around the controller, each a task in virtual time on the simulator's executor.
+//!
+//! ```text
+//!  controller ──led_enable──► led ──led_sense──►            host
+//!             ──pattern bus, dmd_trigger──► dmd ──ready──►   │ pseudo-terminal
+//!             ──camera_trigger──► camera ──ready, exposing──►│
+//!             ◄──UART, ESP301 text──► stage                  ▼
+//!                                     camera ──► ExposureSink: what was exposed, under which pattern, at which pose
+//! ```
+//! The models know nothing of each other but what light and mechanics carry between them: [`World`].
+
+pub mod camera;
+pub mod dmd;
+pub mod instrument;
+pub mod led;
+pub mod motion;
+pub mod stage;
+
+pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
+pub use dmd::DmdTiming;
+pub use instrument::{Instrument, InstrumentConfig, Outcome, run};
+pub use led::LedTiming;
+pub use stage::{AxisModel, StageModel, TruePose};
+
+use flankscope_sim::{Sim, Wiring};
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+
+/// What light and mechanics carry between the devices.
+pub struct World {
+    /// DMD index standing on the mirrors: 0 is black.
+    pub displayed: Cell<u16>,
+    /// Light comes out of the LED.
+    pub lit: Cell<bool>,
+    /// Both axes as they really are.
+    pub stage: RefCell<StageModel>,
+}
+
+/// How the devices behave.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DeviceConfig {
+    /// LED driver.
+    pub led: LedTiming,
+    /// DMD controller.
+    pub dmd: DmdTiming,
+    /// Camera.
+    pub camera: CameraTiming,
+    /// Both axes.
+    pub axes: stage::AxisModels,
+    /// Seed of the stage errors.
+    pub seed: u64,
+}
+
+/// Puts all devices on their side of the wiring.
+pub fn spawn_all(
+    sim: &Sim,
+    wiring: &Wiring,
+    config: &DeviceConfig,
+    sink: impl ExposureSink + 'static,
+) -> Rc<World> {
+    let world = Rc::new(World {
+        displayed: Cell::new(0),
+        lit: Cell::new(false),
+        stage: RefCell::new(StageModel::new(config.axes, config.seed)),
+    });
+    let sink = Rc::new(RefCell::new(sink));
+    let board = || wiring.board.clone();
+    sim.spawn(led::run(board(), config.led, Rc::clone(&world)));
+    sim.spawn(dmd::run(board(), config.dmd, Rc::clone(&world)));
+    sim.spawn(camera::run(
+        board(),
+        config.camera,
+        Rc::clone(&world),
+        Rc::clone(&sink),
+    ));
+    sim.spawn(stage::run(wiring.stage.clone(), Rc::clone(&world), sink));
+    world
+}

@@ -1,0 +1,194 @@
+//! Motion of one axis in closed form: brake from whatever speed there is, then a trapezoid from rest to the target.
+
+/// Velocity and acceleration limits, in units of the axis per second and per second squared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Dynamics {
+    /// Largest speed.
+    pub speed: f64,
+    /// Acceleration and deceleration.
+    pub acceleration: f64,
+}
+
+/// A motion that began at some time with some speed and ends at rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Profile {
+    start_s: f64,
+    from: f64,
+    from_speed: f64,
+    brake_s: f64,
+    /// Where braking ends and the trapezoid begins.
+    turn: f64,
+    target: f64,
+    dynamics: Dynamics,
+}
+
+impl Profile {
+    /// At rest for ever.
+    #[must_use]
+    pub fn rest(at: f64) -> Self {
+        let dynamics = Dynamics {
+            speed: 1.0,
+            acceleration: 1.0,
+        };
+        Self {
+            start_s: 0.0,
+            from: at,
+            from_speed: 0.0,
+            brake_s: 0.0,
+            turn: at,
+            target: at,
+            dynamics,
+        }
+    }
+
+    /// From where this motion is at `now_s` to `target`.
+    #[must_use]
+    pub fn redirect(&self, now_s: f64, target: f64, dynamics: Dynamics) -> Self {
+        Self {
+            target,
+            ..self.brake(now_s, dynamics)
+        }
+    }
+
+    /// From where this motion is at `now_s` to rest as soon as possible.
+    #[must_use]
+    pub fn brake(&self, now_s: f64, dynamics: Dynamics) -> Self {
+        let (from, from_speed) = (self.position(now_s), self.speed(now_s));
+        let brake_s = from_speed.abs() / dynamics.acceleration;
+        let turn = from + 0.5 * from_speed * brake_s;
+        Self {
+            start_s: now_s,
+            from,
+            from_speed,
+            brake_s,
+            turn,
+            target: turn,
+            dynamics,
+        }
+    }
+
+    /// Where it comes to rest.
+    #[must_use]
+    pub fn target(&self) -> f64 {
+        self.target
+    }
+
+    /// When it comes to rest.
+    #[must_use]
+    pub fn end_s(&self) -> f64 {
+        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
+        self.start_s + self.brake_s + 2.0 * ramp_s + cruise_s
+    }
+
+    /// Seconds of acceleration (as many of deceleration) and of cruise in the trapezoid.
+    fn ramp_and_cruise_s(&self) -> (f64, f64) {
+        let Dynamics {
+            speed,
+            acceleration,
+        } = self.dynamics;
+        let distance = (self.target - self.turn).abs();
+        if distance * acceleration >= speed * speed {
+            (
+                speed / acceleration,
+                distance / speed - speed / acceleration,
+            )
+        } else {
+            ((distance / acceleration).sqrt(), 0.0)
+        }
+    }
+
+    /// Position at `now_s`.
+    #[must_use]
+    pub fn position(&self, now_s: f64) -> f64 {
+        let t = (now_s - self.start_s).max(0.0);
+        if t < self.brake_s {
+            let deceleration = self.from_speed / self.brake_s;
+            return self.from + self.from_speed * t - 0.5 * deceleration * t * t;
+        }
+        let t = t - self.brake_s;
+        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
+        let a = self.dynamics.acceleration;
+        let total_s = 2.0 * ramp_s + cruise_s;
+        if t >= total_s {
+            return self.target;
+        }
+        let sign = (self.target - self.turn).signum();
+        if t < ramp_s {
+            self.turn + sign * 0.5 * a * t * t
+        } else if t < ramp_s + cruise_s {
+            self.turn + sign * (0.5 * a * ramp_s * ramp_s + a * ramp_s * (t - ramp_s))
+        } else {
+            let left = total_s - t;
+            self.target - sign * 0.5 * a * left * left
+        }
+    }
+
+    /// Signed speed at `now_s`.
+    #[must_use]
+    pub fn speed(&self, now_s: f64) -> f64 {
+        let t = (now_s - self.start_s).max(0.0);
+        if t < self.brake_s {
+            return self.from_speed * (1.0 - t / self.brake_s);
+        }
+        let t = t - self.brake_s;
+        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
+        let left = (2.0 * ramp_s + cruise_s - t).max(0.0);
+        let sign = (self.target - self.turn).signum();
+        sign * self.dynamics.acceleration * t.min(ramp_s).min(left)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DYNAMICS: Dynamics = Dynamics {
+        speed: 100.0,
+        acceleration: 800.0,
+    };
+
+    #[test]
+    fn a_long_move_takes_distance_over_speed_plus_one_ramp() {
+        let profile = Profile::rest(10.0).redirect(5.0, 110.0, DYNAMICS);
+        assert!((profile.end_s() - (5.0 + 1.0 + 0.125)).abs() < 1e-12);
+        assert_eq!(profile.position(4.0), 10.0);
+        assert_eq!(profile.position(profile.end_s()), 110.0);
+    }
+
+    #[test]
+    fn a_short_move_never_reaches_full_speed() {
+        let profile = Profile::rest(0.0).redirect(0.0, -2.0, DYNAMICS);
+        assert!((profile.end_s() - 2.0 * (2.0f64 / 800.0).sqrt()).abs() < 1e-12);
+    }
+
+    /// Position is the integral of speed and speed never jumps, whatever interrupts the motion: checked by small steps.
+    #[test]
+    fn position_is_the_integral_of_speed_through_redirects_and_stops() {
+        let step_s = 1e-5;
+        let mut profile = Profile::rest(0.0).redirect(0.0, 50.0, DYNAMICS);
+        let (mut position, mut speed) = (0.0, 0.0);
+        for n in 0..150_000 {
+            let now_s = f64::from(n) * step_s;
+            match n {
+                20_000 => profile = profile.redirect(now_s, -30.0, DYNAMICS),
+                60_000 => profile = profile.brake(now_s, DYNAMICS),
+                90_000 => profile = profile.redirect(now_s, 1.0, DYNAMICS),
+                _ => {}
+            }
+            let next = profile.speed(now_s + step_s);
+            assert!(
+                (next - speed).abs() <= 800.0 * step_s * 1.001,
+                "speed jumps at {now_s} s"
+            );
+            assert!(next.abs() <= 100.0 + 1e-9);
+            position += 0.5 * (speed + next) * step_s;
+            speed = next;
+            // Trapezoidal rule on piecewise linear speed: wrong only in the few steps across a kink, 1e-6 at most each.
+            assert!(
+                (profile.position(now_s + step_s) - position).abs() < 2e-5,
+                "at {now_s} s"
+            );
+        }
+        assert_eq!((profile.position(2.0), profile.speed(2.0)), (1.0, 0.0));
+    }
+}

@@ -1,0 +1,427 @@
+//! Both stages behind an emulated Newport ESP301: its text protocol on a UART, trapezoidal motion, stage errors.
+
+use super::World;
+use super::camera::ExposureSink;
+use super::motion::{Dynamics, Profile};
+use embassy_time::Instant;
+use embedded_io_async::{Read, Write};
+use flankscope_sim::Port;
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+/// One axis, in its own unit (degrees or millimetres).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisModel {
+    /// What it answers to `ID?`.
+    pub name: &'static str,
+    /// Unit number it answers to `SN?`: 7 degrees, 2 millimetres.
+    pub unit: u8,
+    /// Speed and acceleration when switched on.
+    pub dynamics: Dynamics,
+    /// Travel.
+    pub travel: (f64, f64),
+    /// Position of the home switch, where it stands when switched on.
+    pub home: f64,
+    /// The true position differs from the reported one by up to this much either way, always alike at one position.
+    pub error: f64,
+    /// It never comes to a stand once it has been sent this many times (stall).
+    pub stalls_at_move: Option<u32>,
+}
+
+/// Both axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisModels {
+    /// Axis 1.
+    pub rotation: AxisModel,
+    /// Axis 2.
+    pub vertical: AxisModel,
+}
+
+impl Default for AxisModels {
+    /// URS150BCC and IMS300V. Errors as the instrument's authors state them (±15 mdeg, ±5 um); speeds are the stages'
+    /// rated ones, accelerations assumed (full speed within 0.25 s and 0.125 s).
+    fn default() -> Self {
+        Self {
+            rotation: AxisModel {
+                name: "URS150BCC",
+                unit: 7,
+                dynamics: Dynamics {
+                    speed: 80.0,
+                    acceleration: 320.0,
+                },
+                travel: (-361.0, 361.0),
+                home: 0.0,
+                error: 0.015,
+                stalls_at_move: None,
+            },
+            vertical: AxisModel {
+                name: "IMS300V",
+                unit: 2,
+                dynamics: Dynamics {
+                    speed: 100.0,
+                    acceleration: 800.0,
+                },
+                travel: (-150.0, 150.0),
+                home: 100.0,
+                error: 0.005,
+                stalls_at_move: None,
+            },
+        }
+    }
+}
+
+/// Where the stages really are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TruePose {
+    /// Rotary stage.
+    pub rotation_rad: f64,
+    /// Vertical stage.
+    pub vertical_mm: f64,
+}
+
+#[derive(Debug, Clone)]
+struct Axis {
+    model: AxisModel,
+    profile: Profile,
+    dynamics: Dynamics,
+    motor_on: bool,
+    moves: u32,
+    /// Value the home switch is given by `SH`.
+    home_preset: f64,
+    stalled: bool,
+}
+
+impl Axis {
+    fn new(model: AxisModel) -> Self {
+        Self {
+            model,
+            profile: Profile::rest(model.home),
+            dynamics: model.dynamics,
+            motor_on: false,
+            moves: 0,
+            home_preset: model.home,
+            stalled: false,
+        }
+    }
+
+    fn send(&mut self, now_s: f64, target: f64) {
+        self.profile = self.profile.redirect(now_s, target, self.dynamics);
+        self.stalled |= self
+            .model
+            .stalls_at_move
+            .is_some_and(|from| self.moves >= from);
+        self.moves += 1;
+    }
+
+    fn done(&self, now_s: f64) -> bool {
+        !self.stalled && now_s >= self.profile.end_s()
+    }
+}
+
+/// The stages and the state of their controller.
+#[derive(Debug, Clone)]
+pub struct StageModel {
+    axes: [Axis; 2],
+    seed: u64,
+    errors: VecDeque<(u32, &'static str)>,
+}
+
+impl StageModel {
+    /// Switched on, standing at the home switches.
+    #[must_use]
+    pub fn new(models: AxisModels, seed: u64) -> Self {
+        Self {
+            axes: [Axis::new(models.rotation), Axis::new(models.vertical)],
+            seed,
+            errors: VecDeque::new(),
+        }
+    }
+
+    /// Where the stages really are.
+    #[must_use]
+    pub fn true_pose(&self, now_us: u64) -> TruePose {
+        let now_s = now_us as f64 * 1e-6;
+        self.pose_of(|axis| axis.profile.position(now_s))
+    }
+
+    /// Where the stages will really come to stand.
+    #[must_use]
+    pub fn true_destination(&self) -> TruePose {
+        self.pose_of(|axis| axis.profile.target())
+    }
+
+    fn pose_of(&self, position: impl Fn(&Axis) -> f64) -> TruePose {
+        let [rotation, vertical] = [0, 1].map(|n| {
+            let axis = &self.axes[n];
+            position(axis) + axis.model.error * self.unit_error(n, axis.profile.target())
+        });
+        TruePose {
+            rotation_rad: rotation.to_radians(),
+            vertical_mm: vertical,
+        }
+    }
+
+    /// Uniform in -1..1, the same whenever the same axis is sent to the same position (to a millionth).
+    fn unit_error(&self, axis: usize, position: f64) -> f64 {
+        let cell = (position * 1e6).round() as i64 as u64;
+        let mut mixed =
+            self.seed ^ cell.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ ((axis as u64 + 1) << 56);
+        // SplitMix64's finaliser (Steele, Lea, Flood 2014).
+        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        mixed ^= mixed >> 31;
+        (mixed >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+
+    /// Carries out one line of commands at `now_us` and returns the answer, if any. `true`: something set off.
+    fn line(&mut self, now_us: u64, line: &str) -> (String, bool) {
+        let now_s = now_us as f64 * 1e-6;
+        let (mut answers, mut set_off) = (String::new(), false);
+        for command in line
+            .split(';')
+            .map(str::trim)
+            .filter(|command| !command.is_empty())
+        {
+            match self.command(now_s, command) {
+                Ok(Answer::None) => {}
+                Ok(Answer::SetOff) => set_off = true,
+                Ok(Answer::Text(text)) => {
+                    answers.push_str(&text);
+                    answers.push_str("\r\n");
+                }
+                Err(error) => {
+                    // The controller's buffer holds ten; the oldest is read first.
+                    if self.errors.len() < 10 {
+                        self.errors.push_back(error);
+                    }
+                }
+            }
+        }
+        (answers, set_off)
+    }
+
+    fn command(&mut self, now_s: f64, command: &str) -> Result<Answer, (u32, &'static str)> {
+        let digits = command.bytes().take_while(u8::is_ascii_digit).count();
+        let (number, rest) = command.split_at(digits);
+        let (name, argument) = rest.split_at_checked(2).ok_or(UNKNOWN)?;
+        let (name, argument) = (name.to_ascii_uppercase(), argument.trim());
+        let text = |text: String| Ok(Answer::Text(text));
+        match (name.as_str(), argument) {
+            ("VE", "?") => return text("ESP301 Version 3.0.1 6/1/99".into()),
+            ("TE", "?") => {
+                return text(
+                    self.errors
+                        .pop_front()
+                        .map_or(0, |(code, _)| code)
+                        .to_string(),
+                );
+            }
+            ("TB", "?") => {
+                let (code, message) = self.errors.pop_front().unwrap_or((0, "NO ERROR DETECTED"));
+                return text(format!("{code}, {:.0}, {message}", now_s * 1e3));
+            }
+            ("ST", "") if number.is_empty() => {
+                for axis in &mut self.axes {
+                    axis.profile = axis.profile.brake(now_s, axis.dynamics);
+                }
+                return Ok(Answer::SetOff);
+            }
+            _ => {}
+        }
+        let index: usize = number.parse().map_err(|_| MISSING_AXIS)?;
+        let axis = index
+            .checked_sub(1)
+            .and_then(|n| self.axes.get_mut(n))
+            .ok_or(NO_SUCH_AXIS)?;
+        let of_axis = |code: u32, message: &'static str| (index as u32 * 100 + code, message);
+        let value = || {
+            argument
+                .parse::<f64>()
+                .ok()
+                .filter(|value| value.is_finite())
+                .ok_or(MISSING_PARAMETER)
+        };
+        let motor = |axis: &Axis| {
+            if axis.motor_on {
+                Ok(())
+            } else {
+                Err(of_axis(13, "MOTOR NOT ENABLED"))
+            }
+        };
+        match (name.as_str(), argument) {
+            ("ID", "?") => text(format!("{}, SN0001", axis.model.name)),
+            ("SN", "?") => text(axis.model.unit.to_string()),
+            ("SL", "?") => text(axis.model.travel.0.to_string()),
+            ("SR", "?") => text(axis.model.travel.1.to_string()),
+            ("VA", "?") => text(axis.dynamics.speed.to_string()),
+            ("MO", "?") => text(u8::from(axis.motor_on).to_string()),
+            ("MD", "?") => text(u8::from(axis.done(now_s)).to_string()),
+            ("TP", "?") => text(format!("{:.6}", axis.profile.position(now_s))),
+            ("PA", "?") => text(format!("{:.6}", axis.profile.target())),
+            ("MO", "") => {
+                axis.motor_on = true;
+                Ok(Answer::None)
+            }
+            ("MF", "") => {
+                axis.motor_on = false;
+                Ok(Answer::None)
+            }
+            ("WS" | "DH", _) => Ok(Answer::None),
+            ("ST", "") => {
+                axis.profile = axis.profile.brake(now_s, axis.dynamics);
+                Ok(Answer::SetOff)
+            }
+            ("SH", _) => {
+                axis.home_preset = value()?;
+                Ok(Answer::None)
+            }
+            ("VA", _) => {
+                let speed = value()?;
+                if !(speed > 0.0 && speed <= axis.model.dynamics.speed) {
+                    return Err(of_axis(10, "MAXIMUM VELOCITY EXCEEDED"));
+                }
+                axis.dynamics.speed = speed;
+                Ok(Answer::None)
+            }
+            ("OR", _) => {
+                motor(axis)?;
+                // The scale is set so that the switch reads as preset; here both are the same place.
+                axis.send(now_s, axis.home_preset);
+                Ok(Answer::SetOff)
+            }
+            ("PA", _) => {
+                let target = value()?;
+                motor(axis)?;
+                if target < axis.model.travel.0 {
+                    return Err(of_axis(7, "NEGATIVE SOFTWARE LIMIT"));
+                }
+                if target > axis.model.travel.1 {
+                    return Err(of_axis(6, "POSITIVE SOFTWARE LIMIT"));
+                }
+                axis.send(now_s, target);
+                Ok(Answer::SetOff)
+            }
+            _ => Err(UNKNOWN),
+        }
+    }
+}
+
+enum Answer {
+    None,
+    SetOff,
+    Text(String),
+}
+
+const UNKNOWN: (u32, &str) = (6, "COMMAND DOES NOT EXIST");
+const NO_SUCH_AXIS: (u32, &str) = (9, "AXIS NUMBER OUT OF RANGE");
+const MISSING_AXIS: (u32, &str) = (37, "AXIS NUMBER MISSING");
+const MISSING_PARAMETER: (u32, &str) = (38, "COMMAND PARAMETER MISSING");
+
+pub(super) async fn run<S: ExposureSink>(mut port: Port, world: Rc<World>, sink: Rc<RefCell<S>>) {
+    let mut line = Vec::new();
+    let mut buffer = [0u8; 64];
+    loop {
+        let Ok(count) = port.read(&mut buffer).await;
+        for &byte in &buffer[..count] {
+            match byte {
+                b'\r' => {
+                    let text = String::from_utf8_lossy(&line).into_owned();
+                    line.clear();
+                    let (answer, set_off) = world
+                        .stage
+                        .borrow_mut()
+                        .line(Instant::now().as_micros(), &text);
+                    let Ok(()) = port.write_all(answer.as_bytes()).await;
+                    if set_off {
+                        let destination = world.stage.borrow().true_destination();
+                        sink.borrow_mut().moving_to(destination);
+                    }
+                }
+                b'\n' => {}
+                // The controller's input buffer holds 80 characters.
+                byte if line.len() < 80 => line.push(byte),
+                _ => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ask(stage: &mut StageModel, now_us: u64, line: &str) -> String {
+        stage.line(now_us, line).0
+    }
+
+    #[test]
+    fn a_move_is_accepted_at_once_and_done_later() {
+        let mut stage = StageModel::new(AxisModels::default(), 1);
+        assert_eq!(
+            ask(&mut stage, 0, "1MO;2MO;1PA8;2PA33;TB?"),
+            "0, 0, NO ERROR DETECTED\r\n"
+        );
+        // 67 mm at 100 mm/s plus one ramp of 0.125 s.
+        assert_eq!(ask(&mut stage, 794_000, "1MD?;2MD?"), "1\r\n0\r\n");
+        assert_eq!(
+            ask(&mut stage, 796_000, "2MD?;2TP?;1TP?"),
+            "1\r\n33.000000\r\n8.000000\r\n"
+        );
+    }
+
+    #[test]
+    fn a_stop_brings_an_axis_to_rest_short_of_its_target() {
+        let mut stage = StageModel::new(AxisModels::default(), 1);
+        ask(&mut stage, 0, "2MO;2PA0");
+        ask(&mut stage, 500_000, "2ST");
+        // Braking from 100 mm/s takes 0.125 s and 6.25 mm; 0.5 s of travel were 43.75 mm.
+        assert_eq!(ask(&mut stage, 626_000, "2MD?;2TP?"), "1\r\n50.000000\r\n");
+    }
+
+    #[test]
+    fn what_is_wrong_is_refused_with_its_number_and_moves_nothing() {
+        let mut stage = StageModel::new(AxisModels::default(), 1);
+        for (line, code) in [
+            ("2PA1", 213),
+            ("XX", 6),
+            ("PA1", 37),
+            ("3PA1", 9),
+            ("1PA", 38),
+            ("2PAnan", 38),
+            ("1VA1000", 110),
+        ] {
+            assert_eq!(ask(&mut stage, 0, line), "");
+            assert_eq!(ask(&mut stage, 0, "TE?"), format!("{code}\r\n"), "{line}");
+        }
+        ask(&mut stage, 0, "2MO;2PA151;2PA-151");
+        assert_eq!(
+            ask(&mut stage, 0, "TE?;TE?;TE?;2MD?;2TP?"),
+            "206\r\n207\r\n0\r\n1\r\n100.000000\r\n"
+        );
+    }
+
+    #[test]
+    fn errors_are_repeatable_bounded_and_spread() {
+        let axes = AxisModels::default();
+        let pose = |seed: u64, target: f64| {
+            let mut stage = StageModel::new(axes, seed);
+            ask(&mut stage, 0, &format!("1MO;2MO;1PA{target};2PA{target}"));
+            stage.true_pose(100_000_000)
+        };
+        assert_eq!(pose(3, 12.5), pose(3, 12.5));
+        assert_ne!(pose(3, 12.5), pose(4, 12.5));
+        let errors: Vec<f64> = (0..1000)
+            .map(|n| pose(7, f64::from(n) * 0.1).vertical_mm - f64::from(n) * 0.1)
+            .collect();
+        assert!(errors.iter().all(|error| error.abs() <= 0.005 + 1e-9));
+        let mean = errors.iter().sum::<f64>() / 1000.0;
+        let deviation = (errors.iter().map(|error| error * error).sum::<f64>() / 1000.0).sqrt();
+        // Uniform: standard deviation 5/sqrt(3) um; of the mean of 1000, 0.09 um.
+        assert!(mean.abs() < 4.0 * 0.09e-3, "mean {mean} mm");
+        assert!(
+            (deviation - 0.005 / 3f64.sqrt()).abs() < 0.3e-3,
+            "deviation {deviation} mm"
+        );
+    }
+}
