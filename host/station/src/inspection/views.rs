@@ -1,0 +1,323 @@
+//! One captured view to its flanks: points, pose, deviation, wear.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+
+use flankscope_metrology::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
+use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::outlier;
+use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::surface::{Closest, Surface};
+use flankscope_metrology::tool::{Inspect, Tool};
+use flankscope_metrology::verdict::Reason;
+use flankscope_metrology::wear::{self, Measured, Settings, Zone};
+use flankscope_profilometry::calibration::RigidTransform;
+use flankscope_profilometry::{Accumulator, Decoder};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::job::Subject;
+use super::plan::Itinerary;
+use super::result::{FlankMap, ViewRegistration, WeakDirection};
+use super::verdict::Judged;
+
+/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
+const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
+/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
+const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
+/// What remains of hand-eye and axis after their calibration: position and tilt. An estimate, stated in the report.
+const MOUNT_SIGMA_MM: f64 = 10e-3;
+const MOUNT_SIGMA_RAD: f64 = 0.2e-3;
+const SQRT_3: f64 = 1.732_050_807_568_877_2;
+
+/// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
+/// standard deviations stands alone.
+const OUTLIER_NEIGHBOURS: usize = 8;
+const OUTLIER_RATIO: f64 = 3.0;
+/// The registered surface reaches this far beyond the field of view, mm: no point then has its foot on the cut.
+const MARGIN_MM: f64 = 2.0;
+/// Cell of the report's deviation maps, mm.
+const MAP_CELL_MM: f64 = 0.1;
+
+/// Why a subject cannot be evaluated.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluatorError {
+    /// No gear, nothing to inspect, or no hand-eye.
+    #[error("{what} is missing; a check needs it (see docs/formats.md)")]
+    Missing {
+        /// What.
+        what: &'static str,
+    },
+    /// The hand-eye is no rigid motion.
+    #[error("the head's stage_from_camera is no rotation: its rows differ from an orthonormal matrix by {error:.1e}, allowed are 1e-6")]
+    HandEye {
+        /// Largest entry of R Rᵀ − 1.
+        error: f64,
+    },
+    /// The camera would look past the die.
+    #[error("the CAD has no surface where the head looks at tooth {tooth}")]
+    NothingThere {
+        /// Tooth of the view.
+        tooth: u32,
+    },
+}
+
+/// What became of one view.
+#[derive(Debug)]
+pub struct ViewOutcome {
+    /// The two flanks of the tooth in the middle.
+    pub flanks: Vec<Judged>,
+    /// How the points were laid on the CAD.
+    pub registration: ViewRegistration,
+    /// Deviation maps of the two flanks.
+    pub maps: Vec<FlankMap>,
+    /// Deviations in the two zones, µm.
+    pub deviations_um: Vec<f64>,
+}
+
+/// Where a view is taken from, and the surface it can see.
+struct Place {
+    tooth: u32,
+    tool_from_camera: Rigid<ToolFrame, Camera>,
+    surface: Surface,
+}
+
+/// Everything that does not change from check to check.
+pub struct Evaluator {
+    tool: Arc<Tool>,
+    gear: GearData,
+    inspect: Inspect,
+    zone: Zone,
+    settings: Settings,
+    decoder: Arc<Decoder>,
+    places: Vec<Place>,
+}
+
+impl Evaluator {
+    /// Prepares the surface and the expected pose of every view.
+    ///
+    /// # Errors
+    /// The tool or the head lacks what a check needs.
+    pub fn new(
+        subject: &Subject,
+        decoder: Arc<Decoder>,
+        itinerary: Arc<Itinerary>,
+    ) -> Result<Self, EvaluatorError> {
+        let missing = |what| EvaluatorError::Missing { what };
+        let tool = Arc::clone(&subject.tool);
+        let gear = tool.gear.clone().ok_or(missing("[gear] in the tool file"))?;
+        let inspect = tool.inspect.clone().ok_or(missing("[inspect] in the tool file"))?;
+        let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
+        let hand_eye = subject.head.stage_from_camera.ok_or(missing("stage_from_camera in the head file"))?;
+        let stage_from_camera = rigid(&hand_eye)?;
+        let volume = subject.head.volume.ok_or(missing("[volume] in the head file"))?;
+        let field_mm = volume.far_mm * field_slope(&subject.head);
+        let places = itinerary
+            .views
+            .iter()
+            .map(|view| {
+                let tool_from_camera = tool_from_stage(view.rotation_rad) * lifted(view.vertical_mm, stage_from_camera);
+                let corners = [volume.near_mm, volume.far_mm].map(|depth| {
+                    [-1.0, 1.0].map(|x| [-1.0, 1.0].map(|y| tool_from_camera.apply([x * field_mm, y * field_mm, depth])))
+                });
+                let corners = corners.as_flattened().as_flattened();
+                let low: [f64; 3] = std::array::from_fn(|axis| {
+                    corners.iter().map(|corner| corner[axis]).fold(f64::INFINITY, f64::min) - MARGIN_MM
+                });
+                let high: [f64; 3] = std::array::from_fn(|axis| {
+                    corners.iter().map(|corner| corner[axis]).fold(f64::NEG_INFINITY, f64::max) + MARGIN_MM
+                });
+                let seen = tool.surface.restrict(|facet| {
+                    (0..3).all(|axis| facet.low[axis] <= high[axis] && facet.high[axis] >= low[axis])
+                });
+                let surface = seen.ok_or(EvaluatorError::NothingThere { tooth: view.tooth })?;
+                Ok(Place { tooth: view.tooth, tool_from_camera, surface })
+            })
+            .collect::<Result<_, EvaluatorError>>()?;
+        let settings = tool.wear_settings();
+        Ok(Self { tool, gear, inspect, zone, settings, decoder, places })
+    }
+
+    /// Evaluates one view's sums.
+    #[must_use]
+    pub fn evaluate(&self, view: usize, accumulator: &Accumulator) -> ViewOutcome {
+        let place = &self.places[view];
+        let mut elapsed_ms = BTreeMap::new();
+        let mut clock = Instant::now();
+        let mut lap = |what, elapsed_ms: &mut BTreeMap<&'static str, f64>| {
+            elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
+            clock = Instant::now();
+        };
+        let decoded = match self.decoder.finish(accumulator) {
+            Ok(decoded) => decoded,
+            Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
+        };
+        lap("decode", &mut elapsed_ms);
+        let kept = outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+        let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
+        let chosen: Vec<usize> = (0..decoded.cloud.len()).filter(of_kept).collect();
+        let points: Vec<[f64; 3]> = chosen.iter().map(|&i| decoded.cloud.points_mm[i]).collect();
+        let sigma: Vec<f32> = chosen.iter().map(|&i| decoded.cloud.sigma_z_mm[i]).collect();
+        lap("outliers", &mut elapsed_ms);
+        let registration = self.register(place, &points);
+        lap("registration", &mut elapsed_ms);
+        let located: Vec<[f64; 3]> = points.iter().map(|&p| registration.tool_from_cloud.apply(p)).collect();
+        let closest = place.surface.closest_many(&located);
+        lap("deviation", &mut elapsed_ms);
+        let flanks = match &registration.status {
+            Status::Registered => {
+                let measured = Measured { points: &located, closest: &closest, sigma_mm: Some(&sigma) };
+                let (gear, settings) = (&self.gear, &self.settings);
+                wear::evaluate(gear, &self.zone, &[place.tooth], measured, Some(&registration), settings)
+                    .iter()
+                    .map(|wear| Judged::of_wear(wear, &self.inspect))
+                    .collect()
+            }
+            Status::Indeterminate(reason) => {
+                let reason = Reason::Registration(reason.clone()).to_string();
+                super::verdict::unmeasured(place.tooth, &self.tool, &reason)
+            }
+        };
+        lap("wear", &mut elapsed_ms);
+        let (maps, deviations_um) = self.draw(place.tooth, &closest);
+        lap("maps", &mut elapsed_ms);
+        ViewOutcome { flanks, registration: summary(place, points.len(), &registration, elapsed_ms), maps, deviations_um }
+    }
+
+    /// Lays the points on the surface, starting from where the stages say they are.
+    fn register(&self, place: &Place, points: &[[f64; 3]]) -> Registration {
+        let start = Rigid::<ToolFrame, Cloud>::from_isometry(*place.tool_from_camera.isometry());
+        let prior = Prior::independent(
+            start,
+            [MOUNT_SIGMA_RAD, MOUNT_SIGMA_RAD, ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD)],
+            [MOUNT_SIGMA_MM, MOUNT_SIGMA_MM, VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM)],
+        );
+        let options = Options {
+            initial: start,
+            prior: Some(prior),
+            teeth: Some(self.gear.teeth),
+            ..Options::default()
+        };
+        register(&place.surface, points, None, &options)
+    }
+
+    /// The deviation maps of a tooth's two flanks, and the deviations in them.
+    fn draw(&self, tooth: u32, closest: &[Closest]) -> (Vec<FlankMap>, Vec<f64>) {
+        let [from, to] = self.zone.radius_mm.map(|radius| self.gear.profile_mm(radius));
+        let [low, high] = self.zone.height_mm;
+        let size_mm = [to - from, high - low];
+        let [columns, rows] = size_mm.map(|length| ((length / MAP_CELL_MM).ceil() as usize).clamp(1, 4096));
+        let mut sums = [Flank::Left, Flank::Right].map(|_| vec![(0.0_f64, 0_u32); columns * rows]);
+        let mut deviations_um = Vec::new();
+        for hit in closest {
+            let Some(at) = self.gear.place(hit.point, hit.normal).filter(|at| at.tooth == tooth) else { continue };
+            let along = (at.profile_mm - from) / size_mm[0];
+            let down = (high - at.height_mm) / size_mm[1];
+            if !(0.0..1.0).contains(&along) || !(0.0..1.0).contains(&down) {
+                continue;
+            }
+            let cell = (down * rows as f64) as usize * columns + (along * columns as f64) as usize;
+            let um = hit.signed_distance_mm * 1e3;
+            let sum = &mut sums[usize::from(at.flank == Flank::Right)][cell];
+            *sum = (sum.0 + um, sum.1 + 1);
+            deviations_um.push(um);
+        }
+        let maps = Flank::BOTH.iter().zip(sums).map(|(flank, sums)| FlankMap {
+            tooth,
+            flank: flank.to_string(),
+            columns,
+            rows,
+            size_mm,
+            deviation_um: sums.iter().map(|&(sum, count)| sum / f64::from(count)).collect(),
+        });
+        (maps.collect(), deviations_um)
+    }
+
+    fn unmeasured(&self, place: &Place, why: &str, elapsed_ms: BTreeMap<&'static str, f64>) -> ViewOutcome {
+        ViewOutcome {
+            flanks: super::verdict::unmeasured(place.tooth, &self.tool, why),
+            registration: ViewRegistration {
+                tooth: place.tooth,
+                status: "indeterminate".into(),
+                reason: Some(why.into()),
+                points: 0,
+                inliers: 0,
+                rms_mm: 0.0,
+                iterations: 0,
+                shift_mm: [0.0; 3],
+                turn_rad: [0.0; 3],
+                weak_directions: Vec::new(),
+                elapsed_ms,
+            },
+            maps: Vec::new(),
+            deviations_um: Vec::new(),
+        }
+    }
+}
+
+fn summary(
+    place: &Place,
+    points: usize,
+    registration: &Registration,
+    elapsed_ms: BTreeMap<&'static str, f64>,
+) -> ViewRegistration {
+    let moved = registration.tool_from_cloud.isometry() * place.tool_from_camera.isometry().inverse();
+    // How far the middle of the cloud moved: the motion of the origin would show the turn times 40 mm.
+    let centre = nalgebra::Point3::from(registration.centre_mm);
+    let shift = centre - moved.inverse() * centre;
+    let (status, reason) = match &registration.status {
+        Status::Registered => ("registered", None),
+        Status::Indeterminate(reason) => ("indeterminate", Some(reason.to_string())),
+    };
+    let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
+    ViewRegistration {
+        tooth: place.tooth,
+        status: status.into(),
+        reason,
+        points,
+        inliers: registration.inliers,
+        rms_mm: finite(registration.rms_mm),
+        iterations: registration.iterations,
+        shift_mm: [shift.x, shift.y, shift.z],
+        turn_rad: moved.rotation.scaled_axis().into(),
+        weak_directions: registration
+            .weak_directions
+            .iter()
+            .map(|weak| WeakDirection { direction: weak.vector, prior_share: weak.prior_share })
+            .collect(),
+        elapsed_ms,
+    }
+}
+
+/// Half the field's width per distance, from the camera's image circle or its sensor.
+fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
+    let camera = &head.camera;
+    let radius_px = head
+        .image_circle
+        .map_or(0.5 * f64::from(camera.width_px.max(camera.height_px)), |circle| circle.radius_px);
+    radius_px / camera.focal_px[0].min(camera.focal_px[1])
+}
+
+/// The die turns by the commanded angle; seen from the die, the stage turns the other way.
+fn tool_from_stage(rotation_rad: f64) -> Rigid<ToolFrame, Stage> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -rotation_rad);
+    Rigid::from_isometry(Isometry3::from_parts(Translation3::identity(), turn))
+}
+
+/// The vertical stage raises the head.
+fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<Stage, Camera> {
+    Rigid::from_isometry(Translation3::new(0.0, 0.0, vertical_mm) * stage_from_camera.isometry())
+}
+
+fn rigid(hand_eye: &RigidTransform) -> Result<Rigid<Stage, Camera>, EvaluatorError> {
+    let rows = hand_eye.rotation;
+    let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
+    let error = (matrix * matrix.transpose() - Matrix3::identity()).amax();
+    if !(error <= 1e-6 && matrix.determinant() > 0.0) {
+        return Err(EvaluatorError::HandEye { error });
+    }
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    let translation = Translation3::from(Vector3::from(hand_eye.translation_mm));
+    Ok(Rigid::from_isometry(Isometry3::from_parts(translation, rotation)))
+}
