@@ -1,0 +1,396 @@
+//! The tool file: which CAD, which gear, what to inspect, which limits.
+
+use std::path::{Path, PathBuf};
+
+use crate::gear::{Flank, GearData, GearError, Kind};
+use crate::mesh::{self, MeshError, TriMesh, Unit};
+use crate::registration::detect_teeth;
+use crate::surface::Surface;
+use crate::wear::{Settings, Zone};
+
+/// Name of the file inside a tool folder.
+pub const FILE_NAME: &str = "tool.toml";
+/// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
+const AGREEMENT_MM: f64 = 0.1;
+
+/// A tool, ready to inspect.
+#[derive(Debug, Clone)]
+pub struct Tool {
+    /// Name.
+    pub name: String,
+    /// The tool file.
+    pub path: PathBuf,
+    /// CAD.
+    pub cad: Cad,
+    /// CAD mesh, mm.
+    pub mesh: TriMesh,
+    /// CAD surface, prepared.
+    pub surface: Surface,
+    /// Gear data, checked against the mesh.
+    pub gear: Option<GearData>,
+    /// What to inspect.
+    pub inspect: Option<Inspect>,
+}
+
+/// The `[cad]` table.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cad {
+    /// Mesh file, absolute or relative to the tool file.
+    pub file: PathBuf,
+    /// Its unit.
+    #[serde(default)]
+    pub unit: Unit,
+    /// Largest distance of the facets from the true surface, micrometres.
+    #[serde(default)]
+    pub chord_error_um: f64,
+}
+
+/// The `[inspect]` table.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Inspect {
+    /// Teeth to look at, from 1.
+    pub teeth: Vec<u32>,
+    /// Height at which the head looks, mm.
+    pub height_mm: f64,
+    /// Least and largest radius of the judged zone, mm; without it, the flank without the outermost tenth of a module at
+    /// the tip and the root's rounding.
+    pub zone_radius_mm: Option<[f64; 2]>,
+    /// Lower and upper end of the judged zone relative to `height_mm`, mm.
+    #[serde(default = "default_zone_height")]
+    pub zone_height_mm: [f64; 2],
+    /// Warning limit, micrometres.
+    pub warn_um: f64,
+    /// Stop limit, micrometres.
+    pub limit_um: f64,
+    /// Least measured share of a zone.
+    #[serde(default = "default_coverage")]
+    pub least_coverage: f64,
+    /// Standard uncertainty of the calibration, micrometres.
+    #[serde(default = "default_calibration")]
+    pub calibration_um: f64,
+}
+
+fn default_zone_height() -> [f64; 2] {
+    [-4.0, 4.0]
+}
+
+fn default_coverage() -> f64 {
+    0.8
+}
+
+fn default_calibration() -> f64 {
+    2.0
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: String,
+    cad: Cad,
+    gear: Option<GearData>,
+    inspect: Option<Inspect>,
+}
+
+/// Why a tool cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ToolError {
+    /// The file cannot be read.
+    #[error("cannot read tool file {}: {source}; right would be a {FILE_NAME} or a folder that holds one", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown key, a missing key or a wrong type.
+    #[error("{}:{line}:{column}: {message}", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// Column, from 1.
+        column: usize,
+        /// What is wrong and what is expected, on one line.
+        message: String,
+    },
+    /// A value out of range.
+    #[error("{}: {key} = {value} is out of range; right would be {expected}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Key.
+        key: &'static str,
+        /// The value.
+        value: f64,
+        /// What would be right.
+        expected: String,
+    },
+    /// Gear data that contradict themselves.
+    #[error("{}: {source}", path.display())]
+    Gear {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: GearError,
+    },
+    /// The CAD file is unusable.
+    #[error("cannot use CAD file {} (cad.file in {}): {source}", cad.display(), path.display())]
+    Mesh {
+        /// The tool file.
+        path: PathBuf,
+        /// The CAD file.
+        cad: PathBuf,
+        /// Cause.
+        source: MeshError,
+    },
+    /// The mesh repeats another number of times than the gear has teeth.
+    #[error("{}: gear.teeth = {stated}, but the CAD mesh repeats {found} times about z", path.display())]
+    Teeth {
+        /// The file.
+        path: PathBuf,
+        /// In the file.
+        stated: u32,
+        /// In the mesh.
+        found: u32,
+    },
+    /// The gear's flanks are not where the mesh is.
+    #[error("{}: gear data and CAD mesh disagree: the {flank} flank of tooth {tooth} at radius {radius_mm:.3} mm is {distance_mm:.3} mm off the mesh, allowed are {limit_mm} mm; check module, pressure angle, first_tooth_centre_deg, height and unit", path.display())]
+    Disagree {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+        /// Radius.
+        radius_mm: f64,
+        /// Distance of the involute from the mesh.
+        distance_mm: f64,
+        /// Limit.
+        limit_mm: f64,
+    },
+}
+
+impl Tool {
+    /// Loads a tool from its file or from a folder that holds `tool.toml`, with its CAD, and checks that all fits together.
+    ///
+    /// # Errors
+    /// [`ToolError`] with file, place, value and what would be right.
+    pub fn load(dir_or_file: &Path) -> Result<Self, ToolError> {
+        let path = if dir_or_file.is_dir() {
+            dir_or_file.join(FILE_NAME)
+        } else {
+            dir_or_file.to_owned()
+        };
+        let text = std::fs::read_to_string(&path).map_err(|source| ToolError::Read {
+            path: path.clone(),
+            source,
+        })?;
+        let file = parse(&path, &text)?;
+        file.check(&path)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let cad = folder.join(&file.cad.file);
+        let in_mesh = |source| ToolError::Mesh {
+            path: path.clone(),
+            cad: cad.clone(),
+            source,
+        };
+        let mesh = mesh::load(&cad, file.cad.unit).map_err(in_mesh)?;
+        let surface = Surface::new(&mesh).map_err(in_mesh)?;
+        if let Some(gear) = &file.gear {
+            check_against_mesh(&path, gear, &mesh, &surface)?;
+        }
+        Ok(Self {
+            name: file.name,
+            path,
+            cad: file.cad,
+            mesh,
+            surface,
+            gear: file.gear,
+            inspect: file.inspect,
+        })
+    }
+
+    /// The zone to judge; none without gear data or without anything to inspect.
+    pub fn zone(&self) -> Option<Zone> {
+        let (gear, inspect) = (self.gear.as_ref()?, self.inspect.as_ref()?);
+        let [down, up] = inspect.zone_height_mm;
+        Some(Zone {
+            radius_mm: inspect.zone_radius_mm.unwrap_or_else(|| active_flank(gear)),
+            height_mm: [inspect.height_mm + down, inspect.height_mm + up],
+        })
+    }
+
+    /// How wear is computed for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which counts as
+    /// the standard uncertainty of the CAD surface.
+    pub fn wear_settings(&self) -> Settings {
+        let calibration_um = self
+            .inspect
+            .as_ref()
+            .map_or_else(default_calibration, |i| i.calibration_um);
+        Settings {
+            calibration_mm: 1e-3 * calibration_um,
+            cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
+            ..Settings::default()
+        }
+    }
+}
+
+/// From a tenth of a module behind the tip to three quarters of a module beyond the pitch circle.
+fn active_flank(gear: &GearData) -> [f64; 2] {
+    let (tip, pitch, module) = (gear.tip_radius_mm, gear.pitch_radius_mm(), gear.module_mm);
+    match gear.kind {
+        Kind::Internal => [tip + 0.1 * module, pitch + 0.75 * module],
+        Kind::External => [pitch - 0.75 * module, tip - 0.1 * module],
+    }
+}
+
+fn parse(path: &Path, text: &str) -> Result<File, ToolError> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let at = error.span().map_or(0, |span| span.start).min(text.len());
+        let before = &text.as_bytes()[..at];
+        let line_start = before
+            .iter()
+            .rposition(|&b| b == b'\n')
+            .map_or(0, |i| i + 1);
+        ToolError::Syntax {
+            path: path.to_owned(),
+            line: 1 + before.iter().filter(|&&b| b == b'\n').count(),
+            column: 1 + at - line_start,
+            message: error.message().replace('\n', ", "),
+        }
+    })
+}
+
+impl File {
+    fn check(&self, path: &Path) -> Result<(), ToolError> {
+        let refuse = |key, value, expected: &str| {
+            Err(ToolError::Value {
+                path: path.to_owned(),
+                key,
+                value,
+                expected: expected.to_owned(),
+            })
+        };
+        if !(0.0..=1000.0).contains(&self.cad.chord_error_um) {
+            return refuse("cad.chord_error_um", self.cad.chord_error_um, "0 to 1000");
+        }
+        if let Some(gear) = &self.gear {
+            gear.check().map_err(|source| ToolError::Gear {
+                path: path.to_owned(),
+                source,
+            })?;
+        }
+        let Some(inspect) = &self.inspect else {
+            return Ok(());
+        };
+        if inspect.teeth.is_empty() {
+            return refuse("inspect.teeth (count)", 0.0, "at least one tooth");
+        }
+        if let Some(gear) = &self.gear {
+            for &tooth in &inspect.teeth {
+                if !(1..=gear.teeth).contains(&tooth) {
+                    let expected = format!("1 to {} (gear.teeth)", gear.teeth);
+                    return refuse("inspect.teeth", f64::from(tooth), &expected);
+                }
+            }
+            let [low, high] = gear.height_mm;
+            if !(low..=high).contains(&inspect.height_mm) {
+                let expected = format!("{low} to {high} (gear.height_mm)");
+                return refuse("inspect.height_mm", inspect.height_mm, &expected);
+            }
+            if let Some([from, to]) = inspect.zone_radius_mm {
+                let (least, most) = (
+                    gear.tip_radius_mm.min(gear.root_radius_mm),
+                    gear.tip_radius_mm.max(gear.root_radius_mm),
+                );
+                let expected = format!("increasing and within {least} to {most} (tip and root)");
+                if !(least..to).contains(&from) {
+                    return refuse("inspect.zone_radius_mm[0]", from, &expected);
+                }
+                if to > most {
+                    return refuse("inspect.zone_radius_mm[1]", to, &expected);
+                }
+            }
+        }
+        let [down, up] = inspect.zone_height_mm;
+        if !(-1000.0..up).contains(&down) || up > 1000.0 {
+            return refuse(
+                "inspect.zone_height_mm[0]",
+                down,
+                "below zone_height_mm[1], both relative to height_mm",
+            );
+        }
+        if !(inspect.limit_um > 0.0 && inspect.limit_um <= 1e4) {
+            return refuse(
+                "inspect.limit_um",
+                inspect.limit_um,
+                "above 0, at most 10000",
+            );
+        }
+        if !(inspect.warn_um > 0.0 && inspect.warn_um <= inspect.limit_um) {
+            return refuse(
+                "inspect.warn_um",
+                inspect.warn_um,
+                "above 0, at most limit_um",
+            );
+        }
+        if !(0.0..=1.0).contains(&inspect.least_coverage) {
+            return refuse("inspect.least_coverage", inspect.least_coverage, "0 to 1");
+        }
+        if !(0.0..=1000.0).contains(&inspect.calibration_um) {
+            return refuse(
+                "inspect.calibration_um",
+                inspect.calibration_um,
+                "0 to 1000",
+            );
+        }
+        Ok(())
+    }
+}
+
+/// The gear's involutes must lie on the mesh, and the mesh must repeat as often as the gear has teeth.
+fn check_against_mesh(
+    path: &Path,
+    gear: &GearData,
+    mesh: &TriMesh,
+    surface: &Surface,
+) -> Result<(), ToolError> {
+    if let Some(found) = detect_teeth(mesh, surface, 0.02)
+        && found != gear.teeth
+    {
+        return Err(ToolError::Teeth {
+            path: path.to_owned(),
+            stated: gear.teeth,
+            found,
+        });
+    }
+    let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
+    let [from, to] = active_flank(gear);
+    let step = (gear.teeth / 7).max(1);
+    for tooth in (1..=gear.teeth).step_by(step as usize) {
+        for flank in Flank::BOTH {
+            for radius_mm in [from, 0.5 * (from + to), to] {
+                let Some(point) = gear.flank_point(tooth, flank, radius_mm, height) else {
+                    continue;
+                };
+                let distance_mm = surface.closest(point).signed_distance_mm.abs();
+                if distance_mm > AGREEMENT_MM {
+                    return Err(ToolError::Disagree {
+                        path: path.to_owned(),
+                        tooth,
+                        flank,
+                        radius_mm,
+                        distance_mm,
+                        limit_mm: AGREEMENT_MM,
+                    });
+                }
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,244 @@
+//! From figures with uncertainty to a verdict.
+//!
+//! Decision with a guard band (ISO 14253-1, JCGM 106): a limit counts as kept or exceeded only when that holds with 95 %
+//! probability. Whatever is missing, late, partial, unsure or not finite is *indeterminate*, never *go*.
+
+/// 95 % quantile of the normal distribution, one-sided.
+pub const GUARD_FACTOR: f64 = 1.645;
+
+/// What the instrument says.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[serde(tag = "verdict", rename_all = "lowercase")]
+pub enum Verdict {
+    /// Wear is below the warning limit.
+    Go,
+    /// Wear is below the stop limit, but not below the warning limit.
+    Warn,
+    /// Wear exceeds the stop limit.
+    NoGo,
+    /// Nothing can be said.
+    Indeterminate {
+        /// Why.
+        reason: Reason,
+    },
+}
+
+/// Why nothing can be said.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Reason {
+    /// No feature was evaluated.
+    #[error("no feature was evaluated")]
+    NoFeatures,
+    /// A figure that is no number.
+    #[error("the {what} is {value}, not a finite number")]
+    NotFinite {
+        /// Which figure.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Limits that contradict each other.
+    #[error(
+        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop"
+    )]
+    Limits {
+        /// Warning limit.
+        warn_um: f64,
+        /// Stop limit.
+        limit_um: f64,
+    },
+    /// The figure is too near to the limit for its uncertainty.
+    #[error(
+        "wear {wear_um:.1} um with standard uncertainty {u_um:.1} um is too near to the limit {limit_um} um to decide"
+    )]
+    Undecidable {
+        /// Wear.
+        wear_um: f64,
+        /// Standard uncertainty.
+        u_um: f64,
+        /// Stop limit.
+        limit_um: f64,
+    },
+    /// Too little of the zone was measured.
+    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", 100.0 * coverage, 100.0 * least)]
+    Coverage {
+        /// Measured share of the zone.
+        coverage: f64,
+        /// Least share.
+        least: f64,
+    },
+    /// The cloud could not be laid on CAD.
+    #[error("registration: {0}")]
+    Registration(crate::registration::Reason),
+    /// The instrument itself failed; the code names how.
+    #[error("{code}")]
+    Instrument {
+        /// Stable name of the failure.
+        code: &'static str,
+    },
+}
+
+impl Reason {
+    /// A short stable name for files and reports.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NoFeatures => "no_features",
+            Self::NotFinite { .. } => "not_finite",
+            Self::Limits { .. } => "limits",
+            Self::Undecidable { .. } => "undecidable",
+            Self::Coverage { .. } => "coverage",
+            Self::Registration(reason) => reason.code(),
+            Self::Instrument { code } => code,
+        }
+    }
+}
+
+impl serde::Serialize for Reason {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl Verdict {
+    /// The word for tables and files.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Go => "go",
+            Self::Warn => "warn",
+            Self::NoGo => "no-go",
+            Self::Indeterminate { .. } => "indeterminate",
+        }
+    }
+
+    /// The process exit code.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Go => 0,
+            Self::NoGo => 1,
+            Self::Indeterminate { .. } => 2,
+            Self::Warn => 4,
+        }
+    }
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+/// Decides one feature: `wear_um` with standard uncertainty `u_um` against a warning and a stop limit.
+pub fn decide(wear_um: f64, u_um: f64, warn_um: f64, limit_um: f64) -> Verdict {
+    let indeterminate = |reason| Verdict::Indeterminate { reason };
+    for (what, value) in [
+        ("wear", wear_um),
+        ("uncertainty", u_um),
+        ("warning limit", warn_um),
+        ("stop limit", limit_um),
+    ] {
+        if !value.is_finite() {
+            return indeterminate(Reason::NotFinite { what, value });
+        }
+    }
+    if !(0.0 < warn_um && warn_um <= limit_um) {
+        return indeterminate(Reason::Limits { warn_um, limit_um });
+    }
+    let guard_um = GUARD_FACTOR * u_um.abs();
+    if wear_um + guard_um <= warn_um {
+        Verdict::Go
+    } else if wear_um + guard_um <= limit_um {
+        Verdict::Warn
+    } else if wear_um - guard_um > limit_um {
+        Verdict::NoGo
+    } else {
+        indeterminate(Reason::Undecidable {
+            wear_um,
+            u_um,
+            limit_um,
+        })
+    }
+}
+
+/// The tool's verdict from its features': one no-go is enough; then one indeterminate; then one warning. Without features
+/// there is nothing to say.
+pub fn combine(features: impl IntoIterator<Item = Verdict>) -> Verdict {
+    let severity = |verdict: &Verdict| match verdict {
+        Verdict::Go => 0,
+        Verdict::Warn => 1,
+        Verdict::Indeterminate { .. } => 2,
+        Verdict::NoGo => 3,
+    };
+    let mut worst: Option<Verdict> = None;
+    for verdict in features {
+        if worst
+            .as_ref()
+            .is_none_or(|w| severity(&verdict) > severity(w))
+        {
+            worst = Some(verdict);
+        }
+    }
+    worst.unwrap_or(Verdict::Indeterminate {
+        reason: Reason::NoFeatures,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_guard_band_decides() {
+        // g = 1.645 x 4 = 6.58 um.
+        for (wear, expected) in [
+            (-5.0, "go"),
+            (23.4, "go"),
+            (23.5, "warn"),
+            (43.4, "warn"),
+            (43.5, "indeterminate"),
+            (56.5, "indeterminate"),
+            (56.6, "no-go"),
+        ] {
+            assert_eq!(decide(wear, 4.0, 30.0, 50.0).word(), expected, "{wear}");
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_no_number_is_ever_go() {
+        let values = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
+        for bad in values {
+            for at in 0..4 {
+                let mut x = [0.0, 1.0, 30.0, 50.0];
+                x[at] = bad;
+                let verdict = decide(x[0], x[1], x[2], x[3]);
+                assert!(
+                    matches!(verdict, Verdict::Indeterminate { .. }),
+                    "{x:?}: {verdict}"
+                );
+            }
+        }
+        assert!(matches!(
+            decide(0.0, 1.0, 60.0, 50.0),
+            Verdict::Indeterminate { .. }
+        ));
+        // A huge uncertainty cannot say go either.
+        assert!(matches!(
+            decide(0.0, 100.0, 30.0, 50.0),
+            Verdict::Indeterminate { .. }
+        ));
+    }
+
+    #[test]
+    fn the_worst_feature_decides() {
+        let unsure = || Verdict::Indeterminate {
+            reason: Reason::NoFeatures,
+        };
+        assert_eq!(combine([]), unsure());
+        assert_eq!(combine([Verdict::Go, Verdict::Warn]), Verdict::Warn);
+        assert_eq!(combine([Verdict::Warn, unsure(), Verdict::Go]), unsure());
+        assert_eq!(
+            combine([unsure(), Verdict::NoGo, Verdict::Go]),
+            Verdict::NoGo
+        );
+    }
+}

@@ -1,0 +1,283 @@
+//! From a tool file with a gear of another CAD kernel to wear figures and verdicts.
+
+mod support;
+
+use std::path::Path;
+
+use flankscope_metrology::alpha;
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::registration::{Options, register};
+use flankscope_metrology::tool::{Tool, ToolError};
+use flankscope_metrology::verdict::{Verdict, combine, decide};
+use flankscope_metrology::wear::{FlankWear, Measured, evaluate};
+use support::{Random, ring84_path};
+
+const FILE: &str = r#"
+name = "ring84"
+[cad]
+file = "CAD"
+unit = "mm"
+chord_error_um = 4.3
+[gear]
+kind = "internal"
+teeth = 84
+module_mm = 1.0
+pressure_angle_deg = 20.0
+tip_radius_mm = 41.0
+root_radius_mm = 43.25
+first_tooth_centre_deg = 2.142857142857143
+height_mm = [0.0, 66.0]
+[inspect]
+teeth = [1, 84]
+height_mm = 33.0
+warn_um = 30.0
+limit_um = 50.0
+"#;
+
+fn load(folder: &Path, text: &str, cad: &Path) -> Result<Tool, ToolError> {
+    let text = text.replace("CAD", cad.to_str().unwrap());
+    std::fs::write(folder.join("tool.toml"), text).unwrap();
+    Tool::load(folder)
+}
+
+/// A view of a few teeth about +x with noise; `wear_mm` says how much is lost where.
+fn view(tool: &Tool, seed: u64, wear_mm: impl Fn(u32, Flank, f64, f64) -> f64) -> Vec<[f64; 3]> {
+    let gear = tool.gear.as_ref().unwrap();
+    let mut random = Random::new(seed);
+    let mut points = Vec::new();
+    for round in 0.. {
+        for p in alpha::sample(&tool.mesh, 2_000_000, 77 * seed + round).unwrap() {
+            let seen = p[1].atan2(p[0]).abs() < 0.13 && (p[2] - 33.0).abs() < 5.0 && p[0] < 44.0;
+            if !seen {
+                continue;
+            }
+            let closest = tool.surface.closest(p);
+            let lost = gear.place(closest.point, closest.normal).map_or(0.0, |at| {
+                wear_mm(at.tooth, at.flank, at.radius_mm, at.height_mm)
+            });
+            points.push(std::array::from_fn(|k| {
+                p[k] - lost * closest.normal[k] + 0.010 * random.normal()
+            }));
+        }
+        if points.len() > 60_000 {
+            break;
+        }
+    }
+    points
+}
+
+fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
+    let found = register(
+        &tool.surface,
+        points,
+        None,
+        &Options {
+            teeth: Some(84),
+            ..Options::default()
+        },
+    );
+    assert!(found.is_registered(), "{:?}", found.status);
+    let laid: Vec<[f64; 3]> = points
+        .iter()
+        .map(|&p| found.tool_from_cloud.apply(p))
+        .collect();
+    let closest = tool.surface.closest_many(&laid);
+    let measured = Measured {
+        points: &laid,
+        closest: &closest,
+        sigma_mm: None,
+    };
+    evaluate(
+        tool.gear.as_ref().unwrap(),
+        &tool.zone().unwrap(),
+        &tool.inspect.as_ref().unwrap().teeth,
+        measured,
+        Some(&found),
+        &tool.wear_settings(),
+    )
+}
+
+fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
+    let inspect = tool.inspect.as_ref().unwrap();
+    decide(
+        1e3 * wear.wear_mm,
+        1e3 * wear.u_mm,
+        inspect.warn_um,
+        inspect.limit_um,
+    )
+}
+
+#[test]
+fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
+    let Some(cad) = ring84_path("an_undamaged_gear_is_go") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let tool = load(folder.path(), FILE, &cad).unwrap();
+
+    let good = measure(&tool, &view(&tool, 1, |_, _, _, _| 0.0));
+    assert_eq!(good.len(), 4);
+    for wear in &good {
+        println!("{wear:?}");
+        assert_eq!(verdict(&tool, wear), Verdict::Go);
+        assert!(wear.coverage > 0.99, "{}", wear.coverage);
+        assert!(
+            wear.wear_mm.abs() < 3.0 * wear.u_mm && wear.u_mm < 6e-3,
+            "{wear:?}"
+        );
+        assert_eq!(wear.worn_cells, 0);
+    }
+
+    // 80 um off one flank.
+    let worn = measure(
+        &tool,
+        &view(&tool, 2, |tooth, flank, _, _| {
+            if (tooth, flank) == (1, Flank::Right) {
+                0.080
+            } else {
+                0.0
+            }
+        }),
+    );
+    for wear in &worn {
+        println!("{wear:?}");
+        let is_worn = (wear.tooth, wear.flank) == (1, Flank::Right);
+        assert_eq!(
+            verdict(&tool, wear),
+            if is_worn { Verdict::NoGo } else { Verdict::Go },
+            "{wear:?}"
+        );
+        if is_worn {
+            assert!((wear.wear_mm - 0.080).abs() < 3.0 * wear.u_mm, "{wear:?}");
+        }
+    }
+    assert_eq!(
+        combine(worn.iter().map(|w| verdict(&tool, w))),
+        Verdict::NoGo
+    );
+}
+
+#[test]
+fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
+    let Some(cad) = ring84_path("a_pit_counts_by_its_depth") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let tool = load(folder.path(), FILE, &cad).unwrap();
+    let pit = |tooth, flank, radius: f64, height: f64| {
+        let inside = (tooth, flank) == (84, Flank::Left)
+            && (radius - 42.0).abs() < 0.45
+            && (height - 33.0).abs() < 0.55;
+        if inside { 0.080 } else { 0.0 }
+    };
+    for wear in measure(&tool, &view(&tool, 3, pit)) {
+        println!("{wear:?}");
+        if (wear.tooth, wear.flank) == (84, Flank::Left) {
+            assert!((wear.wear_mm - 0.080).abs() < 0.012, "{wear:?}");
+            assert!(wear.mean_mm < 0.02 && wear.worn_cells >= 6, "{wear:?}");
+            assert_eq!(verdict(&tool, &wear), Verdict::NoGo);
+        } else {
+            assert_eq!(verdict(&tool, &wear), Verdict::Go);
+        }
+    }
+}
+
+#[test]
+fn a_flank_that_was_not_seen_is_indeterminate() {
+    let Some(cad) = ring84_path("a_flank_that_was_not_seen") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let tool = load(folder.path(), FILE, &cad).unwrap();
+    let measured = Measured {
+        points: &[],
+        closest: &[],
+        sigma_mm: None,
+    };
+    let wear = evaluate(
+        tool.gear.as_ref().unwrap(),
+        &tool.zone().unwrap(),
+        &[40],
+        measured,
+        None,
+        &tool.wear_settings(),
+    );
+    assert_eq!(wear.len(), 2);
+    for flank in &wear {
+        assert_eq!(flank.coverage, 0.0);
+        assert!(matches!(
+            verdict(&tool, flank),
+            Verdict::Indeterminate { .. }
+        ));
+    }
+}
+
+#[test]
+fn wrong_tool_files_are_named() {
+    let Some(cad) = ring84_path("wrong_tool_files_are_named") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |from: &str, to: &str| {
+        assert!(FILE.contains(from));
+        load(folder.path(), &FILE.replace(from, to), &cad).unwrap_err()
+    };
+    // An unknown key: the line of the key, and the keys that are known.
+    let error = refused("teeth = 84", "tooth_count = 84");
+    assert!(
+        matches!(
+            error,
+            ToolError::Syntax {
+                line: 9,
+                column: 1,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let text = error.to_string();
+    assert!(
+        text.contains("tooth_count") && text.contains("expected") && !text.contains('\n'),
+        "{text}"
+    );
+
+    assert!(matches!(
+        refused("teeth = 84", "teeth = 83"),
+        ToolError::Gear { .. } | ToolError::Teeth { .. } | ToolError::Value { .. }
+    ));
+    let error = refused("teeth = [1, 84]", "teeth = [1, 85]");
+    assert!(
+        matches!(
+            error,
+            ToolError::Value {
+                key: "inspect.teeth",
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let error = refused(
+        "first_tooth_centre_deg = 2.142857142857143",
+        "first_tooth_centre_deg = 0.0",
+    );
+    assert!(matches!(error, ToolError::Disagree { .. }), "{error}");
+    let error = refused("module_mm = 1.0\n", "module_mm = 0.99\n");
+    assert!(matches!(error, ToolError::Disagree { .. }), "{error}");
+    let error = refused("unit = \"mm\"", "unit = \"m\"");
+    assert!(matches!(error, ToolError::Mesh { .. }), "{error}");
+    let error = refused("warn_um = 30.0", "warn_um = 60.0");
+    assert!(
+        matches!(
+            error,
+            ToolError::Value {
+                key: "inspect.warn_um",
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let error = refused("\"CAD\"", "\"missing.stl\"");
+    assert!(error.to_string().contains("missing.stl"), "{error}");
+    let error = Tool::load(&folder.path().join("nowhere")).unwrap_err();
+    assert!(matches!(error, ToolError::Read { .. }), "{error}");
+}
