@@ -79,9 +79,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
     let mut station = Station::open(subject, args.teeth.as_deref(), Arc::clone(&root))?;
     let link = connect(args, &folder, &root)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let mut watcher = Watcher::new(args.common.quiet);
-    let inspection = runtime.block_on(station.inspect(&link.port, link.settings, |progress| watcher.show(progress)))?;
+    let inspection = station.inspect(&link.port, link.settings, |progress| watcher.show(progress))?;
     watcher.finish();
     drop(station);
     let mut document = serde_json::to_value(&inspection)?;
@@ -120,7 +119,7 @@ fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
     }
     let head = HeadModel::load(&head_path)?;
     let mut hashes = BTreeMap::new();
-    for (name, path) in [("tool", tool.file.clone()), ("cad", tool.cad_file.clone()), ("head", head_path)] {
+    for (name, path) in [("tool", tool.path.clone()), ("cad", tool.cad_path()), ("head", head_path)] {
         let bytes = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         hashes.insert(name, flankscope_station::files::hash(&bytes));
     }

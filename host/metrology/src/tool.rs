@@ -215,6 +215,11 @@ impl Tool {
         })
     }
 
+    /// Where the CAD file is.
+    pub fn cad_path(&self) -> PathBuf {
+        self.path.parent().unwrap_or(Path::new(".")).join(&self.cad.file)
+    }
+
     /// The zone to judge; none without gear data or without anything to inspect.
     pub fn zone(&self) -> Option<Zone> {
         let (gear, inspect) = (self.gear.as_ref()?, self.inspect.as_ref()?);

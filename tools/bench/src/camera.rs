@@ -16,7 +16,7 @@ use flankscope_station::capture::{
     Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, SealedFrame, SharedRoot, monotonic_ns,
 };
 
-use crate::devices::{Exposure, ExposureSink};
+use crate::devices::{Exposure, ExposureSink, TruePose};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, ViewState, World};
 
@@ -71,7 +71,7 @@ const VIEWS_KEPT: usize = 2;
 enum Job {
     Prepare { rotation_rad: f64, vertical_mm: f64 },
     Expose { exposure: Exposure, ended_monotonic_ns: u64 },
-    HandOver { counter: u32, _hold: Hold },
+    HandOver { counter: u32, _hold: Option<Hold> },
     /// Ends the thread; its truth goes to the sender.
     Finish(Sender<Truth>),
 }
@@ -79,7 +79,7 @@ enum Job {
 /// The camera's end in the simulation.
 pub struct Camera {
     jobs: Sender<Job>,
-    remote: Remote,
+    remote: Option<Remote>,
 }
 
 /// The camera's thread.
@@ -97,7 +97,7 @@ pub fn start(
     patterns: Vec<PatternSpec>,
     fault: Option<FrameFault>,
     root: SharedRoot,
-) -> anyhow::Result<(CameraThread, impl FnOnce(Remote) -> Camera)> {
+) -> anyhow::Result<(CameraThread, Camera)> {
     let (jobs, queue) = channel();
     let (opened_sender, opened) = channel();
     let thread = std::thread::Builder::new().name("camera".into()).spawn(move || {
@@ -111,12 +111,15 @@ pub fn start(
         }
     })?;
     opened.recv()??;
-    let for_sim = jobs.clone();
-    Ok((CameraThread { jobs, thread: Some(thread) }, move |remote| Camera { jobs: for_sim, remote }))
+    let camera = Camera { jobs: jobs.clone(), remote: None };
+    Ok((CameraThread { jobs, thread: Some(thread) }, camera))
 }
 
 impl CameraThread {
     /// Ends the thread and returns what really was photographed.
+    ///
+    /// # Errors
+    /// The thread has ended by itself.
     pub fn finish(mut self) -> anyhow::Result<Truth> {
         let (sender, truth) = channel();
         self.jobs.send(Job::Finish(sender))?;
@@ -129,7 +132,11 @@ impl CameraThread {
 }
 
 impl ExposureSink for Camera {
-    fn moving(&mut self, rotation_rad: f64, vertical_mm: f64) {
+    fn attach(&mut self, remote: Remote) {
+        self.remote = Some(remote);
+    }
+
+    fn moving_to(&mut self, TruePose { rotation_rad, vertical_mm }: TruePose) {
         let _ = self.jobs.send(Job::Prepare { rotation_rad, vertical_mm });
     }
 
@@ -138,7 +145,7 @@ impl ExposureSink for Camera {
     }
 
     fn read_out(&mut self, counter: u32) {
-        let _ = self.jobs.send(Job::HandOver { counter, _hold: self.remote.hold() });
+        let _ = self.jobs.send(Job::HandOver { counter, _hold: self.remote.as_ref().map(Remote::hold) });
     }
 }
 

@@ -5,19 +5,19 @@
 
 use std::io::{Read, Write};
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use anyhow::Context;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
-use flankscope_sim::{Clock, Sim};
+use flankscope_protocol::Microseconds;
+use flankscope_sim::Clock;
 use flankscope_station::capture::SharedRoot;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{self, FrameFault};
 use crate::demo;
-use crate::devices;
+use crate::devices::{self, InstrumentConfig};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, Wear, World};
 
@@ -156,24 +156,21 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let patterns = PatternSpec::sequence(&sets);
     let (camera_thread, camera) = camera::start(world, patterns, args.frame_fault, SharedRoot::of_owner(&args.root))?;
 
-    let sim = Sim::new(Clock::Paced { speed });
-    let instrument = devices::Instrument::spawn(&sim, args.seed, speed, camera(sim.remote()))?;
-    let hello = Hello { port: instrument.port(), heartbeat_us: (instrument.host_silence_us() as f64 / speed / 3.0) as u64 };
+    let mut config = InstrumentConfig { clock: Clock::Paced { speed }, ..InstrumentConfig::default() };
+    config.devices.seed = args.seed;
+    // Virtual time runs faster than the host can talk: its silence is allowed for as long in real time as ever.
+    let silence_us = f64::from(config.controller.host_silence.get());
+    config.controller.host_silence = Microseconds((silence_us * speed.max(1.0)) as u32);
+    let instrument = devices::run(config, camera)?;
+    let heartbeat_us = (silence_us / 3.0) as u64;
     let mut out = std::io::stdout();
-    writeln!(out, "{}", serde_json::to_string(&hello)?)?;
+    writeln!(out, "{}", serde_json::to_string(&Hello { port: instrument.port().to_path_buf(), heartbeat_us })?)?;
     out.flush()?;
 
-    let stopped = Arc::new(AtomicBool::new(false));
-    let (seen, remote) = (Arc::clone(&stopped), sim.remote());
-    std::thread::spawn(move || {
-        // Whatever comes is ignored; the end counts, and it comes even when the host is killed.
-        let _ = std::io::stdin().read_to_end(&mut Vec::new());
-        seen.store(true, Ordering::Release);
-        remote.wake();
-    });
-    sim.run_until(|| stopped.load(Ordering::Acquire));
-
-    let pace = sim.pace();
+    // Whatever comes is ignored; the end counts, and it comes even when the host is killed.
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+    let outcome = instrument.stop().context("the simulation ended early")?;
+    let pace = outcome.pace;
     let farewell = Farewell {
         seed: args.seed,
         truth: camera_thread.finish()?,

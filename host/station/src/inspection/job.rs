@@ -107,7 +107,6 @@ pub enum Progress {
 #[derive(Debug)]
 pub struct Station {
     subject: Subject,
-    decoder: Arc<Decoder>,
     orders: Option<Orders>,
     recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
@@ -168,7 +167,6 @@ impl Station {
         let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
         Ok(Self {
             subject,
-            decoder,
             orders: Some(order_sender),
             recorded,
             capture: Some(capture),
@@ -183,7 +181,18 @@ impl Station {
     ///
     /// # Errors
     /// The check could not begin. Once it has begun, every trouble ends in an indeterminate verdict.
-    pub async fn inspect(
+    pub fn inspect(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Inspection, InspectError> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
+        runtime.block_on(self.check(port, settings, watch))
+    }
+
+    async fn check(
         &mut self,
         port: &Path,
         settings: ClientSettings,
@@ -194,7 +203,7 @@ impl Station {
         let rotation_rad = self.prepare(&mut client, &mut watch).await?;
         let limits = client.identity().limits;
         let order = self.itinerary.order_from(rotation_rad);
-        let mut run = Run::new(&self.itinerary, order.clone());
+        let mut run = Run::new(order.clone());
         let begun_ns = monotonic_ns();
         let mut stopped = self.capture(&mut client, &mut run, &order, &limits, &mut watch).await?;
         let again = run.missing();
@@ -367,7 +376,6 @@ impl Station {
     }
 
     fn conclude(&self, run: Run, stopped: Option<String>, begun_ns: u64, client: &Client) -> Inspection {
-        let gear = &self.subject.tool;
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
         let mut pictures = Pictures { frame: run.picture, ..Pictures::default() };
@@ -382,7 +390,7 @@ impl Station {
                 None => {
                     let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
                     let why = why.unwrap_or_else(|| "the view was not captured".into());
-                    judged.extend(verdict::unmeasured(planned.tooth, gear, &why));
+                    judged.extend(verdict::unmeasured(planned.tooth, &self.subject.tool, &why));
                 }
             }
         }
@@ -418,12 +426,6 @@ impl Station {
             hashes: self.subject.hashes.clone(),
             pictures,
         }
-    }
-
-    /// The decoder, for whoever needs the head's precomputed tables.
-    #[must_use]
-    pub fn decoder(&self) -> &Decoder {
-        &self.decoder
     }
 }
 
@@ -472,7 +474,7 @@ struct Run {
 }
 
 impl Run {
-    fn new(_itinerary: &Itinerary, wanted: Vec<usize>) -> Self {
+    fn new(wanted: Vec<usize>) -> Self {
         Self {
             wanted,
             session: Vec::new(),

@@ -81,7 +81,7 @@ pub enum PlanningError {
     },
     /// The pattern set's name is unknown.
     #[error(transparent)]
-    Pattern(#[from] flankscope_profilometry::PatternError),
+    Pattern(#[from] flankscope_profilometry::pattern::PatternError),
 }
 
 impl Itinerary {
@@ -154,9 +154,9 @@ pub fn capture_plan(
     });
     let mut plan = CapturePlan {
         session: crate::capture::monotonic_ns() as u32,
-        views: heapless::Vec::new(),
-        exposures: heapless::Vec::new(),
-        fringes: heapless::Vec::new(),
+        views: Default::default(),
+        exposures: Default::default(),
+        fringes: Default::default(),
         led: LED.min(limits.led_max),
         settle: SETTLE,
         dmd_settle: DMD_SETTLE,

@@ -8,7 +8,6 @@ use crate::report::{Lane, Span};
 #[derive(Debug, Default)]
 pub struct Timeline {
     start: Option<Timestamp>,
-    end: Timestamp,
     moving: Vec<Span>,
     settling: Vec<Span>,
     led: Vec<Span>,
@@ -31,7 +30,6 @@ impl Timeline {
                     _ => {}
                 }
                 self.state_since = at;
-                self.end = at;
             }
             Event::Led { on: true, at } => self.led_since = Some(at),
             Event::Led { on: false, at } => {
@@ -45,7 +43,6 @@ impl Timeline {
                 self.dmd.push(dmd);
                 self.camera.push(camera);
             }
-            Event::ViewDone { at, .. } | Event::CaptureDone { at, .. } => self.end = at,
             _ => {}
         }
     }
@@ -66,12 +63,6 @@ impl Timeline {
     #[must_use]
     pub fn exposure_ms(&self) -> f64 {
         self.camera.iter().map(length).sum()
-    }
-
-    /// From the first event to the last, ms.
-    #[must_use]
-    pub fn total_ms(&self) -> f64 {
-        self.start.map_or(0.0, |start| self.end.since_us(start) as f64 / 1000.0)
     }
 
     /// The lanes of the report's picture.

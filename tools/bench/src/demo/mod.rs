@@ -1,5 +1,9 @@
 //! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
 
+mod files;
+
+pub use files::{head, world_of, write_tool};
+
 use crate::world::WorldConfig;
 use flankscope_gear_cad::{GearKind, GearSpec, MeshError, Meshing};
 

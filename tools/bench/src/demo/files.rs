@@ -1,0 +1,151 @@
+//! The demo tool as the files a user would write: CAD, tool.toml, head.toml.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use flankscope_gear_cad::{GearKind, GearSpec, Mesh, Meshing};
+use flankscope_metrology::gear::Kind;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::calibration::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::{CHORD_ERROR_MM, gear};
+use crate::world::{HeadOptics, Pinhole, SensorSpec, WorldConfig};
+
+/// Exposures of the in-situ check, µs: lit tip lands fill a third of the well in 40 ms, steep flanks get half as much.
+const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
+/// Pixels along a measuring cell: about one core (3.45 px).
+const BINNING: u32 = 3;
+/// Depths that the head measures, mm from the camera's pinhole: 3.4 mm about the focus at 22 mm.
+const VOLUME: DepthRange = DepthRange { near_mm: 20.3, far_mm: 23.7 };
+
+/// Writes `die.ply`, `tool.toml` and `head.toml` into a folder, which is made if it is not there.
+///
+/// # Errors
+/// The files cannot be written.
+pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let gear = gear();
+    let mesh = gear.mesh(&Meshing { chord_error_mm: CHORD_ERROR_MM, ..Meshing::default() })?;
+    let mut file = std::io::BufWriter::new(std::fs::File::create(folder.join("die.ply"))?);
+    flankscope_gear_cad::write_ply(&mesh, &mut file)?;
+    std::io::Write::flush(&mut file)?;
+    std::fs::write(folder.join("tool.toml"), tool_toml(&gear)?)?;
+    std::fs::write(folder.join("head.toml"), head().to_toml()?)?;
+    Ok(())
+}
+
+fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
+    let mut text = String::new();
+    writeln!(text, "# The demo die: 84 internal teeth on 82.9 mm, 66 mm high, about 10 kg of steel.")?;
+    writeln!(text, "name = \"demo die\"\n")?;
+    writeln!(text, "[cad]\nfile = \"die.ply\"\nunit = \"mm\"\nchord_error_um = {}\n", CHORD_ERROR_MM * 1e3)?;
+    writeln!(text, "[gear]\nkind = \"internal\"\nteeth = {}", gear.teeth)?;
+    writeln!(text, "module_mm = {}", gear.module_mm)?;
+    writeln!(text, "pressure_angle_deg = {}", gear.pressure_angle_rad.to_degrees())?;
+    writeln!(text, "tip_radius_mm = {}", gear.tip_radius_mm)?;
+    writeln!(text, "root_radius_mm = {}", gear.root_radius_mm)?;
+    writeln!(text, "first_tooth_centre_deg = {} # a tooth space is centred on +x", 180.0 / f64::from(gear.teeth))?;
+    writeln!(text, "height_mm = [{:.1}, {:.1}]\n", gear.height_mm[0], gear.height_mm[1])?;
+    writeln!(text, "[inspect]\nteeth = [12, 40, 68] # a third of a turn apart")?;
+    writeln!(text, "height_mm = 33.0 # where the head looks")?;
+    writeln!(text, "warn_um = 30.0\nlimit_um = 50.0")?;
+    Ok(text)
+}
+
+/// The demo head as its calibration file describes it.
+#[must_use]
+pub fn head() -> HeadModel {
+    let optics = HeadOptics::prism_20mm();
+    let sensor = SensorSpec::imx174();
+    let centre_px = optics.camera.centre_px;
+    HeadModel {
+        name: "prism head 20 mm".into(),
+        working_distance_mm: Some(20.0),
+        pattern_set: Some("insitu12".into()),
+        exposures_us: EXPOSURES_US.to_vec(),
+        binning: BINNING,
+        camera: pinhole_file(&optics.camera, optics.camera_size_px),
+        projector: pinhole_file(&optics.projector, optics.projector_size_px),
+        projector_from_camera: transform_file(&optics.projector_from_camera),
+        stage_from_camera: Some(transform_file(&optics.stage_from_camera)),
+        sensor: Some(Sensor {
+            full_well_e: sensor.full_well_e,
+            gain_e_per_dn: sensor.gain_e_per_dn(),
+            read_noise_e: sensor.read_noise_e,
+            offset_dn: sensor.offset_dn,
+            bits: sensor.bits,
+        }),
+        volume: Some(VOLUME),
+        image_circle: Some(ImageCircle { centre_px, radius_px: 575.0 }),
+    }
+}
+
+/// The world that a tool and a head describe: their geometry, with the demo head's light, blur and noise.
+///
+/// # Errors
+/// The tool has no gear data, or the mesh is not the gear's.
+pub fn world_of(tool: &Tool, head: &HeadModel) -> anyhow::Result<WorldConfig> {
+    let Some(gear) = &tool.gear else { anyhow::bail!("the tool has no [gear]: the bench cannot tell its flanks") };
+    // The bench's gear has its first tooth half a pitch behind +x.
+    let half_pitch_deg = 180.0 / f64::from(gear.teeth);
+    let off_deg = (gear.first_tooth_centre_deg - half_pitch_deg).rem_euclid(2.0 * half_pitch_deg);
+    anyhow::ensure!(
+        off_deg.min(2.0 * half_pitch_deg - off_deg) < 1e-6 && gear.first_tooth_centre_deg < 2.0 * half_pitch_deg,
+        "first_tooth_centre_deg = {} cannot be put on the bench; {half_pitch_deg} (a tooth space on +x) can",
+        gear.first_tooth_centre_deg,
+    );
+    let spec = GearSpec {
+        kind: match gear.kind {
+            Kind::Internal => GearKind::Internal,
+            Kind::External => GearKind::External,
+        },
+        teeth: gear.teeth,
+        module_mm: gear.module_mm,
+        pressure_angle_rad: gear.pressure_angle_deg.to_radians(),
+        tip_radius_mm: gear.tip_radius_mm,
+        root_radius_mm: gear.root_radius_mm,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: tool.surface.bounds().high[0],
+        height_mm: gear.height_mm,
+    };
+    let mesh = Mesh { vertices: tool.mesh.vertices.clone(), triangles: tool.mesh.triangles.clone() };
+    let mut config = WorldConfig::new(mesh, spec);
+    let optics = &mut config.optics;
+    optics.camera = pinhole_of(&head.camera);
+    optics.projector = pinhole_of(&head.projector);
+    optics.projector_from_camera = transform_of(&head.projector_from_camera);
+    if let Some(hand_eye) = &head.stage_from_camera {
+        optics.stage_from_camera = transform_of(hand_eye);
+    }
+    Ok(config)
+}
+
+fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::Pinhole {
+    calibration::Pinhole {
+        width_px: width as u32,
+        height_px: height as u32,
+        focal_px: pinhole.focal_px,
+        principal_px: pinhole.centre_px,
+        distortion: pinhole.distortion,
+    }
+}
+
+fn pinhole_of(file: &calibration::Pinhole) -> Pinhole {
+    Pinhole { focal_px: file.focal_px, centre_px: file.principal_px, distortion: file.distortion }
+}
+
+fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
+    let matrix = transform.rotation.to_rotation_matrix();
+    RigidTransform {
+        rotation: std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])),
+        translation_mm: transform.translation.vector.into(),
+    }
+}
+
+fn transform_of(file: &RigidTransform) -> Isometry3<f64> {
+    let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
+    Isometry3::from_parts(Translation3::from(Vector3::from(file.translation_mm)), rotation)
+}
