@@ -28,6 +28,9 @@
 //! # Ok(()) }
 //! ```
 
+// `!(value > limit)` is meant: a NaN must fail every check.
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 pub mod accumulate;
 pub mod calibration;
 pub mod camera;

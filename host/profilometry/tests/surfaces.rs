@@ -7,6 +7,9 @@ use flankscope_profilometry::calibration::HeadModel;
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
 
+/// z along a camera ray (x, y, 1).
+type Surface<'a> = &'a dyn Fn([f64; 2]) -> f64;
+
 const BRIGHT: Light = Light {
     mean_e: 20_000.0,
     contrast: 0.6,
@@ -36,7 +39,7 @@ fn planes_and_spheres_come_back() {
     let head = head();
     let tilted = plane([0.21, -0.13, 1.0], 21.9);
     let ball = sphere([0.4, -0.3, 24.4], 3.2, 23.6);
-    let surfaces: [(&str, &dyn Fn([f64; 2]) -> f64); 2] = [("plane", &tilted), ("sphere", &ball)];
+    let surfaces: [(&str, Surface<'_>); 2] = [("plane", &tilted), ("sphere", &ball)];
     for (name, surface) in surfaces {
         let columns = columns(&head, surface);
         for set in ["article8", "insitu12", "scan16"] {
