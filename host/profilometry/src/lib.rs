@@ -34,6 +34,7 @@
 pub mod accumulate;
 pub mod calibration;
 pub mod camera;
+pub mod cloud;
 pub mod decode;
 pub mod frame;
 pub mod grid;
@@ -41,6 +42,7 @@ pub mod images;
 pub mod mask;
 mod neighbours;
 mod opencv;
+pub mod options;
 pub mod pattern;
 pub mod phase;
 pub mod plan;

@@ -4,6 +4,7 @@ mod bench_scene;
 
 use bench_scene::*;
 use flankscope_profilometry::calibration::HeadModel;
+use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
 
@@ -192,6 +193,60 @@ fn what_lies_outside_the_volume_is_not_guessed() {
         decoded.rejected.outside_volume > decoded.cells / 2,
         "{:?}",
         decoded.rejected
+    );
+}
+
+/// Light on the left half only: without smoothing the mask is exactly that half, with smoothing its edge may move.
+#[test]
+fn the_mask_keeps_what_oscillates() {
+    let head = head();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let columns = columns(&head, plane([0.0, 0.0, 1.0], 22.0));
+    let run = |smoothing_px: f64| {
+        let options = DecodeOptions {
+            min_contrast: 0.0,
+            patches: None,
+            mask: Some(MaskOptions {
+                threshold_dn: 500.0,
+                smoothing_px,
+            }),
+            ..DecodeOptions::for_head(&head)
+        };
+        let decoder = Decoder::new(&head, &patterns, &[1000], options).unwrap();
+        let mut frames = capture(&head, &decoder, &patterns, &columns, &[1.0], &BRIGHT);
+        // A standard deviation of 12 000 / sqrt(2) = 8485 counts on the left, a twentieth of it (424) on the right.
+        for (_, pixels) in &mut frames {
+            for row in pixels.chunks_exact_mut(WIDTH) {
+                row[WIDTH / 2..]
+                    .iter_mut()
+                    .for_each(|pixel| *pixel = 100 + (*pixel - 100) / 20);
+            }
+        }
+        decoder.finish(&accumulate(&decoder, &frames)).unwrap()
+    };
+    let sharp = run(0.0);
+    assert!(sharp.cloud.len() * 10 > sharp.cells * 4);
+    assert!(
+        sharp
+            .cloud
+            .cell
+            .iter()
+            .all(|cell| usize::from(cell[0]) < WIDTH / 2)
+    );
+    assert!(
+        sharp.rejected.masked * 10 > sharp.cells * 4,
+        "{:?}",
+        sharp.rejected
+    );
+    // Four sigma right of the edge the left half adds 3e-5 of its 8485 counts.
+    let smooth = run(3.0);
+    assert!(smooth.cloud.len() > sharp.cloud.len());
+    assert!(
+        smooth
+            .cloud
+            .cell
+            .iter()
+            .all(|cell| usize::from(cell[0]) < WIDTH / 2 + 12)
     );
 }
 
