@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::cell_row::CellRow;
 use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 use crate::grid::CellGrid;
 use crate::phase::Phasor;
@@ -127,7 +128,7 @@ pub(crate) struct Band {
     pub dark: Vec<f32>,
     pending: Planes,
     pub merged: Vec<Merged>,
-    scratch: RowScratch,
+    row: CellRow,
 }
 
 /// What one frame does to a band.
@@ -175,7 +176,7 @@ impl Accumulator {
                         };
                         layout.steps.len()
                     ],
-                    scratch: RowScratch::new(grid),
+                    row: CellRow::new(grid),
                 }
             })
             .collect();
@@ -325,15 +326,15 @@ impl Band {
     #[inline(always)]
     fn add_rows(&mut self, layout: &Layout, frame: FrameView<'_>, work: Work) -> u64 {
         let mut total = 0;
-        for row in self.rows.clone() {
-            let span = layout.grid.span(row);
+        for index in self.rows.clone() {
+            let span = layout.grid.span(index);
             if span.is_empty() {
                 continue;
             }
             let cells =
                 span.first_cell - self.first_cell..span.first_cell - self.first_cell + span.len();
-            total += self.scratch.read(layout, frame, row);
-            let values = &self.scratch.values[..span.len()];
+            total += self.row.read(layout, frame, index);
+            let values = &self.row.values[..span.len()];
             match work {
                 // A saturated dark frame is caught by its level; here it only must not spread infinities.
                 Work::Dark => {
@@ -428,116 +429,55 @@ fn merge(
     }
 }
 
-/// One row of cells out of the frame's pixel rows.
-#[derive(Clone, Debug)]
-struct RowScratch {
-    /// Counts per cell; infinite where a pixel is saturated, so that every sum it enters is marked.
-    values: Vec<f32>,
-    /// Per pixel column of the cell row: sum, and non-zero where a pixel exceeds the limit.
-    columns: Vec<u32>,
-    excess: Vec<u16>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl RowScratch {
-    fn new(grid: &CellGrid) -> Self {
-        let pixels = if grid.binning > 1 {
-            grid.columns * grid.binning
-        } else {
-            0
-        };
-        Self {
-            values: vec![0.0; grid.columns],
-            columns: vec![0; pixels],
-            excess: vec![0; pixels],
-        }
-    }
-
-    /// Fills `values` and returns the sum of all pixels read.
-    #[inline(always)]
-    fn read(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        match layout.grid.binning {
-            1 => self.read_pixels(layout, frame, row),
-            2 => self.read_blocks::<2>(layout, frame, row),
-            3 => self.read_blocks::<3>(layout, frame, row),
-            4 => self.read_blocks::<4>(layout, frame, row),
-            _ => self.read_large_blocks(layout, frame, row),
-        }
-    }
-
-    #[inline(always)]
-    fn read_pixels(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        let span = layout.grid.span(row);
-        let limit = layout.saturation_limit_dn;
-        let mut total = 0u32;
-        for (&pixel, value) in frame.row(row)[span.begin..span.end]
-            .iter()
-            .zip(&mut self.values)
-        {
-            total += u32::from(pixel);
-            *value = if pixel > limit {
-                f32::INFINITY
-            } else {
-                f32::from(pixel)
+    /// What the wide registers compute, against the code for every machine.
+    #[test]
+    fn wide_registers_give_the_same_bytes() {
+        for binning in [1, 2, 3, 4, 5] {
+            let layout = Layout {
+                width: 203,
+                height: 41,
+                grid: CellGrid::new(203, 41, binning, None),
+                steps: vec![3, 8],
+                exposures: 2,
+                dark_frame: true,
+                saturation_limit_dn: 3891,
             };
-        }
-        u64::from(total)
-    }
-
-    /// Rows first, since neighbouring columns vectorise; then columns, with the block size known to the compiler.
-    #[inline(always)]
-    fn read_blocks<const B: usize>(
-        &mut self,
-        layout: &Layout,
-        frame: FrameView<'_>,
-        row: usize,
-    ) -> u64 {
-        let span = layout.grid.span(row);
-        let limit = layout.saturation_limit_dn;
-        let pixels = span.begin * B..span.end * B;
-        let count = pixels.len();
-        let rows: [&[u16]; B] =
-            std::array::from_fn(|y| &frame.row(row * B + y)[pixels.clone()][..count]);
-        let columns = &mut self.columns[..count];
-        let excess = &mut self.excess[..count];
-        for x in 0..count {
-            let (mut sum, mut over) = (0u32, 0u16);
-            for row in &rows {
-                sum += u32::from(row[x]);
-                over |= row[x].saturating_sub(limit);
+            let wide = Accumulator::new(Arc::new(layout));
+            let mut plain = wide.clone();
+            let mut wide = wide;
+            let layout = Arc::clone(&wide.layout);
+            let mut state = 1u32;
+            while let Some(kind) = wide.expected() {
+                let pixels: Vec<u16> = (0..203 * 41)
+                    .map(|_| {
+                        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                        (state >> 20) as u16
+                    })
+                    .collect();
+                let frame = FrameView::packed(&pixels, 203, 41);
+                let work = plain.admit(kind).unwrap();
+                let total: u64 = plain
+                    .bands
+                    .iter_mut()
+                    .map(|band| band.add_rows(&layout, frame, work))
+                    .sum();
+                plain.next += 1;
+                let level = wide.add(frame, kind).unwrap();
+                assert_eq!(level.mean_dn, total as f64 / level.pixels as f64);
             }
-            columns[x] = sum;
-            excess[x] = over;
-        }
-        let mut total = 0u64;
-        let blocks = columns
-            .as_chunks::<B>()
-            .0
-            .iter()
-            .zip(excess.as_chunks::<B>().0);
-        for ((columns, excess), value) in blocks.zip(&mut self.values) {
-            let sum: u32 = columns.iter().sum();
-            let over = excess.iter().fold(0, |over, &column| over | column);
-            total += u64::from(sum);
-            *value = if over > 0 { f32::INFINITY } else { sum as f32 };
-        }
-        total
-    }
-
-    fn read_large_blocks(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        let span = layout.grid.span(row);
-        let binning = layout.grid.binning;
-        let mut total = 0;
-        for (column, value) in (span.begin..span.end).zip(&mut self.values) {
-            let (mut sum, mut over) = (0u32, false);
-            for y in row * binning..(row + 1) * binning {
-                for &pixel in &frame.row(y)[column * binning..][..binning] {
-                    sum += u32::from(pixel);
-                    over |= pixel > layout.saturation_limit_dn;
+            for (wide, plain) in wide.bands.iter().zip(&plain.bands) {
+                assert_eq!(wide.dark, plain.dark);
+                for (wide, plain) in wide.merged.iter().zip(&plain.merged) {
+                    assert_eq!(wide.planes.re, plain.planes.re);
+                    assert_eq!(wide.planes.im, plain.planes.im);
+                    assert_eq!(wide.planes.sum, plain.planes.sum);
+                    assert_eq!(wide.exposures, plain.exposures);
                 }
             }
-            total += u64::from(sum);
-            *value = if over { f32::INFINITY } else { sum as f32 };
         }
-        total
     }
 }

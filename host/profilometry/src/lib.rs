@@ -34,6 +34,7 @@
 pub mod accumulate;
 pub mod calibration;
 pub mod camera;
+mod cell_row;
 pub mod cloud;
 pub mod decode;
 pub mod frame;
