@@ -3,61 +3,20 @@
 use std::sync::Arc;
 
 use rayon::prelude::*;
-use serde::Serialize;
 
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::calibration::{DepthRange, HeadModel, Sensor};
+pub use crate::cloud::{Cloud, Decoded, Rejected};
 use crate::frame::FrameKind;
 use crate::grid::CellGrid;
-use crate::mask::{self, MaskOptions};
-pub use crate::neighbours::PatchOptions;
+use crate::mask;
 use crate::neighbours::{Depths, small_patches};
+pub use crate::options::{DecodeOptions, PatchOptions};
 use crate::pattern::PatternSet;
 use crate::phase::{self, CellNoise};
 use crate::smoothing;
 use crate::triangulate::{Triangulator, depth_sigma_mm};
 use crate::unwrap;
-
-/// What to keep and what to repair. [`DecodeOptions::for_head`] is the instrument's choice.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DecodeOptions {
-    /// Pixels along a cell's side.
-    pub binning: usize,
-    /// Whether a view starts with a dark frame.
-    pub dark_frame: bool,
-    /// Least contrast B / A in every frequency.
-    pub min_contrast: f64,
-    /// Largest predicted standard uncertainty of the depth.
-    pub max_sigma_z_mm: Option<f64>,
-    /// Sigma of the Gaussian on the phasors of the finest frequency, camera pixels; 0 for none.
-    pub smoothing_px: f64,
-    /// The same for all coarser frequencies, whose only task is the fringe order.
-    pub coarse_smoothing_px: f64,
-    /// The article's mask.
-    pub mask: Option<MaskOptions>,
-    /// Drops small isolated patches.
-    pub patches: Option<PatchOptions>,
-}
-
-impl DecodeOptions {
-    /// The head's binning, a dark frame first, contrast of at least 0.05, patches of at least 10 cells.
-    pub fn for_head(head: &HeadModel) -> Self {
-        Self {
-            binning: head.binning as usize,
-            dark_frame: true,
-            min_contrast: 0.05,
-            max_sigma_z_mm: None,
-            smoothing_px: 0.0,
-            coarse_smoothing_px: 0.0,
-            mask: None,
-            // 72 degrees of surface tilt: steeper surfaces hardly return light to a lens.
-            patches: Some(PatchOptions {
-                min_cells: 10,
-                max_slope: 3.0,
-            }),
-        }
-    }
-}
 
 /// Why a head, a pattern set and exposures do not make a decoder, or a view no cloud.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -185,77 +144,6 @@ pub struct Decoder {
     cell_by_depth: f64,
 }
 
-/// Points of one view. All vectors have one entry per point, in row order of the cells.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cloud {
-    /// Position in the camera frame.
-    pub points_mm: Vec<[f64; 3]>,
-    /// Predicted standard uncertainty of z; the point moves along its camera ray.
-    pub sigma_z_mm: Vec<f32>,
-    /// Column and row in the grid of cells.
-    pub cell: Vec<[u16; 2]>,
-    /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
-    pub modulation_e: Vec<f32>,
-}
-
-impl Cloud {
-    /// Number of points.
-    pub fn len(&self) -> usize {
-        self.points_mm.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.points_mm.is_empty()
-    }
-}
-
-/// How many cells gave no point, by the first reason found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Rejected {
-    /// Every exposure was saturated.
-    pub saturated: usize,
-    /// Contrast below the limit: no fringes here.
-    pub low_contrast: usize,
-    /// Too noisy to tell the fringe order.
-    pub uncertain_order: usize,
-    /// The phase belongs to no projector column.
-    pub outside_projector: usize,
-    /// The ray meets the sheet of light outside the measuring volume, or nowhere.
-    pub outside_volume: usize,
-    /// Predicted uncertainty above the limit.
-    pub uncertain_depth: usize,
-    /// Dropped by the mask.
-    pub masked: usize,
-    /// Part of a small isolated patch.
-    pub isolated: usize,
-}
-
-impl Rejected {
-    /// All of them.
-    pub fn total(&self) -> usize {
-        self.saturated
-            + self.low_contrast
-            + self.uncertain_order
-            + self.outside_projector
-            + self.outside_volume
-            + self.uncertain_depth
-            + self.masked
-            + self.isolated
-    }
-}
-
-/// A decoded view.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Decoded {
-    /// The points.
-    pub cloud: Cloud,
-    /// Cells looked at: points plus rejected.
-    pub cells: usize,
-    /// Cells without a point.
-    pub rejected: Rejected,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     Point,
@@ -318,7 +206,7 @@ impl Decoder {
             got: bad.got,
             expected: bad.expected,
         })?;
-        check_options(&options)?;
+        options.check()?;
         if !(1..=255).contains(&exposures_us.len()) {
             return Err(DecodeError::ExposureCount {
                 got: exposures_us.len(),
@@ -567,7 +455,11 @@ impl Decoder {
     fn collect(&self, results: &[CellResult]) -> Decoded {
         let grid = &self.layout.grid;
         let mut rejected = Rejected::default();
-        let mut cloud = Cloud::default();
+        let points = results
+            .iter()
+            .filter(|result| result.fate == Fate::Point)
+            .count();
+        let mut cloud = Cloud::with_capacity(points);
         for row in 0..grid.rows {
             let span = grid.span(row);
             for column in span.begin..span.end {
@@ -601,61 +493,6 @@ impl Decoder {
             rejected,
         }
     }
-}
-
-fn check_options(options: &DecodeOptions) -> Result<(), DecodeError> {
-    let bad = |option, got, expected| {
-        Err(DecodeError::Option {
-            option,
-            got,
-            expected,
-        })
-    };
-    if !(1..=64).contains(&options.binning) {
-        return bad("binning", options.binning as f64, "must be 1 to 64 pixels");
-    }
-    if !(0.0..1.0).contains(&options.min_contrast) {
-        return bad(
-            "min_contrast",
-            options.min_contrast,
-            "must be at least 0 and below 1",
-        );
-    }
-    for (name, value) in [
-        ("smoothing_px", options.smoothing_px),
-        ("coarse_smoothing_px", options.coarse_smoothing_px),
-    ] {
-        if !(0.0..=100.0).contains(&value) {
-            return bad(name, value, "must be 0 to 100 pixels");
-        }
-    }
-    if let Some(limit) = options.max_sigma_z_mm
-        && !(limit > 0.0)
-    {
-        return bad("max_sigma_z_mm", limit, "must be positive");
-    }
-    if let Some(mask) = options.mask {
-        if !(mask.threshold_dn >= 0.0 && mask.threshold_dn.is_finite()) {
-            return bad(
-                "mask.threshold_dn",
-                mask.threshold_dn,
-                "must be at least 0 counts",
-            );
-        }
-        if !(0.0..=100.0).contains(&mask.smoothing_px) {
-            return bad(
-                "mask.smoothing_px",
-                mask.smoothing_px,
-                "must be 0 to 100 pixels",
-            );
-        }
-    }
-    if let Some(patches) = options.patches
-        && !(patches.max_slope > 0.0 && patches.max_slope.is_finite())
-    {
-        return bad("patches.max_slope", patches.max_slope, "must be positive");
-    }
-    Ok(())
 }
 
 fn rays(

@@ -28,9 +28,14 @@
 //! # Ok(()) }
 //! ```
 
+// `!(value > limit)` is meant: a NaN must fail every check.
+#![allow(clippy::neg_cmp_op_on_partial_ord)]
+
 pub mod accumulate;
 pub mod calibration;
 pub mod camera;
+mod cell_row;
+pub mod cloud;
 pub mod decode;
 pub mod frame;
 pub mod grid;
@@ -38,6 +43,7 @@ pub mod images;
 pub mod mask;
 mod neighbours;
 mod opencv;
+pub mod options;
 pub mod pattern;
 pub mod phase;
 pub mod plan;

@@ -39,6 +39,7 @@ pub(crate) fn small_patches(
             if depth.is_nan() {
                 continue;
             }
+            let sigma = depths.sigma_mm(cell);
             let left = column.checked_sub(1).and_then(|column| span.cell(column));
             let upper = above.and_then(|above| above.cell(column));
             let upper_left =
@@ -46,8 +47,9 @@ pub(crate) fn small_patches(
             let upper_right = above.and_then(|above| above.cell(column + 1));
             for neighbour in [left, upper, upper_left, upper_right].into_iter().flatten() {
                 let other = depths.depth_mm(neighbour);
-                let noise = depths.sigma_mm(cell).hypot(depths.sigma_mm(neighbour));
-                let allowed = options.max_slope * cell_by_depth * depth + NOISE_FACTOR * noise;
+                let variance = sigma * sigma + depths.sigma_mm(neighbour).powi(2);
+                let allowed =
+                    options.max_slope * cell_by_depth * depth + NOISE_FACTOR * variance.sqrt();
                 // A NaN neighbour fails the comparison.
                 if (other - depth).abs() <= allowed {
                     patches.join(cell, neighbour);

@@ -159,25 +159,22 @@ impl Plan {
                     "must be absent (use dark_first = true) when the sets list no frames",
                 ));
             }
-            let fringes = (0..exposures_us.len()).flat_map(|exposure| {
-                let kinds = order.iter().flat_map(move |&set| [(exposure, set)]);
-                kinds.collect::<Vec<_>>()
-            });
-            let mut kinds = if dark_frame {
-                vec![FrameKind::Dark]
-            } else {
-                Vec::new()
-            };
-            for (exposure, file_index) in fringes {
-                let set = order
-                    .iter()
-                    .position(|&index| index == file_index)
-                    .unwrap_or(file_index);
-                kinds.extend((0..patterns.sets[set].steps).map(|step| FrameKind::Fringe {
-                    exposure,
-                    set,
-                    step,
-                }));
+            let mut kinds: Vec<FrameKind> =
+                dark_frame.then_some(FrameKind::Dark).into_iter().collect();
+            for exposure in 0..exposures_us.len() {
+                // In the order of the file's tables, whatever their frequencies.
+                for index in 0..order.len() {
+                    let set = order
+                        .iter()
+                        .position(|&other| other == index)
+                        .unwrap_or(index);
+                    let steps = 0..patterns.sets[set].steps;
+                    kinds.extend(steps.map(|step| FrameKind::Fringe {
+                        exposure,
+                        set,
+                        step,
+                    }));
+                }
             }
             Images::Sorted(kinds)
         } else {
@@ -282,5 +279,108 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
         PatternError::UnknownName { ref name } => {
             BadValue::new("pattern_set", name, "must be article8, insitu12 or scan16")
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(text: &str) -> Result<Plan, BadValue> {
+        Plan::from_file(toml::from_str(text).unwrap())
+    }
+
+    fn names(plan: &Plan, folder: &Path) -> Vec<(FrameKind, String)> {
+        let name = |path: PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
+        plan.frames(folder)
+            .unwrap()
+            .into_iter()
+            .map(|(kind, path)| (kind, name(path)))
+            .collect()
+    }
+
+    /// High frequency first in the file, low first in the capture order; two exposures; a dark frame.
+    #[test]
+    fn named_and_sorted_images_go_to_the_same_frames() {
+        let named = plan(
+            "exposures_us = [5, 9]\ndark = '00.png'\n\
+             [[set]]\nperiods = 16\nsteps = 3\nframes = ['01.png', '02.png', '03.png', '08.png', '09.png', '10.png']\n\
+             [[set]]\nperiods = 1\nsteps = 4\nframes = ['04.png', '05.png', '06.png', '07.png', '11.png', '12.png', '13.png', '14.png']\n",
+        )
+        .unwrap();
+        let sorted = plan(
+            "exposures_us = [5, 9]\ndark_first = true\n[[set]]\nperiods = 16\nsteps = 3\n[[set]]\nperiods = 1\nsteps = 4\n",
+        )
+        .unwrap();
+        let folder = std::env::temp_dir().join(format!("flankscope-plan-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        for index in 0..15 {
+            std::fs::write(folder.join(format!("{index:02}.png")), []).unwrap();
+        }
+        let expected: Vec<String> = [0, 4, 5, 6, 7, 1, 2, 3, 11, 12, 13, 14, 8, 9, 10]
+            .map(|i| format!("{i:02}.png"))
+            .to_vec();
+        for plan in [&named, &sorted] {
+            let frames = names(plan, &folder);
+            assert_eq!(
+                frames
+                    .iter()
+                    .map(|(_, name)| name.clone())
+                    .collect::<Vec<_>>(),
+                expected
+            );
+            assert_eq!(frames[0].0, FrameKind::Dark);
+            assert_eq!(
+                frames[8].0,
+                FrameKind::Fringe {
+                    exposure: 1,
+                    set: 0,
+                    step: 0
+                }
+            );
+            assert_eq!(
+                frames[14].0,
+                FrameKind::Fringe {
+                    exposure: 1,
+                    set: 1,
+                    step: 2
+                }
+            );
+        }
+        std::fs::write(folder.join("15.PNG"), []).unwrap();
+        assert!(matches!(
+            sorted.frames(&folder),
+            Err(ImageError::Count {
+                got: 16,
+                expected: 15,
+                ..
+            })
+        ));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn contradictions_are_named() {
+        let key = |text: &str| plan(text).unwrap_err().key;
+        assert_eq!(key(""), "pattern_set");
+        assert_eq!(key("pattern_set = 'scan17'"), "pattern_set");
+        assert_eq!(
+            key("pattern_set = 'scan16'\n[[set]]\nperiods = 1\nsteps = 3"),
+            "pattern_set"
+        );
+        assert_eq!(key("step_sign = 2\npattern_set = 'scan16'"), "step_sign");
+        assert_eq!(
+            key("exposures_us = [3, 3]\npattern_set = 'scan16'"),
+            "exposures_us"
+        );
+        assert_eq!(key("dark = 'd.png'\npattern_set = 'scan16'"), "dark");
+        assert_eq!(
+            key("[[set]]\nperiods = 2\nsteps = 3\n[[set]]\nperiods = 2\nsteps = 3"),
+            "set[1].periods"
+        );
+        assert_eq!(
+            key("[[set]]\nperiods = 2\nsteps = 3\nframes = ['a.png']"),
+            "set[0].frames"
+        );
     }
 }

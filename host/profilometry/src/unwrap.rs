@@ -17,7 +17,7 @@ pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
 
 /// Standard deviation of the prediction against the finer phase, the `s` above.
 pub fn order_sigma_rad(ratio: f64, below_sigma_rad: f64, sigma_rad: f64) -> f64 {
-    (ratio * below_sigma_rad).hypot(sigma_rad)
+    ((ratio * below_sigma_rad).powi(2) + sigma_rad * sigma_rad).sqrt()
 }
 
 /// A prediction that misses the finer phase by more than this lies nearly as close to the next order: something other

@@ -4,8 +4,12 @@ mod bench_scene;
 
 use bench_scene::*;
 use flankscope_profilometry::calibration::HeadModel;
+use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
+
+/// z along a camera ray (x, y, 1).
+type Surface<'a> = &'a dyn Fn([f64; 2]) -> f64;
 
 const BRIGHT: Light = Light {
     mean_e: 20_000.0,
@@ -36,7 +40,7 @@ fn planes_and_spheres_come_back() {
     let head = head();
     let tilted = plane([0.21, -0.13, 1.0], 21.9);
     let ball = sphere([0.4, -0.3, 24.4], 3.2, 23.6);
-    let surfaces: [(&str, &dyn Fn([f64; 2]) -> f64); 2] = [("plane", &tilted), ("sphere", &ball)];
+    let surfaces: [(&str, Surface<'_>); 2] = [("plane", &tilted), ("sphere", &ball)];
     for (name, surface) in surfaces {
         let columns = columns(&head, surface);
         for set in ["article8", "insitu12", "scan16"] {
@@ -189,6 +193,60 @@ fn what_lies_outside_the_volume_is_not_guessed() {
         decoded.rejected.outside_volume > decoded.cells / 2,
         "{:?}",
         decoded.rejected
+    );
+}
+
+/// Light on the left half only: without smoothing the mask is exactly that half, with smoothing its edge may move.
+#[test]
+fn the_mask_keeps_what_oscillates() {
+    let head = head();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let columns = columns(&head, plane([0.0, 0.0, 1.0], 22.0));
+    let run = |smoothing_px: f64| {
+        let options = DecodeOptions {
+            min_contrast: 0.0,
+            patches: None,
+            mask: Some(MaskOptions {
+                threshold_dn: 500.0,
+                smoothing_px,
+            }),
+            ..DecodeOptions::for_head(&head)
+        };
+        let decoder = Decoder::new(&head, &patterns, &[1000], options).unwrap();
+        let mut frames = capture(&head, &decoder, &patterns, &columns, &[1.0], &BRIGHT);
+        // A standard deviation of 12 000 / sqrt(2) = 8485 counts on the left, a twentieth of it (424) on the right.
+        for (_, pixels) in &mut frames {
+            for row in pixels.chunks_exact_mut(WIDTH) {
+                row[WIDTH / 2..]
+                    .iter_mut()
+                    .for_each(|pixel| *pixel = 100 + (*pixel - 100) / 20);
+            }
+        }
+        decoder.finish(&accumulate(&decoder, &frames)).unwrap()
+    };
+    let sharp = run(0.0);
+    assert!(sharp.cloud.len() * 10 > sharp.cells * 4);
+    assert!(
+        sharp
+            .cloud
+            .cell
+            .iter()
+            .all(|cell| usize::from(cell[0]) < WIDTH / 2)
+    );
+    assert!(
+        sharp.rejected.masked * 10 > sharp.cells * 4,
+        "{:?}",
+        sharp.rejected
+    );
+    // Four sigma right of the edge the left half adds 3e-5 of its 8485 counts.
+    let smooth = run(3.0);
+    assert!(smooth.cloud.len() > sharp.cloud.len());
+    assert!(
+        smooth
+            .cloud
+            .cell
+            .iter()
+            .all(|cell| usize::from(cell[0]) < WIDTH / 2 + 12)
     );
 }
 

@@ -1,0 +1,119 @@
+//! Pixels to cells, one row of cells at a time.
+
+use crate::accumulate::Layout;
+use crate::frame::FrameView;
+use crate::grid::CellGrid;
+
+/// One row of cells out of the frame's pixel rows.
+#[derive(Clone, Debug)]
+pub(crate) struct CellRow {
+    /// Counts per cell; infinite where a pixel is saturated, so that every sum it enters is marked.
+    pub values: Vec<f32>,
+    /// Per pixel column of the cell row: sum, and non-zero where a pixel exceeds the limit.
+    columns: Vec<u32>,
+    excess: Vec<u16>,
+}
+
+impl CellRow {
+    pub fn new(grid: &CellGrid) -> Self {
+        let pixels = if grid.binning > 1 {
+            grid.columns * grid.binning
+        } else {
+            0
+        };
+        Self {
+            values: vec![0.0; grid.columns],
+            columns: vec![0; pixels],
+            excess: vec![0; pixels],
+        }
+    }
+
+    /// Fills `values` and returns the sum of all pixels read.
+    #[inline(always)]
+    pub fn read(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
+        match layout.grid.binning {
+            1 => self.read_pixels(layout, frame, row),
+            2 => self.read_blocks::<2>(layout, frame, row),
+            3 => self.read_blocks::<3>(layout, frame, row),
+            4 => self.read_blocks::<4>(layout, frame, row),
+            _ => self.read_large_blocks(layout, frame, row),
+        }
+    }
+
+    #[inline(always)]
+    fn read_pixels(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
+        let span = layout.grid.span(row);
+        let limit = layout.saturation_limit_dn;
+        let mut total = 0u32;
+        for (&pixel, value) in frame.row(row)[span.begin..span.end]
+            .iter()
+            .zip(&mut self.values)
+        {
+            total += u32::from(pixel);
+            *value = if pixel > limit {
+                f32::INFINITY
+            } else {
+                f32::from(pixel)
+            };
+        }
+        u64::from(total)
+    }
+
+    /// Rows first, since neighbouring columns vectorise; then columns, with the block size known to the compiler.
+    #[inline(always)]
+    fn read_blocks<const B: usize>(
+        &mut self,
+        layout: &Layout,
+        frame: FrameView<'_>,
+        row: usize,
+    ) -> u64 {
+        let span = layout.grid.span(row);
+        let limit = layout.saturation_limit_dn;
+        let pixels = span.begin * B..span.end * B;
+        let count = pixels.len();
+        let rows: [&[u16]; B] =
+            std::array::from_fn(|y| &frame.row(row * B + y)[pixels.clone()][..count]);
+        let columns = &mut self.columns[..count];
+        let excess = &mut self.excess[..count];
+        for x in 0..count {
+            let (mut sum, mut over) = (0u32, 0u16);
+            for row in &rows {
+                sum += u32::from(row[x]);
+                over |= row[x].saturating_sub(limit);
+            }
+            columns[x] = sum;
+            excess[x] = over;
+        }
+        let mut total = 0u64;
+        let blocks = columns
+            .as_chunks::<B>()
+            .0
+            .iter()
+            .zip(excess.as_chunks::<B>().0);
+        for ((columns, excess), value) in blocks.zip(&mut self.values) {
+            let sum: u32 = columns.iter().sum();
+            let over = excess.iter().fold(0, |over, &column| over | column);
+            total += u64::from(sum);
+            *value = if over > 0 { f32::INFINITY } else { sum as f32 };
+        }
+        total
+    }
+
+    fn read_large_blocks(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
+        let span = layout.grid.span(row);
+        let binning = layout.grid.binning;
+        let mut total = 0;
+        for (column, value) in (span.begin..span.end).zip(&mut self.values) {
+            let (mut sum, mut over) = (0u32, false);
+            for y in row * binning..(row + 1) * binning {
+                for &pixel in &frame.row(y)[column * binning..][..binning] {
+                    sum += u32::from(pixel);
+                    over |= pixel > layout.saturation_limit_dn;
+                }
+            }
+            total += u64::from(sum);
+            *value = if over { f32::INFINITY } else { sum as f32 };
+        }
+        total
+    }
+}

@@ -1,0 +1,83 @@
+//! What comes out of a view: points, and why the other cells gave none.
+
+use serde::Serialize;
+
+/// Points of one view. All vectors have one entry per point, in row order of the cells.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// Position in the camera frame.
+    pub points_mm: Vec<[f64; 3]>,
+    /// Predicted standard uncertainty of z; the point moves along its camera ray.
+    pub sigma_z_mm: Vec<f32>,
+    /// Column and row in the grid of cells.
+    pub cell: Vec<[u16; 2]>,
+    /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
+    pub modulation_e: Vec<f32>,
+}
+
+impl Cloud {
+    pub(crate) fn with_capacity(points: usize) -> Self {
+        Self {
+            points_mm: Vec::with_capacity(points),
+            sigma_z_mm: Vec::with_capacity(points),
+            cell: Vec::with_capacity(points),
+            modulation_e: Vec::with_capacity(points),
+        }
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points_mm.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.points_mm.is_empty()
+    }
+}
+
+/// How many cells gave no point, by the first reason found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Rejected {
+    /// Every exposure was saturated.
+    pub saturated: usize,
+    /// Contrast below the limit: no fringes here.
+    pub low_contrast: usize,
+    /// Too noisy to tell the fringe order.
+    pub uncertain_order: usize,
+    /// The phase belongs to no projector column.
+    pub outside_projector: usize,
+    /// The ray meets the sheet of light outside the measuring volume, or nowhere.
+    pub outside_volume: usize,
+    /// Predicted uncertainty above the limit.
+    pub uncertain_depth: usize,
+    /// Dropped by the mask.
+    pub masked: usize,
+    /// Part of a small isolated patch.
+    pub isolated: usize,
+}
+
+impl Rejected {
+    /// All of them.
+    pub fn total(&self) -> usize {
+        self.saturated
+            + self.low_contrast
+            + self.uncertain_order
+            + self.outside_projector
+            + self.outside_volume
+            + self.uncertain_depth
+            + self.masked
+            + self.isolated
+    }
+}
+
+/// A decoded view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decoded {
+    /// The points.
+    pub cloud: Cloud,
+    /// Cells looked at: points plus rejected.
+    pub cells: usize,
+    /// Cells without a point.
+    pub rejected: Rejected,
+}

@@ -1,0 +1,104 @@
+//! What a decoder keeps and smooths.
+
+use crate::calibration::HeadModel;
+use crate::decode::DecodeError;
+use crate::mask::MaskOptions;
+pub use crate::neighbours::PatchOptions;
+
+/// What to keep and what to smooth. [`DecodeOptions::for_head`] is the instrument's choice.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DecodeOptions {
+    /// Pixels along a cell's side.
+    pub binning: usize,
+    /// Whether a view starts with a dark frame.
+    pub dark_frame: bool,
+    /// Least contrast B / A in every frequency.
+    pub min_contrast: f64,
+    /// Largest predicted standard uncertainty of the depth.
+    pub max_sigma_z_mm: Option<f64>,
+    /// Sigma of the Gaussian on the phasors of the finest frequency, camera pixels; 0 for none.
+    pub smoothing_px: f64,
+    /// The same for all coarser frequencies, whose only task is the fringe order.
+    pub coarse_smoothing_px: f64,
+    /// The article's mask.
+    pub mask: Option<MaskOptions>,
+    /// Drops small isolated patches.
+    pub patches: Option<PatchOptions>,
+}
+
+impl DecodeOptions {
+    /// The head's binning, a dark frame first, contrast of at least 0.05, patches of at least 10 cells.
+    pub fn for_head(head: &HeadModel) -> Self {
+        Self {
+            binning: head.binning as usize,
+            dark_frame: true,
+            min_contrast: 0.05,
+            max_sigma_z_mm: None,
+            smoothing_px: 0.0,
+            coarse_smoothing_px: 0.0,
+            mask: None,
+            // 72 degrees of surface tilt: steeper surfaces hardly return light to a lens.
+            patches: Some(PatchOptions {
+                min_cells: 10,
+                max_slope: 3.0,
+            }),
+        }
+    }
+
+    /// Checks every option against its limits.
+    pub(crate) fn check(&self) -> Result<(), DecodeError> {
+        let options = self;
+        let bad = |option, got, expected| {
+            Err(DecodeError::Option {
+                option,
+                got,
+                expected,
+            })
+        };
+        if !(1..=64).contains(&options.binning) {
+            return bad("binning", options.binning as f64, "must be 1 to 64 pixels");
+        }
+        if !(0.0..1.0).contains(&options.min_contrast) {
+            return bad(
+                "min_contrast",
+                options.min_contrast,
+                "must be at least 0 and below 1",
+            );
+        }
+        for (name, value) in [
+            ("smoothing_px", options.smoothing_px),
+            ("coarse_smoothing_px", options.coarse_smoothing_px),
+        ] {
+            if !(0.0..=100.0).contains(&value) {
+                return bad(name, value, "must be 0 to 100 pixels");
+            }
+        }
+        if let Some(limit) = options.max_sigma_z_mm
+            && !(limit > 0.0)
+        {
+            return bad("max_sigma_z_mm", limit, "must be positive");
+        }
+        if let Some(mask) = options.mask {
+            if !(mask.threshold_dn >= 0.0 && mask.threshold_dn.is_finite()) {
+                return bad(
+                    "mask.threshold_dn",
+                    mask.threshold_dn,
+                    "must be at least 0 counts",
+                );
+            }
+            if !(0.0..=100.0).contains(&mask.smoothing_px) {
+                return bad(
+                    "mask.smoothing_px",
+                    mask.smoothing_px,
+                    "must be 0 to 100 pixels",
+                );
+            }
+        }
+        if let Some(patches) = options.patches
+            && !(patches.max_slope > 0.0 && patches.max_slope.is_finite())
+        {
+            return bad("patches.max_slope", patches.max_slope, "must be positive");
+        }
+        Ok(())
+    }
+}
