@@ -7,6 +7,7 @@ use core::pin::Pin;
 use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 /// How virtual time passes.
@@ -39,14 +40,16 @@ const LAG_TOLERATED: Duration = Duration::from_millis(2);
 #[derive(Default)]
 struct Shared {
     woken: bool,
+    /// Another thread did it: something happened in real time.
+    from_outside: bool,
     holds: u32,
     held_since: Option<Instant>,
     held: Duration,
 }
 
-/// The bell that other threads ring, and the holds.
-#[derive(Default)]
+/// The bell that tasks and other threads ring, and the holds.
 struct Bell {
+    owner: ThreadId,
     shared: Mutex<Shared>,
     rung: Condvar,
 }
@@ -58,7 +61,10 @@ impl Bell {
     }
 
     fn ring(&self) {
-        self.lock().woken = true;
+        let mut shared = self.lock();
+        shared.woken = true;
+        shared.from_outside |= std::thread::current().id() != self.owner;
+        drop(shared);
         self.rung.notify_one();
     }
 }
@@ -134,7 +140,11 @@ impl Sim {
     #[must_use]
     pub fn new(mode: Clock) -> Self {
         clock::reset();
-        let bell: &'static Bell = Box::leak(Box::default());
+        let bell: &'static Bell = Box::leak(Box::new(Bell {
+            owner: std::thread::current().id(),
+            shared: Mutex::default(),
+            rung: Condvar::new(),
+        }));
         let context = core::ptr::from_ref(bell).cast_mut().cast::<()>();
         Self {
             executor: Box::leak(Box::new(Executor::new(context))),
@@ -211,8 +221,12 @@ impl Sim {
         let mut shared = self.bell.lock();
         loop {
             if core::mem::take(&mut shared.woken) {
+                let from_outside = core::mem::take(&mut shared.from_outside);
                 drop(shared);
-                self.catch_up();
+                // What tasks do to each other takes no virtual time, however long this thread takes over it.
+                if from_outside {
+                    self.catch_up();
+                }
                 return true;
             }
             let deadline = clock::next_deadline_us();

@@ -19,11 +19,18 @@ pub fn stream_whole(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
+    if std::fs::metadata(path).is_ok_and(|target| !target.is_file()) {
+        // A device, a pipe or a folder must not be replaced by a file; what is written to a device streams.
+        let mut target = std::fs::OpenOptions::new().write(true).open(path)?;
+        write(&mut target)?;
+        return target.flush();
+    }
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let mut file = tempfile::NamedTempFile::new_in(folder)?;
+    // Readable by others as any file is: the process's umask decides.
+    let mut file = tempfile::Builder::new().permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)).tempfile_in(folder)?;
     {
         let mut buffered = io::BufWriter::with_capacity(1 << 20, file.as_file_mut());
         write(&mut buffered)?;
@@ -38,4 +45,31 @@ pub fn stream_whole(
 #[must_use]
 pub fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_failing_writer_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("verdict.json");
+        write_whole(&path, b"old").unwrap();
+        let failed = stream_whole(&path, |file| {
+            file.write_all(b"half of the new")?;
+            Err(io::Error::other("disk full"))
+        });
+        assert!(failed.is_err());
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
+    }
+
+    #[test]
+    fn a_full_disk_is_an_error_and_a_device_stays_a_device() {
+        use std::os::unix::fs::FileTypeExt;
+        let full = Path::new("/dev/full");
+        assert_eq!(write_whole(full, b"x").unwrap_err().kind(), io::ErrorKind::StorageFull);
+        assert!(std::fs::metadata(full).unwrap().file_type().is_char_device());
+    }
 }
