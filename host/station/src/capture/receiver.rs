@@ -1,6 +1,6 @@
 //! The host's end: borrows frames where the camera process wrote them.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::publisher::Publisher;
@@ -102,16 +102,20 @@ impl FrameReceiver {
     /// # Errors
     /// The port failed, or the frame's header or checksum does not fit its pixels.
     pub fn receive(&self, timeout: Duration) -> Result<Option<Frame>, ReceiveError> {
-        if let Some(frame) = self.take()? {
-            return Ok(Some(frame));
+        let end = Instant::now() + timeout;
+        loop {
+            if let Some(frame) = self.take()? {
+                return Ok(Some(frame));
+            }
+            // A camera process that came after the arming gets it only when this port looks for new peers.
+            self.arm.update_connections().map_err(port_failed)?;
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            // Woken by the camera process; the event may tell of a frame that was already taken, hence the loop.
+            self.listener.timed_wait(|_| {}, left).map_err(port_failed)?;
         }
-        // A camera process that came after the arming gets it only when this port looks for new peers.
-        self.arm.update_connections().map_err(port_failed)?;
-        // Woken by the camera process; the event may tell of a frame that was already taken, hence the second look only.
-        self.listener
-            .timed_wait(|_| {}, timeout)
-            .map_err(port_failed)?;
-        self.take()
     }
 
     fn take(&self) -> Result<Option<Frame>, ReceiveError> {
