@@ -4,6 +4,7 @@
 
 mod decode;
 mod deviation;
+mod geometry;
 mod output;
 mod register;
 mod sample;

@@ -19,6 +19,15 @@ pub fn stream_whole(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
+    // A device or a pipe cannot be replaced by a renamed file, and must not be: it is written to as it is.
+    if std::fs::metadata(path).is_ok_and(|meta| !meta.is_file() && !meta.is_dir()) {
+        let mut file = io::BufWriter::with_capacity(
+            1 << 20,
+            std::fs::OpenOptions::new().write(true).open(path)?,
+        );
+        write(&mut file)?;
+        return file.flush();
+    }
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
