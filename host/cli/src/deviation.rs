@@ -1,16 +1,138 @@
 //! `flankscope deviation`: Signed distance of every point of a cloud to a CAD mesh.
 
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::Context;
+use flankscope_metrology::alpha;
+use flankscope_metrology::deviation::{self, Order, Statistics};
+use flankscope_metrology::surface::Surface;
+use serde::Serialize;
+
+use crate::geometry::{CadArgs, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Signed distance of every point of a cloud to a CAD mesh.
 #[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope deviation --cad die.stl --cloud aligned.ply -o deviation.ply --json -"
+)]
 pub struct Args {
+    #[command(flatten)]
+    cad: CadArgs,
+    /// Cloud in CAD coordinates, mm: PLY or text with `x y z` per line.
+    #[arg(long, value_name = "CLOUD")]
+    cloud: PathBuf,
+    /// Distance to the surface itself (exact, signed), or to the nearest of random points on it (the article's, unsigned).
+    #[arg(long, value_enum, default_value_t = Metric::Surface)]
+    metric: Metric,
+    /// Order of the Minkowski distance, for `--metric nearest`.
+    #[arg(long, value_enum, default_value_t = MinkowskiOrder::Two)]
+    order: MinkowskiOrder,
+    /// Number of random surface points, for `--metric nearest`.
+    #[arg(long, value_name = "N", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
+    samples: u32,
+    /// Seed of the random surface points, for `--metric nearest`.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    /// The cloud in its order with `property float deviation` in mm, as binary PLY.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
     #[command(flatten)]
     common: Common,
 }
 
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
+enum Metric {
+    Surface,
+    Nearest,
+}
+
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
+enum MinkowskiOrder {
+    #[value(name = "1")]
+    One,
+    #[value(name = "2")]
+    Two,
+    #[value(name = "inf")]
+    Infinity,
+}
+
+#[derive(Serialize)]
+struct Report {
+    signed: bool,
+    #[serde(flatten)]
+    statistics: Statistics,
+    elapsed_ms: Elapsed,
+}
+
+#[derive(Serialize)]
+struct Elapsed {
+    load: f64,
+    prepare: f64,
+    query: f64,
+    write: f64,
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    args.common.write_json(&())?;
-    Ok(Outcome::CouldNotRun)
+    if args.metric == Metric::Surface && args.order != MinkowskiOrder::Two {
+        anyhow::bail!(
+            "--order applies to --metric nearest; the distance to the surface is Euclidean (order 2)"
+        );
+    }
+    let start = Instant::now();
+    let mesh = args.cad.load()?;
+    let cloud = load_cloud(&args.cloud)?;
+    let loaded = Instant::now();
+    let cad = || args.cad.trouble();
+    let (deviations, prepared) = match args.metric {
+        Metric::Surface => {
+            let surface = Surface::new(&mesh).with_context(cad)?;
+            let prepared = Instant::now();
+            (deviation::deviations(&surface, &cloud.points), prepared)
+        }
+        Metric::Nearest => {
+            let samples =
+                alpha::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
+            let order = match args.order {
+                MinkowskiOrder::One => Order::One,
+                MinkowskiOrder::Two => Order::Two,
+                MinkowskiOrder::Infinity => Order::Infinity,
+            };
+            let tree = deviation::SampleTree::new(&samples).with_context(cad)?;
+            let prepared = Instant::now();
+            (tree.distances(&cloud.points, order), prepared)
+        }
+    };
+    let queried = Instant::now();
+    let statistics = deviation::statistics(&deviations)
+        .with_context(|| format!("cloud {} has no points", args.cloud.display()))?;
+    write_file(&args.output, |out| {
+        cloud.write_ply(out, &[("deviation", &deviations)])
+    })?;
+    let report = Report {
+        signed: args.metric == Metric::Surface,
+        statistics,
+        elapsed_ms: Elapsed {
+            load: milliseconds(start, loaded),
+            prepare: milliseconds(loaded, prepared),
+            query: milliseconds(prepared, queried),
+            write: milliseconds(queried, Instant::now()),
+        },
+    };
+    args.common.write_json(&report)?;
+    tell(&args.common, || {
+        format!(
+            "{} points: mean {:+.2} um, std {:.2} um, rms {:.2} um, 95 % within {:.2} um, max {:.2} um -> {}",
+            statistics.count,
+            1e3 * statistics.mean_mm,
+            1e3 * statistics.std_mm,
+            1e3 * statistics.rms_mm,
+            1e3 * statistics.p95_abs_mm,
+            1e3 * statistics.max_abs_mm,
+            args.output.display()
+        )
+    });
+    Ok(Outcome::Go)
 }

@@ -6,6 +6,7 @@
 mod bench_link;
 mod decode;
 mod deviation;
+mod geometry;
 mod inspect;
 mod output;
 mod register;

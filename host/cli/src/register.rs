@@ -1,16 +1,233 @@
 //! `flankscope register`: A cloud laid on a CAD mesh.
 
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use flankscope_metrology::cloud::Cloud as CloudFile;
+use flankscope_metrology::frames::{Cloud, Rigid, Tool};
+use flankscope_metrology::ply::Scalar;
+use flankscope_metrology::registration::{
+    Options, PaperOptions, Reason, Registration, Status, detect_teeth, fit_pairs, parse_pairs,
+    register, register_paper,
+};
+use flankscope_metrology::surface::Surface;
+use serde::Serialize;
+
+use crate::geometry::{CadArgs, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
+
+/// Poses one pitch apart look alike when the CAD repeats within this, mm.
+const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
 /// A cloud laid on a CAD mesh.
 #[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\nExit codes: 0 registered, 2 indeterminate, 3 could not run."
+)]
 pub struct Args {
+    #[command(flatten)]
+    cad: CadArgs,
+    /// Cloud, mm: PLY or text with `x y z` per line.
+    #[arg(long, value_name = "CLOUD")]
+    cloud: PathBuf,
+    /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`). Without it, the cloud starts where it is.
+    #[arg(long, value_name = "T.json", conflicts_with = "pairs")]
+    init: Option<PathBuf>,
+    /// Start pose from picked pairs: per line cloud x,y,z, then CAD x,y,z, mm.
+    #[arg(long, value_name = "P.csv")]
+    pairs: Option<PathBuf>,
+    /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
+    #[arg(long, value_enum, default_value_t = Method::Surface)]
+    method: Method,
+    /// The cloud in CAD coordinates, as binary PLY; written only when registered.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
 
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
+enum Method {
+    Surface,
+    Paper,
+}
+
+#[derive(Serialize)]
+struct Report {
+    tool_from_cloud: [[f64; 4]; 4],
+    status: &'static str,
+    reason: Option<String>,
+    reason_code: Option<&'static str>,
+    converged: bool,
+    iterations: usize,
+    points: usize,
+    inliers: usize,
+    rms_mm: Option<f64>,
+    /// Unit vectors (rotation x, y, z times `arm_mm`; translation x, y, z), weakest first.
+    weak_directions: Vec<[f64; 6]>,
+    /// For each weak direction the prior's share in what is known along it.
+    weak_prior_share: Vec<f64>,
+    /// For each weak direction its standard deviation from the points alone; null when they say nothing.
+    weak_sigma_mm: Vec<Option<f64>>,
+    centre_mm: [f64; 3],
+    arm_mm: f64,
+    teeth: Option<u32>,
+    elapsed_ms: Elapsed,
+}
+
+#[derive(Serialize)]
+struct Elapsed {
+    load: f64,
+    prepare: f64,
+    align: f64,
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    args.common.write_json(&())?;
-    Ok(Outcome::CouldNotRun)
+    let start = Instant::now();
+    let mesh = args.cad.load()?;
+    let cloud = load_cloud(&args.cloud)?;
+    let initial = args.start_pose()?;
+    let loaded = Instant::now();
+    let surface = Surface::new(&mesh).with_context(|| args.cad.trouble())?;
+    let teeth = detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
+    let options = Options {
+        initial,
+        teeth,
+        ..Options::default()
+    };
+    let prepared = Instant::now();
+    let found = match args.method {
+        Method::Surface => register(&surface, &cloud.points, None, &options),
+        Method::Paper => register_paper(&mesh, &cloud.points, &initial, &PaperOptions::default()),
+    };
+    let aligned = Instant::now();
+    if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {
+        // Not a doubtful result but an input that cannot be worked with.
+        bail!("cloud {} has {reason}", args.cloud.display());
+    }
+
+    if found.is_registered()
+        && let Some(output) = &args.output
+    {
+        let points: Vec<[f64; 3]> = cloud
+            .points
+            .iter()
+            .map(|&point| found.tool_from_cloud.apply(point))
+            .collect();
+        let laid = CloudFile {
+            points: flankscope_metrology::cloud::FinitePoints::new(points)?,
+            // Turned coordinates are no longer the file's rounded ones.
+            coordinate: Scalar::F64,
+            extras: cloud.extras,
+        };
+        write_file(output, |out| laid.write_ply(out, &[]))?;
+    }
+    let report = Report::new(
+        &found,
+        cloud.points.len(),
+        teeth,
+        Elapsed {
+            load: milliseconds(start, loaded),
+            prepare: milliseconds(loaded, prepared),
+            align: milliseconds(prepared, aligned),
+        },
+    );
+    args.common.write_json(&report)?;
+    tell(&args.common, || report.line());
+    Ok(if found.is_registered() {
+        Outcome::Go
+    } else {
+        Outcome::Indeterminate
+    })
+}
+
+impl Args {
+    fn start_pose(&self) -> anyhow::Result<Rigid<Tool, Cloud>> {
+        if let Some(path) = &self.init {
+            return read_pose(path)
+                .with_context(|| format!("cannot use start pose {}", path.display()));
+        }
+        if let Some(path) = &self.pairs {
+            let fit = || -> anyhow::Result<_> {
+                Ok(fit_pairs(&parse_pairs(&std::fs::read_to_string(path)?)?)?)
+            };
+            return fit().with_context(|| format!("cannot use pairs {}", path.display()));
+        }
+        Ok(Options::default().initial)
+    }
+}
+
+/// A pose is a bare matrix or any document of ours that has one.
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+enum PoseFile {
+    Bare([[f64; 4]; 4]),
+    Document { tool_from_cloud: [[f64; 4]; 4] },
+}
+
+fn read_pose(path: &Path) -> anyhow::Result<Rigid<Tool, Cloud>> {
+    let text = std::fs::read_to_string(path)?;
+    // First as any JSON, so that a slip in the syntax is named by line and column.
+    let value: serde_json::Value = serde_json::from_str(&text)?;
+    let pose: PoseFile = serde_json::from_value(value).map_err(|_| {
+        anyhow::anyhow!("no pose in it; right would be [[r,r,r,x],[r,r,r,y],[r,r,r,z],[0,0,0,1]] or {{\"tool_from_cloud\": [[...]]}}, mm")
+    })?;
+    let (PoseFile::Bare(rows)
+    | PoseFile::Document {
+        tool_from_cloud: rows,
+    }) = pose;
+    Ok(Rigid::from_rows(&rows)?)
+}
+
+impl Report {
+    fn new(found: &Registration, points: usize, teeth: Option<u32>, elapsed_ms: Elapsed) -> Self {
+        let reason = match &found.status {
+            Status::Registered => None,
+            Status::Indeterminate(reason) => Some(reason),
+        };
+        let finite = |value: f64| value.is_finite().then_some(value);
+        let weak = &found.weak_directions;
+        Self {
+            tool_from_cloud: found.tool_from_cloud.to_rows(),
+            status: if reason.is_none() {
+                "registered"
+            } else {
+                "indeterminate"
+            },
+            reason: reason.map(ToString::to_string),
+            reason_code: reason.map(Reason::code),
+            converged: found.converged,
+            iterations: found.iterations,
+            points,
+            inliers: found.inliers,
+            rms_mm: finite(found.rms_mm),
+            weak_directions: weak.iter().map(|w| w.vector).collect(),
+            weak_prior_share: weak.iter().map(|w| w.prior_share).collect(),
+            weak_sigma_mm: weak.iter().map(|w| finite(w.sigma_mm)).collect(),
+            centre_mm: found.centre_mm,
+            arm_mm: found.arm_mm,
+            teeth,
+            elapsed_ms,
+        }
+    }
+
+    fn line(&self) -> String {
+        match (&self.reason, self.rms_mm) {
+            (None, Some(rms_mm)) => format!(
+                "registered: rms {:.2} um over {} of {} points, {} steps, {} weak directions, {:.1} ms",
+                1e3 * rms_mm,
+                self.inliers,
+                self.points,
+                self.iterations,
+                self.weak_directions.len(),
+                self.elapsed_ms.align
+            ),
+            (reason, _) => format!(
+                "indeterminate: {}",
+                reason.as_deref().unwrap_or("no figure")
+            ),
+        }
+    }
 }

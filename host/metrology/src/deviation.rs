@@ -1,5 +1,6 @@
 //! Deviations of a cloud from CAD, and their statistics.
 
+use kiddo::{Chebyshev, ImmutableKdTree, Manhattan, SquaredEuclidean};
 use rayon::prelude::*;
 
 use crate::surface::Surface;
@@ -7,6 +8,74 @@ use crate::surface::Surface;
 /// Signed distances of `points` (finite, mm) to the surface, mm, in order: positive where material stands proud.
 pub fn deviations(surface: &Surface, points: &[[f64; 3]]) -> Vec<f64> {
     surface.map_closest(points, |closest| closest.signed_distance_mm)
+}
+
+/// Order of the Minkowski distance between points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// Sum of the sizes of the coordinate differences.
+    One,
+    /// Euclidean.
+    Two,
+    /// Largest coordinate difference.
+    Infinity,
+}
+
+/// No tree can be built over the points.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[error("{points} reference points cannot be searched; right would be 1 to 4294967295")]
+pub struct SampleTreeError {
+    /// Number of points.
+    pub points: usize,
+}
+
+/// Random surface points as reference, as in the article: the distance to the nearest of them has no sign and, even for a
+/// perfect part, a mean of about half their spacing.
+pub struct SampleTree(ImmutableKdTree<f64, 3>);
+
+impl SampleTree {
+    /// Builds the tree over finite points, mm.
+    ///
+    /// # Errors
+    /// [`SampleTreeError`] for no points or too many.
+    pub fn new(points: &[[f64; 3]]) -> Result<Self, SampleTreeError> {
+        let error = SampleTreeError {
+            points: points.len(),
+        };
+        if points.is_empty() {
+            return Err(error);
+        }
+        ImmutableKdTree::new_from_slice(points)
+            .map(Self)
+            .map_err(|_| error)
+    }
+
+    /// Distance of every point (finite, mm) to the nearest reference point, mm, in order.
+    pub fn distances(&self, points: &[[f64; 3]], order: Order) -> Vec<f64> {
+        let nearest = |point: &[f64; 3]| {
+            let query = self.0.query(point);
+            match order {
+                Order::One => query.nearest_one::<Manhattan<f64>>().execute().distance,
+                Order::Two => query
+                    .nearest_one::<SquaredEuclidean<f64>>()
+                    .execute()
+                    .distance
+                    .sqrt(),
+                Order::Infinity => query.nearest_one::<Chebyshev<f64>>().execute().distance,
+            }
+        };
+        points.par_iter().with_min_len(1024).map(nearest).collect()
+    }
+
+    /// Number of the nearest reference point (Euclidean) and its squared distance, mm2.
+    pub(crate) fn nearest(&self, point: &[f64; 3]) -> (usize, f64) {
+        let found = self
+            .0
+            .query(point)
+            .nearest_one::<SquaredEuclidean<f64>>()
+            .execute();
+        (found.item as usize, found.distance)
+    }
 }
 
 /// Summary of a set of deviations, mm.
@@ -59,4 +128,50 @@ pub fn statistics(values_mm: &[f64]) -> Option<Statistics> {
         p95_abs_mm: *p95_abs_mm,
         max_abs_mm,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+
+    #[test]
+    fn the_nearest_sample_is_that_of_a_linear_search_in_every_order() {
+        let draw = |seed: u64, i: u64| -> [f64; 3] {
+            std::array::from_fn(|k| 10.0 * uniform(seed, 3 * i + k as u64))
+        };
+        let samples: Vec<_> = (0..2000).map(|i| draw(1, i)).collect();
+        let points: Vec<_> = (0..500).map(|i| draw(2, i)).collect();
+        let tree = SampleTree::new(&samples).unwrap();
+        for order in [Order::One, Order::Two, Order::Infinity] {
+            let found = tree.distances(&points, order);
+            for (p, distance) in points.iter().zip(found) {
+                let expected = samples
+                    .iter()
+                    .map(|s| {
+                        let d: [f64; 3] = std::array::from_fn(|k| (s[k] - p[k]).abs());
+                        match order {
+                            Order::One => d[0] + d[1] + d[2],
+                            Order::Two => (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt(),
+                            Order::Infinity => d[0].max(d[1]).max(d[2]),
+                        }
+                    })
+                    .fold(f64::INFINITY, f64::min);
+                assert!((distance - expected).abs() < 1e-12, "{order:?}");
+            }
+        }
+        assert!(SampleTree::new(&[]).is_err());
+    }
+
+    #[test]
+    fn statistics_of_a_small_set_by_hand() {
+        let s = statistics(&[1.0, -1.0, 2.0, -4.0]).unwrap();
+        assert_eq!(
+            (s.count, s.mean_mm, s.max_abs_mm, s.p95_abs_mm),
+            (4, -0.5, 4.0, 4.0)
+        );
+        assert!((s.rms_mm - 5.5f64.sqrt()).abs() < 1e-15);
+        assert!((s.std_mm - 7.0f64.sqrt()).abs() < 1e-15);
+        assert_eq!(statistics(&[]), None);
+    }
 }

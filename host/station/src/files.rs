@@ -19,11 +19,14 @@ pub fn stream_whole(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
-    if std::fs::metadata(path).is_ok_and(|target| !target.is_file()) {
-        // A device, a pipe or a folder must not be replaced by a file; what is written to a device streams.
-        let mut target = std::fs::OpenOptions::new().write(true).open(path)?;
-        write(&mut target)?;
-        return target.flush();
+    // A device or a pipe cannot be replaced by a renamed file, and must not be: it is written to as it is.
+    if std::fs::metadata(path).is_ok_and(|meta| !meta.is_file() && !meta.is_dir()) {
+        let mut file = io::BufWriter::with_capacity(
+            1 << 20,
+            std::fs::OpenOptions::new().write(true).open(path)?,
+        );
+        write(&mut file)?;
+        return file.flush();
     }
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,

@@ -6,11 +6,13 @@
 
 mod observe;
 mod pairs;
+mod paper;
 mod periodicity;
 mod prior;
 mod solve;
 
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
+pub use paper::{PaperOptions, register_paper};
 pub use periodicity::detect_teeth;
 pub use prior::Prior;
 pub use solve::register;

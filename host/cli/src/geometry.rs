@@ -1,0 +1,85 @@
+//! What the geometry commands share: the CAD and cloud arguments (files by others) and their way of writing.
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use flankscope_metrology::cloud::{self, Cloud};
+use flankscope_metrology::mesh::{self, TriMesh, Unit};
+
+use crate::output::Common;
+
+/// The CAD mesh and its unit.
+#[derive(clap::Args)]
+pub struct CadArgs {
+    /// CAD mesh: PLY, STL or OBJ.
+    #[arg(long = "cad", value_name = "MESH")]
+    pub path: PathBuf,
+    /// Unit of the CAD mesh; the formats do not say.
+    #[arg(long = "cad-unit", value_name = "UNIT", default_value = "mm")]
+    pub unit: CadUnit,
+}
+
+/// Unit of a CAD mesh.
+#[derive(clap::ValueEnum, Clone, Copy)]
+pub enum CadUnit {
+    /// Millimetres.
+    Mm,
+    /// Metres.
+    M,
+    /// Micrometres.
+    Um,
+    /// Inches.
+    Inch,
+}
+
+impl From<CadUnit> for Unit {
+    fn from(unit: CadUnit) -> Self {
+        match unit {
+            CadUnit::Mm => Self::Mm,
+            CadUnit::M => Self::M,
+            CadUnit::Um => Self::Um,
+            CadUnit::Inch => Self::Inch,
+        }
+    }
+}
+
+impl CadArgs {
+    /// Loads the mesh.
+    pub fn load(&self) -> anyhow::Result<TriMesh> {
+        mesh::load(&self.path, self.unit.into()).with_context(|| self.trouble())
+    }
+
+    /// How an error about this mesh starts.
+    pub fn trouble(&self) -> String {
+        format!("cannot use CAD mesh {}", self.path.display())
+    }
+}
+
+/// Loads a cloud.
+pub fn load_cloud(path: &Path) -> anyhow::Result<Cloud> {
+    cloud::load(path).with_context(|| format!("cannot use cloud {}", path.display()))
+}
+
+/// Writes a large file whole or not at all.
+pub fn write_file(
+    path: &Path,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> anyhow::Result<()> {
+    flankscope_station::files::stream_whole(path, write)
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Prints one line about the result, unless it was asked to be quiet or standard output carries the JSON.
+pub fn tell(common: &Common, line: impl FnOnce() -> String) {
+    let json_on_stdout = common.json.as_deref() == Some(Path::new("-"));
+    if !common.quiet && !json_on_stdout {
+        println!("{}", line());
+    }
+}
+
+/// Milliseconds between two instants.
+pub fn milliseconds(from: Instant, to: Instant) -> f64 {
+    1e3 * to.duration_since(from).as_secs_f64()
+}

@@ -1,0 +1,156 @@
+//! The article's registration, kept for comparison: point-to-point ICP to random points on CAD.
+//!
+//! The reference is an area-uniform cloud in a window about the view's centre of mass. Each step pairs every point with its
+//! nearest reference point, keeps the nearest share of the pairs and moves by their best rigid motion. Its noise floor is
+//! the spacing of the reference points; along an extrusion it settles wherever the random points pull it.
+
+use nalgebra::Matrix6;
+use rayon::prelude::*;
+
+use super::pairs::{Pair, fit_pairs};
+use super::{Reason, Registration, Status};
+use crate::alpha::{self, Region};
+use crate::deviation::SampleTree;
+use crate::frames::{Cloud, Rigid, Tool};
+use crate::mesh::TriMesh;
+
+/// The article's settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PaperOptions {
+    /// Number of reference points in the window.
+    pub samples: usize,
+    /// Seed of the reference points.
+    pub seed: u64,
+    /// Window about the centre of mass.
+    pub region: Region,
+    /// Share of the pairs that count.
+    pub inlier_ratio: f64,
+    /// Most steps.
+    pub most_iterations: usize,
+    /// Converged when a step moves the centre of mass by less than this, mm ...
+    pub translation_mm: f64,
+    /// ... and turns by less than this, degrees.
+    pub rotation_deg: f64,
+    /// Least number of points.
+    pub least_points: usize,
+    /// Pairs must lie within this on average, mm.
+    pub most_rms_mm: f64,
+}
+
+impl Default for PaperOptions {
+    fn default() -> Self {
+        Self {
+            samples: 100_000,
+            seed: 0,
+            region: Region::default(),
+            inlier_ratio: 0.8,
+            most_iterations: 25,
+            translation_mm: 0.001,
+            rotation_deg: 0.005,
+            least_points: 100,
+            most_rms_mm: 0.15,
+        }
+    }
+}
+
+/// Lays finite `points` (mm) on random points of the mesh as the article does.
+pub fn register_paper(
+    mesh: &TriMesh,
+    points: &[[f64; 3]],
+    initial: &Rigid<Tool, Cloud>,
+    options: &PaperOptions,
+) -> Registration {
+    let refused = |reason| Registration::refused(*initial, reason);
+    let too_few = || Reason::TooFewPoints {
+        points: points.len(),
+        least: options.least_points,
+    };
+    if points.len() < options.least_points {
+        return refused(too_few());
+    }
+    let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
+    let Some(centre) = alpha::centre_of_mass(&start) else {
+        return refused(too_few());
+    };
+    let disjoint = Reason::Disjoint {
+        ratio: 0.0,
+        least_ratio: options.inlier_ratio,
+        capture_mm: options.region.half_height_mm,
+    };
+    let Some(reference) = reference(mesh, centre, options) else {
+        return refused(disjoint);
+    };
+    let Ok(tree) = SampleTree::new(&reference) else {
+        return refused(disjoint);
+    };
+
+    let kept = ((points.len() as f64 * options.inlier_ratio) as usize).max(3);
+    let mut pose = *initial;
+    let mut result = refused(disjoint);
+    for iteration in 1..=options.most_iterations {
+        let mut pairs: Vec<(f64, u32, Pair)> = points
+            .par_iter()
+            .with_min_len(1024)
+            .enumerate()
+            .map(|(index, point)| {
+                let (nearest, distance2) = tree.nearest(&pose.apply(*point));
+                (distance2, index as u32, (*point, reference[nearest]))
+            })
+            .collect();
+        // The index breaks ties, so that the same pairs are kept on every run.
+        pairs.select_nth_unstable_by(kept - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        pairs.truncate(kept);
+        pairs.sort_unstable_by_key(|pair| pair.1);
+        let chosen: Vec<Pair> = pairs.iter().map(|pair| pair.2).collect();
+        let Ok(next) = fit_pairs(&chosen) else {
+            break;
+        };
+        let moved = next.isometry() * pose.isometry().inverse();
+        let shift = moved * nalgebra::Point3::from(centre) - nalgebra::Point3::from(centre);
+        pose = next;
+        result.tool_from_cloud = pose;
+        result.iterations = iteration;
+        result.inliers = kept;
+        result.rms_mm = super::pairs_rms(&chosen, &pose);
+        result.converged = shift.norm() < options.translation_mm
+            && moved.rotation.angle().to_degrees() < options.rotation_deg;
+        if result.converged {
+            break;
+        }
+    }
+    result.noise_mm = result.rms_mm;
+    result.centre_mm = centre;
+    // Point-to-point residuals say nothing about what is observable, so no covariance is claimed.
+    result.covariance = Matrix6::identity();
+    result.status = if result.rms_mm <= options.most_rms_mm {
+        Status::Registered
+    } else {
+        Status::Indeterminate(Reason::TooFewInliers {
+            inliers: 0,
+            points: points.len(),
+            reach_mm: options.most_rms_mm,
+            least_ratio: options.inlier_ratio,
+        })
+    };
+    result
+}
+
+/// Random surface points in the window about `centre`: the triangles that reach into it are sampled until the window holds
+/// as many as wanted.
+fn reference(mesh: &TriMesh, centre: [f64; 3], options: &PaperOptions) -> Option<Vec<[f64; 3]>> {
+    const MOST_ROUNDS: u64 = 400;
+    let mut inside = Vec::with_capacity(options.samples);
+    for round in 0..MOST_ROUNDS {
+        let seed = options.seed.wrapping_add(round);
+        let drawn = alpha::sample(mesh, options.samples, seed).ok()?;
+        inside.extend(options.region.trim(centre, &drawn));
+        if inside.len() >= options.samples {
+            inside.truncate(options.samples);
+            return Some(inside);
+        }
+        if round == 3 && inside.len() < 10 {
+            return None;
+        }
+    }
+    Some(inside)
+}
