@@ -12,8 +12,6 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::time::Instant;
 
-const HEIGHT_MM: f64 = 33.0;
-
 fn main() -> Result<()> {
     let mut arguments = std::env::args().skip(1);
     let folder = arguments
@@ -40,7 +38,7 @@ fn main() -> Result<()> {
     let mut prepared = None;
     for _ in 0..3 {
         clock = Instant::now();
-        prepared = Some(world.prepare(rotation_rad, HEIGHT_MM, &patterns)?);
+        prepared = Some(world.prepare(rotation_rad, demo::HEIGHT_MM, &patterns)?);
         println!("prepare     {:7.1} ms", lap_ms(&mut clock));
     }
     let view = prepared.context("a view was prepared")?;

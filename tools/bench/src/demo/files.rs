@@ -8,9 +8,10 @@ use flankscope_metrology::gear::Kind;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibration::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
+use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use super::{CHORD_ERROR_MM, gear};
+use super::{CHORD_ERROR_MM, HEIGHT_MM, gear};
 use crate::world::{HeadOptics, Pinhole, SensorSpec, WorldConfig};
 
 /// Exposures of the in-situ check, µs: lit tip lands fill a third of the well in 40 ms, steep flanks get half as much.
@@ -28,11 +29,9 @@ pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let gear = gear();
     let mesh = gear.mesh(&Meshing { chord_error_mm: CHORD_ERROR_MM, ..Meshing::default() })?;
-    let mut file = std::io::BufWriter::new(std::fs::File::create(folder.join("die.ply"))?);
-    flankscope_gear_cad::write_ply(&mesh, &mut file)?;
-    std::io::Write::flush(&mut file)?;
-    std::fs::write(folder.join("tool.toml"), tool_toml(&gear)?)?;
-    std::fs::write(folder.join("head.toml"), head().to_toml()?)?;
+    stream_whole(&folder.join("die.ply"), |file| flankscope_gear_cad::write_ply(&mesh, file))?;
+    write_whole(&folder.join("tool.toml"), tool_toml(&gear)?.as_bytes())?;
+    write_whole(&folder.join("head.toml"), head().to_toml()?.as_bytes())?;
     Ok(())
 }
 
@@ -49,7 +48,7 @@ fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
     writeln!(text, "first_tooth_centre_deg = {} # a tooth space is centred on +x", 180.0 / f64::from(gear.teeth))?;
     writeln!(text, "height_mm = [{:.1}, {:.1}]\n", gear.height_mm[0], gear.height_mm[1])?;
     writeln!(text, "[inspect]\nteeth = [12, 40, 68] # a third of a turn apart")?;
-    writeln!(text, "height_mm = 33.0 # where the head looks")?;
+    writeln!(text, "height_mm = {HEIGHT_MM:.1} # where the head looks")?;
     writeln!(text, "warn_um = 30.0\nlimit_um = 50.0")?;
     Ok(text)
 }

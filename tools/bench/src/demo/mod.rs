@@ -9,6 +9,8 @@ use flankscope_gear_cad::{GearKind, GearSpec, MeshError, Meshing};
 
 /// Radius of the demo die's pitch circle, mm.
 const PITCH_RADIUS_MM: f64 = 41.45;
+/// Height at which the demo's head looks: the middle of the die, mm.
+pub const HEIGHT_MM: f64 = 33.0;
 /// Chord error of the demo die's flanks, mm.
 pub const CHORD_ERROR_MM: f64 = 0.2e-3;
 

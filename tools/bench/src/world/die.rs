@@ -41,12 +41,10 @@ impl Die {
                 });
             }
             let zones = field.varying_zones(id);
-            let too_long = |of: FlankId, p: [f64; 3], q: [f64; 3]| {
-                of == id
-                    && length_mm(p, q) > WORN_EDGE_MM
-                    && zones.iter().any(|z| edge_meets(&field, z, p, q))
+            let wanted = |of: FlankId, corners| {
+                of == id && zones.iter().any(|zone| meets(&field, zone, corners))
             };
-            refine(&mut mesh, &mut flanks, too_long);
+            refine(&mut mesh, &mut flanks, WORN_EDGE_MM, wanted);
         }
         for id in field.worn_flanks() {
             displace(&mut mesh, &flanks, &field, id);
@@ -159,16 +157,14 @@ fn flank_of_triangle(gear: &GearSpec, corners: [[f64; 3]; 3]) -> Option<FlankId>
     (normal[0] * nx + normal[1] * ny > 0.95 * length).then_some(id)
 }
 
-fn length_mm(p: [f64; 3], q: [f64; 3]) -> f64 {
-    (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>().sqrt()
-}
-
-/// Whether the bounding rectangle of an edge on the flank overlaps a zone.
-fn edge_meets(field: &WearField, zone: &FlankZone, p: [f64; 3], q: [f64; 3]) -> bool {
+/// Whether the bounding rectangle of a triangle on the flank overlaps a zone.
+fn meets(field: &WearField, zone: &FlankZone, corners: [[f64; 3]; 3]) -> bool {
     let base = field.gear().base_radius_mm();
-    let profile = [p, q].map(|v| field.profile_mm(v[0].hypot(v[1]).max(base)));
-    let overlaps = |[a, b]: [f64; 2], [low, high]: [f64; 2]| a.min(b) <= high && a.max(b) >= low;
-    overlaps(profile, zone.profile_mm) && overlaps([p[2], q[2]], zone.height_mm)
+    let profiles = corners.map(|v| field.profile_mm(v[0].hypot(v[1]).max(base)));
+    let overlaps = |values: [f64; 3], [low, high]: [f64; 2]| {
+        values.iter().any(|v| *v <= high) && values.iter().any(|v| *v >= low)
+    };
+    overlaps(profiles, zone.profile_mm) && overlaps(corners.map(|v| v[2]), zone.height_mm)
 }
 
 /// Moves the vertices of one worn flank along its normal by the depth at each.

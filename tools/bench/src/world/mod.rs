@@ -341,7 +341,7 @@ impl World {
         brightness: impl Fn(&CoreView) -> f32 + Sync,
     ) -> Vec<f32> {
         // The sensor's rate is stated for reflectance 0.3 and half brightness.
-        let scale = (self.sensor_spec.rate_e_per_ms / (0.3 * 0.5)) as f32;
+        let scale = (self.sensor_spec.rate_e_per_ms / (surface::SPRAYED_RATIO * 0.5)) as f32;
         let entering: Vec<[f32; 1]> = views
             .par_iter()
             .map(|view| [scale * brightness(view)])

@@ -3,17 +3,19 @@
 use flankscope_gear_cad::Mesh;
 use std::collections::HashMap;
 
-/// Halves every edge of a tagged triangle for which `too_long` holds until none is left.
+/// Halves every edge longer than `longest_mm` of the tagged triangles for which `wanted` holds, until none is left.
 ///
-/// Every triangle at a halved edge is divided, tagged or not; parts keep the tag of the whole. New points lie on the old
-/// triangles: the surface does not move. `too_long` must stop holding for short edges.
+/// Whole triangles are asked, not edges: where only one long side of a sliver were wanted, the fan of its parts would
+/// itself be long and wanted, and so on. Every triangle at a halved edge is divided, tagged or not; parts keep the tag of
+/// the whole. New points lie on the old triangles: the surface does not move.
 pub(crate) fn refine<T: Copy>(
     mesh: &mut Mesh,
     tags: &mut Vec<Option<T>>,
-    too_long: impl Fn(T, [f64; 3], [f64; 3]) -> bool,
+    longest_mm: f64,
+    wanted: impl Fn(T, [[f64; 3]; 3]) -> bool,
 ) {
     loop {
-        let halves = halved_edges(mesh, tags, &too_long);
+        let halves = halved_edges(mesh, tags, longest_mm, &wanted);
         if halves.is_empty() {
             return;
         }
@@ -37,15 +39,20 @@ fn key(a: u32, b: u32) -> (u32, u32) {
 fn halved_edges<T: Copy>(
     mesh: &mut Mesh,
     tags: &[Option<T>],
-    too_long: &impl Fn(T, [f64; 3], [f64; 3]) -> bool,
+    longest_mm: f64,
+    wanted: &impl Fn(T, [[f64; 3]; 3]) -> bool,
 ) -> HashMap<(u32, u32), u32> {
     let mut halves = HashMap::new();
     for (triangle, tag) in mesh.triangles.iter().zip(tags) {
         let Some(tag) = *tag else { continue };
+        if !wanted(tag, triangle.map(|v| mesh.vertices[v as usize])) {
+            continue;
+        }
         for side in 0..3 {
             let edge = key(triangle[side], triangle[(side + 1) % 3]);
             let [p, q] = [edge.0, edge.1].map(|v| mesh.vertices[v as usize]);
-            if !halves.contains_key(&edge) && too_long(tag, p, q) {
+            let length2: f64 = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum();
+            if length2 > longest_mm * longest_mm && !halves.contains_key(&edge) {
                 halves.insert(edge, mesh.vertices.len() as u32);
                 mesh.vertices.push([0, 1, 2].map(|k| 0.5 * (p[k] + q[k])));
             }

@@ -4,6 +4,9 @@ use super::WorldError;
 use super::random::hash;
 use nalgebra::{Point3, Vector3};
 
+/// Diffuse share of a matt sprayed surface, to which highlights are compared.
+pub(crate) const SPRAYED_RATIO: f64 = 0.3;
+
 /// Reflectance of the die.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Surface {
@@ -23,7 +26,7 @@ impl Surface {
     /// Matt spray: what a metrologist puts on the tool.
     pub fn sprayed() -> Self {
         Self {
-            diffuse_ratio: 0.3,
+            diffuse_ratio: SPRAYED_RATIO,
             roughness_ratio: 0.03,
             grain_mm: 0.12,
             gloss_ratio: 0.15,
@@ -58,16 +61,12 @@ impl Surface {
         }
         let bisector = (lamp + eye).normalize();
         let gloss = self.gloss_ratio
-            * Self::sprayed_ratio()
+            * SPRAYED_RATIO
             * normal.dot(&bisector).max(0.0).powf(self.gloss_exponent);
         // Three standard deviations at most: no patch turns black or doubles.
         let patch = 1.0
             + self.roughness_ratio * grain(seed, p_tool.coords / self.grain_mm).clamp(-3.0, 3.0);
         (self.diffuse_ratio * patch.max(0.05) + gloss) * incidence
-    }
-
-    const fn sprayed_ratio() -> f64 {
-        0.3
     }
 
     pub(crate) fn validate(&self) -> Result<(), WorldError> {
