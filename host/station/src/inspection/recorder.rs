@@ -13,6 +13,10 @@ use crate::capture::{Arm, Frame, FrameHeader, FrameReceiver, ReceiveError};
 /// How long the thread sleeps for a frame before it looks for orders.
 const PATIENCE: Duration = Duration::from_millis(5);
 
+/// A frame that does not come for so long after the last trigger is lost: its readout takes 13 ms, a busy camera process
+/// some tens more.
+const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
+
 /// What the job tells the recorder.
 #[derive(Debug)]
 pub enum Order {
@@ -109,6 +113,8 @@ pub struct Recorder<'a> {
     fresh: Box<dyn Fn() -> Accumulator + 'a>,
     spare: Vec<Accumulator>,
     arm: Option<Arm>,
+    /// Frames since arming.
+    arrived: u32,
     open: Option<CapturedView>,
     kept: Option<Frame>,
 }
@@ -133,6 +139,7 @@ impl<'a> Recorder<'a> {
             fresh: Box::new(fresh),
             spare,
             arm: None,
+            arrived: 0,
             open: None,
             kept: None,
         }
@@ -144,10 +151,7 @@ impl<'a> Recorder<'a> {
             match self.orders.try_recv() {
                 Ok(Order::Arm(arm)) => self.start(arm),
                 Ok(Order::Close) => {
-                    // What was fired before this order has been handed over by now or is lost.
-                    while let Ok(Some(frame)) = self.receiver.receive(Duration::from_millis(60)) {
-                        self.add(frame);
-                    }
+                    self.drain();
                     self.close();
                     self.show();
                     let _ = self.events.send(Recorded::Closed);
@@ -170,6 +174,7 @@ impl<'a> Recorder<'a> {
     fn start(&mut self, arm: Arm) {
         self.close();
         self.arm = Some(arm);
+        self.arrived = 0;
         if let Err(error) = self.receiver.arm(arm) {
             self.fail(error.into());
         }
@@ -178,6 +183,7 @@ impl<'a> Recorder<'a> {
     fn add(&mut self, frame: Frame) {
         let header = *frame.header();
         let Some(arm) = self.arm else { return }; // nobody asked for this frame
+        self.arrived += 1;
         if self.open.as_ref().is_some_and(|open| open.view != header.label.view) {
             self.close();
         }
@@ -210,6 +216,18 @@ impl<'a> Recorder<'a> {
         }
         if open.frames.len() == self.kinds.len() && open.problem.is_none() {
             self.close();
+        }
+    }
+
+    /// Takes the frames that are still on their way.
+    fn drain(&mut self) {
+        let planned = self.arm.map_or(0, |arm| u32::from(arm.views) * arm.frames_per_view());
+        while self.arrived < planned {
+            match self.receiver.receive(LAST_FRAME_PATIENCE) {
+                Ok(Some(frame)) => self.add(frame),
+                Ok(None) => return,
+                Err(error) => self.fail(error.into()),
+            }
         }
     }
 
