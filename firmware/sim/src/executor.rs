@@ -2,10 +2,12 @@
 
 use crate::clock;
 use crate::line::{Edge, Line, Recorder};
+use core::cell::{Cell, RefCell};
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
+use std::rc::Rc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -123,14 +125,15 @@ pub struct Sim {
     alive: Arc<()>,
     mode: Clock,
     started: Instant,
-    lagged: core::cell::Cell<Duration>,
+    lagged: Cell<Duration>,
     recorder: Recorder,
+    tasks: RefCell<Vec<Task>>,
 }
 
 impl Sim {
     /// Begins a simulation on this thread at virtual time 0.
     ///
-    /// Executor and tasks are never freed: they are as static here as they are on a microcontroller.
+    /// The executor itself is never freed: it is as static here as on a microcontroller. What tasks own is.
     #[must_use]
     pub fn new(mode: Clock) -> Self {
         clock::reset();
@@ -142,8 +145,9 @@ impl Sim {
             alive: Arc::new(()),
             mode,
             started: Instant::now(),
-            lagged: core::cell::Cell::default(),
+            lagged: Cell::default(),
             recorder: Recorder::default(),
+            tasks: RefCell::default(),
         }
     }
 
@@ -168,11 +172,13 @@ impl Sim {
         self.recorder.edges()
     }
 
-    /// Adds a task.
+    /// Adds a task. What it owns is dropped when it ends, or with the simulation.
     pub fn spawn<F: Future<Output = ()> + 'static>(&self, future: F) {
-        let storage: &'static TaskStorage<Fresh<F>> = Box::leak(Box::new(TaskStorage::new()));
+        let task: Task = Rc::new(RefCell::new(Some(Box::pin(future))));
+        self.tasks.borrow_mut().push(Rc::clone(&task));
+        let storage: &'static TaskStorage<Fresh> = Box::leak(Box::new(TaskStorage::new()));
         // A storage of its own is always free.
-        if let Ok(token) = storage.spawn(|| Fresh(future)) {
+        if let Ok(token) = storage.spawn(|| Fresh(task)) {
             self.executor.spawner().spawn(token);
         }
     }
@@ -294,15 +300,36 @@ fn held(shared: &Shared) -> Duration {
             .map_or(Duration::ZERO, |since| since.elapsed())
 }
 
+impl Drop for Sim {
+    fn drop(&mut self) {
+        for task in self.tasks.take() {
+            // Taken out first: what a task owns may wake others while it is dropped.
+            let future = task.borrow_mut().take();
+            drop(future);
+        }
+        clock::reset();
+    }
+}
+
+/// A future that the simulation can drop although its executor never will.
+type Task = Rc<RefCell<Option<Pin<Box<dyn Future<Output = ()>>>>>>;
+
 /// A task that renews its timers each time it is polled; see [`clock::forget`].
-struct Fresh<F>(F);
+struct Fresh(Task);
 
-impl<F: Future> Future for Fresh<F> {
-    type Output = F::Output;
+impl Future for Fresh {
+    type Output = ();
 
-    fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<F::Output> {
+    fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
         clock::forget(context.waker());
-        // SAFETY: structural pinning; the field is never moved out of.
-        unsafe { self.map_unchecked_mut(|fresh| &mut fresh.0) }.poll(context)
+        let mut task = self.0.borrow_mut();
+        let Some(future) = task.as_mut() else {
+            return Poll::Ready(());
+        };
+        let polled = future.as_mut().poll(context);
+        if polled.is_ready() {
+            *task = None;
+        }
+        polled
     }
 }

@@ -100,11 +100,7 @@ pub fn run(
         .spawn(move || {
             let sim = Sim::new(config.clock);
             let wiring = Wiring::new(&sim);
-            let pty = Pty::open(&sim, wiring.host.clone()).map(|pty| {
-                let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
-                pty
-            });
-            let pty = match pty {
+            let pty = match Pty::open(&sim, wiring.host.clone()) {
                 Ok(pty) => pty,
                 Err(error) => {
                     let _starter = opened.send(Err(error));
@@ -114,6 +110,7 @@ pub fn run(
                     };
                 }
             };
+            let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
             sink.attach(sim.remote());
             spawn_all(&sim, &wiring, &config.devices, sink);
             spawn_controller(&sim, &wiring, config.controller, config.axes);
