@@ -9,6 +9,7 @@ use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
 use std::rc::Rc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
 /// How virtual time passes.
@@ -40,15 +41,18 @@ const LAG_TOLERATED: Duration = Duration::from_millis(2);
 
 #[derive(Default)]
 struct Shared {
-    woken: bool,
+    /// A task woke another: it goes on at the same virtual time.
+    woken_inside: bool,
+    /// Another thread woke a task: real time has passed for it.
+    woken_outside: bool,
     holds: u32,
     held_since: Option<Instant>,
     held: Duration,
 }
 
 /// The bell that other threads ring, and the holds.
-#[derive(Default)]
 struct Bell {
+    owner: ThreadId,
     shared: Mutex<Shared>,
     rung: Condvar,
 }
@@ -60,8 +64,14 @@ impl Bell {
     }
 
     fn ring(&self) {
-        self.lock().woken = true;
-        self.rung.notify_one();
+        let inside = std::thread::current().id() == self.owner;
+        let mut shared = self.lock();
+        if inside {
+            shared.woken_inside = true;
+        } else {
+            shared.woken_outside = true;
+            self.rung.notify_one();
+        }
     }
 }
 
@@ -137,7 +147,13 @@ impl Sim {
     #[must_use]
     pub fn new(mode: Clock) -> Self {
         clock::reset();
-        let bell: &'static Bell = Box::leak(Box::default());
+        let owner = std::thread::current().id();
+        let bell = Bell {
+            owner,
+            shared: Mutex::default(),
+            rung: Condvar::new(),
+        };
+        let bell: &'static Bell = Box::leak(Box::new(bell));
         let context = core::ptr::from_ref(bell).cast_mut().cast::<()>();
         Self {
             executor: Box::leak(Box::new(Executor::new(context))),
@@ -216,7 +232,10 @@ impl Sim {
     fn wait(&self) -> bool {
         let mut shared = self.bell.lock();
         loop {
-            if core::mem::take(&mut shared.woken) {
+            if core::mem::take(&mut shared.woken_inside) {
+                return true;
+            }
+            if core::mem::take(&mut shared.woken_outside) {
                 drop(shared);
                 self.catch_up();
                 return true;

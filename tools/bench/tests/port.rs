@@ -3,9 +3,7 @@
 mod common;
 
 use flankscope_bench::devices::{Exposure, ExposureSink, InstrumentConfig, run};
-use flankscope_controller::sequence::Config;
 use flankscope_protocol::*;
-use flankscope_sim::Clock;
 use std::io::{Read, Write};
 use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
@@ -20,16 +18,16 @@ impl ExposureSink for Counted {
 
 #[test]
 fn a_host_captures_a_view_through_a_serial_port() {
+    capture(InstrumentConfig::paced(20.0));
+}
+
+#[test]
+fn a_host_captures_a_view_as_fast_as_possible() {
+    capture(InstrumentConfig::unpaced());
+}
+
+fn capture(config: InstrumentConfig) {
     let (sender, exposures) = channel();
-    let controller = Config {
-        host_silence: Microseconds(30_000_000),
-        ..Config::DEFAULT
-    };
-    let config = InstrumentConfig {
-        clock: Clock::Paced { speed: 20.0 },
-        controller,
-        ..InstrumentConfig::default()
-    };
     let instrument = run(config, Counted(sender)).expect("a pseudo-terminal");
     let path = instrument.port().to_string_lossy().into_owned();
     let mut port = serialport::new(path, 115_200)
@@ -114,15 +112,7 @@ fn held_time_is_counted_and_does_not_pass_for_the_instrument() {
         }
         fn exposed(&mut self, _: Exposure) {}
     }
-    let controller = Config {
-        host_silence: Microseconds(30_000_000),
-        ..Config::DEFAULT
-    };
-    let config = InstrumentConfig {
-        clock: Clock::Paced { speed: 1.0 },
-        controller,
-        ..InstrumentConfig::default()
-    };
+    let config = InstrumentConfig::paced(1.0);
     let instrument = run(config, Slow(None)).expect("a pseudo-terminal");
     let began = std::time::Instant::now();
     let hold = instrument.remote().hold();
