@@ -86,7 +86,7 @@ pub enum Action {
     Report(Event),
 }
 
-/// Which pins to watch; anything they say is passed to [`Sequence::step`].
+/// Which pins to watch; anything they say is passed to [`super::Sequence::step`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Awaiting {
     /// Level of the LED's current sense that would be news.
