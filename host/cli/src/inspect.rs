@@ -87,7 +87,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     #[cfg(feature = "bench")]
     if let Some(bench) = link.bench {
         let truth = bench.finish()?;
-        if let Some(notice) = truth.notice() {
+        if let Some(notice) = truth.notice().filter(|_| !args.common.quiet) {
             eprintln!("{notice}");
         }
         document["truth"] = truth.document();

@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 
 use flankscope_sim::{Hold, Remote};
 use flankscope_station::capture::{
-    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, SealedFrame, SharedRoot, monotonic_ns,
+    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, Overflow, SealedFrame, SharedRoot, monotonic_ns,
 };
 
 use crate::devices::{Exposure, ExposureSink, TruePose};
@@ -97,12 +97,13 @@ pub fn start(
     patterns: Vec<PatternSpec>,
     fault: Option<FrameFault>,
     root: SharedRoot,
+    overflow: Overflow,
 ) -> anyhow::Result<(CameraThread, Camera)> {
     let (jobs, queue) = channel();
     let (opened_sender, opened) = channel();
     let thread = std::thread::Builder::new().name("camera".into()).spawn(move || {
         // Ports stay on the thread that made them.
-        match FrameSender::open(&root) {
+        match FrameSender::open(&root, overflow) {
             Ok(sender) => {
                 let _ = opened_sender.send(Ok(()));
                 Darkroom::new(world, patterns, fault, sender).run(&queue);

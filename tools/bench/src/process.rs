@@ -10,9 +10,8 @@ use std::time::Duration;
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
-use flankscope_protocol::Microseconds;
 use flankscope_sim::Clock;
-use flankscope_station::capture::SharedRoot;
+use flankscope_station::capture::{Overflow, SharedRoot};
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{self, FrameFault};
@@ -154,15 +153,16 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
     let sets: Vec<(f64, u32)> = set.sets.iter().map(|set| (set.periods, set.steps)).collect();
     let patterns = PatternSpec::sequence(&sets);
-    let (camera_thread, camera) = camera::start(world, patterns, args.frame_fault, SharedRoot::of_owner(&args.root))?;
+    // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
+    let overflow = if speed > 1.0 { Overflow::Wait } else { Overflow::Drop };
+    let (camera_thread, camera) = camera::start(world, patterns, args.frame_fault, SharedRoot::of_owner(&args.root), overflow)?;
 
-    let mut config = InstrumentConfig { clock: Clock::Paced { speed }, ..InstrumentConfig::default() };
+    let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = args.seed;
-    // Virtual time runs faster than the host can talk: its silence is allowed for as long in real time as ever.
-    let silence_us = f64::from(config.controller.host_silence.get());
-    config.controller.host_silence = Microseconds((silence_us * speed.max(1.0)) as u32);
     let instrument = devices::run(config, camera)?;
-    let heartbeat_us = (silence_us / 3.0) as u64;
+    // The controller counts the host's silence in virtual time, the host lives in real time.
+    let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;
+    let heartbeat_us = (silence_s * 1e6 / 3.0) as u64;
     let mut out = std::io::stdout();
     writeln!(out, "{}", serde_json::to_string(&Hello { port: instrument.port().to_path_buf(), heartbeat_us })?)?;
     out.flush()?;

@@ -3,7 +3,8 @@
 extern crate std;
 
 use super::*;
-use crate::devices::CameraWait;
+use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
+
 use flankscope_protocol::{FringeSet, Timeouts};
 use std::{vec, vec::Vec};
 
