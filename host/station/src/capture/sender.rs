@@ -137,10 +137,17 @@ impl FrameSender {
         let undelivered = |reason: String| SendError::Undelivered { counter, reason };
         match sample.send() {
             Ok(1..) => {}
-            Ok(0) => return Err(undelivered("no host is connected or its buffer is full".into())),
+            Ok(0) => {
+                return Err(undelivered(
+                    "no host is connected or its buffer is full".into(),
+                ));
+            }
             Err(error) => return Err(undelivered(format!("{error:?}"))),
         }
-        self.notifier.notify().map(drop).map_err(|error| undelivered(format!("{error:?}")))
+        self.notifier
+            .notify()
+            .map(drop)
+            .map_err(|error| undelivered(format!("{error:?}")))
     }
 }
 

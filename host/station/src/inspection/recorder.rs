@@ -184,23 +184,37 @@ impl<'a> Recorder<'a> {
         let header = *frame.header();
         let Some(arm) = self.arm else { return }; // nobody asked for this frame
         self.arrived += 1;
-        if self.open.as_ref().is_some_and(|open| open.view != header.label.view) {
+        if self
+            .open
+            .as_ref()
+            .is_some_and(|open| open.view != header.label.view)
+        {
             self.close();
         }
         if self.open.is_none() {
             let accumulator = self.spare.pop().unwrap_or_else(|| (self.fresh)());
-            self.open =
-                Some(CapturedView { view: header.label.view, accumulator, frames: Vec::new(), problem: None });
+            self.open = Some(CapturedView {
+                view: header.label.view,
+                accumulator,
+                frames: Vec::new(),
+                problem: None,
+            });
         }
         let settings = self.settings;
-        let Some(open) = self.open.as_mut() else { return };
+        let Some(open) = self.open.as_mut() else {
+            return;
+        };
         open.frames.push(header);
         if open.problem.is_none() {
             open.problem = match self.kinds.get(usize::from(header.label.in_view)) {
-                _ if header.session != arm.session => {
-                    Some(ViewError::Session { got: header.session, expected: arm.session })
-                }
-                None => Some(ViewError::Incomplete { got: open.frames.len(), planned: self.kinds.len() }),
+                _ if header.session != arm.session => Some(ViewError::Session {
+                    got: header.session,
+                    expected: arm.session,
+                }),
+                None => Some(ViewError::Incomplete {
+                    got: open.frames.len(),
+                    planned: self.kinds.len(),
+                }),
                 Some(&kind) => open
                     .accumulator
                     .add(frame.view(), kind)
@@ -209,7 +223,8 @@ impl<'a> Recorder<'a> {
                     .map(ViewError::from),
             };
         }
-        if (header.label.exposure, header.label.pattern) == (settings.keepsake.exposure, settings.keepsake.pattern)
+        if (header.label.exposure, header.label.pattern)
+            == (settings.keepsake.exposure, settings.keepsake.pattern)
             && self.kept.is_none()
         {
             self.kept = Some(frame);
@@ -221,7 +236,9 @@ impl<'a> Recorder<'a> {
 
     /// Takes the frames that are still on their way.
     fn drain(&mut self) {
-        let planned = self.arm.map_or(0, |arm| u32::from(arm.views) * arm.frames_per_view());
+        let planned = self
+            .arm
+            .map_or(0, |arm| u32::from(arm.views) * arm.frames_per_view());
         while self.arrived < planned {
             match self.receiver.receive(LAST_FRAME_PATIENCE) {
                 Ok(Some(frame)) => self.add(frame),
@@ -233,9 +250,14 @@ impl<'a> Recorder<'a> {
 
     /// Hands the open view to the job.
     fn close(&mut self) {
-        let Some(mut view) = self.open.take() else { return };
+        let Some(mut view) = self.open.take() else {
+            return;
+        };
         if view.problem.is_none() && view.frames.len() < self.kinds.len() {
-            view.problem = Some(ViewError::Incomplete { got: view.frames.len(), planned: self.kinds.len() });
+            view.problem = Some(ViewError::Incomplete {
+                got: view.frames.len(),
+                planned: self.kinds.len(),
+            });
         }
         let _ = self.events.send(Recorded::View(Box::new(view)));
     }
@@ -249,7 +271,9 @@ impl<'a> Recorder<'a> {
 
     /// Draws the kept frame out of the shared memory, as 8-bit grey, and releases it.
     fn show(&mut self) {
-        let Some(frame) = self.kept.take() else { return };
+        let Some(frame) = self.kept.take() else {
+            return;
+        };
         let view = frame.view();
         let full = u32::from(self.settings.full_scale_dn.max(1));
         let grey = view
@@ -259,7 +283,9 @@ impl<'a> Recorder<'a> {
             .flat_map(|row| row.iter().take(view.width))
             .map(|&dn| (u32::from(dn) * 255 / full).min(255) as u8)
             .collect();
-        let _ = self.events.send(Recorded::Picture(view.width, view.height, grey));
+        let _ = self
+            .events
+            .send(Recorded::Picture(view.width, view.height, grey));
     }
 }
 
