@@ -302,7 +302,7 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
     )?;
     writeln!(
         out,
-        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied",
+        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",
         timing.total / 1000.0,
         timing.positioning / 1000.0,
         timing.exposure / 1000.0,
@@ -310,6 +310,7 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
         frames.received,
         frames.triggered,
         frames.bytes_copied,
+        inspection.peak_memory_mb.unwrap_or(f64::NAN),
     )?;
     match report {
         Some(folder) => writeln!(out, "report: {}", folder.join("report.html").display())?,

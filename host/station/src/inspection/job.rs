@@ -23,7 +23,7 @@ use tokio::sync::mpsc as channel;
 use super::pairing::pair;
 use super::plan::{Itinerary, PlanningError, capture_plan};
 use super::recorder::{
-    CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError,
+    CapturedView, Keepsake, Order, Orders, Picture, Recorded, Recorder, RecorderSettings, ViewError,
 };
 use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
 use super::timeline::Timeline;
@@ -325,7 +325,7 @@ impl Station {
                 recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
                     Recorded::View(view) => run.recorded(*view),
                     Recorded::Closed => closed = true,
-                    Recorded::Picture(width, height, grey) => run.picture = Some((width, height, grey)),
+                    Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(InspectError::Thread { thread: "compute" })?;
@@ -495,6 +495,7 @@ impl Station {
                 bytes_copied: Frame::bytes_copied(),
                 recaptured_views: run.recaptured,
             },
+            peak_memory_mb: peak_memory_mb(),
             registration,
             tool: self.subject.tool.name.clone(),
             versions,
@@ -516,6 +517,20 @@ impl Drop for Station {
             let _ = thread.join();
         }
     }
+}
+
+/// High-water mark of this process's resident memory, from the kernel.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kilobytes
+        .trim()
+        .trim_end_matches(" kB")
+        .parse::<f64>()
+        .ok()
+        .map(|kb| kb / 1024.0)
 }
 
 fn arm_of(plan: &CapturePlan) -> Arm {
@@ -542,7 +557,7 @@ struct Run {
     outcomes: BTreeMap<usize, ViewOutcome>,
     problems: BTreeMap<usize, String>,
     timeline: Timeline,
-    picture: Option<(usize, usize, Vec<u8>)>,
+    picture: Option<Picture>,
     evaluating: usize,
     triggered: u64,
     received: u64,
