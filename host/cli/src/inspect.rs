@@ -56,7 +56,7 @@ pub struct BenchArgs {
     /// How many times faster than real time the bench runs, or max
     #[arg(long, value_name = "1|K|max", default_value = "1")]
     pub speed: String,
-    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME[:once]
+    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
     #[arg(long, value_name = "KIND:FRAME")]
     pub frame_fault: Option<String>,
 }

@@ -53,13 +53,13 @@ struct RunArgs {
     /// Seed of stage errors, surface grain and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Damage: TOOTH:FLANK:DEPTH_UM[:KIND].
+    /// Damage: TOOTH:FLANK:DEPTH_UM, a kind may follow.
     #[arg(long)]
     wear: Vec<Wear>,
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Speed,
-    /// A camera that misbehaves: lose|repeat|extra:FRAME[:once].
+    /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
 }
