@@ -17,16 +17,17 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, FrameKind};
-use flankscope_protocol::{CapturePlan, Command, Event, FaultCode, PlanError, State, Trigger};
+use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, FaultCode, PlanError, State};
 use tokio::sync::mpsc as channel;
+use tokio::time::Instant;
 
 use super::pairing::pair;
 use super::plan::{Itinerary, PlanningError, capture_plan};
 use super::recorder::{
-    CapturedView, Keepsake, Order, Orders, Picture, Recorded, Recorder, RecorderSettings, ViewError,
+    CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError,
 };
 use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
-use super::timeline::Timeline;
+use super::run::Run;
 use super::verdict::{self, Judged};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
@@ -301,7 +302,8 @@ impl Station {
         }
     }
 
-    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated.
+    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated; returns
+    /// why it failed, if it did.
     async fn follow(
         &mut self,
         client: &mut Client,
@@ -310,20 +312,22 @@ impl Station {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<String>, InspectError> {
         let frames = plan.frames_per_view();
-        let (mut captured, mut closed, mut fault) = (false, false, None);
-        let mut closing_ends = None;
+        let mut failure = None;
+        // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
+        let mut captured: Option<Instant> = None;
+        let (mut closing, mut closed) = (false, false);
         loop {
             self.evaluate_whole_views(run, frames)?;
-            if captured && closed && run.evaluating == 0 {
-                return Ok(fault);
+            match captured {
+                Some(_) if closed && run.evaluating == 0 => return Ok(failure),
+                Some(limit) if !closed && Instant::now() > limit => {
+                    return Ok(Some("the capture thread does not answer".into()));
+                }
+                _ => {}
             }
-            if closing_ends.is_some_and(|end| tokio::time::Instant::now() > end) {
-                return Ok(Some("the capture thread does not answer".into()));
-            }
-            let pause = Duration::from_millis(200);
             tokio::select! {
                 recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
-                    Recorded::View(view) => run.recorded(*view),
+                    Recorded::View(view) => run.waiting.push(*view),
                     Recorded::Closed => closed = true,
                     Recorded::Picture(picture) => run.picture = Some(picture),
                 },
@@ -332,46 +336,47 @@ impl Station {
                     watch(Progress::Evaluated(view));
                     run.evaluated(view, *outcome);
                 }
-                () = tokio::time::sleep(pause), if captured => {}
-                event = client.event(EVENT_PATIENCE), if !captured => {
-                    let event = match event {
-                        Ok(event) => event,
-                        Err(error) => {
-                            let _ = self.order(Order::Close);
-                            captured = true;
-                            fault.get_or_insert(error.to_string());
-                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
-                            continue;
-                        }
-                    };
-                    tracing::debug!(?event);
-                    run.timeline.note(&event);
+                () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
+                event = client.event(EVENT_PATIENCE), if captured.is_none() => {
+                    let (mut done, mut retracting) = (false, false);
                     match event {
-                        Event::StateChanged { next: State::Moving, .. } => {
-                            watch(Progress::Moving(run.views_begun(), run.session.len()));
+                        Err(error) => {
+                            failure.get_or_insert(error.to_string());
+                            done = true;
                         }
-                        Event::StateChanged { next: State::Retracting, .. } => watch(Progress::Retracting),
-                        Event::Triggered(trigger) => {
-                            watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
-                            run.triggered(trigger);
+                        Ok(event) => {
+                            tracing::debug!(?event);
+                            run.timeline.note(&event);
+                            match event {
+                                Event::StateChanged { next: State::Moving, .. } => {
+                                    watch(Progress::Moving(run.views_begun(), run.session.len()));
+                                }
+                                Event::StateChanged { next: State::Retracting, .. } => {
+                                    watch(Progress::Retracting);
+                                    retracting = true;
+                                }
+                                Event::Triggered(trigger) => {
+                                    watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
+                                    run.triggered(trigger);
+                                }
+                                Event::Fault { fault, .. } if fault.known().is_none_or(|f| f.class() != FaultClass::Limit) => {
+                                    failure.get_or_insert(fault.to_string());
+                                }
+                                Event::EventsLost { count, .. } => {
+                                    failure.get_or_insert(format!("{count} events were lost in the controller"));
+                                }
+                                Event::CaptureDone { .. } | Event::StateChanged { next: State::Faulted, .. } => done = true,
+                                _ => {}
+                            }
                         }
-                        Event::Fault { fault: code, .. } if code.0 < 96 => drop(fault.get_or_insert(code.to_string())),
-                        Event::EventsLost { count, .. } => {
-                            fault.get_or_insert(format!("{count} events were lost in the controller"));
-                        }
-                        Event::CaptureDone { .. } => captured = true,
-                        Event::StateChanged { next: State::Faulted, .. } => captured = true,
-                        _ => {}
                     }
-                    // All triggers of the last view are known when the head begins to retract: nothing to wait for.
-                    if captured || matches!(event, Event::StateChanged { next: State::Retracting, .. }) {
-                        if closing_ends.is_none() {
-                            self.order(Order::Close)?;
-                        }
-                        closing_ends.get_or_insert(tokio::time::Instant::now() + FRAME_PATIENCE);
-                        if captured {
-                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
-                        }
+                    // Every trigger has been fired when the head begins to retract: the last views need not wait longer.
+                    if (retracting || done) && !closing {
+                        self.order(Order::Close)?;
+                        closing = true;
+                    }
+                    if done {
+                        captured = Some(Instant::now() + FRAME_PATIENCE);
                     }
                 }
             }
@@ -540,100 +545,5 @@ fn arm_of(plan: &CapturePlan) -> Arm {
         views: plan.views.len() as u16,
         exposures: plan.exposures.len() as u16,
         patterns: plan.pattern_count(),
-    }
-}
-
-/// What a check has gathered so far.
-#[derive(Debug)]
-struct Run {
-    /// Every view that was asked for.
-    wanted: Vec<usize>,
-    /// View of the itinerary behind each view of the running session.
-    session: Vec<usize>,
-    /// Triggers per view of the session.
-    triggers: Vec<Vec<Trigger>>,
-    /// Captured views of the session that wait for the rest of their triggers.
-    waiting: Vec<CapturedView>,
-    outcomes: BTreeMap<usize, ViewOutcome>,
-    problems: BTreeMap<usize, String>,
-    timeline: Timeline,
-    picture: Option<Picture>,
-    evaluating: usize,
-    triggered: u64,
-    received: u64,
-    recaptured: u32,
-    last_exposure_ns: u64,
-    verdict_ns: u64,
-}
-
-impl Run {
-    fn new(wanted: Vec<usize>) -> Self {
-        Self {
-            wanted,
-            session: Vec::new(),
-            triggers: Vec::new(),
-            waiting: Vec::new(),
-            outcomes: BTreeMap::new(),
-            problems: BTreeMap::new(),
-            timeline: Timeline::default(),
-            picture: None,
-            evaluating: 0,
-            triggered: 0,
-            received: 0,
-            recaptured: 0,
-            last_exposure_ns: 0,
-            verdict_ns: 0,
-        }
-    }
-
-    fn begin_session(&mut self, views: &[usize]) {
-        self.session = views.to_vec();
-        self.triggers = vec![Vec::new(); views.len()];
-        self.waiting.clear();
-    }
-
-    fn triggered(&mut self, trigger: Trigger) {
-        self.triggered += 1;
-        if let Some(view) = self.triggers.get_mut(usize::from(trigger.view)) {
-            view.push(trigger);
-        }
-    }
-
-    fn views_begun(&self) -> usize {
-        self.triggers
-            .iter()
-            .filter(|triggers| !triggers.is_empty())
-            .count()
-    }
-
-    fn recorded(&mut self, view: CapturedView) {
-        self.waiting.push(view);
-    }
-
-    /// Captured views that need not wait any longer: damaged ones, and those whose triggers have all been reported.
-    fn take_complete(&mut self, frames_per_view: u16) -> Vec<CapturedView> {
-        let triggers = &self.triggers;
-        let complete = |view: &mut CapturedView| {
-            view.problem.is_some()
-                || triggers
-                    .get(usize::from(view.view))
-                    .is_none_or(|t| t.len() >= usize::from(frames_per_view))
-        };
-        self.waiting.extract_if(.., complete).collect()
-    }
-
-    fn evaluated(&mut self, view: usize, outcome: ViewOutcome) {
-        self.evaluating -= 1;
-        self.verdict_ns = monotonic_ns();
-        self.outcomes.insert(view, outcome);
-    }
-
-    /// Views that were asked for and have no outcome.
-    fn missing(&self) -> Vec<usize> {
-        self.wanted
-            .iter()
-            .copied()
-            .filter(|view| !self.outcomes.contains_key(view))
-            .collect()
     }
 }
