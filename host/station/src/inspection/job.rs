@@ -26,7 +26,7 @@ use super::plan::{Itinerary, PlanningError, capture_plan};
 use super::recorder::{
     CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError,
 };
-use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
+use super::result::{Feature, FrameCount, Handover, Inspection, Pictures, Timing};
 use super::run::Run;
 use super::verdict::{self, Judged};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
@@ -398,6 +398,7 @@ impl Station {
                 view,
                 accumulator,
                 frames,
+                handover_ns,
                 problem,
             } = captured;
             let place = run.session.get(usize::from(view)).copied();
@@ -413,6 +414,7 @@ impl Station {
             match result {
                 Ok(()) => {
                     run.received += frames.len() as u64;
+                    run.handover_ns.extend(handover_ns);
                     let ended = frames
                         .last()
                         .map_or(0, |frame| frame.exposure_end_monotonic_ns);
@@ -443,7 +445,7 @@ impl Station {
 
     fn conclude(
         &self,
-        run: Run,
+        mut run: Run,
         stopped: Option<String>,
         begun_ns: u64,
         client: &Client,
@@ -499,6 +501,7 @@ impl Station {
                 received: run.received,
                 bytes_copied: Frame::bytes_copied(),
                 recaptured_views: run.recaptured,
+                handover_us: Handover::of(&mut run.handover_ns),
             },
             peak_memory_mb: peak_memory_mb(),
             registration,

@@ -27,5 +27,6 @@ pub use pairing::{PairingError, pair};
 pub use plan::{Itinerary, PlannedView, PlanningError};
 pub use recorder::ViewError;
 pub use result::{
-    Feature, FlankMap, FrameCount, Inspection, Pictures, Timing, ViewRegistration, WeakDirection,
+    Feature, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing, ViewRegistration,
+    WeakDirection,
 };
