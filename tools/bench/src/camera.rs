@@ -8,7 +8,7 @@
 //! A [`FrameFault`] makes the camera misbehave as cameras do.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 
 use flankscope_sim::{Hold, Remote};
@@ -230,12 +230,32 @@ impl Darkroom {
     }
 
     fn run(mut self, queue: &Receiver<Job>) {
-        while let Ok(job) = queue.recv() {
+        // The stages set off while the last frame of a view is still being read out: that frame goes first.
+        let mut announced = None;
+        loop {
+            let job = match queue.try_recv() {
+                Ok(job) => job,
+                Err(TryRecvError::Disconnected) => return,
+                Err(TryRecvError::Empty) => {
+                    if self.ready.is_empty()
+                        && let Some((rotation_rad, vertical_mm)) = announced.take()
+                        // A retracted head photographs nothing.
+                        && self.world.sees_die(vertical_mm)
+                    {
+                        self.prepare(rotation_rad, vertical_mm);
+                        continue;
+                    }
+                    match queue.recv() {
+                        Ok(job) => job,
+                        Err(_) => return,
+                    }
+                }
+            };
             match job {
                 Job::Prepare {
                     rotation_rad,
                     vertical_mm,
-                } => self.prepare(rotation_rad, vertical_mm),
+                } => announced = Some((rotation_rad, vertical_mm)),
                 Job::Expose {
                     exposure,
                     ended_monotonic_ns,

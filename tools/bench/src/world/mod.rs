@@ -260,6 +260,23 @@ impl World {
         self.optics.camera_size_px
     }
 
+    /// Whether the die reaches into the field of a head raised by `vertical_mm`.
+    pub fn sees_die(&self, vertical_mm: f64) -> bool {
+        let centre_mm = self
+            .optics
+            .tool_from_camera(0.0, vertical_mm)
+            .translation
+            .vector
+            .z;
+        // The field's edge, seen under twice its angle: distortion and blur reach a little farther than the circle.
+        let reach_mm = 2.0 * self.optics.camera_objective.field_radius_mm;
+        let heights = || self.die.mesh().vertices.iter().map(|vertex| vertex[2]);
+        let (low, high) = heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| {
+            (l.min(z), h.max(z))
+        });
+        (low - reach_mm..=high + reach_mm).contains(&centre_mm)
+    }
+
     /// The die as it really is.
     pub fn die(&self) -> &Die {
         &self.die
