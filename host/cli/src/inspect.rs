@@ -38,9 +38,9 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
-    bench: BenchArgs,
-    #[command(flatten)]
     common: Common,
+    #[command(flatten)]
+    bench: BenchArgs,
 }
 
 /// What only the simulated bench knows.

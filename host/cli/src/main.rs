@@ -20,6 +20,8 @@ use output::Outcome;
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
 #[command(name = "flankscope", version, propagate_version = true)]
+#[command(after_help = "Start with: flankscope inspect --report out\n\n\
+    Exit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
