@@ -12,6 +12,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::inspection::{Inspection, Progress, Station, Subject};
+use flankscope_station::report::figure;
 
 use crate::output::{Common, Outcome, write_whole};
 
@@ -273,15 +274,13 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
         "\ntooth  flank   wear/um   ±U95  warn  stop  seen  verdict"
     )?;
     for f in &inspection.features {
-        let number =
-            |value: Option<f64>| value.map_or_else(|| "–".to_string(), |v| format!("{v:.1}"));
         writeln!(
             out,
             "{:>5}  {:<6} {:>8} {:>6} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
             f.tooth,
             f.flank,
-            number(f.wear_um),
-            number(f.u95_um),
+            figure(f.wear_um),
+            figure(f.u95_um),
             f.warn_um,
             f.limit_um,
             100.0 * f.coverage_ratio,
