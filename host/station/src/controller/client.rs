@@ -226,6 +226,11 @@ impl Client {
         }
     }
 
+    /// Drops the events that have arrived and were not asked for: what happened before the next order.
+    pub fn forget_events(&mut self) {
+        self.events.clear();
+    }
+
     /// Sends a command until it is answered: a retry repeats the sequence number, so it is never carried out twice.
     async fn request(&mut self, command: &Command) -> Result<Reply, ClientError> {
         self.sequence = self.sequence.wrapping_add(1);

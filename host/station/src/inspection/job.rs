@@ -217,24 +217,30 @@ impl Station {
             .enable_all()
             .build();
         let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
-        runtime.block_on(self.check(port, settings, watch))
+        runtime.block_on(async {
+            let mut client = Client::connect(port, settings).await?;
+            let mut watch = watch;
+            watch(Progress::Connected);
+            self.make_ready(&mut client, &mut watch).await?;
+            self.check(&mut client, None, &mut watch).await
+        })
     }
 
-    async fn check(
+    /// Runs one check with a controller that is ready. With a hold limit the head is out again by then, done or not.
+    pub(crate) async fn check(
         &mut self,
-        port: &Path,
-        settings: ClientSettings,
-        mut watch: impl FnMut(Progress),
+        client: &mut Client,
+        hold_limit: Option<Duration>,
+        watch: &mut impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
-        let mut client = Client::connect(port, settings).await?;
-        watch(Progress::Connected);
-        let rotation_rad = self.prepare(&mut client, &mut watch).await?;
+        let begun_ns = monotonic_ns();
+        let hold_end = hold_limit.map(|limit| Instant::now() + limit);
+        let rotation_rad = f64::from(client.status().await?.rotation.get()) * 1e-6;
         let limits = client.identity().limits;
         let order = self.itinerary.order_from(rotation_rad);
-        let mut run = Run::new(order.clone());
-        let begun_ns = monotonic_ns();
+        let mut run = Run::new(order.clone(), hold_end);
         let mut stopped = self
-            .capture(&mut client, &mut run, &order, &limits, &mut watch)
+            .capture(client, &mut run, &order, &limits, watch)
             .await?;
         let again = run.missing();
         if stopped.is_none() && !again.is_empty() {
@@ -243,37 +249,36 @@ impl Station {
             }
             run.recaptured += again.len() as u32;
             stopped = self
-                .capture(&mut client, &mut run, &again, &limits, &mut watch)
+                .capture(client, &mut run, &again, &limits, watch)
                 .await?;
         }
-        Ok(self.conclude(run, stopped, begun_ns, &client))
+        Ok(self.conclude(run, stopped, begun_ns, client))
     }
 
-    /// Brings the controller to `Ready`; returns where the rotary stage stands, rad.
-    async fn prepare(
+    /// Brings a controller without a fault to `Ready`: references its stages if they are not.
+    pub(crate) async fn make_ready(
         &self,
         client: &mut Client,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<f64, InspectError> {
-        let mut status = client.status().await?;
+    ) -> Result<(), InspectError> {
+        let status = client.status().await?;
         if let Some(fault) = status.fault {
             return Err(InspectError::Faulted { fault });
         }
-        if !status.homed {
-            watch(Progress::Homing);
-            client.order(&Command::Home).await?;
-            loop {
-                match client.event(EVENT_PATIENCE).await? {
-                    Event::StateChanged {
-                        next: State::Ready, ..
-                    } => break,
-                    Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
-                    _ => {}
-                }
-            }
-            status = client.status().await?;
+        if status.homed {
+            return Ok(());
         }
-        Ok(f64::from(status.rotation.get()) * 1e-6)
+        watch(Progress::Homing);
+        client.order(&Command::Home).await?;
+        loop {
+            match client.event(EVENT_PATIENCE).await? {
+                Event::StateChanged {
+                    next: State::Ready, ..
+                } => return Ok(()),
+                Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
+                _ => {}
+            }
+        }
     }
 
     /// Captures `views`; returns why the capture stopped early, if it did.
@@ -288,6 +293,9 @@ impl Station {
         let plan = capture_plan(&self.itinerary, views, limits)?;
         plan.validate(limits)?;
         run.begin_session(views);
+        // Whatever the controller did before it answers this belongs to an earlier capture.
+        client.status().await?;
+        client.forget_events();
         self.order(Order::Arm(arm_of(&plan)))?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
@@ -337,6 +345,12 @@ impl Station {
                     run.evaluated(view, *outcome);
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
+                () = sleep_until(run.hold_end), if captured.is_none() => {
+                    // The press is not held any longer, whatever is still missing.
+                    run.hold_end = None;
+                    failure.get_or_insert("the check did not fit into the press's window".into());
+                    client.order(&Command::Abort).await?;
+                }
                 event = client.event(EVENT_PATIENCE), if captured.is_none() => {
                     let (mut done, mut retracting) = (false, false);
                     match event {
@@ -359,13 +373,16 @@ impl Station {
                                     watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
                                     run.triggered(trigger);
                                 }
-                                Event::Fault { fault, .. } if fault.known().is_none_or(|f| f.class() != FaultClass::Limit) => {
+                                Event::Fault { fault, .. }
+                                    if fault.known().is_none_or(|f| f.class() != FaultClass::Limit) =>
+                                {
                                     failure.get_or_insert(fault.to_string());
                                 }
                                 Event::EventsLost { count, .. } => {
                                     failure.get_or_insert(format!("{count} events were lost in the controller"));
                                 }
-                                Event::CaptureDone { .. } | Event::StateChanged { next: State::Faulted, .. } => done = true,
+                                Event::CaptureDone { .. }
+                                | Event::StateChanged { next: State::Faulted | State::Ready, .. } => done = true,
                                 _ => {}
                             }
                         }
@@ -524,6 +541,14 @@ impl Drop for Station {
         {
             let _ = thread.join();
         }
+    }
+}
+
+/// Completes at a time, or never.
+async fn sleep_until(time: Option<Instant>) {
+    match time {
+        Some(time) => tokio::time::sleep_until(time).await,
+        None => std::future::pending().await,
     }
 }
 

@@ -31,10 +31,12 @@ pub(super) struct Run {
     pub recaptured: u32,
     pub last_exposure_ns: u64,
     pub verdict_ns: u64,
+    /// When the head must be on its way out, done or not.
+    pub hold_end: Option<tokio::time::Instant>,
 }
 
 impl Run {
-    pub fn new(wanted: Vec<usize>) -> Self {
+    pub fn new(wanted: Vec<usize>, hold_end: Option<tokio::time::Instant>) -> Self {
         Self {
             wanted,
             session: Vec::new(),
@@ -51,6 +53,7 @@ impl Run {
             recaptured: 0,
             last_exposure_ns: 0,
             verdict_ns: 0,
+            hold_end,
         }
     }
 
