@@ -8,6 +8,7 @@ mod decode;
 mod deviation;
 mod geometry;
 mod inspect;
+mod instrument;
 mod output;
 mod register;
 mod sample;

@@ -198,6 +198,8 @@ impl WorldError {
 
 /// The bench's world.
 pub struct World {
+    cad: Mesh,
+    gear: GearSpec,
     optics: HeadOptics,
     sensor_spec: SensorSpec,
     surface: Surface,
@@ -241,6 +243,8 @@ impl World {
             config.run_seed,
         );
         Ok(Self {
+            cad: config.cad.clone(),
+            gear: config.gear.clone(),
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
@@ -253,6 +257,17 @@ impl World {
             sensor,
             run_seed: config.run_seed,
         })
+    }
+
+    /// Replaces the damage of the die, as more press cycles do. Views prepared before show the die as it was.
+    ///
+    /// # Errors
+    /// Damage that this die cannot have; it then stays as it is.
+    pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
+        let die = Die::as_built(&self.cad, WearField::new(&self.gear, wear)?)?;
+        self.rays = RayCaster::new(die.mesh());
+        self.die = die;
+        Ok(())
     }
 
     /// Columns and rows of a frame.
