@@ -22,6 +22,9 @@ use crate::world::{PatternSpec, Wear, World};
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
 
+/// The retract switch stands this far above the die.
+const SWITCH_CLEARANCE_MM: f64 = 14.0;
+
 /// The simulated bench.
 #[derive(clap::Args)]
 pub struct Args {
@@ -180,6 +183,10 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = args.seed;
+    if let Some(gear) = &tool.gear {
+        // The switch is set up with the die, a little below where the head retracts to.
+        config.devices.press.switch_mm = gear.height_mm[1] + SWITCH_CLEARANCE_MM;
+    }
     let instrument = devices::run(config, camera)?;
     // The controller counts the host's silence in virtual time, the host lives in real time.
     let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;

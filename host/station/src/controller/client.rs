@@ -121,6 +121,7 @@ impl Client {
                 firmware: [0; 3],
                 limits: flankscope_protocol::Limits::DEFAULT,
                 host_silence: flankscope_protocol::Microseconds(0),
+                verdict_life: flankscope_protocol::Microseconds(0),
                 boot: flankscope_protocol::message::Boot::PowerUp,
             },
             session,
