@@ -10,6 +10,7 @@ use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 
 use crate::instrument::BenchArgs;
+use crate::watch::PressArgs;
 
 /// A running bench.
 pub struct Bench {
@@ -29,7 +30,12 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 
 impl Bench {
     /// Starts the bench for a tool folder, with its camera sending frames below `root`.
-    pub fn start(args: &BenchArgs, tool: &Path, root: &SharedRoot) -> anyhow::Result<Self> {
+    pub fn start(
+        args: &BenchArgs,
+        press: Option<&PressArgs>,
+        tool: &Path,
+        root: &SharedRoot,
+    ) -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find this program to start the bench")?;
         let mut command = Command::new(program);
@@ -46,6 +52,16 @@ impl Bench {
         }
         if let Some(fault) = &args.frame_fault {
             command.args(["--frame-fault", fault]);
+        }
+        if let Some(press) = press {
+            command.args([
+                "--strokes-per-minute",
+                &press.strokes_per_minute.to_string(),
+            ]);
+            command.args(["--open-share", &press.open_share.to_string()]);
+            for rate in &press.wear_rate {
+                command.args(["--wear-rate", rate]);
+            }
         }
         // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
         let mut child = command

@@ -40,7 +40,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         std::fs::create_dir_all(report)
             .with_context(|| format!("cannot make the report folder {}", report.display()))?;
     }
-    let mut instrument = Instrument::open(&args.source, &args.bench, quiet)?;
+    let mut instrument = Instrument::open(&args.source, &args.bench, None, quiet)?;
     let mut watcher = Watcher::new(quiet);
     let inspection =
         instrument

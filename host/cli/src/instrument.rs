@@ -11,6 +11,8 @@ use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::inspection::{Station, Subject};
 
+use crate::watch::PressArgs;
+
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Source {
@@ -59,7 +61,12 @@ pub struct Instrument {
 
 impl Instrument {
     /// Reads tool and head, starts the station, then the bench or nothing.
-    pub fn open(source: &Source, bench: &BenchArgs, quiet: bool) -> anyhow::Result<Self> {
+    pub fn open(
+        source: &Source,
+        bench: &BenchArgs,
+        press: Option<&PressArgs>,
+        quiet: bool,
+    ) -> anyhow::Result<Self> {
         let scratch = Scratch::new()?;
         let folder = match &source.tool {
             Some(folder) => folder.clone(),
@@ -70,7 +77,7 @@ impl Instrument {
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
         if source.link == "sim" {
-            return Self::with_bench(station, bench, &folder, root, scratch);
+            return Self::with_bench(station, bench, press, &folder, root, scratch);
         }
         if !quiet {
             eprintln!("frames are expected in {}", root.path().display());
@@ -90,11 +97,12 @@ impl Instrument {
     fn with_bench(
         station: Station,
         args: &BenchArgs,
+        press: Option<&PressArgs>,
         tool: &Path,
         root: Arc<SharedRoot>,
         scratch: Scratch,
     ) -> anyhow::Result<Self> {
-        let bench = crate::bench_link::Bench::start(args, tool, &root)?;
+        let bench = crate::bench_link::Bench::start(args, press, tool, &root)?;
         Ok(Self {
             station,
             port: bench.port().to_path_buf(),
@@ -109,6 +117,7 @@ impl Instrument {
     fn with_bench(
         _: Station,
         _: &BenchArgs,
+        _: Option<&PressArgs>,
         _: &Path,
         _: Arc<SharedRoot>,
         _: Scratch,

@@ -12,6 +12,7 @@ mod instrument;
 mod output;
 mod register;
 mod sample;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -31,6 +32,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Inspect(inspect::Args),
+    Watch(watch::Args),
     Decode(decode::Args),
     Sample(sample::Args),
     Register(register::Args),
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         .init();
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
+        Command::Watch(args) => watch::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),

@@ -38,6 +38,9 @@ const EVENT_PATIENCE: Duration = Duration::from_secs(15);
 /// Patience for the capture thread once every trigger was fired.
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
+/// Part of a hold limit that is kept for the way out: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
+const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
+
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
 pub struct Subject {
@@ -226,7 +229,8 @@ impl Station {
         })
     }
 
-    /// Runs one check with a controller that is ready. With a hold limit the head is out again by then, done or not.
+    /// Runs one check with a controller that is ready. With a hold limit, counted by the controller's clock, the head is
+    /// out again by then, done or not.
     pub(crate) async fn check(
         &mut self,
         client: &mut Client,
@@ -234,11 +238,10 @@ impl Station {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
         let begun_ns = monotonic_ns();
-        let hold_end = hold_limit.map(|limit| Instant::now() + limit);
         let rotation_rad = f64::from(client.status().await?.rotation.get()) * 1e-6;
         let limits = client.identity().limits;
         let order = self.itinerary.order_from(rotation_rad);
-        let mut run = Run::new(order.clone(), hold_end);
+        let mut run = Run::new(order.clone(), hold_limit);
         let mut stopped = self
             .capture(client, &mut run, &order, &limits, watch)
             .await?;
@@ -345,12 +348,6 @@ impl Station {
                     run.evaluated(view, *outcome);
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
-                () = sleep_until(run.hold_end), if captured.is_none() => {
-                    // The press is not held any longer, whatever is still missing.
-                    run.hold_end = None;
-                    failure.get_or_insert("the check did not fit into the press's window".into());
-                    client.order(&Command::Abort).await?;
-                }
                 event = client.event(EVENT_PATIENCE), if captured.is_none() => {
                     let (mut done, mut retracting) = (false, false);
                     match event {
@@ -386,6 +383,12 @@ impl Station {
                                 _ => {}
                             }
                         }
+                    }
+                    // The press is not held any longer, whatever is still missing.
+                    if !done && run.hold_limit.is_some_and(|limit| run.timeline.elapsed() + RETRACT_RESERVE > limit) {
+                        run.hold_limit = None;
+                        failure.get_or_insert("the check did not fit into the time for which the press may be held".into());
+                        client.order(&Command::Abort).await?;
                     }
                     // Every trigger has been fired when the head begins to retract: the last views need not wait longer.
                     if (retracting || done) && !closing {
@@ -541,14 +544,6 @@ impl Drop for Station {
         {
             let _ = thread.join();
         }
-    }
-}
-
-/// Completes at a time, or never.
-async fn sleep_until(time: Option<Instant>) {
-    match time {
-        Some(time) => tokio::time::sleep_until(time).await,
-        None => std::future::pending().await,
     }
 }
 

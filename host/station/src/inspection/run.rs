@@ -1,6 +1,7 @@
 //! What a running check has gathered: triggers, captured views, outcomes.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use flankscope_protocol::Trigger;
 
@@ -31,12 +32,12 @@ pub(super) struct Run {
     pub recaptured: u32,
     pub last_exposure_ns: u64,
     pub verdict_ns: u64,
-    /// When the head must be on its way out, done or not.
-    pub hold_end: Option<tokio::time::Instant>,
+    /// How long the head may be in the die.
+    pub hold_limit: Option<Duration>,
 }
 
 impl Run {
-    pub fn new(wanted: Vec<usize>, hold_end: Option<tokio::time::Instant>) -> Self {
+    pub fn new(wanted: Vec<usize>, hold_limit: Option<Duration>) -> Self {
         Self {
             wanted,
             session: Vec::new(),
@@ -53,7 +54,7 @@ impl Run {
             recaptured: 0,
             last_exposure_ns: 0,
             verdict_ns: 0,
-            hold_end,
+            hold_limit,
         }
     }
 

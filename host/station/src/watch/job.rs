@@ -18,7 +18,7 @@ pub struct WatchSettings {
     pub every: u32,
     /// Stop after this many cycles; `None`: never.
     pub cycles: Option<u32>,
-    /// The press is never held longer than this, in the time of the controller's clock at speed 1.
+    /// The press is never held longer than this, by the controller's clock.
     pub hold_limit: Duration,
 }
 
@@ -62,7 +62,9 @@ impl Station {
         acknowledged: &Receiver<()>,
         tell: impl FnMut(Told) -> bool,
     ) -> Result<Shown, InspectError> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
         let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
         runtime.block_on(self.keep_watch(port, client, settings, acknowledged, tell))
     }
@@ -96,15 +98,25 @@ impl Station {
             }
             if Instant::now() >= next_refresh {
                 // A verdict that is not repeated goes stale, and a stale verdict is a no-go.
-                client.order(&Command::ShowVerdict { go: latch.shown().is_go() }).await?;
+                client
+                    .order(&Command::ShowVerdict {
+                        go: latch.shown().is_go(),
+                    })
+                    .await?;
                 next_refresh = Instant::now() + refresh;
             }
-            let patience = next_refresh.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
+            let patience = next_refresh
+                .saturating_duration_since(Instant::now())
+                .max(Duration::from_millis(1));
             let mut opened = false;
             match client.event(patience).await {
                 Ok(Event::Cycle { count, .. }) => {
                     cycle = count;
-                    if !tell(Told::Cycle(count)) || settings.cycles.is_some_and(|most| count.wrapping_sub(first) >= most) {
+                    if !tell(Told::Cycle(count))
+                        || settings
+                            .cycles
+                            .is_some_and(|most| count.wrapping_sub(first) >= most)
+                    {
                         return Ok(latch.shown());
                     }
                 }
@@ -112,18 +124,28 @@ impl Station {
                 Ok(_) | Err(ClientError::NoEvent { .. }) => {}
                 Err(error) => return Err(error.into()),
             }
-            let due = cycle.wrapping_sub(checked_at) >= settings.every || latch.shown() == Shown::Unchecked;
+            let due = cycle.wrapping_sub(checked_at) >= settings.every
+                || latch.shown() == Shown::Unchecked;
             if opened && due {
                 if !tell(Told::Checking(cycle)) {
                     return Ok(latch.shown());
                 }
-                let inspection = self.check(&mut client, Some(settings.hold_limit), &mut |_| {}).await?;
+                let inspection = self
+                    .check(&mut client, Some(settings.hold_limit), &mut |_| {})
+                    .await?;
                 checked_at = cycle;
                 let shown = latch.take(&inspection.verdict);
-                client.order(&Command::ShowVerdict { go: shown.is_go() }).await?;
+                client
+                    .order(&Command::ShowVerdict { go: shown.is_go() })
+                    .await?;
                 next_refresh = Instant::now() + refresh;
                 let needs_maintenance = latch.needs_maintenance();
-                if !tell(Told::Checked(Box::new(Checked { cycle, inspection, shown, needs_maintenance }))) {
+                if !tell(Told::Checked(Box::new(Checked {
+                    cycle,
+                    inspection,
+                    shown,
+                    needs_maintenance,
+                }))) {
                     return Ok(latch.shown());
                 }
             }

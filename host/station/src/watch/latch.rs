@@ -52,7 +52,12 @@ pub struct Latch {
 
 impl Default for Latch {
     fn default() -> Self {
-        Self { shown: Shown::Unchecked, warned: false, go_in_row: 0, indeterminate_in_row: 0 }
+        Self {
+            shown: Shown::Unchecked,
+            warned: false,
+            go_in_row: 0,
+            indeterminate_in_row: 0,
+        }
     }
 }
 
@@ -63,7 +68,11 @@ impl Latch {
             "go" | "warn" | "no-go" => 0,
             _ => self.indeterminate_in_row + 1,
         };
-        self.go_in_row = if verdict == "go" { self.go_in_row + 1 } else { 0 };
+        self.go_in_row = if verdict == "go" {
+            self.go_in_row + 1
+        } else {
+            0
+        };
         if verdict == "warn" {
             self.warned = true;
         } else if self.go_in_row >= GO_TO_CLEAR_WARNING {
@@ -107,7 +116,9 @@ mod tests {
     fn rows() -> impl Iterator<Item = Vec<&'static str>> {
         (0..6_u32).flat_map(|length| {
             (0..4_usize.pow(length)).map(move |code| {
-                (0..length).map(|i| VERDICTS[code / 4_usize.pow(i) % 4]).collect()
+                (0..length)
+                    .map(|i| VERDICTS[code / 4_usize.pow(i) % 4])
+                    .collect()
             })
         })
     }
@@ -121,16 +132,31 @@ mod tests {
             }
             let shown = latch.shown();
             let stopped = row.contains(&"no-go");
-            assert_eq!(stopped, shown == Shown::NoGo, "{row:?}: no-go stays, and only a no-go makes it");
+            assert_eq!(
+                stopped,
+                shown == Shown::NoGo,
+                "{row:?}: no-go stays, and only a no-go makes it"
+            );
             if let Some(&last) = row.last().filter(|_| !stopped) {
-                assert_eq!(shown.is_go(), last == "go" || last == "warn", "{row:?}: without a result there is no go");
+                assert_eq!(
+                    shown.is_go(),
+                    last == "go" || last == "warn",
+                    "{row:?}: without a result there is no go"
+                );
                 let last_warning = row.iter().rposition(|&v| v == "warn");
-                let cleared = last_warning.is_none_or(|at| {
-                    row[at + 1..].windows(2).any(|pair| pair == ["go", "go"])
-                });
-                assert_eq!(shown == Shown::Go, last == "go" && cleared, "{row:?}: two good checks clear a warning");
+                let cleared = last_warning
+                    .is_none_or(|at| row[at + 1..].windows(2).any(|pair| pair == ["go", "go"]));
+                assert_eq!(
+                    shown == Shown::Go,
+                    last == "go" && cleared,
+                    "{row:?}: two good checks clear a warning"
+                );
             }
-            let trailing = row.iter().rev().take_while(|&&v| v == "indeterminate").count();
+            let trailing = row
+                .iter()
+                .rev()
+                .take_while(|&&v| v == "indeterminate")
+                .count();
             assert_eq!(latch.needs_maintenance(), trailing >= 3, "{row:?}");
             latch.acknowledge();
             assert_eq!(latch.shown(), Shown::Unchecked);

@@ -86,7 +86,7 @@ pub fn spawn_all(
         Rc::clone(&world),
         Rc::clone(&sink),
     ));
-    sim.spawn(press::ram(board(), config.press));
+    sim.spawn(press::ram(board(), config.press, Rc::clone(&sink)));
     sim.spawn(press::retract_switch(
         board(),
         config.press,
