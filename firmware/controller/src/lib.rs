@@ -35,9 +35,11 @@ pub mod run;
 pub mod sequence;
 pub mod session;
 pub mod stage;
+pub mod vitals;
 
 pub use desk::Desk;
 pub use devices::{Camera, CameraWait, Dmd, Led, Optics};
 pub use press::{NoPress, PinPress, Press};
 pub use run::{Mailboxes, press_sequencer, sequencer};
 pub use sequence::{Action, Actions, Config, Input, Sequence};
+pub use vitals::{Watchdog, supervise};

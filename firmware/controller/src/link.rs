@@ -1,6 +1,7 @@
 //! The link's two tasks: bytes to commands, replies and events to bytes.
 
 use crate::run::{Mailboxes, Outgoing, Request};
+use crate::vitals::Task;
 use core::sync::atomic::Ordering;
 use embedded_io_async::{Read, Write};
 use flankscope_protocol::{Command, Decoder, Header, Kind, MAX_FRAME_BYTES, encode};
@@ -10,7 +11,8 @@ pub async fn receive(mut port: impl Read, mail: &Mailboxes) -> ! {
     let mut decoder = Decoder::new();
     let mut bytes = [0u8; 64];
     loop {
-        let Ok(count) = port.read(&mut bytes).await else {
+        let read = mail.vitals.alive(Task::Receive, port.read(&mut bytes));
+        let Ok(count) = read.await else {
             // A line error (framing, overrun): whatever was damaged fails its checksum.
             mail.frames_dropped.fetch_add(1, Ordering::Relaxed);
             continue;
@@ -27,7 +29,8 @@ pub async fn receive(mut port: impl Read, mail: &Mailboxes) -> ! {
                     continue;
                 }
             };
-            mail.requests.send(request).await;
+            let sent = mail.requests.send(request);
+            mail.vitals.alive(Task::Receive, sent).await;
         }
     }
 }
@@ -37,7 +40,8 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
     let mut wire = [0u8; MAX_FRAME_BYTES];
     let (mut session, mut sequence, mut ack) = (0, 0u16, 0);
     loop {
-        let outgoing = mail.outgoing.receive().await;
+        let next = mail.outgoing.receive();
+        let outgoing = mail.vitals.alive(Task::Transmit, next).await;
         let length = match outgoing {
             Outgoing::Reply(to, reply) => {
                 ack = to.sequence;
@@ -71,8 +75,12 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
         };
         // Every message fits the buffer (a test of the protocol holds it to that); a dead port is noticed by the host.
         if let Some(frame) = length.ok().and_then(|length| wire.get(..length)) {
-            let _dead_port = port.write_all(frame).await;
-            let _dead_port = port.flush().await;
+            let write = async {
+                let _dead_port = port.write_all(frame).await;
+                let _dead_port = port.flush().await;
+            };
+            // A host that reads nothing is no reason for a reset.
+            mail.vitals.alive(Task::Transmit, write).await;
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::interlock::Position;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
 use crate::stage::{StageReport, StageRequest};
+use crate::vitals::{Task, Vitals};
 use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
@@ -47,16 +48,28 @@ pub struct Mailboxes {
     pub(crate) outgoing: Mailbox<Outgoing, EVENTS_QUEUED>,
     pub(crate) stage_requests: Mailbox<StageRequest, 4>,
     pub(crate) stage_reports: Mailbox<StageReport, 4>,
+    pub(crate) vitals: Vitals,
     pub(crate) session: AtomicU32,
     pub(crate) frames_dropped: AtomicU32,
     pub(crate) events_lost: AtomicU32,
 }
 
 impl Mailboxes {
-    /// Empty.
+    /// Empty, without a watchdog.
     #[must_use]
     pub const fn new() -> Self {
+        Self::with(false)
+    }
+
+    /// Empty; [`crate::supervise`] must run, and every task wakes up to show life.
+    #[must_use]
+    pub const fn supervised() -> Self {
+        Self::with(true)
+    }
+
+    const fn with(supervised: bool) -> Self {
         Self {
+            vitals: Vitals::new(supervised),
             requests: Channel::new(),
             outgoing: Channel::new(),
             stage_requests: Channel::new(),
@@ -107,7 +120,7 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
         let awaiting = desk.sequence.awaiting();
         let deadline = desk.deadline(now());
         let seen = desk.interlock.levels();
-        let woken = select(
+        let any = select(
             press.changed(seen),
             select4(
                 mail.requests.receive(),
@@ -115,8 +128,8 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
                 sleep_until(deadline),
                 optics.wait(awaiting),
             ),
-        )
-        .await;
+        );
+        let woken = mail.vitals.alive(Task::Sequencer, any).await;
         // The press first: what it forbids must not begin in this step either.
         watch_press(&mut desk, &mut optics, &mut press, mail, &mut unreported).await;
         let Either::Second(woken) = woken else {

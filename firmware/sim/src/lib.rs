@@ -31,6 +31,7 @@ mod executor;
 pub mod line;
 pub mod pty;
 pub mod uart;
+mod watchdog;
 mod wiring;
 
 pub use clock::now_us;
@@ -38,4 +39,5 @@ pub use executor::{Clock, Hold, Pace, Remote, Sim};
 pub use line::{Edge, Line};
 pub use pty::Pty;
 pub use uart::Port;
+pub use watchdog::Controller;
 pub use wiring::{Board, CurrentCell, PatternBus, PressLines, Wiring, spawn_controller};

@@ -4,12 +4,14 @@ use crate::executor::Sim;
 use crate::line::Line;
 use crate::uart::Port;
 use core::cell::Cell;
+use core::pin::Pin;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::channel::Channel;
 use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
 use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::vitals::Task;
 use flankscope_controller::{
     Desk, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence, stage,
 };
@@ -120,6 +122,25 @@ pub struct PressLines {
     pub beat: Line,
 }
 
+impl Board {
+    /// What the pins do when the controller is reset: its outputs fall.
+    pub(crate) fn release_outputs(&self) {
+        let press = &self.press;
+        for line in [
+            &self.led_enable,
+            &self.dmd_trigger,
+            &self.camera_trigger,
+            &press.head_clear_1,
+            &press.head_clear_2,
+            &press.go,
+            &press.no_go,
+            &press.beat,
+        ] {
+            line.set(false);
+        }
+    }
+}
+
 impl PressLines {
     fn new(sim: &Sim) -> Self {
         Self {
@@ -193,9 +214,22 @@ impl Wiring {
     }
 }
 
-/// Puts the controller on its side of the wiring.
+/// Puts the controller on its side of the wiring, without a watchdog.
 pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, axes: Axes) {
     let mail: &'static Mailboxes = Box::leak(Box::default());
+    for (_, task) in tasks(wiring, config, axes, Boot::PowerUp, mail) {
+        sim.spawn(task);
+    }
+}
+
+/// The tasks of a controller that has just started.
+pub(crate) fn tasks(
+    wiring: &Wiring,
+    config: sequence::Config,
+    axes: Axes,
+    boot: Boot,
+    mail: &'static Mailboxes,
+) -> [(Task, BoxedTask); 4] {
     let board = wiring.board.clone();
     let optics = Optics {
         led: PinLed {
@@ -215,14 +249,31 @@ pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, ax
         },
     };
     let press = board.press.pins();
-    let desk = Desk::new(Sequence::new(config), Boot::PowerUp);
+    let desk = Desk::new(Sequence::new(config), boot);
     let stages = Esp301::new(wiring.controller_stage.clone(), axes);
     let (rx, tx) = (
         wiring.controller_link.clone(),
         wiring.controller_link.clone(),
     );
-    sim.spawn(async move { link::receive(rx, mail).await });
-    sim.spawn(async move { link::transmit(tx, mail).await });
-    sim.spawn(async move { stage::run(stages, mail).await });
-    sim.spawn(async move { press_sequencer(desk, optics, press, mail).await });
+    [
+        (
+            Task::Receive,
+            Box::pin(async move { link::receive(rx, mail).await }),
+        ),
+        (
+            Task::Transmit,
+            Box::pin(async move { link::transmit(tx, mail).await }),
+        ),
+        (
+            Task::Stage,
+            Box::pin(async move { stage::run(stages, mail).await }),
+        ),
+        (
+            Task::Sequencer,
+            Box::pin(async move { press_sequencer(desk, optics, press, mail).await }),
+        ),
+    ]
 }
+
+/// A task before it is spawned.
+pub(crate) type BoxedTask = Pin<Box<dyn Future<Output = ()>>>;

@@ -37,12 +37,28 @@ pub struct Args {
 enum Command {
     /// Run the bench until standard input ends.
     Run(RunArgs),
+    /// The stage controller alone, on a pseudo-terminal, until standard input ends.
+    Esp301(Esp301Args),
     /// Write the demo tool's folder: CAD, tool.toml, head.toml.
     DemoTool {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
     },
+}
+
+/// An emulated stage controller for other people's clients.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example: flankscope bench esp301, then open the printed port at any speed and say 1MO;1PA10;1WS;1TP?"
+)]
+struct Esp301Args {
+    /// Seed of the stage errors.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Virtual seconds per second, or max.
+    #[arg(long, default_value = "1")]
+    speed: Speed,
 }
 
 /// What is on the bench.
@@ -165,8 +181,19 @@ impl Farewell {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.command {
         Command::Run(args) => simulate(args),
+        Command::Esp301(args) => stages(args),
         Command::DemoTool { out } => Ok(demo::write_tool(out)?),
     }
+}
+
+fn stages(args: &Esp301Args) -> anyhow::Result<()> {
+    let Speed(speed) = args.speed;
+    let stages = devices::esp301::run(speed, args.seed)?;
+    let mut out = std::io::stdout();
+    writeln!(out, "{}", stages.port().display())?;
+    out.flush()?;
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+    Ok(())
 }
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {

@@ -180,6 +180,10 @@ impl<P: Read + Write> Esp301<P> {
 
 impl<P: Read + Write> Stage for Esp301<P> {
     async fn start(&mut self, request: StageRequest) -> Result<(), StageFault> {
+        if request == StageRequest::Stop && !self.prepared {
+            // After a reset: first of all nothing moves.
+            self.send("1ST;2ST").await?;
+        }
         if !self.prepared {
             self.prepare().await?;
         }

@@ -8,6 +8,7 @@ pub mod esp301;
 
 use crate::run::Mailboxes;
 use crate::sequence::Input;
+use crate::vitals::Task;
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use flankscope_protocol::{Fault, Micrometres, Microradians, View};
@@ -111,9 +112,14 @@ pub async fn run(mut stage: impl Stage, mail: &Mailboxes) -> ! {
     loop {
         let request = match next.take() {
             Some(request) => request,
-            None => mail.stage_requests.receive().await,
+            None => {
+                let next = mail.stage_requests.receive();
+                mail.vitals.alive(Task::Stage, next).await
+            }
         };
-        let mut outcome = stage.start(request).await.map(|()| None);
+        // Every question has a time limit of its own, so this ends.
+        let started = mail.vitals.alive(Task::Stage, stage.start(request)).await;
+        let mut outcome = started.map(|()| None);
         let overtaken = loop {
             match outcome {
                 Ok(None) => {}
@@ -128,16 +134,18 @@ pub async fn run(mut stage: impl Stage, mail: &Mailboxes) -> ! {
                         detail: 0,
                     });
                 }
-                Either::Second(()) => outcome = stage.standing().await,
+                Either::Second(()) => {
+                    outcome = mail.vitals.alive(Task::Stage, stage.standing()).await;
+                }
             }
         };
         if let (None, Some(ticket)) = (&next, request.ticket()) {
-            mail.stage_reports
-                .send(StageReport {
-                    ticket,
-                    outcome: overtaken,
-                })
-                .await;
+            let report = StageReport {
+                ticket,
+                outcome: overtaken,
+            };
+            let sent = mail.stage_reports.send(report);
+            mail.vitals.alive(Task::Stage, sent).await;
         }
     }
 }

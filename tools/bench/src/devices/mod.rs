@@ -12,6 +12,7 @@
 
 pub mod camera;
 pub mod dmd;
+pub mod esp301;
 pub mod instrument;
 pub mod led;
 pub mod motion;

@@ -3,7 +3,7 @@
 use super::World;
 use super::camera::ExposureSink;
 use super::motion::{Dynamics, Profile};
-use embassy_time::Instant;
+use embassy_time::{Instant, Timer};
 use embedded_io_async::{Read, Write};
 use flankscope_sim::Port;
 use std::cell::RefCell;
@@ -90,6 +90,8 @@ struct Axis {
     /// Value the home switch is given by `SH`.
     home_preset: f64,
     stalled: bool,
+    /// Where the client counts from, moved by `DH`.
+    zero: f64,
 }
 
 impl Axis {
@@ -102,7 +104,24 @@ impl Axis {
             moves: 0,
             home_preset: model.home,
             stalled: false,
+            zero: 0.0,
         }
+    }
+
+    /// From here on the place where it stands reads as `reading`.
+    fn shift(&mut self, now_s: f64, reading: f64) {
+        self.zero = self.profile.position(now_s) - reading;
+    }
+
+    fn within_travel(&self, target: f64) -> Result<(), (u32, &'static str)> {
+        let (lowest, highest) = self.model.travel;
+        if target < lowest {
+            return Err((7, "NEGATIVE SOFTWARE LIMIT"));
+        }
+        if target > highest {
+            return Err((6, "POSITIVE SOFTWARE LIMIT"));
+        }
+        Ok(())
     }
 
     fn send(&mut self, now_s: f64, target: f64) {
@@ -269,8 +288,8 @@ impl StageModel {
             ("VA", "?") => text(axis.dynamics.speed.to_string()),
             ("MO", "?") => text(u8::from(axis.motor_on).to_string()),
             ("MD", "?") => text(u8::from(axis.done(now_s)).to_string()),
-            ("TP", "?") => text(format!("{:.6}", axis.profile.position(now_s))),
-            ("PA", "?") => text(format!("{:.6}", axis.profile.target())),
+            ("TP", "?") => text(format!("{:.6}", axis.profile.position(now_s) - axis.zero)),
+            ("PA" | "DP", "?") => text(format!("{:.6}", axis.profile.target() - axis.zero)),
             ("MO", "") => {
                 axis.motor_on = true;
                 Ok(Answer::None)
@@ -279,7 +298,26 @@ impl StageModel {
                 axis.motor_on = false;
                 Ok(Answer::None)
             }
-            ("WS" | "DH", _) => Ok(Answer::None),
+            ("DH", "") => {
+                // Where it stands becomes position 0.
+                axis.shift(now_s, 0.0);
+                Ok(Answer::None)
+            }
+            ("DH", _) => {
+                let reading = value()?;
+                axis.shift(now_s, reading);
+                Ok(Answer::None)
+            }
+            ("SH", "?") => text(axis.home_preset.to_string()),
+            ("AC", "?") => text(axis.dynamics.acceleration.to_string()),
+            ("PR", _) => {
+                let target = axis.profile.target() + value()?;
+                motor(axis)?;
+                axis.within_travel(target)
+                    .map_err(|(code, message)| of_axis(code, message))?;
+                axis.send(now_s, target);
+                Ok(Answer::SetOff)
+            }
             ("ST", "") => {
                 axis.profile = axis.profile.brake(now_s, axis.dynamics);
                 Ok(Answer::SetOff)
@@ -299,18 +337,15 @@ impl StageModel {
             ("OR", _) => {
                 motor(axis)?;
                 // The scale is set so that the switch reads as preset; here both are the same place.
+                axis.zero = 0.0;
                 axis.send(now_s, axis.home_preset);
                 Ok(Answer::SetOff)
             }
             ("PA", _) => {
-                let target = value()?;
+                let target = value()? + axis.zero;
                 motor(axis)?;
-                if target < axis.model.travel.0 {
-                    return Err(of_axis(7, "NEGATIVE SOFTWARE LIMIT"));
-                }
-                if target > axis.model.travel.1 {
-                    return Err(of_axis(6, "POSITIVE SOFTWARE LIMIT"));
-                }
+                axis.within_travel(target)
+                    .map_err(|(code, message)| of_axis(code, message))?;
                 axis.send(now_s, target);
                 Ok(Answer::SetOff)
             }
@@ -330,7 +365,22 @@ const NO_SUCH_AXIS: (u32, &str) = (9, "AXIS NUMBER OUT OF RANGE");
 const MISSING_AXIS: (u32, &str) = (37, "AXIS NUMBER MISSING");
 const MISSING_PARAMETER: (u32, &str) = (38, "COMMAND PARAMETER MISSING");
 
-pub(super) async fn run<S: ExposureSink>(mut port: Port, world: Rc<World>, sink: Rc<RefCell<S>>) {
+pub(super) async fn run<S: ExposureSink>(port: Port, world: Rc<World>, sink: Rc<RefCell<S>>) {
+    serve(port, &world.stage, |destination| {
+        world.course.signal(());
+        sink.borrow_mut().moving_to(destination);
+    })
+    .await;
+}
+
+/// Answers on `port` for ever; `set_off` is told where the stages are bound for.
+///
+/// `WS` holds everything behind it back until the axis stands, as the real controller does.
+pub(super) async fn serve(
+    mut port: Port,
+    stage: &RefCell<StageModel>,
+    mut set_off: impl FnMut(TruePose),
+) {
     let mut line = Vec::new();
     let mut buffer = [0u8; 64];
     loop {
@@ -340,15 +390,21 @@ pub(super) async fn run<S: ExposureSink>(mut port: Port, world: Rc<World>, sink:
                 b'\r' => {
                     let text = String::from_utf8_lossy(&line).into_owned();
                     line.clear();
-                    let (answer, set_off) = world
-                        .stage
-                        .borrow_mut()
-                        .line(Instant::now().as_micros(), &text);
-                    let Ok(()) = port.write_all(answer.as_bytes()).await;
-                    if set_off {
-                        world.course.signal(());
-                        let destination = world.stage.borrow().true_destination();
-                        sink.borrow_mut().moving_to(destination);
+                    let mut rest = text.as_str();
+                    while !rest.is_empty() {
+                        let (now, wait, later) = split_at_wait(rest);
+                        let (answer, moved) =
+                            stage.borrow_mut().line(Instant::now().as_micros(), now);
+                        let Ok(()) = port.write_all(answer.as_bytes()).await;
+                        if moved {
+                            let destination = stage.borrow().true_destination();
+                            set_off(destination);
+                        }
+                        if let Some((axis, delay_ms)) = wait {
+                            stands(stage, axis).await;
+                            Timer::after_millis(delay_ms).await;
+                        }
+                        rest = later;
                     }
                 }
                 b'\n' => {}
@@ -357,6 +413,45 @@ pub(super) async fn run<S: ExposureSink>(mut port: Port, world: Rc<World>, sink:
                 _ => {}
             }
         }
+    }
+}
+
+/// What is done at once, the wait behind it (axis counted from 0 or all, and a delay), and what comes after that.
+fn split_at_wait(line: &str) -> (&str, Option<(Option<usize>, u64)>, &str) {
+    let mut start = 0;
+    for command in line.split(';') {
+        let end = start + command.len();
+        let trimmed = command.trim();
+        let digits = trimmed.bytes().take_while(u8::is_ascii_digit).count();
+        let (number, rest) = trimmed.split_at(digits);
+        if let Some(delay) = rest
+            .get(..2)
+            .filter(|name| name.eq_ignore_ascii_case("WS"))
+            .and_then(|_| rest.get(2..))
+        {
+            let axis = number.parse::<usize>().ok().and_then(|n| n.checked_sub(1));
+            let delay_ms = delay.trim().parse().unwrap_or(0);
+            let later = line.get(end + 1..).unwrap_or_default();
+            return (&line[..start], Some((axis, delay_ms)), later);
+        }
+        start = end + 1;
+    }
+    (line, None, "")
+}
+
+/// Completes when the axis, or every axis, stands; one that stalls never does.
+async fn stands(stage: &RefCell<StageModel>, axis: Option<usize>) {
+    loop {
+        let now_s = Instant::now().as_micros() as f64 * 1e-6;
+        let stand = {
+            let stage = stage.borrow();
+            let mut axes = stage.axes.iter().enumerate();
+            axes.all(|(n, one)| axis.is_some_and(|axis| axis != n) || one.done(now_s))
+        };
+        if stand {
+            return;
+        }
+        Timer::after_millis(1).await;
     }
 }
 

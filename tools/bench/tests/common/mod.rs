@@ -176,6 +176,23 @@ impl Host {
         assert_eq!(self.order(Command::LoadPlan(plan)).await, Reply::Accepted);
     }
 
+    /// Forgets what arrived in part.
+    pub fn forget(&mut self) {
+        let _bytes = self.port.take();
+        self.decoder = Decoder::new();
+    }
+
+    /// Sends heartbeats for a while, whether they are answered or not.
+    pub async fn keep_company(&mut self, time_ms: u64) {
+        let end = Instant::now() + Duration::from_millis(time_ms);
+        while Instant::now() < end {
+            self.sequence = self.sequence.wrapping_add(1);
+            self.send(SESSION, self.sequence, &Command::Heartbeat).await;
+            let next = end.min(Instant::now() + HEARTBEAT);
+            while let Either::First(_) = select(self.receive(), Timer::at(next)).await {}
+        }
+    }
+
     /// Keeps the controller company until an event.
     pub async fn until(&mut self, last: impl Fn(&Event) -> bool) {
         let mut seen = self.events.len();
