@@ -91,7 +91,7 @@ fn bad_arguments_could_not_run() {
     for (arguments, hint) in [
         (&["--every", "0"][..], "1"),
         (&["--hold-limit-s", "nan"], "600"),
-        (&["--strokes-per-minute", "-3"], "300"),
+        (&["--strokes-per-minute", "3000"], "300"),
         (&["--wear-rate", "40:left"], "TOOTH:FLANK:DEPTH"),
     ] {
         let result = watch(&[&["--cycles", "1"], arguments].concat());

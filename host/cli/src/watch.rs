@@ -136,6 +136,9 @@ impl<'a> Log<'a> {
         match told {
             Told::Cycle(_) => {}
             Told::Checking(cycle) => self.say(&format!("cycle {cycle}: press held, checking")),
+            Told::Missed(cycle, fault) => self.say(&format!(
+                "cycle {cycle}: not let in ({fault}), next opening"
+            )),
             Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
             Told::Checked(checked) => {
                 if let Err(error) = self.keep(&checked) {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
-use flankscope_protocol::{Command, Event};
+use flankscope_protocol::{Command, Event, FaultCode, Refusal};
 use tokio::time::Instant;
 
 use super::latch::{Latch, Shown};
@@ -42,6 +42,8 @@ pub enum Told {
     Cycle(u32),
     /// The press is held for a check.
     Checking(u32),
+    /// The head was not let in at this cycle, for this reason.
+    Missed(u32, FaultCode),
     /// A check is over.
     Checked(Box<Checked>),
     /// Somebody acknowledged.
@@ -124,15 +126,35 @@ impl Station {
                 Ok(_) | Err(ClientError::NoEvent { .. }) => {}
                 Err(error) => return Err(error.into()),
             }
+            if cycle.wrapping_sub(checked_at) >= settings.every.saturating_mul(2)
+                && latch.shown().is_go()
+            {
+                latch.take("overdue"); // a go that nobody has confirmed for so long is none
+                next_refresh = Instant::now();
+            }
             let due = cycle.wrapping_sub(checked_at) >= settings.every
                 || latch.shown() == Shown::Unchecked;
             if opened && due {
                 if !tell(Told::Checking(cycle)) {
                     return Ok(latch.shown());
                 }
-                let inspection = self
+                let check = self
                     .check(&mut client, Some(settings.hold_limit), &mut |_| {})
-                    .await?;
+                    .await;
+                let inspection = match check {
+                    // The press was faster than the order: the next opening will do.
+                    Err(InspectError::Client(ClientError::Refused(Refusal::Interlock {
+                        fault,
+                    }))) => {
+                        if !tell(Told::Missed(cycle, fault)) {
+                            return Ok(latch.shown());
+                        }
+                        continue;
+                    }
+                    check => check?,
+                };
+                // The press stood still meanwhile: the cycles now are those that the die had when it was looked at.
+                cycle = client.status().await?.press.cycles;
                 checked_at = cycle;
                 let shown = latch.take(&inspection.verdict);
                 client
