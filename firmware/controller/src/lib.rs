@@ -27,6 +27,7 @@
 pub mod budget;
 pub mod desk;
 pub mod devices;
+pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
 pub mod link;
