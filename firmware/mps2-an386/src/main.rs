@@ -1,0 +1,115 @@
+//! The controller as a Cortex-M4 image for QEMU's machine `mps2-an386`.
+//!
+//! | UART | address     | other end                                                     |
+//! |------|-------------|---------------------------------------------------------------|
+//! | 0    | 0x4000_4000 | host link                                                     |
+//! | 1    | 0x4000_5000 | the bench: virtual pins, see [`pin_wire`]                     |
+//! | 2    | 0x4000_6000 | stage controller, ESP301 text                                 |
+//!
+//! Two executors: the sequencer runs in a software interrupt, so that an edge is never late because a message is being
+//! encoded; link and stage tasks run in thread mode. Interrupts of clock and UARTs are above both.
+#![no_std]
+#![no_main]
+
+mod clock;
+mod failsafe;
+mod level;
+mod pin_wire;
+mod pins;
+mod registers;
+mod stack;
+mod uart;
+
+use cortex_m_rt::{entry, exception};
+use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
+use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, sequencer, stage};
+
+use crate::level::Level;
+use crate::pin_wire::Subject;
+use crate::pins::{Current, InputPin, Output, PatternBus};
+use crate::registers::{Block, Irq};
+use crate::uart::{Port, Uart};
+
+static HOST: Uart = Uart::new(Block::UART0, Irq::Uart0Rx);
+static STAGE: Uart = Uart::new(Block::UART2, Irq::Uart2Rx);
+static MAIL: Mailboxes = Mailboxes::new();
+
+static URGENT: Level = Level::interrupt(Irq::Sequencer);
+static BACKGROUND: Level = Level::thread();
+
+/// 25 MHz / 217 = 115207 baud; QEMU does not mind, a board would.
+const BAUD_DIVIDER: u32 = 217;
+
+type PinOptics =
+    Optics<PinLed<Output, InputPin, Current>, PinDmd<Output, InputPin, PatternBus>, PinCamera<Output, InputPin, InputPin>>;
+
+#[embassy_executor::task]
+async fn receive() {
+    link::receive(Port(&HOST), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn transmit() {
+    link::transmit(Port(&HOST), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn stages() {
+    stage::run(Esp301::new(Port(&STAGE), Axes::DEFAULT), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn capture(desk: Desk, optics: PinOptics) {
+    sequencer(desk, optics, &MAIL).await;
+}
+
+#[entry]
+fn main() -> ! {
+    let (boot, cause) = failsafe::boot();
+    clock::start();
+    registers::prioritise();
+    pins::BENCH.start(BAUD_DIVIDER);
+    // Whatever was driven before a reset is not driven any more.
+    for output in [Subject::LedEnable, Subject::CameraTrigger, Subject::DmdTrigger] {
+        pins::tell(output, 0);
+    }
+    pins::tell(Subject::Started, u16::try_from(cause).unwrap_or(u16::MAX));
+    HOST.start(BAUD_DIVIDER);
+    STAGE.start(BAUD_DIVIDER);
+
+    let optics = Optics {
+        led: PinLed { enable: pins::LED_ENABLE, sense: InputPin(&pins::LED_SENSE), current: Current },
+        dmd: PinDmd { trigger: pins::DMD_TRIGGER, ready: InputPin(&pins::DMD_READY), port: PatternBus },
+        camera: PinCamera {
+            trigger: pins::CAMERA_TRIGGER,
+            ready: InputPin(&pins::CAMERA_READY),
+            exposing: InputPin(&pins::CAMERA_EXPOSING),
+        },
+    };
+    let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
+    URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics)));
+    BACKGROUND.start(|spawner| {
+        spawner.spawn_if(stages());
+        spawner.spawn_if(receive());
+        spawner.spawn_if(transmit());
+    });
+    loop {
+        BACKGROUND.poll();
+        cortex_m::asm::wfe();
+    }
+}
+
+#[exception]
+unsafe fn DefaultHandler(number: i16) {
+    match number {
+        0 => HOST.on_receive(),
+        2 => pins::on_receive(),
+        4 => STAGE.on_receive(),
+        8 => clock::on_wrap(),
+        9 => clock::on_alarm(),
+        31 => URGENT.poll(),
+        // Nothing else is enabled.
+        _ => {}
+    }
+}
