@@ -11,12 +11,9 @@ use embassy_executor::{SpawnError, SpawnToken, Spawner};
 
 use crate::registers::Irq;
 
-/// What embassy's Cortex-M port takes for "wake thread mode" instead of an interrupt number.
-const THREAD: usize = usize::MAX;
-
 /// An executor and what wakes it.
 pub struct Level {
-    irq: Option<Irq>,
+    irq: Irq,
     executor: UnsafeCell<MaybeUninit<Executor>>,
     started: AtomicBool,
 }
@@ -25,17 +22,8 @@ pub struct Level {
 unsafe impl Sync for Level {}
 
 impl Level {
-    /// Polled by the handler of a software interrupt.
-    pub const fn interrupt(irq: Irq) -> Self {
-        Self::new(Some(irq))
-    }
-
-    /// Polled in thread mode.
-    pub const fn thread() -> Self {
-        Self::new(None)
-    }
-
-    const fn new(irq: Option<Irq>) -> Self {
+    /// Polled by the handler of this software interrupt.
+    pub const fn new(irq: Irq) -> Self {
         Self { irq, executor: UnsafeCell::new(MaybeUninit::uninit()), started: AtomicBool::new(false) }
     }
 
@@ -44,19 +32,18 @@ impl Level {
         if self.started.load(Ordering::Acquire) {
             return;
         }
-        let context = self.irq.map_or(THREAD, |irq| usize::from(irq.number()));
+        // What embassy's Cortex-M port pends when a task is woken.
+        let context = usize::from(self.irq.number());
         // SAFETY: not started yet, so nobody else looks at the executor.
         let executor = unsafe { (*self.executor.get()).write(Executor::new(context as *mut ())) };
         tasks(Tasks(executor.spawner()));
         self.started.store(true, Ordering::Release);
-        if let Some(irq) = self.irq {
-            NVIC::pend(irq);
-            // SAFETY: the handler polls this level, which is ready now.
-            unsafe { NVIC::unmask(irq) };
-        }
+        NVIC::pend(self.irq);
+        // SAFETY: the handler polls this level, which is ready now.
+        unsafe { NVIC::unmask(self.irq) };
     }
 
-    /// Runs what is ready. Only to be called at this level: by its interrupt's handler, or in thread mode.
+    /// Runs what is ready. Only to be called by the handler of this level's interrupt.
     pub fn poll(&'static self) {
         if self.started.load(Ordering::Acquire) {
             // SAFETY: started, so written; a level does not interrupt itself, so not reentrant.

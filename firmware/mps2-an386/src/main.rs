@@ -6,8 +6,8 @@
 //! | 1    | 0x4000_5000 | the bench: virtual pins, see [`pin_wire`]                     |
 //! | 2    | 0x4000_6000 | stage controller, ESP301 text                                 |
 //!
-//! Two executors: the sequencer runs in a software interrupt, so that an edge is never late because a message is being
-//! encoded; link and stage tasks run in thread mode. Interrupts of clock and UARTs are above both.
+//! Two executors, each in a software interrupt: the sequencer above link and stages, so that an edge is never late
+//! because a message is being encoded. Interrupts of clock and UARTs are above both; thread mode only sleeps.
 #![no_std]
 #![no_main]
 
@@ -35,11 +35,14 @@ static HOST: Uart = Uart::new(Block::UART0, Irq::Uart0Rx);
 static STAGE: Uart = Uart::new(Block::UART2, Irq::Uart2Rx);
 static MAIL: Mailboxes = Mailboxes::new();
 
-static URGENT: Level = Level::interrupt(Irq::Sequencer);
-static BACKGROUND: Level = Level::thread();
+static URGENT: Level = Level::new(Irq::Sequencer);
+static BACKGROUND: Level = Level::new(Irq::Background);
 
 /// 25 MHz / 217 = 115207 baud; QEMU does not mind, a board would.
 const BAUD_DIVIDER: u32 = 217;
+
+/// Instructions between two looks at whether to sleep: 0.1 ms.
+const SPIN_CYCLES: u32 = 3_000;
 
 type PinOptics =
     Optics<PinLed<Output, InputPin, Current>, PinDmd<Output, InputPin, PatternBus>, PinCamera<Output, InputPin, InputPin>>;
@@ -95,8 +98,19 @@ fn main() -> ! {
         spawner.spawn_if(transmit());
     });
     loop {
-        BACKGROUND.poll();
-        cortex_m::asm::wfe();
+        idle();
+    }
+}
+
+/// Sleeps, except during an exposure.
+///
+/// A sleeping processor's time passes in real time, and the machine below may oversleep: what it did then would be late
+/// by as much. While instructions are executed, time is counted in instructions and an alarm is never late.
+fn idle() {
+    if pins::exposing() {
+        cortex_m::asm::delay(SPIN_CYCLES);
+    } else {
+        cortex_m::asm::wfi();
     }
 }
 
@@ -108,6 +122,7 @@ unsafe fn DefaultHandler(number: i16) {
         4 => STAGE.on_receive(),
         8 => clock::on_wrap(),
         9 => clock::on_alarm(),
+        30 => BACKGROUND.poll(),
         31 => URGENT.poll(),
         // Nothing else is enabled.
         _ => {}

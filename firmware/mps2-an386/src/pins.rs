@@ -3,7 +3,7 @@
 use core::cell::RefCell;
 use core::convert::Infallible;
 use core::future::poll_fn;
-use core::sync::atomic::{AtomicU16, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU16, AtomicU32, Ordering};
 use core::task::Poll;
 
 use critical_section::Mutex;
@@ -75,14 +75,30 @@ impl ErrorType for Output {
 
 impl OutputPin for Output {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        tell(self.0, 0);
+        self.drive(false);
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
-        tell(self.0, 1);
+        self.drive(true);
         Ok(())
     }
+}
+
+impl Output {
+    fn drive(&self, level: bool) {
+        tell(self.0, u16::from(level));
+        if self.0 == Subject::CameraTrigger {
+            EXPOSING.store(level, Ordering::Relaxed);
+        }
+    }
+}
+
+static EXPOSING: AtomicBool = AtomicBool::new(false);
+
+/// The camera trigger is high.
+pub fn exposing() -> bool {
+    EXPOSING.load(Ordering::Relaxed)
 }
 
 pub const LED_ENABLE: Output = Output(Subject::LedEnable);

@@ -16,7 +16,9 @@ pub enum Irq {
     Uart2Rx = 4,
     Timer0 = 8,
     Timer1 = 9,
-    /// Not wired to anything on this machine: pended by software to run the sequencer above everything else.
+    /// Not wired to anything on this machine, pended by software: link and stage tasks.
+    Background = 30,
+    /// Likewise: the sequencer.
     Sequencer = 31,
 }
 
@@ -51,10 +53,11 @@ impl Block {
     }
 }
 
-/// Unmasks the timers' interrupts and orders all interrupts: clock and UARTs first, then the sequencer.
+/// Unmasks the timers' interrupts and orders all interrupts: clock and UARTs first, then the sequencer, then the rest.
 pub fn prioritise() {
     const URGENT: u8 = 0x40;
-    const SEQUENCER: u8 = 0xC0;
+    const SEQUENCER: u8 = 0x80;
+    const BACKGROUND: u8 = 0xC0;
     // SAFETY: called once at start; the registers are the core's own, and the handlers are in place.
     unsafe {
         let mut nvic = cortex_m::Peripherals::steal().NVIC;
@@ -62,6 +65,7 @@ pub fn prioritise() {
             nvic.set_priority(irq, URGENT);
         }
         nvic.set_priority(Irq::Sequencer, SEQUENCER);
+        nvic.set_priority(Irq::Background, BACKGROUND);
         cortex_m::peripheral::NVIC::unmask(Irq::Timer0);
         cortex_m::peripheral::NVIC::unmask(Irq::Timer1);
     }
