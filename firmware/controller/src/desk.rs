@@ -78,7 +78,11 @@ impl Desk {
                 self.sequence.step(now, Input::HostAlive, out);
                 reply
             }
-            Judgement::Refuse(refusal) => Reply::Refused(refusal),
+            Judgement::Refuse(refusal) => {
+                // A flood of strangers must not keep the clock from being looked at.
+                self.sequence.step(now, Input::Tick, out);
+                Reply::Refused(refusal)
+            }
             Judgement::Execute => {
                 // Time first: what is overdue happens before what is ordered.
                 self.sequence.step(now, Input::HostAlive, out);

@@ -2,10 +2,12 @@
 
 use crate::clock;
 use crate::line::{Edge, Line, Recorder};
+use core::cell::{Cell, RefCell};
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
+use std::rc::Rc;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
@@ -39,15 +41,16 @@ const LAG_TOLERATED: Duration = Duration::from_millis(2);
 
 #[derive(Default)]
 struct Shared {
-    woken: bool,
-    /// Another thread did it: something happened in real time.
-    from_outside: bool,
+    /// A task woke another: it goes on at the same virtual time.
+    woken_inside: bool,
+    /// Another thread woke a task: real time has passed for it.
+    woken_outside: bool,
     holds: u32,
     held_since: Option<Instant>,
     held: Duration,
 }
 
-/// The bell that tasks and other threads ring, and the holds.
+/// The bell that other threads ring, and the holds.
 struct Bell {
     owner: ThreadId,
     shared: Mutex<Shared>,
@@ -61,11 +64,14 @@ impl Bell {
     }
 
     fn ring(&self) {
+        let inside = std::thread::current().id() == self.owner;
         let mut shared = self.lock();
-        shared.woken = true;
-        shared.from_outside |= std::thread::current().id() != self.owner;
-        drop(shared);
-        self.rung.notify_one();
+        if inside {
+            shared.woken_inside = true;
+        } else {
+            shared.woken_outside = true;
+            self.rung.notify_one();
+        }
     }
 }
 
@@ -129,22 +135,25 @@ pub struct Sim {
     alive: Arc<()>,
     mode: Clock,
     started: Instant,
-    lagged: core::cell::Cell<Duration>,
+    lagged: Cell<Duration>,
     recorder: Recorder,
+    tasks: RefCell<Vec<Task>>,
 }
 
 impl Sim {
     /// Begins a simulation on this thread at virtual time 0.
     ///
-    /// Executor and tasks are never freed: they are as static here as they are on a microcontroller.
+    /// The executor itself is never freed: it is as static here as on a microcontroller. What tasks own is.
     #[must_use]
     pub fn new(mode: Clock) -> Self {
         clock::reset();
-        let bell: &'static Bell = Box::leak(Box::new(Bell {
-            owner: std::thread::current().id(),
+        let owner = std::thread::current().id();
+        let bell = Bell {
+            owner,
             shared: Mutex::default(),
             rung: Condvar::new(),
-        }));
+        };
+        let bell: &'static Bell = Box::leak(Box::new(bell));
         let context = core::ptr::from_ref(bell).cast_mut().cast::<()>();
         Self {
             executor: Box::leak(Box::new(Executor::new(context))),
@@ -152,8 +161,9 @@ impl Sim {
             alive: Arc::new(()),
             mode,
             started: Instant::now(),
-            lagged: core::cell::Cell::default(),
+            lagged: Cell::default(),
             recorder: Recorder::default(),
+            tasks: RefCell::default(),
         }
     }
 
@@ -178,11 +188,13 @@ impl Sim {
         self.recorder.edges()
     }
 
-    /// Adds a task.
+    /// Adds a task. What it owns is dropped when it ends, or with the simulation.
     pub fn spawn<F: Future<Output = ()> + 'static>(&self, future: F) {
-        let storage: &'static TaskStorage<Fresh<F>> = Box::leak(Box::new(TaskStorage::new()));
+        let task: Task = Rc::new(RefCell::new(Some(Box::pin(future))));
+        self.tasks.borrow_mut().push(Rc::clone(&task));
+        let storage: &'static TaskStorage<Fresh> = Box::leak(Box::new(TaskStorage::new()));
         // A storage of its own is always free.
-        if let Ok(token) = storage.spawn(|| Fresh(future)) {
+        if let Ok(token) = storage.spawn(|| Fresh(task)) {
             self.executor.spawner().spawn(token);
         }
     }
@@ -220,13 +232,12 @@ impl Sim {
     fn wait(&self) -> bool {
         let mut shared = self.bell.lock();
         loop {
-            if core::mem::take(&mut shared.woken) {
-                let from_outside = core::mem::take(&mut shared.from_outside);
+            if core::mem::take(&mut shared.woken_inside) {
+                return true;
+            }
+            if core::mem::take(&mut shared.woken_outside) {
                 drop(shared);
-                // What tasks do to each other takes no virtual time, however long this thread takes over it.
-                if from_outside {
-                    self.catch_up();
-                }
+                self.catch_up();
                 return true;
             }
             let deadline = clock::next_deadline_us();
@@ -308,15 +319,36 @@ fn held(shared: &Shared) -> Duration {
             .map_or(Duration::ZERO, |since| since.elapsed())
 }
 
+impl Drop for Sim {
+    fn drop(&mut self) {
+        for task in self.tasks.take() {
+            // Taken out first: what a task owns may wake others while it is dropped.
+            let future = task.borrow_mut().take();
+            drop(future);
+        }
+        clock::reset();
+    }
+}
+
+/// A future that the simulation can drop although its executor never will.
+type Task = Rc<RefCell<Option<Pin<Box<dyn Future<Output = ()>>>>>>;
+
 /// A task that renews its timers each time it is polled; see [`clock::forget`].
-struct Fresh<F>(F);
+struct Fresh(Task);
 
-impl<F: Future> Future for Fresh<F> {
-    type Output = F::Output;
+impl Future for Fresh {
+    type Output = ();
 
-    fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<F::Output> {
+    fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
         clock::forget(context.waker());
-        // SAFETY: structural pinning; the field is never moved out of.
-        unsafe { self.map_unchecked_mut(|fresh| &mut fresh.0) }.poll(context)
+        let mut task = self.0.borrow_mut();
+        let Some(future) = task.as_mut() else {
+            return Poll::Ready(());
+        };
+        let polled = future.as_mut().poll(context);
+        if polled.is_ready() {
+            *task = None;
+        }
+        polled
     }
 }

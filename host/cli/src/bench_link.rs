@@ -33,22 +33,42 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 impl Bench {
     /// Starts the bench for a tool folder, with its camera sending frames below `root`.
     pub fn start(args: &BenchArgs, tool: &Path, root: &SharedRoot) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("cannot find this program to start the bench")?;
+        let program =
+            std::env::current_exe().context("cannot find this program to start the bench")?;
         let mut command = Command::new(program);
-        command.arg("bench").arg("run").arg("--root").arg(root.path()).arg("--tool").arg(tool);
+        command
+            .arg("bench")
+            .arg("run")
+            .arg("--root")
+            .arg(root.path())
+            .arg("--tool")
+            .arg(tool);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         for wear in &args.wear {
             command.args(["--wear", wear]);
         }
+        if let Some(fault) = &args.frame_fault {
+            command.args(["--frame-fault", fault]);
+        }
         // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
-        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().context("cannot start the bench")?;
-        let Some(stdout) = child.stdout.take() else { bail!("the bench has no standard output") };
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .context("cannot start the bench")?;
+        let Some(stdout) = child.stdout.take() else {
+            bail!("the bench has no standard output")
+        };
         let mut stdout = BufReader::new(stdout);
         let mut line = String::new();
         stdout.read_line(&mut line)?;
         let hello = serde_json::from_str(&line);
         let mut bench = match hello {
-            Ok(hello) => Self { child, stdout, hello },
+            Ok(hello) => Self {
+                child,
+                stdout,
+                hello,
+            },
             Err(_) => {
                 // It has said why on standard error.
                 let _ = child.wait();
@@ -68,7 +88,10 @@ impl Bench {
 
     /// How patiently to talk to a controller whose clock runs faster.
     pub fn client_settings(&self) -> ClientSettings {
-        ClientSettings { heartbeat: Some(self.hello.heartbeat()), ..ClientSettings::default() }
+        ClientSettings {
+            heartbeat: Some(self.hello.heartbeat()),
+            ..ClientSettings::default()
+        }
     }
 
     /// Ends the bench and takes its truth.
@@ -77,7 +100,8 @@ impl Bench {
         let mut text = String::new();
         self.stdout.read_to_string(&mut text)?;
         self.child.wait()?;
-        let farewell = serde_json::from_str(&text).context("the simulated bench ended without its truth")?;
+        let farewell =
+            serde_json::from_str(&text).context("the simulated bench ended without its truth")?;
         Ok(Truth(farewell))
     }
 }

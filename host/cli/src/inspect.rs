@@ -19,9 +19,11 @@ use crate::output::{Common, Outcome, write_whole};
 ///
 /// Without options the built-in demo die is checked on the simulated bench.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
+#[command(
+    after_help = "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
     checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n\
-    Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn")]
+    Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
+)]
 pub struct Args {
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
@@ -54,6 +56,9 @@ pub struct BenchArgs {
     /// How many times faster than real time the bench runs, or max
     #[arg(long, value_name = "1|K|max", default_value = "1")]
     pub speed: String,
+    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
+    #[arg(long, value_name = "KIND:FRAME")]
+    pub frame_fault: Option<String>,
 }
 
 /// The link's far end: the port to open, and what to collect after the check.
@@ -74,20 +79,22 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let subject = load(&folder, scratch.path())?;
     if let Some(report) = &args.report {
         // Before anything moves: a check whose report cannot be written should not begin.
-        std::fs::create_dir_all(report).with_context(|| format!("cannot make the report folder {}", report.display()))?;
+        std::fs::create_dir_all(report)
+            .with_context(|| format!("cannot make the report folder {}", report.display()))?;
     }
     let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
     let mut station = Station::open(subject, args.teeth.as_deref(), Arc::clone(&root))?;
     let link = connect(args, &folder, &root)?;
     let mut watcher = Watcher::new(args.common.quiet);
-    let inspection = station.inspect(&link.port, link.settings, |progress| watcher.show(progress))?;
+    let inspection =
+        station.inspect(&link.port, link.settings, |progress| watcher.show(progress))?;
     watcher.finish();
     drop(station);
     let mut document = serde_json::to_value(&inspection)?;
     #[cfg(feature = "bench")]
     if let Some(bench) = link.bench {
         let truth = bench.finish()?;
-        if let Some(notice) = truth.notice() {
+        if let Some(notice) = truth.notice().filter(|_| !args.common.quiet) {
             eprintln!("{notice}");
         }
         document["truth"] = truth.document();
@@ -95,7 +102,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(report) = &args.report {
         let page = flankscope_station::report::html(&inspection)?;
         write_whole(&report.join("report.html"), page.as_bytes())?;
-        write_whole(&report.join("inspection.json"), serde_json::to_string_pretty(&document)?.as_bytes())?;
+        write_whole(
+            &report.join("inspection.json"),
+            serde_json::to_string_pretty(&document)?.as_bytes(),
+        )?;
     }
     args.common.write_json(&document)?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
@@ -112,18 +122,31 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 /// Reads tool and head, and hashes what was read.
 fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
-    let mut head_path = if folder.is_dir() { folder.join("head.toml") } else { folder.with_file_name("head.toml") };
+    let mut head_path = if folder.is_dir() {
+        folder.join("head.toml")
+    } else {
+        folder.with_file_name("head.toml")
+    };
     if !head_path.exists() {
         // A tool folder may leave the head out: the demo head then looks at it.
         head_path = demo_tool(scratch)?.join("head.toml");
     }
     let head = HeadModel::load(&head_path)?;
     let mut hashes = BTreeMap::new();
-    for (name, path) in [("tool", tool.path.clone()), ("cad", tool.cad_path()), ("head", head_path)] {
-        let bytes = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    for (name, path) in [
+        ("tool", tool.path.clone()),
+        ("cad", tool.cad_path()),
+        ("head", head_path),
+    ] {
+        let bytes =
+            std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         hashes.insert(name, flankscope_station::files::hash(&bytes));
     }
-    Ok(Subject { tool: Arc::new(tool), head: Arc::new(head), hashes })
+    Ok(Subject {
+        tool: Arc::new(tool),
+        head: Arc::new(head),
+        hashes,
+    })
 }
 
 #[cfg(feature = "bench")]
@@ -133,14 +156,20 @@ fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 
 #[cfg(not(feature = "bench"))]
 fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
-    anyhow::bail!("this build has no demo tool: name a folder with tool.toml and head.toml by --tool")
+    anyhow::bail!(
+        "this build has no demo tool: name a folder with tool.toml and head.toml by --tool"
+    )
 }
 
 fn connect(args: &Args, _folder: &Path, root: &SharedRoot) -> anyhow::Result<Link> {
     #[cfg(feature = "bench")]
     if args.link == "sim" {
         let bench = crate::bench_link::Bench::start(&args.bench, _folder, root)?;
-        return Ok(Link { port: bench.port().to_path_buf(), settings: bench.client_settings(), bench: Some(bench) });
+        return Ok(Link {
+            port: bench.port().to_path_buf(),
+            settings: bench.client_settings(),
+            bench: Some(bench),
+        });
     }
     if args.link == "sim" {
         anyhow::bail!("this build has no simulated bench: name the controller's port by --link");
@@ -162,7 +191,8 @@ struct Scratch(PathBuf);
 impl Scratch {
     fn new() -> anyhow::Result<Self> {
         let path = std::env::temp_dir().join(format!("flankscope-run-{}", std::process::id()));
-        std::fs::create_dir_all(&path).with_context(|| format!("cannot make {}", path.display()))?;
+        std::fs::create_dir_all(&path)
+            .with_context(|| format!("cannot make {}", path.display()))?;
         Ok(Self(path))
     }
 
@@ -186,7 +216,11 @@ struct Watcher {
 
 impl Watcher {
     fn new(quiet: bool) -> Self {
-        Self { quiet, start: Instant::now(), open_line: false }
+        Self {
+            quiet,
+            start: Instant::now(),
+            open_line: false,
+        }
     }
 
     fn show(&mut self, progress: Progress) {
@@ -234,9 +268,13 @@ impl Watcher {
 
 fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    writeln!(out, "\ntooth  flank   wear/um   ±U95  warn  stop  seen  verdict")?;
+    writeln!(
+        out,
+        "\ntooth  flank   wear/um   ±U95  warn  stop  seen  verdict"
+    )?;
     for f in &inspection.features {
-        let number = |value: Option<f64>| value.map_or_else(|| "–".to_string(), |v| format!("{v:.1}"));
+        let number =
+            |value: Option<f64>| value.map_or_else(|| "–".to_string(), |v| format!("{v:.1}"));
         writeln!(
             out,
             "{:>5}  {:<6} {:>8} {:>6} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
@@ -248,15 +286,23 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
             f.limit_um,
             100.0 * f.coverage_ratio,
             f.verdict,
-            f.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default(),
+            f.reason
+                .as_ref()
+                .map(|reason| format!(": {reason}"))
+                .unwrap_or_default(),
         )?;
     }
     let timing = inspection.timing_ms;
     let frames = inspection.frames;
-    writeln!(out, "\n{}: {}", inspection.verdict.to_uppercase(), inspection.reason)?;
     writeln!(
         out,
-        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied",
+        "\n{}: {}",
+        inspection.verdict.to_uppercase(),
+        inspection.reason
+    )?;
+    writeln!(
+        out,
+        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",
         timing.total / 1000.0,
         timing.positioning / 1000.0,
         timing.exposure / 1000.0,
@@ -264,10 +310,14 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
         frames.received,
         frames.triggered,
         frames.bytes_copied,
+        inspection.peak_memory_mb.unwrap_or(f64::NAN),
     )?;
     match report {
         Some(folder) => writeln!(out, "report: {}", folder.join("report.html").display())?,
-        None => writeln!(out, "add --report DIR for maps, histogram and timeline as one HTML file")?,
+        None => writeln!(
+            out,
+            "add --report DIR for maps, histogram and timeline as one HTML file"
+        )?,
     }
     Ok(())
 }

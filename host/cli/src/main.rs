@@ -54,7 +54,11 @@ fn main() -> ExitCode {
     // Warnings by default: what the host worked around. FLANKSCOPE_LOG=debug shows every event.
     let filter = tracing_subscriber::EnvFilter::try_from_env("FLANKSCOPE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .without_time()
+        .init();
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Decode(args) => decode::run(&args),

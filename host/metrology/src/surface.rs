@@ -66,12 +66,13 @@ impl Surface {
         mesh.check()?;
         let (_, joined) = weld(&mesh.vertices);
         let facets = facets(mesh, &joined);
+        let no_area = MeshError::NoArea {
+            triangles: mesh.triangles.len(),
+        };
         if facets.iter().all(|facet| facet.normal == [0.0; 3]) {
-            return Err(MeshError::NoArea {
-                triangles: mesh.triangles.len(),
-            });
+            return Err(no_area);
         }
-        Ok(Self::over(Arc::new(facets), |_| true).unwrap_or_else(|| unreachable!()))
+        Self::over(Arc::new(facets), |_| true).ok_or(no_area)
     }
 
     fn over(facets: Arc<Vec<Facet>>, keep: impl Fn(&Aabb) -> bool) -> Option<Self> {

@@ -217,7 +217,10 @@ impl Tool {
 
     /// Where the CAD file is.
     pub fn cad_path(&self) -> PathBuf {
-        self.path.parent().unwrap_or(Path::new(".")).join(&self.cad.file)
+        self.path
+            .parent()
+            .unwrap_or(Path::new("."))
+            .join(&self.cad.file)
     }
 
     /// The zone to judge; none without gear data or without anything to inspect.

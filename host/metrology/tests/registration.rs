@@ -155,8 +155,9 @@ fn the_prior_holds_the_axial_direction_and_says_so() {
     assert!(found.is_registered(), "{:?}", found.status);
     let (across, along) = errors_mm(&truth, &cloud, &found);
     assert!(across < 0.5e-3, "{across}");
+    // The prior turns about the axis, 42 mm away: a tilt found to 2e-5 rad moves the patch along it by up to 1 um.
     assert!(
-        (along - 0.003).abs() < 1e-4,
+        (along - 0.003).abs() < 1e-3,
         "axial offset must stay with the prior: {along}"
     );
     assert!(found.weak_directions[0].prior_share > 0.999);

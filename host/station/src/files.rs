@@ -33,7 +33,9 @@ pub fn stream_whole(
         _ => Path::new("."),
     };
     // Readable by others as any file is: the process's umask decides.
-    let mut file = tempfile::Builder::new().permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)).tempfile_in(folder)?;
+    let mut file = tempfile::Builder::new()
+        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
+        .tempfile_in(folder)?;
     {
         let mut buffered = io::BufWriter::with_capacity(1 << 20, file.as_file_mut());
         write(&mut buffered)?;
@@ -65,14 +67,26 @@ mod tests {
         });
         assert!(failed.is_err());
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
+        assert_eq!(
+            std::fs::read_dir(folder.path()).unwrap().count(),
+            1,
+            "no temporary file stays"
+        );
     }
 
     #[test]
     fn a_full_disk_is_an_error_and_a_device_stays_a_device() {
         use std::os::unix::fs::FileTypeExt;
         let full = Path::new("/dev/full");
-        assert_eq!(write_whole(full, b"x").unwrap_err().kind(), io::ErrorKind::StorageFull);
-        assert!(std::fs::metadata(full).unwrap().file_type().is_char_device());
+        assert_eq!(
+            write_whole(full, b"x").unwrap_err().kind(),
+            io::ErrorKind::StorageFull
+        );
+        assert!(
+            std::fs::metadata(full)
+                .unwrap()
+                .file_type()
+                .is_char_device()
+        );
     }
 }

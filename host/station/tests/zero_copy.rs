@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use flankscope_station::capture::{
-    Arm, Frame, FrameHeader, FrameReceiver, FrameSender, SharedRoot, monotonic_ns,
+    Arm, Frame, FrameHeader, FrameReceiver, FrameSender, Overflow, SharedRoot, monotonic_ns,
 };
 
 const ROOT_VARIABLE: &str = "FLANKSCOPE_TEST_CAMERA_ROOT";
@@ -19,7 +19,7 @@ fn camera_process() {
     let Some(root) = std::env::var_os(ROOT_VARIABLE) else {
         return;
     };
-    let sender = FrameSender::open(&SharedRoot::of_owner(root.as_ref())).unwrap();
+    let sender = FrameSender::open(&SharedRoot::of_owner(root.as_ref()), Overflow::Drop).unwrap();
     let mut counter = 0;
     loop {
         std::thread::sleep(Duration::from_millis(1));

@@ -13,7 +13,8 @@ use std::thread::JoinHandle;
 
 use flankscope_sim::{Hold, Remote};
 use flankscope_station::capture::{
-    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, SealedFrame, SharedRoot, monotonic_ns,
+    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, Overflow, SealedFrame, SharedRoot,
+    monotonic_ns,
 };
 
 use crate::devices::{Exposure, ExposureSink, TruePose};
@@ -52,10 +53,14 @@ impl std::str::FromStr for FrameFault {
             Some("lose") => FrameFaultKind::Lose,
             Some("repeat") => FrameFaultKind::Repeat,
             Some("extra") => FrameFaultKind::Extra,
-            _ => anyhow::bail!("frame fault {text:?}: lose, repeat or extra is needed, for example lose:12"),
+            _ => anyhow::bail!(
+                "frame fault {text:?}: lose, repeat or extra is needed, for example lose:12"
+            ),
         };
         let frame = words.next().unwrap_or_default();
-        let frame = frame.parse().map_err(|_| anyhow::anyhow!("frame fault {text:?}: {frame:?} is no frame number"))?;
+        let frame = frame
+            .parse()
+            .map_err(|_| anyhow::anyhow!("frame fault {text:?}: {frame:?} is no frame number"))?;
         let once = match (words.next(), words.next()) {
             (None, _) => false,
             (Some("once"), None) => true,
@@ -69,9 +74,18 @@ impl std::str::FromStr for FrameFault {
 const VIEWS_KEPT: usize = 2;
 
 enum Job {
-    Prepare { rotation_rad: f64, vertical_mm: f64 },
-    Expose { exposure: Exposure, ended_monotonic_ns: u64 },
-    HandOver { counter: u32, _hold: Option<Hold> },
+    Prepare {
+        rotation_rad: f64,
+        vertical_mm: f64,
+    },
+    Expose {
+        exposure: Exposure,
+        ended_monotonic_ns: u64,
+    },
+    HandOver {
+        counter: u32,
+        _hold: Option<Hold>,
+    },
     /// Ends the thread; its truth goes to the sender.
     Finish(Sender<Truth>),
 }
@@ -97,22 +111,34 @@ pub fn start(
     patterns: Vec<PatternSpec>,
     fault: Option<FrameFault>,
     root: SharedRoot,
+    overflow: Overflow,
 ) -> anyhow::Result<(CameraThread, Camera)> {
     let (jobs, queue) = channel();
     let (opened_sender, opened) = channel();
-    let thread = std::thread::Builder::new().name("camera".into()).spawn(move || {
-        // Ports stay on the thread that made them.
-        match FrameSender::open(&root) {
-            Ok(sender) => {
-                let _ = opened_sender.send(Ok(()));
-                Darkroom::new(world, patterns, fault, sender).run(&queue);
+    let thread = std::thread::Builder::new()
+        .name("camera".into())
+        .spawn(move || {
+            // Ports stay on the thread that made them.
+            match FrameSender::open(&root, overflow) {
+                Ok(sender) => {
+                    let _ = opened_sender.send(Ok(()));
+                    Darkroom::new(world, patterns, fault, sender).run(&queue);
+                }
+                Err(error) => drop(opened_sender.send(Err(error))),
             }
-            Err(error) => drop(opened_sender.send(Err(error))),
-        }
-    })?;
+        })?;
     opened.recv()??;
-    let camera = Camera { jobs: jobs.clone(), remote: None };
-    Ok((CameraThread { jobs, thread: Some(thread) }, camera))
+    let camera = Camera {
+        jobs: jobs.clone(),
+        remote: None,
+    };
+    Ok((
+        CameraThread {
+            jobs,
+            thread: Some(thread),
+        },
+        camera,
+    ))
 }
 
 impl CameraThread {
@@ -136,16 +162,31 @@ impl ExposureSink for Camera {
         self.remote = Some(remote);
     }
 
-    fn moving_to(&mut self, TruePose { rotation_rad, vertical_mm }: TruePose) {
-        let _ = self.jobs.send(Job::Prepare { rotation_rad, vertical_mm });
+    fn moving_to(
+        &mut self,
+        TruePose {
+            rotation_rad,
+            vertical_mm,
+        }: TruePose,
+    ) {
+        let _ = self.jobs.send(Job::Prepare {
+            rotation_rad,
+            vertical_mm,
+        });
     }
 
     fn exposed(&mut self, exposure: Exposure) {
-        let _ = self.jobs.send(Job::Expose { exposure, ended_monotonic_ns: monotonic_ns() });
+        let _ = self.jobs.send(Job::Expose {
+            exposure,
+            ended_monotonic_ns: monotonic_ns(),
+        });
     }
 
     fn read_out(&mut self, counter: u32) {
-        let _ = self.jobs.send(Job::HandOver { counter, _hold: self.remote.as_ref().map(Remote::hold) });
+        let _ = self.jobs.send(Job::HandOver {
+            counter,
+            _hold: self.remote.as_ref().map(Remote::hold),
+        });
     }
 }
 
@@ -167,7 +208,12 @@ struct Darkroom {
 }
 
 impl Darkroom {
-    fn new(world: World, patterns: Vec<PatternSpec>, fault: Option<FrameFault>, sender: FrameSender) -> Self {
+    fn new(
+        world: World,
+        patterns: Vec<PatternSpec>,
+        fault: Option<FrameFault>,
+        sender: FrameSender,
+    ) -> Self {
         Self {
             world,
             patterns,
@@ -186,8 +232,14 @@ impl Darkroom {
     fn run(mut self, queue: &Receiver<Job>) {
         while let Ok(job) = queue.recv() {
             match job {
-                Job::Prepare { rotation_rad, vertical_mm } => self.prepare(rotation_rad, vertical_mm),
-                Job::Expose { exposure, ended_monotonic_ns } => self.develop(&exposure, ended_monotonic_ns),
+                Job::Prepare {
+                    rotation_rad,
+                    vertical_mm,
+                } => self.prepare(rotation_rad, vertical_mm),
+                Job::Expose {
+                    exposure,
+                    ended_monotonic_ns,
+                } => self.develop(&exposure, ended_monotonic_ns),
                 Job::HandOver { counter, _hold } => self.hand_over(counter),
                 Job::Finish(truth) => return drop(truth.send(self.truth)),
             }
@@ -199,7 +251,10 @@ impl Darkroom {
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
         }
-        match self.world.prepare(rotation_rad, vertical_mm, &self.patterns) {
+        match self
+            .world
+            .prepare(rotation_rad, vertical_mm, &self.patterns)
+        {
             Ok(view) => {
                 self.views.truncate(VIEWS_KEPT - 1);
                 self.views.push_front((key, view));
@@ -215,7 +270,9 @@ impl Darkroom {
             self.since_arming = 0;
             self.captures += 1;
         }
-        let struck = |fault: &FrameFault| fault.frame == self.since_arming && !(fault.once && self.captures > 1);
+        let struck = |fault: &FrameFault| {
+            fault.frame == self.since_arming && !(fault.once && self.captures > 1)
+        };
         let fault = self.fault.filter(struck).map(|fault| fault.kind);
         let frame = self.expose(exposure, ended_monotonic_ns);
         match fault {
@@ -237,9 +294,19 @@ impl Darkroom {
     }
 
     /// Renders an exposure into a slot of the shared memory and labels it.
-    fn expose(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) -> Option<(u32, SealedFrame)> {
-        let beyond = FrameLabel { view: u16::MAX, ..FrameLabel::default() };
-        let label = self.arm.and_then(|arm| arm.label(self.since_arming)).unwrap_or(beyond);
+    fn expose(
+        &mut self,
+        exposure: &Exposure,
+        ended_monotonic_ns: u64,
+    ) -> Option<(u32, SealedFrame)> {
+        let beyond = FrameLabel {
+            view: u16::MAX,
+            ..FrameLabel::default()
+        };
+        let label = self
+            .arm
+            .and_then(|arm| arm.label(self.since_arming))
+            .unwrap_or(beyond);
         self.since_arming += 1;
         let [width, height] = self.world.size_px();
         let frame = match self.sender.loan(width * height, exposure.counter) {
@@ -267,7 +334,10 @@ impl Darkroom {
     }
 
     fn render(&mut self, exposure: &Exposure, mut frame: LoanedFrame) -> Option<LoanedFrame> {
-        let key = [exposure.rotation_rad.to_bits(), exposure.vertical_mm.to_bits()];
+        let key = [
+            exposure.rotation_rad.to_bits(),
+            exposure.vertical_mm.to_bits(),
+        ];
         let (_, view) = self.views.iter().find(|(known, _)| *known == key)?;
         let exposure_us = u32::try_from(exposure.end_us - exposure.start_us).unwrap_or(u32::MAX);
         let rendered = self.world.render(
@@ -288,7 +358,8 @@ impl Darkroom {
 
     /// Hands over every frame of an exposure, and drops what was never asked for.
     fn hand_over(&mut self, counter: u32) {
-        while let Some((number, frame)) = self.ready.pop_front_if(|(number, _)| *number <= counter) {
+        while let Some((number, frame)) = self.ready.pop_front_if(|(number, _)| *number <= counter)
+        {
             if number == counter
                 && let Err(error) = self.sender.send(frame)
             {

@@ -10,9 +10,7 @@ use std::time::Duration;
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
-use flankscope_protocol::Microseconds;
-use flankscope_sim::Clock;
-use flankscope_station::capture::SharedRoot;
+use flankscope_station::capture::{Overflow, SharedRoot};
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{self, FrameFault};
@@ -55,13 +53,13 @@ struct RunArgs {
     /// Seed of stage errors, surface grain and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Damage: TOOTH:FLANK:DEPTH_UM[:KIND].
+    /// Damage: TOOTH:FLANK:DEPTH_UM, a kind may follow.
     #[arg(long)]
     wear: Vec<Wear>,
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Speed,
-    /// A camera that misbehaves: lose|repeat|extra:FRAME[:once].
+    /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
 }
@@ -143,8 +141,16 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let tool = Tool::load(&args.tool)?;
-    let beside = if args.tool.is_dir() { args.tool.join("head.toml") } else { args.tool.with_file_name("head.toml") };
-    let head = if beside.exists() { HeadModel::load(&beside)? } else { demo::head() };
+    let beside = if args.tool.is_dir() {
+        args.tool.join("head.toml")
+    } else {
+        args.tool.with_file_name("head.toml")
+    };
+    let head = if beside.exists() {
+        HeadModel::load(&beside)?
+    } else {
+        demo::head()
+    };
     let Speed(speed) = args.speed;
 
     let mut config = demo::world_of(&tool, &head)?;
@@ -152,19 +158,41 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     config.run_seed = args.seed;
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
-    let sets: Vec<(f64, u32)> = set.sets.iter().map(|set| (set.periods, set.steps)).collect();
+    let sets: Vec<(f64, u32)> = set
+        .sets
+        .iter()
+        .map(|set| (set.periods, set.steps))
+        .collect();
     let patterns = PatternSpec::sequence(&sets);
-    let (camera_thread, camera) = camera::start(world, patterns, args.frame_fault, SharedRoot::of_owner(&args.root))?;
+    // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
+    let overflow = if speed > 1.0 {
+        Overflow::Wait
+    } else {
+        Overflow::Drop
+    };
+    let (camera_thread, camera) = camera::start(
+        world,
+        patterns,
+        args.frame_fault,
+        SharedRoot::of_owner(&args.root),
+        overflow,
+    )?;
 
-    let mut config = InstrumentConfig { clock: Clock::Paced { speed }, ..InstrumentConfig::default() };
+    let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = args.seed;
-    // Virtual time runs faster than the host can talk: its silence is allowed for as long in real time as ever.
-    let silence_us = f64::from(config.controller.host_silence.get());
-    config.controller.host_silence = Microseconds((silence_us * speed.max(1.0)) as u32);
     let instrument = devices::run(config, camera)?;
-    let heartbeat_us = (silence_us / 3.0) as u64;
+    // The controller counts the host's silence in virtual time, the host lives in real time.
+    let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;
+    let heartbeat_us = (silence_s * 1e6 / 3.0) as u64;
     let mut out = std::io::stdout();
-    writeln!(out, "{}", serde_json::to_string(&Hello { port: instrument.port().to_path_buf(), heartbeat_us })?)?;
+    writeln!(
+        out,
+        "{}",
+        serde_json::to_string(&Hello {
+            port: instrument.port().to_path_buf(),
+            heartbeat_us
+        })?
+    )?;
     out.flush()?;
 
     // Whatever comes is ignored; the end counts, and it comes even when the host is killed.

@@ -60,7 +60,10 @@ impl Truth {
                 Flank::Left => "left",
                 Flank::Right => "right",
             };
-            let flank = self.flanks.entry(format!("{}:{side}", id.tooth)).or_default();
+            let flank = self
+                .flanks
+                .entry(format!("{}:{side}", id.tooth))
+                .or_default();
             let wear_um = core.wear_mm * 1e3;
             flank.cores += 1;
             flank.mean_wear_um += (wear_um - flank.mean_wear_um) / flank.cores as f64;

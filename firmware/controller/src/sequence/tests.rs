@@ -3,7 +3,8 @@
 extern crate std;
 
 use super::*;
-use crate::devices::CameraWait;
+use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
+
 use flankscope_protocol::{FringeSet, Timeouts};
 use std::{vec, vec::Vec};
 
@@ -510,7 +511,11 @@ fn a_host_that_falls_silent_at_any_step_ends_the_capture_in_time() {
         rig.world.host_alive = false;
         let capturing = rig.sequence.capturing();
         let limit = rig.sequence.host_heard.after(config().host_silence);
-        while rig.sequence.capturing() && rig.advance() {}
+        for _ in 0..10_000 {
+            if !rig.sequence.capturing() || !rig.advance() {
+                break;
+            }
+        }
         if capturing && rig.sequence.fault().is_some() {
             assert_eq!(
                 (rig.sequence.fault(), rig.now),
@@ -636,6 +641,27 @@ fn a_fault_at_any_step_darkens_at_once_retracts_and_waits() {
         }
     }
     assert!(provoked > 1_000, "only {provoked} faults");
+}
+
+#[test]
+fn an_led_that_goes_its_own_way_is_a_fault() {
+    let mut provoked = (0, 0);
+    for mut rig in every_step() {
+        match rig.sequence.state() {
+            State::Capturing => {
+                rig.input(Input::LedSense(false));
+                assert_eq!(rig.sequence.fault(), Some(Fault::LedLost));
+                provoked.0 += 1;
+            }
+            State::Moving | State::Settling => {
+                rig.input(Input::LedSense(true));
+                assert_eq!(rig.sequence.fault(), Some(Fault::LedStuckOn));
+                provoked.1 += 1;
+            }
+            _ => {}
+        }
+    }
+    assert!(provoked.0 > 300 && provoked.1 >= 6, "{provoked:?}");
 }
 
 #[test]

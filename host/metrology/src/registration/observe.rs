@@ -73,7 +73,8 @@ impl Observability {
                 let from_prior = prior.map_or(0.0, |p| direction.dot(&(p * direction)));
                 let total = from_prior + self.values[j];
                 WeakDirection {
-                    vector: direction.into(),
+                    // Adding zero turns minus zero into zero, for readers of the file.
+                    vector: direction.map(|part| part + 0.0).into(),
                     sigma_mm: self.sigma_mm(j),
                     prior_share: if total > 0.0 { from_prior / total } else { 0.0 },
                 }

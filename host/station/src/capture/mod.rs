@@ -18,5 +18,5 @@ mod services;
 pub use frame::{Arm, Frame, FrameHeader, FrameLabel, checksum, monotonic_ns};
 pub use receiver::{FrameReceiver, ReceiveError};
 pub use root::{RootError, SharedRoot};
-pub use sender::{FrameSender, LoanedFrame, SealedFrame, SendError};
+pub use sender::{FrameSender, LoanedFrame, Overflow, SealedFrame, SendError};
 pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, ServiceError};

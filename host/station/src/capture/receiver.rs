@@ -114,7 +114,9 @@ impl FrameReceiver {
                 return Ok(None);
             }
             // Woken by the camera process; the event may tell of a frame that was already taken, hence the loop.
-            self.listener.timed_wait(|_| {}, left).map_err(port_failed)?;
+            self.listener
+                .timed_wait(|_| {}, left)
+                .map_err(port_failed)?;
         }
     }
 

@@ -29,6 +29,15 @@ pub enum SendError {
     },
 }
 
+/// What happens to a frame when the host's buffer is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Overflow {
+    /// It is lost: a real camera's clock does not wait. The loss is an error here and a gap in the numbers there.
+    Drop,
+    /// It waits until the host has room: for a camera whose time can stand still.
+    Wait,
+}
+
 /// The camera process's port for frames. It stays on the thread that made it.
 #[derive(Debug)]
 pub struct FrameSender {
@@ -53,7 +62,7 @@ impl FrameSender {
     ///
     /// # Errors
     /// iceoryx2 refuses: see [`ServiceError`].
-    pub fn open(root: &SharedRoot) -> Result<Self, ServiceError> {
+    pub fn open(root: &SharedRoot, overflow: Overflow) -> Result<Self, ServiceError> {
         let services = Services::open(root)?;
         let publisher = services
             .frames
@@ -61,8 +70,10 @@ impl FrameSender {
             .initial_max_slice_len(MAX_FRAME_PIXELS)
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_samples(LOANED_FRAMES)
-            // Never wait for a slow host: the camera's clock goes on. The loss is an error here and a gap there.
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .backpressure_strategy(match overflow {
+                Overflow::Drop => BackpressureStrategy::DiscardData,
+                Overflow::Wait => BackpressureStrategy::RetryUntilDelivered,
+            })
             .create()
             .map_err(refused("publish frames", root))?;
         let notifier = services
@@ -126,10 +137,17 @@ impl FrameSender {
         let undelivered = |reason: String| SendError::Undelivered { counter, reason };
         match sample.send() {
             Ok(1..) => {}
-            Ok(0) => return Err(undelivered("no host is connected or its buffer is full".into())),
+            Ok(0) => {
+                return Err(undelivered(
+                    "no host is connected or its buffer is full".into(),
+                ));
+            }
             Err(error) => return Err(undelivered(format!("{error:?}"))),
         }
-        self.notifier.notify().map(drop).map_err(|error| undelivered(format!("{error:?}")))
+        self.notifier
+            .notify()
+            .map(drop)
+            .map_err(|error| undelivered(format!("{error:?}")))
     }
 }
 

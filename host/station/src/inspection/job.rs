@@ -22,7 +22,9 @@ use tokio::sync::mpsc as channel;
 
 use super::pairing::pair;
 use super::plan::{Itinerary, PlanningError, capture_plan};
-use super::recorder::{CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError};
+use super::recorder::{
+    CapturedView, Keepsake, Order, Orders, Picture, Recorded, Recorder, RecorderSettings, ViewError,
+};
 use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
 use super::timeline::Timeline;
 use super::verdict::{self, Judged};
@@ -121,10 +123,19 @@ impl Station {
     ///
     /// # Errors
     /// The subject is unfit, or shared memory is refused.
-    pub fn open(subject: Subject, teeth: Option<&[u32]>, root: Arc<SharedRoot>) -> Result<Self, InspectError> {
+    pub fn open(
+        subject: Subject,
+        teeth: Option<&[u32]>,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, InspectError> {
         let itinerary = Arc::new(Itinerary::new(&subject.tool, &subject.head, teeth)?);
         let options = DecodeOptions::for_head(&subject.head);
-        let decoder = Decoder::new(&subject.head, &itinerary.patterns, &itinerary.exposures_us, options)?;
+        let decoder = Decoder::new(
+            &subject.head,
+            &itinerary.patterns,
+            &itinerary.exposures_us,
+            options,
+        )?;
         let decoder = Arc::new(decoder);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
         let settings = RecorderSettings {
@@ -140,30 +151,44 @@ impl Station {
         let (ready_sender, ready) = mpsc::channel();
         let capture_decoder = Arc::clone(&decoder);
         // Ports stay on the thread that made them.
-        let capture = std::thread::Builder::new().name("capture".into()).spawn(move || {
-            let receiver = match FrameReceiver::create(&root) {
-                Ok(receiver) => receiver,
-                Err(error) => return drop(ready_sender.send(Err(error))),
-            };
-            let _ = ready_sender.send(Ok(()));
-            let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
-            let fresh = || capture_decoder.begin();
-            Recorder::new(&receiver, settings, kinds, order_receiver, recorded_sender, fresh).run();
-        });
+        let capture = std::thread::Builder::new()
+            .name("capture".into())
+            .spawn(move || {
+                let receiver = match FrameReceiver::create(&root) {
+                    Ok(receiver) => receiver,
+                    Err(error) => return drop(ready_sender.send(Err(error))),
+                };
+                let _ = ready_sender.send(Ok(()));
+                let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
+                let fresh = || capture_decoder.begin();
+                Recorder::new(
+                    &receiver,
+                    settings,
+                    kinds,
+                    order_receiver,
+                    recorded_sender,
+                    fresh,
+                )
+                .run();
+            });
         let capture = capture.map_err(|_| InspectError::Thread { thread: "capture" })?;
-        ready.recv().map_err(|_| InspectError::Thread { thread: "capture" })??;
+        ready
+            .recv()
+            .map_err(|_| InspectError::Thread { thread: "capture" })??;
         let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
         let (outcome_sender, outcomes) = channel::unbounded_channel();
         let recycle = order_sender.clone();
-        let compute = std::thread::Builder::new().name("compute".into()).spawn(move || {
-            while let Ok((view, accumulator)) = to_do.recv() {
-                let outcome = evaluator.evaluate(view, &accumulator);
-                let _ = recycle.send(Order::Recycle(accumulator));
-                if outcome_sender.send((view, Box::new(outcome))).is_err() {
-                    return;
+        let compute = std::thread::Builder::new()
+            .name("compute".into())
+            .spawn(move || {
+                while let Ok((view, accumulator)) = to_do.recv() {
+                    let outcome = evaluator.evaluate(view, &accumulator);
+                    let _ = recycle.send(Order::Recycle(accumulator));
+                    if outcome_sender.send((view, Box::new(outcome))).is_err() {
+                        return;
+                    }
                 }
-            }
-        });
+            });
         let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
         Ok(Self {
             subject,
@@ -187,7 +212,9 @@ impl Station {
         settings: ClientSettings,
         watch: impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
         let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
         runtime.block_on(self.check(port, settings, watch))
     }
@@ -205,20 +232,28 @@ impl Station {
         let order = self.itinerary.order_from(rotation_rad);
         let mut run = Run::new(order.clone());
         let begun_ns = monotonic_ns();
-        let mut stopped = self.capture(&mut client, &mut run, &order, &limits, &mut watch).await?;
+        let mut stopped = self
+            .capture(&mut client, &mut run, &order, &limits, &mut watch)
+            .await?;
         let again = run.missing();
         if stopped.is_none() && !again.is_empty() {
             for &view in &again {
                 watch(Progress::Recapture(view));
             }
             run.recaptured += again.len() as u32;
-            stopped = self.capture(&mut client, &mut run, &again, &limits, &mut watch).await?;
+            stopped = self
+                .capture(&mut client, &mut run, &again, &limits, &mut watch)
+                .await?;
         }
         Ok(self.conclude(run, stopped, begun_ns, &client))
     }
 
     /// Brings the controller to `Ready`; returns where the rotary stage stands, rad.
-    async fn prepare(&self, client: &mut Client, watch: &mut impl FnMut(Progress)) -> Result<f64, InspectError> {
+    async fn prepare(
+        &self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<f64, InspectError> {
         let mut status = client.status().await?;
         if let Some(fault) = status.fault {
             return Err(InspectError::Faulted { fault });
@@ -228,7 +263,9 @@ impl Station {
             client.order(&Command::Home).await?;
             loop {
                 match client.event(EVENT_PATIENCE).await? {
-                    Event::StateChanged { next: State::Ready, .. } => break,
+                    Event::StateChanged {
+                        next: State::Ready, ..
+                    } => break,
                     Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
                     _ => {}
                 }
@@ -252,7 +289,11 @@ impl Station {
         run.begin_session(views);
         self.order(Order::Arm(arm_of(&plan)))?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
-        client.order(&Command::Start { session: plan.session }).await?;
+        client
+            .order(&Command::Start {
+                session: plan.session,
+            })
+            .await?;
         match self.follow(client, run, &plan, watch).await {
             Ok(stopped) => Ok(stopped),
             // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
@@ -284,7 +325,7 @@ impl Station {
                 recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
                     Recorded::View(view) => run.recorded(*view),
                     Recorded::Closed => closed = true,
-                    Recorded::Picture(width, height, grey) => run.picture = Some((width, height, grey)),
+                    Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(InspectError::Thread { thread: "compute" })?;
@@ -338,13 +379,28 @@ impl Station {
     }
 
     /// Sends every view whose triggers and frames are complete and pair to the compute thread.
-    fn evaluate_whole_views(&self, run: &mut Run, frames_per_view: u16) -> Result<(), InspectError> {
-        let work = self.work.as_ref().ok_or(InspectError::Thread { thread: "compute" })?;
+    fn evaluate_whole_views(
+        &self,
+        run: &mut Run,
+        frames_per_view: u16,
+    ) -> Result<(), InspectError> {
+        let work = self
+            .work
+            .as_ref()
+            .ok_or(InspectError::Thread { thread: "compute" })?;
         for captured in run.take_complete(frames_per_view) {
-            let CapturedView { view, accumulator, frames, problem } = captured;
+            let CapturedView {
+                view,
+                accumulator,
+                frames,
+                problem,
+            } = captured;
             let place = run.session.get(usize::from(view)).copied();
             let Some(view_number) = place else { continue };
-            let triggers = run.triggers.get(usize::from(view)).map_or(&[][..], Vec::as_slice);
+            let triggers = run
+                .triggers
+                .get(usize::from(view))
+                .map_or(&[][..], Vec::as_slice);
             let result = match problem {
                 Some(problem) => Err(problem),
                 None => pair(triggers, &frames).map_err(ViewError::from),
@@ -352,11 +408,14 @@ impl Station {
             match result {
                 Ok(()) => {
                     run.received += frames.len() as u64;
-                    let ended = frames.last().map_or(0, |frame| frame.exposure_end_monotonic_ns);
+                    let ended = frames
+                        .last()
+                        .map_or(0, |frame| frame.exposure_end_monotonic_ns);
                     run.last_exposure_ns = run.last_exposure_ns.max(ended);
                     run.evaluating += 1;
                     run.problems.remove(&view_number);
-                    work.send((view_number, accumulator)).map_err(|_| InspectError::Thread { thread: "compute" })?;
+                    work.send((view_number, accumulator))
+                        .map_err(|_| InspectError::Thread { thread: "compute" })?;
                 }
                 Err(problem) => {
                     tracing::warn!(view = view_number, %problem, "view refused");
@@ -371,21 +430,34 @@ impl Station {
     fn order(&self, order: Order) -> Result<(), InspectError> {
         let gone = InspectError::Thread { thread: "capture" };
         self.orders.as_ref().ok_or(gone).and_then(|orders| {
-            orders.send(order).map_err(|_| InspectError::Thread { thread: "capture" })
+            orders
+                .send(order)
+                .map_err(|_| InspectError::Thread { thread: "capture" })
         })
     }
 
-    fn conclude(&self, run: Run, stopped: Option<String>, begun_ns: u64, client: &Client) -> Inspection {
+    fn conclude(
+        &self,
+        run: Run,
+        stopped: Option<String>,
+        begun_ns: u64,
+        client: &Client,
+    ) -> Inspection {
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
-        let mut pictures = Pictures { frame: run.picture, ..Pictures::default() };
+        let mut pictures = Pictures {
+            frame: run.picture,
+            ..Pictures::default()
+        };
         for (view, planned) in self.itinerary.views.iter().enumerate() {
             match run.outcomes.get(&view) {
                 Some(outcome) => {
                     judged.extend(outcome.flanks.iter().cloned());
                     registration.push(outcome.registration.clone());
                     pictures.maps.extend(outcome.maps.iter().cloned());
-                    pictures.deviations_um.extend_from_slice(&outcome.deviations_um);
+                    pictures
+                        .deviations_um
+                        .extend_from_slice(&outcome.deviations_um);
                 }
                 None => {
                     let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
@@ -400,7 +472,10 @@ impl Station {
         let mut versions = BTreeMap::new();
         let [major, minor, patch] = client.identity().firmware;
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
-        versions.insert("protocol", flankscope_protocol::PROTOCOL_VERSION.to_string());
+        versions.insert(
+            "protocol",
+            flankscope_protocol::PROTOCOL_VERSION.to_string(),
+        );
         versions.insert("firmware", format!("{major}.{minor}.{patch}"));
         let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
         pictures.lanes = run.timeline.lanes();
@@ -420,6 +495,7 @@ impl Station {
                 bytes_copied: Frame::bytes_copied(),
                 recaptured_views: run.recaptured,
             },
+            peak_memory_mb: peak_memory_mb(),
             registration,
             tool: self.subject.tool.name.clone(),
             versions,
@@ -434,10 +510,27 @@ impl Drop for Station {
         // The threads end when their orders end.
         self.orders = None;
         self.work = None;
-        for thread in [self.compute.take(), self.capture.take()].into_iter().flatten() {
+        for thread in [self.compute.take(), self.capture.take()]
+            .into_iter()
+            .flatten()
+        {
             let _ = thread.join();
         }
     }
+}
+
+/// High-water mark of this process's resident memory, from the kernel.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kilobytes
+        .trim()
+        .trim_end_matches(" kB")
+        .parse::<f64>()
+        .ok()
+        .map(|kb| kb / 1024.0)
 }
 
 fn arm_of(plan: &CapturePlan) -> Arm {
@@ -464,7 +557,7 @@ struct Run {
     outcomes: BTreeMap<usize, ViewOutcome>,
     problems: BTreeMap<usize, String>,
     timeline: Timeline,
-    picture: Option<(usize, usize, Vec<u8>)>,
+    picture: Option<Picture>,
     evaluating: usize,
     triggered: u64,
     received: u64,
@@ -507,7 +600,10 @@ impl Run {
     }
 
     fn views_begun(&self) -> usize {
-        self.triggers.iter().filter(|triggers| !triggers.is_empty()).count()
+        self.triggers
+            .iter()
+            .filter(|triggers| !triggers.is_empty())
+            .count()
     }
 
     fn recorded(&mut self, view: CapturedView) {
@@ -519,7 +615,9 @@ impl Run {
         let triggers = &self.triggers;
         let complete = |view: &mut CapturedView| {
             view.problem.is_some()
-                || triggers.get(usize::from(view.view)).is_none_or(|t| t.len() >= usize::from(frames_per_view))
+                || triggers
+                    .get(usize::from(view.view))
+                    .is_none_or(|t| t.len() >= usize::from(frames_per_view))
         };
         self.waiting.extract_if(.., complete).collect()
     }
@@ -532,6 +630,10 @@ impl Run {
 
     /// Views that were asked for and have no outcome.
     fn missing(&self) -> Vec<usize> {
-        self.wanted.iter().copied().filter(|view| !self.outcomes.contains_key(view)).collect()
+        self.wanted
+            .iter()
+            .copied()
+            .filter(|view| !self.outcomes.contains_key(view))
+            .collect()
     }
 }

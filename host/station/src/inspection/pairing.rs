@@ -32,7 +32,9 @@ pub enum PairingError {
         expected: u32,
     },
     /// Controller and camera name different patterns.
-    #[error("the controller fired pattern {fired} as frame {frame} of the view, the camera took it for pattern {taken}")]
+    #[error(
+        "the controller fired pattern {fired} as frame {frame} of the view, the camera took it for pattern {taken}"
+    )]
     Pattern {
         /// Position in the view.
         frame: usize,
@@ -69,26 +71,50 @@ pub enum PairingError {
 /// The first thing that does not fit.
 pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingError> {
     if triggers.len() != frames.len() {
-        return Err(PairingError::Count { triggers: triggers.len(), frames: frames.len() });
+        return Err(PairingError::Count {
+            triggers: triggers.len(),
+            frames: frames.len(),
+        });
     }
-    let (Some(first_trigger), Some(first_frame)) = (triggers.first(), frames.first()) else { return Ok(()) };
+    let (Some(first_trigger), Some(first_frame)) = (triggers.first(), frames.first()) else {
+        return Ok(());
+    };
     for (i, (trigger, frame)) in triggers.iter().zip(frames).enumerate() {
         let expected = first_frame.counter.wrapping_add(i as u32);
         if frame.counter != expected {
-            return Err(PairingError::Counter { got: frame.counter, expected });
+            return Err(PairingError::Counter {
+                got: frame.counter,
+                expected,
+            });
         }
         if trigger.pattern != frame.label.pattern {
-            return Err(PairingError::Pattern { frame: i, fired: trigger.pattern, taken: frame.label.pattern });
+            return Err(PairingError::Pattern {
+                frame: i,
+                fired: trigger.pattern,
+                taken: frame.label.pattern,
+            });
         }
         let commanded_us = u64::from(trigger.exposure.get());
-        let got_us = frame.exposure_end_us.saturating_sub(frame.exposure_start_us);
+        let got_us = frame
+            .exposure_end_us
+            .saturating_sub(frame.exposure_start_us);
         if got_us.abs_diff(commanded_us) > EXPOSURE_TOLERANCE_US {
-            return Err(PairingError::Exposure { frame: i, got_us, commanded_us });
+            return Err(PairingError::Exposure {
+                frame: i,
+                got_us,
+                commanded_us,
+            });
         }
-        let got_us = frame.exposure_start_us.saturating_sub(first_frame.exposure_start_us);
+        let got_us = frame
+            .exposure_start_us
+            .saturating_sub(first_frame.exposure_start_us);
         let fired_us = trigger.camera_at.since_us(first_trigger.camera_at);
         if got_us.abs_diff(fired_us) > INTERVAL_TOLERANCE_US {
-            return Err(PairingError::Interval { frame: i, got_us, fired_us });
+            return Err(PairingError::Interval {
+                frame: i,
+                got_us,
+                fired_us,
+            });
         }
     }
     Ok(())
@@ -119,7 +145,12 @@ mod tests {
                 let frame = FrameHeader {
                     session: 1,
                     counter: 40 + u32::from(i),
-                    label: FrameLabel { view: 0, in_view: i, exposure: 0, pattern: i },
+                    label: FrameLabel {
+                        view: 0,
+                        in_view: i,
+                        exposure: 0,
+                        pattern: i,
+                    },
                     exposure_start_us: camera_start,
                     exposure_end_us: camera_start + 10_001,
                     ..FrameHeader::default()
@@ -144,19 +175,41 @@ mod tests {
             pair(&triggers, &frames)
         };
         for i in 0..5 {
-            assert!(disturb(&|_, f| drop(f.remove(i))).is_err(), "frame {i} missing");
-            assert!(disturb(&|_, f| f.insert(i, f[i])).is_err(), "frame {i} twice");
-            assert!(disturb(&|t, _| drop(t.remove(i))).is_err(), "trigger {i} missing");
-            assert!(disturb(&|_, f| f[i].label.pattern += 1).is_err(), "pattern of frame {i} wrong");
-            assert!(disturb(&|_, f| f[i].exposure_end_us += 5_000).is_err(), "exposure of frame {i} too long");
+            assert!(
+                disturb(&|_, f| _ = f.remove(i)).is_err(),
+                "frame {i} missing"
+            );
+            assert!(
+                disturb(&|_, f| f.insert(i, f[i])).is_err(),
+                "frame {i} twice"
+            );
+            assert!(
+                disturb(&|t, _| _ = t.remove(i)).is_err(),
+                "trigger {i} missing"
+            );
+            assert!(
+                disturb(&|_, f| f[i].label.pattern += 1).is_err(),
+                "pattern of frame {i} wrong"
+            );
+            assert!(
+                disturb(&|_, f| f[i].exposure_end_us += 5_000).is_err(),
+                "exposure of frame {i} too long"
+            );
             if i > 0 {
-                assert!(disturb(&|_, f| f.swap(i - 1, i)).is_err(), "frames {} and {i} swapped", i - 1);
+                assert!(
+                    disturb(&|_, f| f.swap(i - 1, i)).is_err(),
+                    "frames {} and {i} swapped",
+                    i - 1
+                );
                 // One lost and another one extra: the count is right, the times are not.
                 let late = disturb(&|_, f| {
                     f[i].exposure_start_us += 15_000;
                     f[i].exposure_end_us += 15_000;
                 });
-                assert!(matches!(late, Err(PairingError::Interval { .. })), "frame {i} late: {late:?}");
+                assert!(
+                    matches!(late, Err(PairingError::Interval { .. })),
+                    "frame {i} late: {late:?}"
+                );
             }
         }
     }

@@ -3,7 +3,8 @@
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
 use flankscope_protocol::{
-    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts, View,
+    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts,
+    View,
 };
 
 /// Wait from in position to light: the die's and the head's ringing at 20 Hz and more has died down (10 periods of 100 Hz).
@@ -46,10 +47,14 @@ pub struct Itinerary {
 #[non_exhaustive]
 pub enum PlanningError {
     /// The tool file says nothing about teeth.
-    #[error("the tool has no [gear] and [inspect] section; a check needs both (see docs/formats.md)")]
+    #[error(
+        "the tool has no [gear] and [inspect] section; a check needs both (see docs/formats.md)"
+    )]
     NoGear,
     /// No teeth to inspect.
-    #[error("no tooth is to be inspected; name some with --teeth or in the tool file's inspect.teeth")]
+    #[error(
+        "no tooth is to be inspected; name some with --teeth or in the tool file's inspect.teeth"
+    )]
     NoTeeth,
     /// A tooth that the gear does not have.
     #[error("tooth {got} is not on this gear; it has teeth 1 to {teeth}")]
@@ -89,27 +94,43 @@ impl Itinerary {
     ///
     /// # Errors
     /// Teeth that are not there, or a tool or head file without what a check needs.
-    pub fn new(tool: &Tool, head: &HeadModel, teeth: Option<&[u32]>) -> Result<Self, PlanningError> {
-        let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else { return Err(PlanningError::NoGear) };
+    pub fn new(
+        tool: &Tool,
+        head: &HeadModel,
+        teeth: Option<&[u32]>,
+    ) -> Result<Self, PlanningError> {
+        let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else {
+            return Err(PlanningError::NoGear);
+        };
         let teeth = teeth.unwrap_or(&inspect.teeth);
         let limit = flankscope_protocol::plan::MAX_VIEWS;
         if teeth.is_empty() {
             return Err(PlanningError::NoTeeth);
         }
         if teeth.len() > limit {
-            return Err(PlanningError::TooMany { got: teeth.len(), limit });
+            return Err(PlanningError::TooMany {
+                got: teeth.len(),
+                limit,
+            });
         }
         let mut views = Vec::with_capacity(teeth.len());
         for (i, &tooth) in teeth.iter().enumerate() {
             if tooth == 0 || tooth > gear.teeth {
-                return Err(PlanningError::NoSuchTooth { got: tooth, teeth: gear.teeth });
+                return Err(PlanningError::NoSuchTooth {
+                    got: tooth,
+                    teeth: gear.teeth,
+                });
             }
             if teeth.iter().take(i).any(|&earlier| earlier == tooth) {
                 return Err(PlanningError::Twice { got: tooth });
             }
             // The die is turned until the tooth's centre lies on the stage's +x axis, where the camera looks.
             let rotation_rad = wrapped(-gear.tooth_centre_rad(tooth));
-            views.push(PlannedView { tooth, rotation_rad, vertical_mm: inspect.height_mm });
+            views.push(PlannedView {
+                tooth,
+                rotation_rad,
+                vertical_mm: inspect.height_mm,
+            });
         }
         let lacks = |what| PlanningError::HeadLacks { what };
         let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
@@ -120,7 +141,12 @@ impl Itinerary {
             return Err(lacks("stage_from_camera"));
         }
         let top_mm = gear.height_mm[1];
-        Ok(Self { views, patterns, exposures_us: head.exposures_us.clone(), retract_mm: top_mm + CLEARANCE_MM })
+        Ok(Self {
+            views,
+            patterns,
+            exposures_us: head.exposures_us.clone(),
+            retract_mm: top_mm + CLEARANCE_MM,
+        })
     }
 
     /// The views in the order of the shortest way for a rotary stage that stands at `rotation_rad`: from the nearer end
@@ -130,7 +156,9 @@ impl Itinerary {
         let mut order: Vec<usize> = (0..self.views.len()).collect();
         let angle = |&view: &usize| self.views[view].rotation_rad;
         order.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-        let (Some(first), Some(last)) = (order.first().map(angle), order.last().map(angle)) else { return order };
+        let (Some(first), Some(last)) = (order.first().map(angle), order.last().map(angle)) else {
+            return order;
+        };
         if (last - rotation_rad).abs() < (first - rotation_rad).abs() {
             order.reverse();
         }
@@ -147,7 +175,10 @@ pub fn capture_plan(
     views: &[usize],
     limits: &Limits,
 ) -> Result<CapturePlan, PlanningError> {
-    let too_many = |got| PlanningError::TooMany { got, limit: flankscope_protocol::plan::MAX_VIEWS };
+    let too_many = |got| PlanningError::TooMany {
+        got,
+        limit: flankscope_protocol::plan::MAX_VIEWS,
+    };
     let fringes = itinerary.patterns.sets.iter().map(|set| FringeSet {
         periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
         steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
@@ -172,10 +203,14 @@ pub fn capture_plan(
         plan.views.push(view).map_err(|_| too_many(views.len()))?;
     }
     for &exposure in &itinerary.exposures_us {
-        plan.exposures.push(Microseconds(exposure)).map_err(|_| too_many(itinerary.exposures_us.len()))?;
+        plan.exposures
+            .push(Microseconds(exposure))
+            .map_err(|_| too_many(itinerary.exposures_us.len()))?;
     }
     for set in fringes {
-        plan.fringes.push(set).map_err(|_| too_many(itinerary.patterns.sets.len()))?;
+        plan.fringes
+            .push(set)
+            .map_err(|_| too_many(itinerary.patterns.sets.len()))?;
     }
     Ok(plan)
 }

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+pub use super::recorder::Picture;
+
 /// One inspected flank: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
@@ -106,6 +108,8 @@ pub struct Inspection {
     pub timing_ms: Timing,
     /// Frame bookkeeping.
     pub frames: FrameCount,
+    /// Most memory that this process held at once, MB; absent where the system does not say.
+    pub peak_memory_mb: Option<f64>,
     /// One entry per view.
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
@@ -128,8 +132,8 @@ pub struct Pictures {
     pub deviations_um: Vec<f64>,
     /// Activity of the devices.
     pub lanes: Vec<crate::report::Lane>,
-    /// One raw frame as a grey picture: width, height, 8-bit pixels.
-    pub frame: Option<(usize, usize, Vec<u8>)>,
+    /// One raw frame.
+    pub frame: Option<Picture>,
 }
 
 /// Mean deviation per cell of one flank.

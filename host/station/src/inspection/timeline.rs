@@ -38,7 +38,12 @@ impl Timeline {
                     self.led.push(span);
                 }
             }
-            Event::Triggered(Trigger { dmd_at, camera_at, end_at, .. }) => {
+            Event::Triggered(Trigger {
+                dmd_at,
+                camera_at,
+                end_at,
+                ..
+            }) => {
                 let (dmd, camera) = (self.span(dmd_at, camera_at), self.span(camera_at, end_at));
                 self.dmd.push(dmd);
                 self.camera.push(camera);
@@ -50,7 +55,10 @@ impl Timeline {
     fn span(&mut self, from: Timestamp, to: Timestamp) -> Span {
         let start = *self.start.get_or_insert(from);
         let ms = |at: Timestamp| at.since_us(start) as f64 / 1000.0;
-        Span { start_ms: ms(from), end_ms: ms(to) }
+        Span {
+            start_ms: ms(from),
+            end_ms: ms(to),
+        }
     }
 
     /// Time spent moving and settling, ms.
@@ -69,11 +77,31 @@ impl Timeline {
     #[must_use]
     pub fn lanes(self) -> Vec<Lane> {
         vec![
-            Lane { name: "stages move", colour: "#7a8794", spans: self.moving },
-            Lane { name: "settle", colour: "#b9c2cb", spans: self.settling },
-            Lane { name: "LED", colour: "#2f9e5b", spans: self.led },
-            Lane { name: "DMD", colour: "#c77d0a", spans: self.dmd },
-            Lane { name: "camera", colour: "#2b6cb0", spans: self.camera },
+            Lane {
+                name: "stages move",
+                colour: "#7a8794",
+                spans: self.moving,
+            },
+            Lane {
+                name: "settle",
+                colour: "#b9c2cb",
+                spans: self.settling,
+            },
+            Lane {
+                name: "LED",
+                colour: "#2f9e5b",
+                spans: self.led,
+            },
+            Lane {
+                name: "DMD",
+                colour: "#c77d0a",
+                spans: self.dmd,
+            },
+            Lane {
+                name: "camera",
+                colour: "#2b6cb0",
+                spans: self.camera,
+            },
         ]
     }
 }

@@ -29,10 +29,18 @@ impl Judged {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
         let verdict = if wear.coverage < inspect.least_coverage {
             Verdict::Indeterminate {
-                reason: Reason::Coverage { coverage: wear.coverage, least: inspect.least_coverage },
+                reason: Reason::Coverage {
+                    coverage: wear.coverage,
+                    least: inspect.least_coverage,
+                },
             }
         } else {
-            decide(wear.wear_mm * 1e3, wear.u_mm * 1e3, inspect.warn_um, inspect.limit_um)
+            decide(
+                wear.wear_mm * 1e3,
+                wear.u_mm * 1e3,
+                inspect.warn_um,
+                inspect.limit_um,
+            )
         };
         Self {
             tooth: wear.tooth,
@@ -52,7 +60,9 @@ impl Judged {
 impl From<Judged> for Feature {
     fn from(judged: Judged) -> Self {
         let reason = match &judged.verdict {
-            Verdict::Indeterminate { reason } => Some(judged.unmeasured.unwrap_or_else(|| reason.to_string())),
+            Verdict::Indeterminate { reason } => {
+                Some(judged.unmeasured.unwrap_or_else(|| reason.to_string()))
+            }
             _ => None,
         };
         Self {
@@ -72,7 +82,10 @@ impl From<Judged> for Feature {
 
 /// Both flanks of a tooth that could not be measured.
 pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
-    let (warn_um, limit_um) = tool.inspect.as_ref().map_or((0.0, 0.0), |inspect| (inspect.warn_um, inspect.limit_um));
+    let (warn_um, limit_um) = tool
+        .inspect
+        .as_ref()
+        .map_or((0.0, 0.0), |inspect| (inspect.warn_um, inspect.limit_um));
     Flank::BOTH
         .iter()
         .map(|&flank| Judged {
@@ -84,7 +97,11 @@ pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
             coverage_ratio: 0.0,
             warn_um,
             limit_um,
-            verdict: Verdict::Indeterminate { reason: Reason::Instrument { code: "not_measured" } },
+            verdict: Verdict::Indeterminate {
+                reason: Reason::Instrument {
+                    code: "not_measured",
+                },
+            },
             unmeasured: Some(why.to_string()),
         })
         .collect()
@@ -94,7 +111,9 @@ pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
 pub fn of_tool(flanks: &[Judged], stopped: Option<&str>) -> (&'static str, String) {
     let mut verdict = combine(flanks.iter().map(|flank| flank.verdict.clone()));
     if stopped.is_some() && matches!(verdict, Verdict::Go | Verdict::Warn) {
-        verdict = Verdict::Indeterminate { reason: Reason::Instrument { code: "stopped" } };
+        verdict = Verdict::Indeterminate {
+            reason: Reason::Instrument { code: "stopped" },
+        };
     }
     let named = |word: &str| {
         let names: Vec<String> = flanks
@@ -110,7 +129,10 @@ pub fn of_tool(flanks: &[Judged], stopped: Option<&str>) -> (&'static str, Strin
         Verdict::NoGo => format!("beyond the stop limit: {}", named("no-go")),
         Verdict::Indeterminate { reason } => {
             let first = flanks.iter().find_map(|flank| flank.unmeasured.as_deref());
-            stopped.or(first).map_or_else(|| format!("{reason} ({})", named("indeterminate")), str::to_string)
+            stopped.or(first).map_or_else(
+                || format!("{reason} ({})", named("indeterminate")),
+                str::to_string,
+            )
         }
     };
     (verdict.word(), reason)

@@ -50,7 +50,9 @@ pub enum EvaluatorError {
         what: &'static str,
     },
     /// The hand-eye is no rigid motion.
-    #[error("the head's stage_from_camera is no rotation: its rows differ from an orthonormal matrix by {error:.1e}, allowed are 1e-6")]
+    #[error(
+        "the head's stage_from_camera is no rotation: its rows differ from an orthonormal matrix by {error:.1e}, allowed are 1e-6"
+    )]
     HandEye {
         /// Largest entry of R Rᵀ − 1.
         error: f64,
@@ -106,37 +108,74 @@ impl Evaluator {
     ) -> Result<Self, EvaluatorError> {
         let missing = |what| EvaluatorError::Missing { what };
         let tool = Arc::clone(&subject.tool);
-        let gear = tool.gear.clone().ok_or(missing("[gear] in the tool file"))?;
-        let inspect = tool.inspect.clone().ok_or(missing("[inspect] in the tool file"))?;
+        let gear = tool
+            .gear
+            .clone()
+            .ok_or(missing("[gear] in the tool file"))?;
+        let inspect = tool
+            .inspect
+            .clone()
+            .ok_or(missing("[inspect] in the tool file"))?;
         let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
-        let hand_eye = subject.head.stage_from_camera.ok_or(missing("stage_from_camera in the head file"))?;
+        let hand_eye = subject
+            .head
+            .stage_from_camera
+            .ok_or(missing("stage_from_camera in the head file"))?;
         let stage_from_camera = rigid(&hand_eye)?;
-        let volume = subject.head.volume.ok_or(missing("[volume] in the head file"))?;
+        let volume = subject
+            .head
+            .volume
+            .ok_or(missing("[volume] in the head file"))?;
         let field_mm = volume.far_mm * field_slope(&subject.head);
         let places = itinerary
             .views
             .iter()
             .map(|view| {
-                let tool_from_camera = tool_from_stage(view.rotation_rad) * lifted(view.vertical_mm, stage_from_camera);
+                let tool_from_camera = tool_from_stage(view.rotation_rad)
+                    * lifted(view.vertical_mm, stage_from_camera);
                 let corners = [volume.near_mm, volume.far_mm].map(|depth| {
-                    [-1.0, 1.0].map(|x| [-1.0, 1.0].map(|y| tool_from_camera.apply([x * field_mm, y * field_mm, depth])))
+                    [-1.0, 1.0].map(|x| {
+                        [-1.0, 1.0]
+                            .map(|y| tool_from_camera.apply([x * field_mm, y * field_mm, depth]))
+                    })
                 });
                 let corners = corners.as_flattened().as_flattened();
                 let low: [f64; 3] = std::array::from_fn(|axis| {
-                    corners.iter().map(|corner| corner[axis]).fold(f64::INFINITY, f64::min) - MARGIN_MM
+                    corners
+                        .iter()
+                        .map(|corner| corner[axis])
+                        .fold(f64::INFINITY, f64::min)
+                        - MARGIN_MM
                 });
                 let high: [f64; 3] = std::array::from_fn(|axis| {
-                    corners.iter().map(|corner| corner[axis]).fold(f64::NEG_INFINITY, f64::max) + MARGIN_MM
+                    corners
+                        .iter()
+                        .map(|corner| corner[axis])
+                        .fold(f64::NEG_INFINITY, f64::max)
+                        + MARGIN_MM
                 });
                 let seen = tool.surface.restrict(|facet| {
-                    (0..3).all(|axis| facet.low[axis] <= high[axis] && facet.high[axis] >= low[axis])
+                    (0..3)
+                        .all(|axis| facet.low[axis] <= high[axis] && facet.high[axis] >= low[axis])
                 });
                 let surface = seen.ok_or(EvaluatorError::NothingThere { tooth: view.tooth })?;
-                Ok(Place { tooth: view.tooth, tool_from_camera, surface })
+                Ok(Place {
+                    tooth: view.tooth,
+                    tool_from_camera,
+                    surface,
+                })
             })
             .collect::<Result<_, EvaluatorError>>()?;
         let settings = tool.wear_settings();
-        Ok(Self { tool, gear, inspect, zone, settings, decoder, places })
+        Ok(Self {
+            tool,
+            gear,
+            inspect,
+            zone,
+            settings,
+            decoder,
+            places,
+        })
     }
 
     /// Evaluates one view's sums.
@@ -154,25 +193,43 @@ impl Evaluator {
             Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
         };
         lap("decode", &mut elapsed_ms);
-        let kept = outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+        let kept =
+            outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
         let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
         let chosen: Vec<usize> = (0..decoded.cloud.len()).filter(of_kept).collect();
         let points: Vec<[f64; 3]> = chosen.iter().map(|&i| decoded.cloud.points_mm[i]).collect();
-        let sigma: Vec<f32> = chosen.iter().map(|&i| decoded.cloud.sigma_z_mm[i]).collect();
+        let sigma: Vec<f32> = chosen
+            .iter()
+            .map(|&i| decoded.cloud.sigma_z_mm[i])
+            .collect();
         lap("outliers", &mut elapsed_ms);
         let registration = self.register(place, &points);
         lap("registration", &mut elapsed_ms);
-        let located: Vec<[f64; 3]> = points.iter().map(|&p| registration.tool_from_cloud.apply(p)).collect();
+        let located: Vec<[f64; 3]> = points
+            .iter()
+            .map(|&p| registration.tool_from_cloud.apply(p))
+            .collect();
         let closest = place.surface.closest_many(&located);
         lap("deviation", &mut elapsed_ms);
         let flanks = match &registration.status {
             Status::Registered => {
-                let measured = Measured { points: &located, closest: &closest, sigma_mm: Some(&sigma) };
+                let measured = Measured {
+                    points: &located,
+                    closest: &closest,
+                    sigma_mm: Some(&sigma),
+                };
                 let (gear, settings) = (&self.gear, &self.settings);
-                wear::evaluate(gear, &self.zone, &[place.tooth], measured, Some(&registration), settings)
-                    .iter()
-                    .map(|wear| Judged::of_wear(wear, &self.inspect))
-                    .collect()
+                wear::evaluate(
+                    gear,
+                    &self.zone,
+                    &[place.tooth],
+                    measured,
+                    Some(&registration),
+                    settings,
+                )
+                .iter()
+                .map(|wear| Judged::of_wear(wear, &self.inspect))
+                .collect()
             }
             Status::Indeterminate(reason) => {
                 let reason = Reason::Registration(reason.clone()).to_string();
@@ -182,7 +239,12 @@ impl Evaluator {
         lap("wear", &mut elapsed_ms);
         let (maps, deviations_um) = self.draw(place.tooth, &closest);
         lap("maps", &mut elapsed_ms);
-        ViewOutcome { flanks, registration: summary(place, points.len(), &registration, elapsed_ms), maps, deviations_um }
+        ViewOutcome {
+            flanks,
+            registration: summary(place, points.len(), &registration, elapsed_ms),
+            maps,
+            deviations_um,
+        }
     }
 
     /// Lays the points on the surface, starting from where the stages say they are.
@@ -190,8 +252,16 @@ impl Evaluator {
         let start = Rigid::<ToolFrame, Cloud>::from_isometry(*place.tool_from_camera.isometry());
         let prior = Prior::independent(
             start,
-            [MOUNT_SIGMA_RAD, MOUNT_SIGMA_RAD, ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD)],
-            [MOUNT_SIGMA_MM, MOUNT_SIGMA_MM, VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM)],
+            [
+                MOUNT_SIGMA_RAD,
+                MOUNT_SIGMA_RAD,
+                ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD),
+            ],
+            [
+                MOUNT_SIGMA_MM,
+                MOUNT_SIGMA_MM,
+                VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM),
+            ],
         );
         let options = Options {
             initial: start,
@@ -204,14 +274,24 @@ impl Evaluator {
 
     /// The deviation maps of a tooth's two flanks, and the deviations in them.
     fn draw(&self, tooth: u32, closest: &[Closest]) -> (Vec<FlankMap>, Vec<f64>) {
-        let [from, to] = self.zone.radius_mm.map(|radius| self.gear.profile_mm(radius));
+        let [from, to] = self
+            .zone
+            .radius_mm
+            .map(|radius| self.gear.profile_mm(radius));
         let [low, high] = self.zone.height_mm;
         let size_mm = [to - from, high - low];
-        let [columns, rows] = size_mm.map(|length| ((length / MAP_CELL_MM).ceil() as usize).clamp(1, 4096));
+        let [columns, rows] =
+            size_mm.map(|length| ((length / MAP_CELL_MM).ceil() as usize).clamp(1, 4096));
         let mut sums = [Flank::Left, Flank::Right].map(|_| vec![(0.0_f64, 0_u32); columns * rows]);
         let mut deviations_um = Vec::new();
         for hit in closest {
-            let Some(at) = self.gear.place(hit.point, hit.normal).filter(|at| at.tooth == tooth) else { continue };
+            let Some(at) = self
+                .gear
+                .place(hit.point, hit.normal)
+                .filter(|at| at.tooth == tooth)
+            else {
+                continue;
+            };
             let along = (at.profile_mm - from) / size_mm[0];
             let down = (high - at.height_mm) / size_mm[1];
             if !(0.0..1.0).contains(&along) || !(0.0..1.0).contains(&down) {
@@ -229,12 +309,20 @@ impl Evaluator {
             columns,
             rows,
             size_mm,
-            deviation_um: sums.iter().map(|&(sum, count)| sum / f64::from(count)).collect(),
+            deviation_um: sums
+                .iter()
+                .map(|&(sum, count)| sum / f64::from(count))
+                .collect(),
         });
         (maps.collect(), deviations_um)
     }
 
-    fn unmeasured(&self, place: &Place, why: &str, elapsed_ms: BTreeMap<&'static str, f64>) -> ViewOutcome {
+    fn unmeasured(
+        &self,
+        place: &Place,
+        why: &str,
+        elapsed_ms: BTreeMap<&'static str, f64>,
+    ) -> ViewOutcome {
         ViewOutcome {
             flanks: super::verdict::unmeasured(place.tooth, &self.tool, why),
             registration: ViewRegistration {
@@ -262,7 +350,8 @@ fn summary(
     registration: &Registration,
     elapsed_ms: BTreeMap<&'static str, f64>,
 ) -> ViewRegistration {
-    let moved = registration.tool_from_cloud.isometry() * place.tool_from_camera.isometry().inverse();
+    let moved =
+        registration.tool_from_cloud.isometry() * place.tool_from_camera.isometry().inverse();
     // How far the middle of the cloud moved: the motion of the origin would show the turn times 40 mm.
     let centre = nalgebra::Point3::from(registration.centre_mm);
     let shift = centre - moved.inverse() * centre;
@@ -284,7 +373,10 @@ fn summary(
         weak_directions: registration
             .weak_directions
             .iter()
-            .map(|weak| WeakDirection { direction: weak.vector, prior_share: weak.prior_share })
+            .map(|weak| WeakDirection {
+                direction: weak.vector,
+                prior_share: weak.prior_share,
+            })
             .collect(),
         elapsed_ms,
     }
@@ -293,9 +385,10 @@ fn summary(
 /// Half the field's width per distance, from the camera's image circle or its sensor.
 fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
     let camera = &head.camera;
-    let radius_px = head
-        .image_circle
-        .map_or(0.5 * f64::from(camera.width_px.max(camera.height_px)), |circle| circle.radius_px);
+    let radius_px = head.image_circle.map_or(
+        0.5 * f64::from(camera.width_px.max(camera.height_px)),
+        |circle| circle.radius_px,
+    );
     radius_px / camera.focal_px[0].min(camera.focal_px[1])
 }
 
@@ -319,5 +412,8 @@ fn rigid(hand_eye: &RigidTransform) -> Result<Rigid<Stage, Camera>, EvaluatorErr
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
     let translation = Translation3::from(Vector3::from(hand_eye.translation_mm));
-    Ok(Rigid::from_isometry(Isometry3::from_parts(translation, rotation)))
+    Ok(Rigid::from_isometry(Isometry3::from_parts(
+        translation,
+        rotation,
+    )))
 }

@@ -76,7 +76,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         frame: pictures
             .frame
             .as_ref()
-            .map(|(width, height, pixels)| colour::grey_data_uri(*width, *height, pixels)),
+            .map(|frame| colour::grey_data_uri(frame.width, frame.height, &frame.grey)),
         max_abs_um: full_um,
     };
     page.render()
@@ -99,7 +99,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         .iter()
         .find(|f| f.tooth == map.tooth && f.flank == map.flank)
         .map_or("indeterminate", |f| f.verdict.as_str());
-    const PX_PER_MM: f64 = 42.0;
+    const PX_PER_MM: f64 = 48.0;
     Map {
         map,
         verdict,

@@ -19,7 +19,10 @@ const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
 /// Pixels along a measuring cell: about one core (3.45 px).
 const BINNING: u32 = 3;
 /// Depths that the head measures, mm from the camera's pinhole: 3.4 mm about the focus at 22 mm.
-const VOLUME: DepthRange = DepthRange { near_mm: 20.3, far_mm: 23.7 };
+const VOLUME: DepthRange = DepthRange {
+    near_mm: 20.3,
+    far_mm: 23.7,
+};
 
 /// Writes `die.ply`, `tool.toml` and `head.toml` into a folder, which is made if it is not there.
 ///
@@ -28,8 +31,13 @@ const VOLUME: DepthRange = DepthRange { near_mm: 20.3, far_mm: 23.7 };
 pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let gear = gear();
-    let mesh = gear.mesh(&Meshing { chord_error_mm: CHORD_ERROR_MM, ..Meshing::default() })?;
-    stream_whole(&folder.join("die.ply"), |file| flankscope_gear_cad::write_ply(&mesh, file))?;
+    let mesh = gear.mesh(&Meshing {
+        chord_error_mm: CHORD_ERROR_MM,
+        ..Meshing::default()
+    })?;
+    stream_whole(&folder.join("die.ply"), |file| {
+        flankscope_gear_cad::write_ply(&mesh, file)
+    })?;
     write_whole(&folder.join("tool.toml"), tool_toml(&gear)?.as_bytes())?;
     write_whole(&folder.join("head.toml"), head().to_toml()?.as_bytes())?;
     Ok(())
@@ -37,17 +45,39 @@ pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
 
 fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
     let mut text = String::new();
-    writeln!(text, "# The demo die: 84 internal teeth on 82.9 mm, 66 mm high, about 10 kg of steel.")?;
+    writeln!(
+        text,
+        "# The demo die: 84 internal teeth on 82.9 mm, 66 mm high, about 10 kg of steel."
+    )?;
     writeln!(text, "name = \"demo die\"\n")?;
-    writeln!(text, "[cad]\nfile = \"die.ply\"\nunit = \"mm\"\nchord_error_um = {}\n", CHORD_ERROR_MM * 1e3)?;
+    writeln!(
+        text,
+        "[cad]\nfile = \"die.ply\"\nunit = \"mm\"\nchord_error_um = {}\n",
+        CHORD_ERROR_MM * 1e3
+    )?;
     writeln!(text, "[gear]\nkind = \"internal\"\nteeth = {}", gear.teeth)?;
     writeln!(text, "module_mm = {}", gear.module_mm)?;
-    writeln!(text, "pressure_angle_deg = {}", gear.pressure_angle_rad.to_degrees())?;
+    writeln!(
+        text,
+        "pressure_angle_deg = {}",
+        gear.pressure_angle_rad.to_degrees()
+    )?;
     writeln!(text, "tip_radius_mm = {}", gear.tip_radius_mm)?;
     writeln!(text, "root_radius_mm = {}", gear.root_radius_mm)?;
-    writeln!(text, "first_tooth_centre_deg = {} # a tooth space is centred on +x", 180.0 / f64::from(gear.teeth))?;
-    writeln!(text, "height_mm = [{:.1}, {:.1}]\n", gear.height_mm[0], gear.height_mm[1])?;
-    writeln!(text, "[inspect]\nteeth = [12, 40, 68] # a third of a turn apart")?;
+    writeln!(
+        text,
+        "first_tooth_centre_deg = {} # a tooth space is centred on +x",
+        180.0 / f64::from(gear.teeth)
+    )?;
+    writeln!(
+        text,
+        "height_mm = [{:.1}, {:.1}]\n",
+        gear.height_mm[0], gear.height_mm[1]
+    )?;
+    writeln!(
+        text,
+        "[inspect]\nteeth = [12, 40, 68] # a third of a turn apart"
+    )?;
     writeln!(text, "height_mm = {HEIGHT_MM:.1} # where the head looks")?;
     writeln!(text, "warn_um = 30.0\nlimit_um = 50.0")?;
     Ok(text)
@@ -77,7 +107,10 @@ pub fn head() -> HeadModel {
             bits: sensor.bits,
         }),
         volume: Some(VOLUME),
-        image_circle: Some(ImageCircle { centre_px, radius_px: 575.0 }),
+        image_circle: Some(ImageCircle {
+            centre_px,
+            radius_px: 575.0,
+        }),
     }
 }
 
@@ -86,12 +119,15 @@ pub fn head() -> HeadModel {
 /// # Errors
 /// The tool has no gear data, or the mesh is not the gear's.
 pub fn world_of(tool: &Tool, head: &HeadModel) -> anyhow::Result<WorldConfig> {
-    let Some(gear) = &tool.gear else { anyhow::bail!("the tool has no [gear]: the bench cannot tell its flanks") };
+    let Some(gear) = &tool.gear else {
+        anyhow::bail!("the tool has no [gear]: the bench cannot tell its flanks")
+    };
     // The bench's gear has its first tooth half a pitch behind +x.
     let half_pitch_deg = 180.0 / f64::from(gear.teeth);
     let off_deg = (gear.first_tooth_centre_deg - half_pitch_deg).rem_euclid(2.0 * half_pitch_deg);
     anyhow::ensure!(
-        off_deg.min(2.0 * half_pitch_deg - off_deg) < 1e-6 && gear.first_tooth_centre_deg < 2.0 * half_pitch_deg,
+        off_deg.min(2.0 * half_pitch_deg - off_deg) < 1e-6
+            && gear.first_tooth_centre_deg < 2.0 * half_pitch_deg,
         "first_tooth_centre_deg = {} cannot be put on the bench; {half_pitch_deg} (a tooth space on +x) can",
         gear.first_tooth_centre_deg,
     );
@@ -109,7 +145,10 @@ pub fn world_of(tool: &Tool, head: &HeadModel) -> anyhow::Result<WorldConfig> {
         body_radius_mm: tool.surface.bounds().high[0],
         height_mm: gear.height_mm,
     };
-    let mesh = Mesh { vertices: tool.mesh.vertices.clone(), triangles: tool.mesh.triangles.clone() };
+    let mesh = Mesh {
+        vertices: tool.mesh.vertices.clone(),
+        triangles: tool.mesh.triangles.clone(),
+    };
     let mut config = WorldConfig::new(mesh, spec);
     let optics = &mut config.optics;
     optics.camera = pinhole_of(&head.camera);
@@ -132,7 +171,11 @@ fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::
 }
 
 fn pinhole_of(file: &calibration::Pinhole) -> Pinhole {
-    Pinhole { focal_px: file.focal_px, centre_px: file.principal_px, distortion: file.distortion }
+    Pinhole {
+        focal_px: file.focal_px,
+        centre_px: file.principal_px,
+        distortion: file.distortion,
+    }
 }
 
 fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
@@ -146,5 +189,8 @@ fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
 fn transform_of(file: &RigidTransform) -> Isometry3<f64> {
     let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    Isometry3::from_parts(Translation3::from(Vector3::from(file.translation_mm)), rotation)
+    Isometry3::from_parts(
+        Translation3::from(Vector3::from(file.translation_mm)),
+        rotation,
+    )
 }

@@ -3,6 +3,7 @@
 use super::{DeviceConfig, ExposureSink, spawn_all};
 use flankscope_controller::sequence;
 use flankscope_controller::stage::esp301::Axes;
+use flankscope_protocol::Microseconds;
 use flankscope_sim::{Clock, Edge, Pace, Pty, Remote, Sim, Wiring, spawn_controller};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,37 @@ pub struct InstrumentConfig {
     pub devices: DeviceConfig,
 }
 
+impl InstrumentConfig {
+    /// For a host in another process: this many virtual seconds per real second.
+    ///
+    /// The host's silence counts in virtual time but the host lives in real time, on a machine that is also busy
+    /// rendering: it gets a full real second.
+    #[must_use]
+    pub fn paced(speed: f64) -> Self {
+        let silence_us = (1e6 * speed.max(1.0)).min(f64::from(u32::MAX));
+        let host_silence = Microseconds(silence_us as u32);
+        Self {
+            clock: Clock::Paced { speed },
+            controller: sequence::Config {
+                host_silence,
+                ..sequence::Config::DEFAULT
+            },
+            ..Self::default()
+        }
+    }
+
+    /// For a host in another process, as fast as possible: without an end to the host's silence.
+    #[must_use]
+    pub fn unpaced() -> Self {
+        Self {
+            clock: Clock::Stepped,
+            ..Self::paced(f64::INFINITY)
+        }
+    }
+}
+
 impl Default for InstrumentConfig {
+    /// Real time, and the controller as delivered.
     fn default() -> Self {
         Self {
             clock: Clock::Paced { speed: 1.0 },
@@ -100,11 +131,7 @@ pub fn run(
         .spawn(move || {
             let sim = Sim::new(config.clock);
             let wiring = Wiring::new(&sim);
-            let pty = Pty::open(&sim, wiring.host.clone()).map(|pty| {
-                let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
-                pty
-            });
-            let pty = match pty {
+            let pty = match Pty::open(&sim, wiring.host.clone()) {
                 Ok(pty) => pty,
                 Err(error) => {
                     let _starter = opened.send(Err(error));
@@ -114,6 +141,7 @@ pub fn run(
                     };
                 }
             };
+            let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
             sink.attach(sim.remote());
             spawn_all(&sim, &wiring, &config.devices, sink);
             spawn_controller(&sim, &wiring, config.controller, config.axes);

@@ -384,7 +384,7 @@ mod tests {
         let mut stage = StageModel::new(AxisModels::default(), 1);
         for (line, code) in [
             ("2PA1", 213),
-            ("XX", 6),
+            ("1XX", 6),
             ("PA1", 37),
             ("3PA1", 9),
             ("1PA", 38),

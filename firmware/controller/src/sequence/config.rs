@@ -1,0 +1,44 @@
+//! Settings of the instrument.
+
+use flankscope_protocol::{Limits, Micrometres, Microradians, Microseconds};
+
+/// What is true of the instrument, not of a plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Config {
+    /// Plans are judged by these.
+    pub limits: Limits,
+    /// Position of the vertical stage at its home switch: the head is clear of the die there.
+    pub home_vertical: Micrometres,
+    /// For a whole reference run.
+    pub home_timeout: Microseconds,
+    /// For a retract.
+    pub retract_timeout: Microseconds,
+    /// How long the host may say nothing during a capture.
+    pub host_silence: Microseconds,
+    /// For the LED current to be gone when no plan says otherwise.
+    pub led_off_timeout: Microseconds,
+    /// How far from its target the rotary stage may report itself in position.
+    pub rotation_tolerance: Microradians,
+    /// How far from its target the vertical stage may report itself in position.
+    pub vertical_tolerance: Micrometres,
+    /// How much longer than commanded a trigger pulse may come out.
+    pub exposure_tolerance: Microseconds,
+}
+
+impl Config {
+    /// The instrument with the 20 mm head; the home switch sits 100 mm above the working zero, clear of a 66 mm die.
+    ///
+    /// Tolerances are three times the stages' own errors (±15 mdeg = 262 urad, ±5 um). A pulse 100 us too long would
+    /// brighten a 10 ms frame by 1 %.
+    pub const DEFAULT: Self = Self {
+        limits: Limits::DEFAULT,
+        home_vertical: Micrometres(100_000),
+        home_timeout: Microseconds::from_millis(30_000),
+        retract_timeout: Microseconds::from_millis(5_000),
+        host_silence: Microseconds::from_millis(100),
+        led_off_timeout: Microseconds::from_millis(50),
+        rotation_tolerance: Microradians(786),
+        vertical_tolerance: Micrometres(15),
+        exposure_tolerance: Microseconds(100),
+    };
+}

@@ -1,0 +1,109 @@
+//! The way out: whatever goes wrong ends dark, retracted and waiting.
+
+use super::signals::{Action, Actions, push};
+use super::{Sequence, Step, Then};
+use flankscope_protocol::{Event, Fault, Micrometres, Timestamp, Why};
+
+impl Sequence {
+    /// A fault: all lights and triggers off at once, halt, retract, wait for an acknowledgement.
+    pub(super) fn fail(&mut self, now: Timestamp, fault: Fault, detail: u32, out: &mut Actions) {
+        let state = self.state();
+        push(
+            out,
+            Action::Report(Event::Fault {
+                fault: fault.code(),
+                state,
+                detail,
+                at: now,
+            }),
+        );
+        // The first fault is the cause; what follows from it is only reported.
+        self.fault.get_or_insert(fault);
+        match self.step {
+            Step::Retracting { until, .. } => {
+                self.dark(now, out);
+                self.step = Step::Retracting {
+                    until,
+                    then: Then::Faulted,
+                };
+            }
+            _ if self.homed => {
+                let why = Why::Fault(fault.code());
+                self.withdraw(now, self.capturing(), Then::Faulted, why, out);
+            }
+            _ => {
+                self.dark(now, out);
+                self.next_ticket();
+                push(out, Action::StopStages);
+                self.enter(Step::Faulted, Why::Fault(fault.code()), now, out);
+            }
+        }
+    }
+
+    /// The head could not be brought out: where it is, is not known any more.
+    pub(super) fn retract_failed(&mut self, now: Timestamp, detail: u32, out: &mut Actions) {
+        let fault = Fault::RetractFailed;
+        self.homed = false;
+        self.next_ticket();
+        push(
+            out,
+            Action::Report(Event::Fault {
+                fault: fault.code(),
+                state: self.state(),
+                detail,
+                at: now,
+            }),
+        );
+        self.fault.get_or_insert(fault);
+        self.dark(now, out);
+        push(out, Action::StopStages);
+        self.enter(Step::Faulted, Why::Fault(fault.code()), now, out);
+    }
+
+    pub(super) fn withdraw(
+        &mut self,
+        now: Timestamp,
+        stop: bool,
+        then: Then,
+        why: Why,
+        out: &mut Actions,
+    ) {
+        self.dark(now, out);
+        if stop {
+            push(out, Action::StopStages);
+        }
+        let ticket = self.next_ticket();
+        push(
+            out,
+            Action::Retract {
+                ticket,
+                vertical: self.retract_position(),
+            },
+        );
+        self.enter(
+            Step::Retracting {
+                until: now.after(self.config.retract_timeout),
+                then,
+            },
+            why,
+            now,
+            out,
+        );
+    }
+
+    /// LED and triggers off, whatever was going on.
+    pub(super) fn dark(&mut self, now: Timestamp, out: &mut Actions) {
+        if self.lamp.switch_off(now, self.config.led_off_timeout) {
+            push(out, Action::LedOff);
+            push(out, Action::Report(Event::Led { on: false, at: now }));
+        }
+        push(out, Action::CameraTrigger(false));
+        push(out, Action::DmdTrigger(false));
+    }
+
+    pub(super) fn retract_position(&self) -> Micrometres {
+        self.plan
+            .as_ref()
+            .map_or(self.config.home_vertical, |plan| plan.retract)
+    }
+}

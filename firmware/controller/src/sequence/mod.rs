@@ -1,0 +1,466 @@
+//! The capture sequence as a pure state machine: inputs with their time go in, actions come out.
+//!
+//! ```text
+//! Unhomed ─► Homing ─► Ready ─► Moving ─► Settling ─► (Cooling) ─► Lighting ─┐
+//!              ▲         ▲        ▲                                          ▼
+//!              │         │        └── next view ── Darkening ◄── Capturing, per frame:
+//!              │         │                             │            select ► trigger DMD ► ready ► settle
+//!              │         └──────── Retracting ◄────────┘            ► earliest start ► camera ready
+//!              │                    │    ▲ abort, retract,          ► expose ► exposure over
+//!              └── Unhomed ◄── Faulted   └ any fault: from every state, LED off first
+//! ```
+//! Rules that hold in every state, and that the tests check by brute force:
+//! * the LED is enabled only between the settle of a view and its last frame: never while a stage moves;
+//! * a fault, an abort or a retract switches the LED and the camera trigger off in the same step that it arrives in;
+//! * after a fault nothing starts until it is acknowledged, after power-up nothing until homed;
+//! * every wait has a deadline.
+//!
+//! **Readout overlap.** The camera reads frame n out while frame n+1 is exposed. If the readout of frame n ends at r
+//! and frame n+1 is exposed for e, it is triggered no earlier than r - e, so that it never ends inside that readout.
+
+mod config;
+mod exit;
+mod orders;
+mod signals;
+mod view;
+
+pub use config::Config;
+pub use signals::{Action, Actions, Awaiting, Input, MAX_ACTIONS};
+pub use view::earliest_trigger;
+
+use crate::devices::CameraWait;
+use crate::lamp::{Confirmed, Lamp};
+use flankscope_protocol::{
+    CapturePlan, Event, Fault, Micrometres, Microradians, State, Status, Timestamp, Why,
+};
+use signals::push;
+
+/// What happens once the head is retracted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Then {
+    Ready(Why),
+    Complete,
+    Faulted,
+}
+
+/// Inner state; [`Sequence::state`] is the coarser one that the host sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Unhomed,
+    Homing {
+        until: Timestamp,
+    },
+    Ready,
+    Moving {
+        until: Timestamp,
+    },
+    Settling {
+        until: Timestamp,
+    },
+    Cooling {
+        until: Timestamp,
+    },
+    Lighting,
+    /// A pattern selection is on the bus.
+    Selecting {
+        until: Timestamp,
+    },
+    /// DMD triggered, waiting for ready.
+    Switching {
+        until: Timestamp,
+    },
+    /// Pattern stands, mirrors settle.
+    Standing {
+        until: Timestamp,
+    },
+    /// Waiting until the exposure cannot end inside the last readout.
+    Holding {
+        until: Timestamp,
+    },
+    /// Waiting for the camera to be ready.
+    Arming {
+        until: Timestamp,
+    },
+    /// Trigger high; `begin_by` is set until the camera has said that it exposes.
+    Exposing {
+        end: Timestamp,
+        begin_by: Option<Timestamp>,
+    },
+    /// Trigger low, waiting for the camera to say that the exposure is over.
+    Closing {
+        until: Timestamp,
+    },
+    /// LED off, waiting for it to be dark.
+    Darkening {
+        after_last: bool,
+    },
+    Retracting {
+        until: Timestamp,
+        then: Then,
+    },
+    Faulted,
+}
+
+/// The sequence. See the module for its rules.
+#[derive(Debug, Clone)]
+pub struct Sequence {
+    config: Config,
+    plan: Option<CapturePlan>,
+    step: Step,
+    lamp: Lamp,
+    fault: Option<Fault>,
+    homed: bool,
+    rotation: Microradians,
+    vertical: Micrometres,
+    /// Request to the stages that is still open; answers to older ones are stale.
+    ticket: u16,
+    view: u8,
+    frame: u16,
+    frames_total: u32,
+    dmd_at: Timestamp,
+    camera_at: Timestamp,
+    readout_end: Timestamp,
+    host_heard: Timestamp,
+}
+
+impl Sequence {
+    /// After power-up: nothing known, nothing moving.
+    #[must_use]
+    pub fn new(config: Config) -> Self {
+        Self {
+            config,
+            plan: None,
+            step: Step::Unhomed,
+            lamp: Lamp::new(&config.limits),
+            fault: None,
+            homed: false,
+            rotation: Microradians(0),
+            vertical: config.home_vertical,
+            ticket: 0,
+            view: 0,
+            frame: 0,
+            frames_total: 0,
+            dmd_at: Timestamp(0),
+            camera_at: Timestamp(0),
+            readout_end: Timestamp(0),
+            host_heard: Timestamp(0),
+        }
+    }
+
+    /// What is true of the instrument.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The stored plan.
+    #[must_use]
+    pub fn plan(&self) -> Option<&CapturePlan> {
+        self.plan.as_ref()
+    }
+
+    /// The fault that waits for its acknowledgement.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// Both axes are referenced.
+    #[must_use]
+    pub fn homed(&self) -> bool {
+        self.homed
+    }
+
+    /// What the host is told.
+    #[must_use]
+    pub fn state(&self) -> State {
+        match self.step {
+            Step::Unhomed => State::Unhomed,
+            Step::Homing { .. } => State::Homing,
+            Step::Ready => State::Ready,
+            Step::Moving { .. } => State::Moving,
+            Step::Settling { .. } => State::Settling,
+            Step::Cooling { .. } => State::Cooling,
+            Step::Lighting => State::Lighting,
+            Step::Selecting { .. }
+            | Step::Switching { .. }
+            | Step::Standing { .. }
+            | Step::Holding { .. }
+            | Step::Arming { .. }
+            | Step::Exposing { .. }
+            | Step::Closing { .. } => State::Capturing,
+            Step::Darkening { .. } => State::Darkening,
+            Step::Retracting { .. } => State::Retracting,
+            Step::Faulted => State::Faulted,
+        }
+    }
+
+    /// A capture is under way: the host must be alive, the head may be in the die.
+    #[must_use]
+    pub fn capturing(&self) -> bool {
+        matches!(
+            self.state(),
+            State::Moving
+                | State::Settling
+                | State::Cooling
+                | State::Lighting
+                | State::Capturing
+                | State::Darkening
+        )
+    }
+
+    /// Everything the host may ask for; the caller fills in what only the link knows.
+    #[must_use]
+    pub fn status(&self, now: Timestamp) -> Status {
+        Status {
+            state: self.state(),
+            fault: self.fault.map(Fault::code),
+            plan: self.plan.as_ref().map(|plan| plan.session),
+            view: self.view,
+            frame: self.frame,
+            led_on: self.lamp.enabled(),
+            homed: self.homed,
+            rotation: self.rotation,
+            vertical: self.vertical,
+            at: now,
+            frames_dropped: 0,
+            events_lost: 0,
+        }
+    }
+
+    /// Which pins to watch.
+    #[must_use]
+    pub fn awaiting(&self) -> Awaiting {
+        Awaiting {
+            led_sense: self.lamp.awaits(),
+            dmd_ready: matches!(self.step, Step::Switching { .. }),
+            camera: match self.step {
+                Step::Arming { .. } => Some(CameraWait::Ready),
+                Step::Exposing {
+                    begin_by: Some(_), ..
+                } => Some(CameraWait::Exposing(true)),
+                Step::Closing { .. } => Some(CameraWait::Exposing(false)),
+                _ => None,
+            },
+        }
+    }
+
+    /// When to call [`Sequence::step`] with [`Input::Tick`] at the latest.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Timestamp> {
+        let step = match self.step {
+            Step::Exposing { end, begin_by } => {
+                Some(begin_by.map_or(end, |begin_by| end.min(begin_by)))
+            }
+            Step::Homing { until }
+            | Step::Moving { until }
+            | Step::Settling { until }
+            | Step::Cooling { until }
+            | Step::Selecting { until }
+            | Step::Switching { until }
+            | Step::Standing { until }
+            | Step::Holding { until }
+            | Step::Arming { until }
+            | Step::Closing { until }
+            | Step::Retracting { until, .. } => Some(until),
+            Step::Unhomed
+            | Step::Ready
+            | Step::Lighting
+            | Step::Darkening { .. }
+            | Step::Faulted => None,
+        };
+        let host = self
+            .capturing()
+            .then(|| self.host_heard.after(self.config.host_silence));
+        [step, host, self.lamp.deadline()]
+            .into_iter()
+            .flatten()
+            .min()
+    }
+
+    /// Takes one input at time `now` and appends what to do about it to `out`. Deadlines are looked at every time.
+    pub fn step(&mut self, now: Timestamp, input: Input, out: &mut Actions) {
+        match input {
+            Input::HostAlive => self.host_heard = now,
+            Input::InPosition {
+                ticket,
+                rotation,
+                vertical,
+            } if ticket == self.ticket => {
+                (self.rotation, self.vertical) = (rotation, vertical);
+                self.in_position(now, out);
+            }
+            Input::StageFailed {
+                ticket,
+                fault,
+                detail,
+            } if ticket == self.ticket => {
+                self.stage_failed(now, fault, detail, out);
+            }
+            // An answer to a request that was overtaken by another.
+            Input::InPosition { .. } | Input::StageFailed { .. } => {}
+            Input::LedSense(level) => self.led_sense(now, level, out),
+            Input::PatternSelected(taken) => self.pattern_selected(now, taken, out),
+            Input::DmdReady => self.dmd_ready(now, out),
+            Input::CameraReady => self.camera_ready(now, out),
+            Input::CameraExposing(level) => self.camera_exposing(now, level, out),
+            Input::EventsLost => self.fail(now, Fault::EventOverflow, 0, out),
+            Input::Tick => {}
+        }
+        self.tick(now, out);
+    }
+
+    /// Everything that happens because its time has come.
+    fn tick(&mut self, now: Timestamp, out: &mut Actions) {
+        if let Err(fault) = self.lamp.expire(now) {
+            self.fail(now, fault, 0, out);
+        }
+        if self.capturing() && now >= self.host_heard.after(self.config.host_silence) {
+            self.fail(now, Fault::HostSilent, 0, out);
+        }
+        match self.step {
+            Step::Homing { until } if now >= until => {
+                self.homed = false;
+                self.fail(now, Fault::MotionTimeout, 0, out);
+            }
+            Step::Moving { until } if now >= until => self.fail(now, Fault::MotionTimeout, 0, out),
+            Step::Settling { until } if now >= until => self.light(now, out),
+            Step::Cooling { until } if now >= until => self.light(now, out),
+            Step::Selecting { until } if now >= until => self.fail(now, Fault::DmdSelect, 0, out),
+            Step::Switching { until } if now >= until => self.fail(now, Fault::DmdNotReady, 0, out),
+            Step::Standing { until } if now >= until => self.hold(now, out),
+            Step::Holding { until } if now >= until => self.arm(now),
+            Step::Arming { until } if now >= until => self.fail(now, Fault::CameraNotReady, 0, out),
+            Step::Exposing {
+                begin_by: Some(begin_by),
+                ..
+            } if now >= begin_by => {
+                self.fail(now, Fault::CameraNoExposure, 0, out);
+            }
+            Step::Exposing { end, begin_by } if now >= end => match begin_by {
+                Some(_) => self.fail(now, Fault::CameraNoExposure, 0, out),
+                None => self.close(now, end, out),
+            },
+            Step::Closing { until } if now >= until => self.fail(now, Fault::CameraStuck, 0, out),
+            Step::Retracting { until, .. } if now >= until => self.retract_failed(now, 0, out),
+            _ => {}
+        }
+    }
+
+    fn in_position(&mut self, now: Timestamp, out: &mut Actions) {
+        match self.step {
+            Step::Homing { .. } => {
+                self.homed = true;
+                self.enter(Step::Ready, Why::Sequence, now, out);
+            }
+            Step::Moving { .. } => match self.target() {
+                Some((view, settle)) if self.stands_at(view) => {
+                    push(
+                        out,
+                        Action::Report(Event::InPosition {
+                            view: self.view,
+                            rotation: self.rotation,
+                            vertical: self.vertical,
+                            at: now,
+                        }),
+                    );
+                    self.enter(
+                        Step::Settling {
+                            until: now.after(settle),
+                        },
+                        Why::Sequence,
+                        now,
+                        out,
+                    );
+                }
+                Some(_) => self.fail(now, Fault::OffPosition, 0, out),
+                None => self.fail(now, Fault::OutOfStep, 0, out),
+            },
+            Step::Retracting { then, .. } => {
+                let off_um = self.vertical.get().abs_diff(self.retract_position().get());
+                if off_um > self.config.vertical_tolerance.get().unsigned_abs() {
+                    return self.retract_failed(now, off_um, out);
+                }
+                self.retracted(now, then, out);
+            }
+            _ => {}
+        }
+    }
+
+    fn retracted(&mut self, now: Timestamp, then: Then, out: &mut Actions) {
+        match then {
+            Then::Ready(why) => self.enter(Step::Ready, why, now, out),
+            Then::Faulted => {
+                let why = self
+                    .fault
+                    .map_or(Why::Sequence, |fault| Why::Fault(fault.code()));
+                self.enter(Step::Faulted, why, now, out);
+            }
+            Then::Complete => {
+                self.enter(Step::Ready, Why::Complete, now, out);
+                let session = self.plan.as_ref().map_or(0, |plan| plan.session);
+                let (views, frames) = (self.view.saturating_add(1), self.frames_total);
+                push(
+                    out,
+                    Action::Report(Event::CaptureDone {
+                        session,
+                        views,
+                        frames,
+                        at: now,
+                    }),
+                );
+            }
+        }
+    }
+
+    fn stage_failed(&mut self, now: Timestamp, fault: Fault, detail: u32, out: &mut Actions) {
+        match self.step {
+            Step::Retracting { .. } => self.retract_failed(now, detail, out),
+            Step::Homing { .. } => {
+                self.homed = false;
+                self.fail(now, fault, detail, out);
+            }
+            _ => self.fail(now, fault, detail, out),
+        }
+    }
+
+    fn led_sense(&mut self, now: Timestamp, level: bool, out: &mut Actions) {
+        match self.lamp.sense(level) {
+            Err(fault) => self.fail(now, fault, 0, out),
+            Ok(Some(Confirmed::Lit)) if self.step == Step::Lighting => {
+                self.select(now, out);
+            }
+            Ok(Some(Confirmed::Dark)) => {
+                if let Step::Darkening { after_last } = self.step {
+                    self.leave_view(now, after_last, out);
+                }
+            }
+            Ok(_) => {}
+        }
+    }
+
+    fn next_ticket(&mut self) -> u16 {
+        self.ticket = self.ticket.wrapping_add(1);
+        self.ticket
+    }
+
+    fn enter(&mut self, next: Step, why: Why, now: Timestamp, out: &mut Actions) {
+        let prev = self.state();
+        self.step = next;
+        let next = self.state();
+        if prev != next {
+            push(
+                out,
+                Action::Report(Event::StateChanged {
+                    prev,
+                    next,
+                    why,
+                    at: now,
+                }),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,65 @@
+//! The host's orders, already judged by the desk.
+
+use super::signals::{Action, Actions, push};
+use super::{Sequence, Step, Then};
+use flankscope_protocol::{CapturePlan, Timestamp, Why};
+
+impl Sequence {
+    pub(crate) fn store(&mut self, plan: CapturePlan) {
+        self.plan = Some(plan);
+    }
+
+    pub(crate) fn start(&mut self, now: Timestamp, out: &mut Actions) {
+        (self.view, self.frame, self.frames_total) = (0, 0, 0);
+        self.host_heard = now;
+        self.readout_end = now;
+        self.move_to_view(now, Why::Start, out);
+    }
+
+    pub(crate) fn home(&mut self, now: Timestamp, out: &mut Actions) {
+        self.homed = false;
+        let ticket = self.next_ticket();
+        push(out, Action::Home { ticket });
+        self.enter(
+            Step::Homing {
+                until: now.after(self.config.home_timeout),
+            },
+            Why::Home,
+            now,
+            out,
+        );
+    }
+
+    /// LED off, halt, retract. Halting a retract that is under way would be less safe, so that goes on.
+    pub(crate) fn abort(&mut self, now: Timestamp, out: &mut Actions) {
+        if self.capturing() {
+            self.withdraw(now, true, Then::Ready(Why::Abort), Why::Abort, out);
+        } else if matches!(self.step, Step::Homing { .. }) {
+            self.next_ticket();
+            push(out, Action::StopStages);
+            self.enter(Step::Unhomed, Why::Abort, now, out);
+        }
+    }
+
+    /// LED off, retract; also from a fault, which stays.
+    pub(crate) fn retract(&mut self, now: Timestamp, out: &mut Actions) {
+        if self.capturing() || self.step == Step::Ready {
+            self.withdraw(now, false, Then::Ready(Why::Retract), Why::Retract, out);
+        } else if self.step == Step::Faulted && self.homed {
+            self.withdraw(now, false, Then::Faulted, Why::Retract, out);
+        }
+    }
+
+    pub(crate) fn acknowledge(&mut self, now: Timestamp, out: &mut Actions) {
+        if self.step == Step::Faulted {
+            self.fault = None;
+            self.lamp.acknowledge();
+            let next = if self.homed {
+                Step::Ready
+            } else {
+                Step::Unhomed
+            };
+            self.enter(next, Why::Acknowledged, now, out);
+        }
+    }
+}

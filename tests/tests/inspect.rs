@@ -1,0 +1,320 @@
+//! The in-situ check, end to end: command, bench process, controller firmware, shared memory, verdict.
+
+use flankscope_tests::{Run, flankscope, inspect, run, shared_data};
+
+/// The demo's limits, µm: warn at 30, stop at 50.
+const WEAR: &str = "40:left:80";
+
+#[track_caller]
+fn assert_whole(run: &Run) {
+    let json = &run.json;
+    let frames = &json["frames"];
+    assert_eq!(
+        frames["bytes_copied"], 0,
+        "no frame is ever copied: {frames}"
+    );
+    assert_eq!(
+        frames["received"], 75,
+        "three views of a dark frame and 12 patterns x 2 exposures: {frames}"
+    );
+    for key in [
+        "total",
+        "positioning",
+        "exposure",
+        "last_exposure_to_verdict",
+    ] {
+        assert!(
+            json["timing_ms"][key].as_f64().is_some_and(|ms| ms > 0.0),
+            "timing_ms.{key}: {}",
+            json["timing_ms"]
+        );
+    }
+    for key in [
+        "verdict",
+        "reason",
+        "registration",
+        "versions",
+        "hashes",
+        "truth",
+    ] {
+        assert!(!json[key].is_null(), "{key} is missing");
+    }
+    for feature in json["features"].as_array().unwrap() {
+        for key in ["tooth", "wear_um", "u95_um", "warn_um", "limit_um"] {
+            assert!(feature[key].is_number(), "{key} of {feature}");
+        }
+    }
+}
+
+/// Twenty seeds, each undamaged and worn: go, and no-go on exactly the worn flank. Split over threads of the test runner.
+fn seeds(seeds: std::ops::Range<u32>) {
+    for seed in seeds {
+        let seed = seed.to_string();
+        let undamaged = inspect(&["--seed", &seed]);
+        assert_eq!(
+            undamaged.code, 0,
+            "seed {seed}: {} {}",
+            undamaged.json["reason"], undamaged.stderr
+        );
+        assert_eq!(undamaged.json["verdict"], "go");
+        assert_whole(&undamaged);
+        let worn = inspect(&["--seed", &seed, "--wear", WEAR]);
+        assert_eq!(
+            worn.code, 1,
+            "seed {seed}: {} {}",
+            worn.json["reason"], worn.stderr
+        );
+        assert_eq!(worn.not_go(), ["40:left:no-go"], "seed {seed}");
+        assert_whole(&worn);
+        let flank = worn.json["features"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|f| f["verdict"] == "no-go")
+            .unwrap();
+        let (wear, u95) = (
+            flank["wear_um"].as_f64().unwrap(),
+            flank["u95_um"].as_f64().unwrap(),
+        );
+        assert!(
+            (wear - 80.0).abs() <= u95,
+            "seed {seed}: {wear} µm ± {u95} µm does not hold the true 80 µm"
+        );
+    }
+}
+
+#[test]
+fn undamaged_is_go_and_worn_is_no_go_seeds_1_to_10() {
+    seeds(1..11);
+}
+
+#[test]
+fn undamaged_is_go_and_worn_is_no_go_seeds_11_to_20() {
+    seeds(11..21);
+}
+
+#[test]
+fn one_seed_gives_one_result() {
+    let results: Vec<_> = (0..2)
+        .map(|_| inspect(&["--seed", "5", "--wear", "12:right:37"]))
+        .collect();
+    assert_eq!(results[0].json["features"], results[1].json["features"]);
+    assert_eq!(
+        results[0].json["truth"]["poses"],
+        results[1].json["truth"]["poses"]
+    );
+    let other = inspect(&["--seed", "6", "--wear", "12:right:37"]);
+    assert_ne!(
+        results[0].json["features"], other.json["features"],
+        "another seed is another noise"
+    );
+}
+
+#[test]
+fn other_teeth_and_in_between_limits() {
+    // 40 µm lies between warn and stop, by more than the guard band of 1.645 x 2 µm.
+    let warned = inspect(&["--teeth", "7,84", "--wear", "84:left:40"]);
+    assert_eq!(warned.code, 4, "{}", warned.json["reason"]);
+    assert_eq!(warned.not_go(), ["84:left:warn"]);
+    assert_eq!(warned.json["features"].as_array().unwrap().len(), 4);
+    // Exactly at the limit nothing can be decided, which is never go.
+    let at_limit = inspect(&["--teeth", "84", "--wear", "84:left:50"]);
+    assert_eq!(at_limit.code, 2, "{}", at_limit.json["reason"]);
+    // Built-up material is no loss.
+    let proud = inspect(&["--teeth", "84", "--wear", "84:left:40:buildup"]);
+    assert_eq!(proud.code, 0, "{}", proud.json["reason"]);
+}
+
+#[test]
+fn a_gear_of_another_cad_kernel() {
+    let Some(mesh) = shared_data("cad-ring84/ring84.stl") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let tool = format!(
+        "name = \"ring84\"\n[cad]\nfile = {mesh:?}\nunit = \"mm\"\nchord_error_um = 2.0\n\
+         [gear]\nkind = \"internal\"\nteeth = 84\nmodule_mm = 1.0\npressure_angle_deg = 20.0\ntip_radius_mm = 41.0\n\
+         root_radius_mm = 43.25\nfirst_tooth_centre_deg = 2.142857142857143\nheight_mm = [0.0, 66.0]\n\
+         [inspect]\nteeth = [3, 31, 59]\nheight_mm = 30.0\nwarn_um = 30.0\nlimit_um = 50.0\n"
+    );
+    std::fs::write(folder.path().join("tool.toml"), tool).unwrap();
+    let folder = folder.path().to_str().unwrap();
+    let undamaged = inspect(&["--tool", folder]);
+    assert_eq!(
+        undamaged.code, 0,
+        "{} {}",
+        undamaged.json["reason"], undamaged.stderr
+    );
+    for wear in ["31:right:80", "59:left:80"] {
+        let worn = inspect(&["--tool", folder, "--wear", wear]);
+        assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
+        assert_eq!(worn.not_go(), [wear.replace(":80", ":no-go")]);
+    }
+}
+
+#[test]
+fn a_camera_that_misbehaves_is_never_go() {
+    for kind in ["lose", "repeat", "extra"] {
+        // In the first view, so that the second capture meets the fault again.
+        for frame in [0, 1, 13, 24] {
+            let fault = format!("{kind}:{frame}");
+            let always = inspect(&["--frame-fault", &fault]);
+            assert_eq!(
+                always.code, 2,
+                "{fault}: {} {}",
+                always.json["verdict"], always.json["reason"]
+            );
+            assert_eq!(always.json["verdict"], "indeterminate", "{fault}");
+            assert!(
+                always.json["frames"]["recaptured_views"].as_u64() >= Some(1),
+                "{fault}: captured again once"
+            );
+        }
+        // A camera that misbehaved once is forgiven: the view is captured again.
+        let once = inspect(&["--frame-fault", &format!("{kind}:30:once")]);
+        assert_eq!(
+            once.code, 0,
+            "{kind} once: {} {}",
+            once.json["reason"], once.stderr
+        );
+        assert!(
+            once.json["frames"]["recaptured_views"].as_u64() >= Some(1),
+            "{kind} once"
+        );
+    }
+}
+
+#[test]
+fn the_report_is_one_file_with_its_pictures_inside() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new/out");
+    let result = inspect(&["--wear", WEAR, "--report", out.to_str().unwrap()]);
+    assert_eq!(result.code, 1);
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert_eq!(
+        page.matches("data:image/png;base64,").count(),
+        7,
+        "six flank maps and one raw frame"
+    );
+    assert_eq!(
+        page.matches("<svg").count(),
+        3,
+        "colour bar, histogram, timeline"
+    );
+    for outside in ["http://", "https://", "src=\"/", "<script", "@import"] {
+        assert!(
+            !page.contains(outside),
+            "the page must need nothing else, but holds {outside}"
+        );
+    }
+    assert!(page.contains("tooth 40 left") && page.contains(">no-go<"));
+    let document = std::fs::read_to_string(out.join("inspection.json")).unwrap();
+    let document: serde_json::Value = serde_json::from_str(&document).unwrap();
+    assert_eq!(document["verdict"], "no-go");
+}
+
+#[test]
+fn a_port_that_does_not_answer_could_not_run() {
+    // A real port with nobody behind it: the other end of a pseudo-terminal that stays silent.
+    let master =
+        rustix::pty::openpt(rustix::pty::OpenptFlags::RDWR | rustix::pty::OpenptFlags::NOCTTY)
+            .unwrap();
+    rustix::pty::grantpt(&master).unwrap();
+    rustix::pty::unlockpt(&master).unwrap();
+    let name = rustix::pty::ptsname(&master, Vec::new()).unwrap();
+    let silent = inspect(&["--link", name.to_str().unwrap()]);
+    assert_eq!(silent.code, 3, "{}", silent.stderr);
+    assert!(
+        silent.stderr.contains("answers nothing"),
+        "{}",
+        silent.stderr
+    );
+    let absent = inspect(&["--link", "/dev/flankscope-is-not-here"]);
+    assert_eq!(absent.code, 3);
+    assert!(
+        absent.stderr.contains("/dev/flankscope-is-not-here"),
+        "{}",
+        absent.stderr
+    );
+}
+
+#[test]
+fn bad_arguments_could_not_run_and_say_what_would_be_right() {
+    for (arguments, hint) in [
+        (&["--teeth", "85"][..], "1 to 84"),
+        (&["--teeth", "12,12"], "twice"),
+        (&["--wear", "12:left"], "TOOTH:FLANK:DEPTH"),
+        (&["--wear", "12:top:80"], "left"),
+        (&["--wear", "99:left:80"], "84"),
+        (&["--wear", "12:left:nan"], "number"),
+        (&["--speed", "fast"], "max"),
+        (&["--speed", "0"], "0.1"),
+        (&["--tool", "/flankscope-is-not-here"], "tool.toml"),
+        (&["--no-such-option"], "--no-such-option"),
+        (&["--report", "/dev/null/out"], "/dev/null/out"),
+        (&["--json", "/dev/full"], "/dev/full"),
+    ] {
+        let mut command = flankscope();
+        command.args(["inspect", "--quiet"]).args(arguments);
+        if !arguments.contains(&"--speed") {
+            command.args(["--speed", "max"]);
+        }
+        let result = run(&mut command);
+        assert_eq!(result.code, 3, "{arguments:?}: {}", result.stderr);
+        assert!(
+            result.stderr.contains(hint),
+            "{arguments:?} should mention {hint:?}: {}",
+            result.stderr
+        );
+    }
+}
+
+#[test]
+fn a_tool_file_is_read_strictly() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(folder.path())
+        .status()
+        .unwrap();
+    assert!(written.success());
+    let path = folder.path().join("tool.toml");
+    let good = std::fs::read_to_string(&path).unwrap();
+    for (from, to, hint) in [
+        ("limit_um", "limit_mm", "limit_mm"),
+        ("teeth = 84", "teeth = 83", "84"),
+        ("module_mm = ", "module_mm = 2", "module"),
+        ("unit = \"mm\"", "unit = \"m\"", "mm"),
+        ("file = \"die.ply\"", "file = \"no.ply\"", "no.ply"),
+        ("[gear]", "[gear", "tool.toml:"),
+        ("warn_um = 30.0", "warn_um = nan", "warn_um"),
+    ] {
+        assert!(good.contains(from), "{from}");
+        std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
+        let result = inspect(&["--tool", folder.path().to_str().unwrap()]);
+        assert_eq!(
+            result.code, 3,
+            "{to}: {} {}",
+            result.json["reason"], result.stderr
+        );
+        assert!(
+            result.stderr.contains(hint),
+            "{to} should mention {hint:?}: {}",
+            result.stderr
+        );
+    }
+}
+
+#[test]
+fn killed_at_any_moment_the_next_run_works() {
+    for milliseconds in [30, 120, 400, 800] {
+        let mut command = flankscope();
+        command.args(["inspect", "--quiet", "--speed", "max"]);
+        let mut child = command.stderr(std::process::Stdio::null()).spawn().unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(milliseconds));
+        child.kill().unwrap(); // SIGKILL: nothing is cleaned up
+        child.wait().unwrap();
+    }
+    let next = inspect(&[]);
+    assert_eq!(next.code, 0, "{} {}", next.json["reason"], next.stderr);
+}
