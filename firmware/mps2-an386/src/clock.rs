@@ -2,6 +2,10 @@
 //!
 //! Both timers count down at 25 MHz. TIMER0 wraps after exactly 2^27 us (134 s), so a time is its wraps and its count
 //! without any 64-bit division.
+//!
+//! A sleeping processor's time passes in real time, and the machine below may oversleep: an alarm then is late by as
+//! much. While instructions are executed, time is counted in instructions. So the alarm that ends an exposure rings
+//! early, and the rest is spent awake: [`awake`].
 
 use core::cell::{Cell, UnsafeCell};
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -10,6 +14,7 @@ use core::task::Waker;
 use critical_section::{CriticalSection, Mutex};
 use embassy_time_driver::Driver;
 
+use crate::pins;
 use crate::registers::{Block, CLOCK_HZ};
 
 const CONTROL: usize = 0x0;
@@ -30,11 +35,16 @@ const WAITING: usize = 8;
 /// One task that waits, and for when.
 type Wait = Option<(u64, Waker)>;
 
+/// How long the machine below may oversleep without spoiling an exposure.
+const LEAD_US: u64 = 5_000;
+
 struct Clock {
     wraps: Mutex<Cell<u32>>,
     waiting: Mutex<UnsafeCell<[Wait; WAITING]>>,
     alarm_at: Mutex<Cell<u64>>,
-    /// Longest time from an alarm's due time to its interrupt, us.
+    /// The alarm for which the processor stays awake.
+    awake_for: Mutex<Cell<u64>>,
+    /// Longest time from an alarm's due time to its interrupt when the processor was awake, us.
     latest_us: AtomicU32,
 }
 
@@ -42,6 +52,7 @@ embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
     wraps: Mutex::new(Cell::new(0)),
     waiting: Mutex::new(UnsafeCell::new([const { None }; WAITING])),
     alarm_at: Mutex::new(Cell::new(u64::MAX)),
+    awake_for: Mutex::new(Cell::new(u64::MAX)),
     latest_us: AtomicU32::new(0),
 });
 
@@ -57,7 +68,15 @@ pub fn now_us() -> u64 {
     critical_section::with(|cs| CLOCK.now_in(cs))
 }
 
-/// Longest time from an alarm's due time to its interrupt so far, us.
+/// The alarm is near and must not be late: do not sleep.
+pub fn awake() -> bool {
+    critical_section::with(|cs| {
+        let due = CLOCK.alarm_at.borrow(cs).get();
+        due != u64::MAX && due == CLOCK.awake_for.borrow(cs).get()
+    })
+}
+
+/// Longest time from an alarm's due time to its interrupt so far, us; only alarms that the processor was awake for.
 pub fn latest_alarm_us() -> u32 {
     CLOCK.latest_us.load(Ordering::Relaxed)
 }
@@ -73,8 +92,14 @@ pub fn on_alarm() {
         Block::TIMER1.write(CONTROL, 0);
         Block::TIMER1.write(INTERRUPT, 1);
         let (now, due) = (CLOCK.now_in(cs), CLOCK.alarm_at.borrow(cs).get());
-        if let Some(late) = now.checked_sub(due) {
-            CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
+        let awake_for = CLOCK.awake_for.borrow(cs);
+        match now.checked_sub(due) {
+            Some(late) if awake_for.get() == due => {
+                CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
+            }
+            Some(_) => {}
+            // It rang early.
+            None => awake_for.set(due),
         }
         CLOCK.wake_due(cs);
     });
@@ -124,9 +149,15 @@ impl Clock {
         if next == u64::MAX {
             return;
         }
+        let ahead_us = next - now;
+        let lead_us = if !pins::exposing() || self.awake_for.borrow(cs).get() == next {
+            0
+        } else {
+            // Half of a short exposure is slept through, for the answers from outside to come in.
+            LEAD_US.min(ahead_us / 2)
+        };
         // Far alarms come early and are set again.
-        let ahead_us = (next - now).min(1 << (WRAP_LOG2_US - 1)) as u32;
-        let ticks = ahead_us * TICKS_PER_US;
+        let ticks = (ahead_us - lead_us).min(1 << (WRAP_LOG2_US - 1)) as u32 * TICKS_PER_US;
         // Loads once and does not come again: the interrupt stops the timer.
         Block::TIMER1.write(RELOAD, ticks);
         Block::TIMER1.write(VALUE, ticks);

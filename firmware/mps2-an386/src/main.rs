@@ -24,6 +24,7 @@ use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
 use flankscope_controller::stage::esp301::{Axes, Esp301};
 use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, sequencer, stage};
+use flankscope_protocol::Microseconds;
 
 use crate::level::Level;
 use crate::pin_wire::Subject;
@@ -40,6 +41,11 @@ static BACKGROUND: Level = Level::new(Irq::Background);
 
 /// 25 MHz / 217 = 115207 baud; QEMU does not mind, a board would.
 const BAUD_DIVIDER: u32 = 217;
+
+/// The controller as delivered, but for a host that runs on the same machine as this emulation and everything else:
+/// it may be silent for a second, as in the in-process simulation.
+const CONFIG: sequence::Config =
+    sequence::Config { host_silence: Microseconds::from_millis(1_000), ..sequence::Config::DEFAULT };
 
 /// Instructions between two looks at whether to sleep: 0.1 ms.
 const SPIN_CYCLES: u32 = 3_000;
@@ -90,7 +96,7 @@ fn main() -> ! {
             exposing: InputPin(&pins::CAMERA_EXPOSING),
         },
     };
-    let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
+    let desk = Desk::new(Sequence::new(CONFIG), boot);
     URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics)));
     BACKGROUND.start(|spawner| {
         spawner.spawn_if(stages());
@@ -102,12 +108,9 @@ fn main() -> ! {
     }
 }
 
-/// Sleeps, except during an exposure.
-///
-/// A sleeping processor's time passes in real time, and the machine below may oversleep: what it did then would be late
-/// by as much. While instructions are executed, time is counted in instructions and an alarm is never late.
+/// Sleeps until the next interrupt, unless an exposure is about to end.
 fn idle() {
-    if pins::exposing() {
+    if clock::awake() {
         cortex_m::asm::delay(SPIN_CYCLES);
     } else {
         cortex_m::asm::wfi();

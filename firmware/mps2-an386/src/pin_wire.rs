@@ -1,15 +1,18 @@
 // Messages about virtual pins between the emulated image and the bench (which includes this very file).
 //
 // ```text
-// A5 | subject u8 | value u16 | time u64 | check u8      little-endian; check = all bytes before, xor-ed
+// image -> bench:  A5 | subject u8 | value u16 | time u64 | check u8     little-endian, check = xor of all bytes before
+// bench -> image:  5A | subject u8 | value u8 | check u8                 short, for an emulated UART is slow
 // ```
 // The image sends what it drives and, with the time at which it saw them, the inputs it was given; the bench sends
-// inputs and questions, with time 0. A receiver that has lost step looks for the next A5 whose message checks.
+// inputs and questions. A receiver that has lost step finds it again at the next message that checks.
 
-/// First byte of every message.
 const START: u8 = 0xA5;
-/// Bytes of a message.
+/// Bytes of a message to the bench.
 pub const MESSAGE_BYTES: usize = 13;
+const INPUT_START: u8 = 0x5A;
+/// Bytes of a message to the image.
+pub const INPUT_BYTES: usize = 4;
 
 /// What a message is about. Levels are 0 and 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,7 +63,38 @@ impl Subject {
     }
 }
 
-/// One message.
+/// A message to the image, as it goes over the wire.
+#[allow(dead_code)] // each end uses its half of this file
+pub fn input_bytes(subject: Subject, value: u8) -> [u8; INPUT_BYTES] {
+    [INPUT_START, subject as u8, value, INPUT_START ^ subject as u8 ^ value]
+}
+
+/// Bytes to messages to the image.
+#[derive(Debug, Clone, Copy, Default)]
+#[allow(dead_code)]
+pub struct InputDecoder {
+    window: [u8; INPUT_BYTES],
+}
+
+#[allow(dead_code)]
+impl InputDecoder {
+    pub const fn new() -> Self {
+        Self { window: [0; INPUT_BYTES] }
+    }
+
+    /// Takes one byte; subject and value if it was the last of a message.
+    pub fn push(&mut self, byte: u8) -> Option<(Subject, u8)> {
+        let [_, a, b, c] = self.window;
+        self.window = [a, b, c, byte];
+        let whole = a == INPUT_START && a ^ b ^ c == byte;
+        let subject = Subject::from_number(b).filter(|_| whole)?;
+        // These bytes are spent.
+        self.window = [0; INPUT_BYTES];
+        Some((subject, c))
+    }
+}
+
+/// One message to the bench.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PinMessage {
     pub subject: Subject,
@@ -71,6 +105,7 @@ pub struct PinMessage {
 
 impl PinMessage {
     /// As it goes over the wire.
+    #[allow(dead_code)]
     pub fn to_bytes(self) -> [u8; MESSAGE_BYTES] {
         let [v0, v1] = self.value.to_le_bytes();
         let [t0, t1, t2, t3, t4, t5, t6, t7] = self.at_us.to_le_bytes();
@@ -80,6 +115,7 @@ impl PinMessage {
         [a, b, c, d, e, f, g, h, i, j, k, l, check]
     }
 
+    #[allow(dead_code)]
     fn from_bytes(bytes: [u8; MESSAGE_BYTES]) -> Option<Self> {
         let [start, subject, v0, v1, t0, t1, t2, t3, t4, t5, t6, t7, _] = bytes;
         let whole = start == START && bytes.iter().fold(0, |check, byte| check ^ byte) == 0;
@@ -91,13 +127,15 @@ impl PinMessage {
     }
 }
 
-/// Bytes to messages.
+/// Bytes to messages to the bench.
 #[derive(Debug, Clone, Default)]
+#[allow(dead_code)]
 pub struct PinDecoder {
     /// The last bytes, oldest first.
     window: [u8; MESSAGE_BYTES],
 }
 
+#[allow(dead_code)]
 impl PinDecoder {
     pub const fn new() -> Self {
         Self { window: [0; MESSAGE_BYTES] }

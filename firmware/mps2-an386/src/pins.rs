@@ -1,6 +1,6 @@
 //! Virtual pins: what a pin drives goes to the bench over UART1 with the time of the edge, inputs come back the same way.
 
-use core::cell::RefCell;
+use core::cell::Cell;
 use core::convert::Infallible;
 use core::future::poll_fn;
 use core::sync::atomic::{AtomicBool, AtomicU16, AtomicU32, Ordering};
@@ -13,7 +13,7 @@ use embedded_hal_async::digital::Wait;
 use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort};
 use flankscope_protocol::Milliamps;
 
-use crate::pin_wire::{PinDecoder, PinMessage, Subject};
+use crate::pin_wire::{InputDecoder, PinMessage, Subject};
 use crate::registers::{Block, Irq};
 use crate::uart::Uart;
 use crate::{clock, stack};
@@ -21,7 +21,7 @@ use crate::{clock, stack};
 /// To the bench.
 pub static BENCH: Uart = Uart::new(Block::UART1, Irq::Uart1Rx);
 
-static DECODER: Mutex<RefCell<PinDecoder>> = Mutex::new(RefCell::new(PinDecoder::new()));
+static DECODER: Mutex<Cell<InputDecoder>> = Mutex::new(Cell::new(InputDecoder::new()));
 
 /// Sends one message; its time is now.
 pub fn tell(subject: Subject, value: u16) {
@@ -36,15 +36,18 @@ pub fn tell(subject: Subject, value: u16) {
 pub fn on_receive() {
     while let Some(byte) = BENCH.receive_now() {
         let message = critical_section::with(|cs| {
-            DECODER.borrow(cs).try_borrow_mut().ok().and_then(|mut decoder| decoder.push(byte))
+            let mut decoder = DECODER.borrow(cs).get();
+            let message = decoder.push(byte);
+            DECODER.borrow(cs).set(decoder);
+            message
         });
-        if let Some(message) = message {
-            hear(message);
+        if let Some((subject, value)) = message {
+            hear(subject, u16::from(value));
         }
     }
 }
 
-fn hear(PinMessage { subject, value, .. }: PinMessage) {
+fn hear(subject: Subject, value: u16) {
     let input = match subject {
         Subject::LedSense => &LED_SENSE,
         Subject::DmdReady => &DMD_READY,

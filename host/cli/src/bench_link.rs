@@ -32,7 +32,14 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 
 impl Bench {
     /// Starts the bench for a tool folder, with its camera sending frames below `root`.
-    pub fn start(args: &BenchArgs, tool: &Path, root: &SharedRoot) -> anyhow::Result<Self> {
+    ///
+    /// `controller` is `sim` for the controller in the bench's own process, `qemu` for its image in the emulator.
+    pub fn start(
+        args: &BenchArgs,
+        controller: &str,
+        tool: &Path,
+        root: &SharedRoot,
+    ) -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find this program to start the bench")?;
         let mut command = Command::new(program);
@@ -42,7 +49,8 @@ impl Bench {
             .arg("--root")
             .arg(root.path())
             .arg("--tool")
-            .arg(tool);
+            .arg(tool)
+            .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         for wear in &args.wear {
             command.args(["--wear", wear]);

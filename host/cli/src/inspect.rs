@@ -163,15 +163,15 @@ fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
 
 fn connect(args: &Args, _folder: &Path, root: &SharedRoot) -> anyhow::Result<Link> {
     #[cfg(feature = "bench")]
-    if args.link == "sim" {
-        let bench = crate::bench_link::Bench::start(&args.bench, _folder, root)?;
+    if matches!(args.link.as_str(), "sim" | "qemu") {
+        let bench = crate::bench_link::Bench::start(&args.bench, &args.link, _folder, root)?;
         return Ok(Link {
             port: bench.port().to_path_buf(),
             settings: bench.client_settings(),
             bench: Some(bench),
         });
     }
-    if args.link == "sim" {
+    if matches!(args.link.as_str(), "sim" | "qemu") {
         anyhow::bail!("this build has no simulated bench: name the controller's port by --link");
     }
     if !args.common.quiet {

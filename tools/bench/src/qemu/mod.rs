@@ -1,0 +1,23 @@
+//! The controller as its Cortex-M4 image in QEMU, in place of the one that runs in the bench's own process.
+//!
+//! ```text
+//!  host ══ pseudo-terminal ══ Port ── socket ── UART0 ┐
+//!  device models ── lines ── pins ─── socket ── UART1 ├ image in qemu-system-arm, machine mps2-an386
+//!  stage model ── ESP301 text ─────── socket ── UART2 ┘
+//! ```
+//! Devices, camera and frames are those of the in-process bench. The image's processor lives in real time and so do
+//! the devices here; what a frame shows depends on neither, because an exposure lasts from edge to edge by the image's
+//! own clock, in whole lines of the sensor.
+
+pub mod figures;
+mod machine;
+mod pins;
+
+/// The messages about virtual pins; the image includes the same file.
+#[path = "../../../../firmware/mps2-an386/src/pin_wire.rs"]
+#[allow(missing_docs)]
+pub mod pin_wire;
+
+pub use figures::Figures;
+pub use machine::{EmulatorError, Machine, find_image};
+pub(crate) use pins::join;
