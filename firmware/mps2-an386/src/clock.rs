@@ -2,10 +2,6 @@
 //!
 //! Both timers count down at 25 MHz. TIMER0 wraps after exactly 2^27 us (134 s), so a time is its wraps and its count
 //! without any 64-bit division.
-//!
-//! A sleeping processor's time passes in real time, and the machine below may oversleep: an alarm then is late by as
-//! much. While instructions are executed, time is counted in instructions. So the alarm that ends an exposure rings
-//! early, and the rest is spent awake: [`awake`].
 
 use core::cell::{Cell, UnsafeCell};
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -35,16 +31,11 @@ const WAITING: usize = 8;
 /// One task that waits, and for when.
 type Wait = Option<(u64, Waker)>;
 
-/// How long the machine below may oversleep without spoiling an exposure.
-const LEAD_US: u64 = 5_000;
-
 struct Clock {
     wraps: Mutex<Cell<u32>>,
     waiting: Mutex<UnsafeCell<[Wait; WAITING]>>,
     alarm_at: Mutex<Cell<u64>>,
-    /// The alarm for which the processor stays awake.
-    awake_for: Mutex<Cell<u64>>,
-    /// Longest time from an alarm's due time to its interrupt when the processor was awake, us.
+    /// Longest time from the due time of an alarm that ends an exposure to its interrupt, us.
     latest_us: AtomicU32,
 }
 
@@ -52,7 +43,6 @@ embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
     wraps: Mutex::new(Cell::new(0)),
     waiting: Mutex::new(UnsafeCell::new([const { None }; WAITING])),
     alarm_at: Mutex::new(Cell::new(u64::MAX)),
-    awake_for: Mutex::new(Cell::new(u64::MAX)),
     latest_us: AtomicU32::new(0),
 });
 
@@ -68,15 +58,7 @@ pub fn now_us() -> u64 {
     critical_section::with(|cs| CLOCK.now_in(cs))
 }
 
-/// The alarm is near and must not be late: do not sleep.
-pub fn awake() -> bool {
-    critical_section::with(|cs| {
-        let due = CLOCK.alarm_at.borrow(cs).get();
-        due != u64::MAX && due == CLOCK.awake_for.borrow(cs).get()
-    })
-}
-
-/// Longest time from an alarm's due time to its interrupt so far, us; only alarms that the processor was awake for.
+/// Longest time from the due time of an alarm that ends an exposure to its interrupt so far, us.
 pub fn latest_alarm_us() -> u32 {
     CLOCK.latest_us.load(Ordering::Relaxed)
 }
@@ -92,14 +74,8 @@ pub fn on_alarm() {
         Block::TIMER1.write(CONTROL, 0);
         Block::TIMER1.write(INTERRUPT, 1);
         let (now, due) = (CLOCK.now_in(cs), CLOCK.alarm_at.borrow(cs).get());
-        let awake_for = CLOCK.awake_for.borrow(cs);
-        match now.checked_sub(due) {
-            Some(late) if awake_for.get() == due => {
-                CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
-            }
-            Some(_) => {}
-            // It rang early.
-            None => awake_for.set(due),
+        if let Some(late) = now.checked_sub(due).filter(|_| pins::exposing()) {
+            CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
         }
         CLOCK.wake_due(cs);
     });
@@ -149,15 +125,9 @@ impl Clock {
         if next == u64::MAX {
             return;
         }
-        let ahead_us = next - now;
-        let lead_us = if !pins::exposing() || self.awake_for.borrow(cs).get() == next {
-            0
-        } else {
-            // Half of a short exposure is slept through, for the answers from outside to come in.
-            LEAD_US.min(ahead_us / 2)
-        };
         // Far alarms come early and are set again.
-        let ticks = (ahead_us - lead_us).min(1 << (WRAP_LOG2_US - 1)) as u32 * TICKS_PER_US;
+        let ahead_us = (next - now).min(1 << (WRAP_LOG2_US - 1)) as u32;
+        let ticks = ahead_us * TICKS_PER_US;
         // Loads once and does not come again: the interrupt stops the timer.
         Block::TIMER1.write(RELOAD, ticks);
         Block::TIMER1.write(VALUE, ticks);

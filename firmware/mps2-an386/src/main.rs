@@ -47,7 +47,7 @@ const BAUD_DIVIDER: u32 = 217;
 const CONFIG: sequence::Config =
     sequence::Config { host_silence: Microseconds::from_millis(1_000), ..sequence::Config::DEFAULT };
 
-/// Instructions between two looks at whether to sleep: 0.1 ms.
+/// Cycles between two looks at whether to sleep: about 0.1 ms.
 const SPIN_CYCLES: u32 = 3_000;
 
 type PinOptics =
@@ -108,9 +108,14 @@ fn main() -> ! {
     }
 }
 
-/// Sleeps until the next interrupt, unless an exposure is about to end.
+/// Sleeps until the next interrupt, except during an exposure.
+///
+/// A sleeping processor's time passes in real time, and the machine below may oversleep: an alarm then is late by as
+/// much. While instructions are executed, time is counted in instructions and an alarm is never late. It then runs
+/// faster than real time, so nothing may be awaited from outside meanwhile: hence awake only once the camera has said
+/// that it exposes, with nothing left to wait for but the exposure's end.
 fn idle() {
-    if clock::awake() {
+    if pins::exposing() {
         cortex_m::asm::delay(SPIN_CYCLES);
     } else {
         cortex_m::asm::wfi();

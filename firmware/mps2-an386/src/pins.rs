@@ -92,16 +92,16 @@ impl Output {
     fn drive(&self, level: bool) {
         tell(self.0, u16::from(level));
         if self.0 == Subject::CameraTrigger {
-            EXPOSING.store(level, Ordering::Relaxed);
+            TRIGGERED.store(level, Ordering::Relaxed);
         }
     }
 }
 
-static EXPOSING: AtomicBool = AtomicBool::new(false);
+static TRIGGERED: AtomicBool = AtomicBool::new(false);
 
-/// The camera trigger is high.
+/// The camera is triggered and has said that it exposes.
 pub fn exposing() -> bool {
-    EXPOSING.load(Ordering::Relaxed)
+    TRIGGERED.load(Ordering::Relaxed) && CAMERA_EXPOSING.value.load(Ordering::Relaxed) != 0
 }
 
 pub const LED_ENABLE: Output = Output(Subject::LedEnable);

@@ -95,6 +95,8 @@ pub(super) async fn run<S: ExposureSink>(
     let latency = Duration::from_micros(timing.latency_us);
     let mut counter = 0;
     let mut reading: VecDeque<(u32, u64)> = VecDeque::new();
+    // By the clock of whoever triggers, which need not be ours: when the last frame is read out.
+    let mut read_out_us = 0;
     ready.set(true);
     loop {
         // Idle: waiting for a trigger, handing over what is read out meanwhile.
@@ -107,13 +109,19 @@ pub(super) async fn run<S: ExposureSink>(
         until(&mut trigger, false, &mut reading, &sink).await;
         Timer::after(latency).await;
         exposing.set(false);
-        let width_us = (trigger.changed_us() + timing.latency_us).saturating_sub(start_us);
+        let closed_us = trigger.changed_us() + timing.latency_us;
+        let width_us = closed_us.saturating_sub(start_us);
         let end_us = start_us + width_us - width_us % timing.line_us.max(1);
         let ended_us = now_us();
         let readout_done_us = ended_us + timing.readout_us;
-        if reading.iter().any(|&(_, done_us)| done_us > ended_us) {
+        if closed_us < read_out_us {
             sink.borrow_mut().lost(counter, Lost::Readout);
         } else {
+            read_out_us = closed_us + timing.readout_us;
+            // By that clock, all frames before have been read out.
+            for (counter, _) in reading.drain(..) {
+                sink.borrow_mut().read_out(counter);
+            }
             let pose = world.stage.borrow().true_pose(ended_us);
             sink.borrow_mut().exposed(Exposure {
                 counter,
