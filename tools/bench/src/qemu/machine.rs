@@ -90,9 +90,9 @@ impl Machine {
         let folder = tempfile::Builder::new().prefix("flankscope-qemu-").tempdir()?;
         let mut command = Command::new(PROGRAM);
         command.args(["-no-user-config", "-machine", "mps2-an386", "-cpu", "cortex-m4"]);
-        // 2^3 ns per instruction: 125 million per second, a third of what the real board's processor does at 400 MHz.
-        // Asleep, its time is real time.
-        command.args(["-icount", "shift=3"]);
+        // 2^2 ns per instruction: 250 million per second, about what the real board's processor does at 400 MHz from
+        // flash. Asleep, its time is real time.
+        command.args(["-icount", "shift=2"]);
         command.args(["-display", "none", "-monitor", "none"]);
         let mut listeners = Vec::new();
         for name in ["link", "pins", "stage", "monitor"] {
