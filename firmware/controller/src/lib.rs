@@ -29,6 +29,7 @@ pub mod desk;
 pub mod devices;
 pub mod lamp;
 pub mod link;
+pub mod mailbox;
 pub mod run;
 pub mod sequence;
 pub mod session;

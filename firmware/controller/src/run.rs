@@ -3,11 +3,10 @@
 use crate::desk::{Desk, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::sequence::{Action, Actions, Input};
+use crate::mailbox::Mailbox;
 use crate::stage::{StageReport, StageRequest};
 use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_futures::select::{Either4, select4};
-use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_sync::channel::Channel;
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
 
@@ -15,9 +14,6 @@ use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
 pub const EVENTS_QUEUED: usize = 64;
 /// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
 const SELECT_TIMEOUT: Duration = Duration::from_millis(20);
-
-/// A channel between tasks, and from interrupts.
-pub(crate) type Mailbox<T, const N: usize> = Channel<CriticalSectionRawMutex, T, N>;
 
 /// A command as it came off the link; `None` when the payload could not be read.
 #[derive(Debug, Clone)]
@@ -54,10 +50,10 @@ impl Mailboxes {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            requests: Channel::new(),
-            outgoing: Channel::new(),
-            stage_requests: Channel::new(),
-            stage_reports: Channel::new(),
+            requests: Mailbox::new(),
+            outgoing: Mailbox::new(),
+            stage_requests: Mailbox::new(),
+            stage_reports: Mailbox::new(),
             session: AtomicU32::new(0),
             frames_dropped: AtomicU32::new(0),
             events_lost: AtomicU32::new(0),

@@ -148,6 +148,11 @@ impl Write for Port {
         Ok(bytes.len())
     }
 
+    async fn write_all(&mut self, bytes: &[u8]) -> Result<(), Infallible> {
+        self.0.send_now(bytes);
+        Ok(())
+    }
+
     async fn flush(&mut self) -> Result<(), Infallible> {
         Ok(())
     }
