@@ -68,6 +68,30 @@ pub enum Fault {
     /// An exposure came out at a width other than the commanded one.
     #[error("an exposure had the wrong width")]
     ExposureWidth = 48,
+    /// The press was not open, by one of its two channels at least, while the head was or was about to be in the die.
+    #[error("the press was not open while it was held for the head")]
+    PressNotOpen = 49,
+    /// The two press-open channels, of which one must be the opposite of the other, did not agree for too long.
+    #[error("the two press-open signals contradict each other")]
+    PressSignal = 50,
+    /// The die was not clear while the press was held for the head.
+    #[error("the die was not clear while the press was held for the head")]
+    DieNotClear = 51,
+    /// The guard was open while the press was held for the head.
+    #[error("the guard was open while the press was held for the head")]
+    GuardOpen = 52,
+    /// The press began a cycle while it was held for the head.
+    #[error("the press began a cycle while it was held for the head")]
+    PressCycled = 53,
+    /// The retract switch and the position of the head contradict each other.
+    #[error("the retract switch and the head's position contradict each other")]
+    HeadSwitch = 54,
+    /// The position of the head became unknown while it was in the die or about to be.
+    #[error("the position of the head was lost")]
+    PositionLost = 55,
+    /// The interlock is locked since power-up or since a fault: the host must home or acknowledge.
+    #[error("the interlock is locked; home or acknowledge first")]
+    InterlockLocked = 56,
 
     /// The LED must cool before the next view; the capture goes on by itself.
     #[error("the LED must cool before the next view")]
@@ -90,7 +114,7 @@ pub enum FaultClass {
 
 impl Fault {
     /// Every fault known to this version, by rising number.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 29] = [
         Self::HostSilent,
         Self::EventOverflow,
         Self::MotionTimeout,
@@ -110,6 +134,14 @@ impl Fault {
         Self::RetractFailed,
         Self::OutOfStep,
         Self::ExposureWidth,
+        Self::PressNotOpen,
+        Self::PressSignal,
+        Self::DieNotClear,
+        Self::GuardOpen,
+        Self::PressCycled,
+        Self::HeadSwitch,
+        Self::PositionLost,
+        Self::InterlockLocked,
         Self::LedCooling,
         Self::LinkNoise,
     ];

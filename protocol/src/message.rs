@@ -44,6 +44,11 @@ pub enum Command {
     Status,
     /// Clears a fault whose cause is gone; the head must be retracted again before a start.
     AcknowledgeFault,
+    /// Shows a verdict at the press for [`Identity::verdict_life`]; without another one it falls to no-go.
+    ShowVerdict {
+        /// Go; everything else is no-go.
+        go: bool,
+    },
 }
 
 /// The answer to one command.
@@ -124,6 +129,12 @@ pub enum Refusal {
         /// The fault.
         fault: FaultCode,
     },
+    /// The head may not enter the die as the press is now.
+    #[error("the head may not enter: {fault}")]
+    Interlock {
+        /// What would be the fault if it did.
+        fault: FaultCode,
+    },
 }
 
 /// What the controller is.
@@ -139,6 +150,8 @@ pub struct Identity {
     pub limits: Limits,
     /// During a capture the host may be silent for this long at most.
     pub host_silence: Microseconds,
+    /// A verdict shown at the press falls to no-go after this.
+    pub verdict_life: Microseconds,
     /// Why the controller last started.
     pub boot: Boot,
 }
@@ -181,6 +194,8 @@ pub enum State {
     Retracting,
     /// Safe and waiting for an acknowledgement.
     Faulted,
+    /// Head-clear is withdrawn; waiting until the press must have obeyed before the head leaves its retracted position.
+    Claiming,
 }
 
 /// Why the state changed.
@@ -225,12 +240,27 @@ pub struct Status {
     pub rotation: Microradians,
     /// Position of the vertical stage as last reported by it.
     pub vertical: Micrometres,
+    /// What the interlock sees and says.
+    pub press: PressStatus,
     /// Controller time of this status.
     pub at: Timestamp,
     /// Damaged or foreign frames dropped since the hello.
     pub frames_dropped: u32,
     /// Events lost to a full queue since power-up.
     pub events_lost: u32,
+}
+
+/// What the press interlock sees and says.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PressStatus {
+    /// Both press-open channels say so.
+    pub open: bool,
+    /// The press may stroke: both outputs are asserted.
+    pub head_clear: bool,
+    /// Go is shown.
+    pub go: bool,
+    /// Press cycles since power-up.
+    pub cycles: u32,
 }
 
 /// One frame as it was triggered.
@@ -325,6 +355,20 @@ pub enum Event {
     EventsLost {
         /// How many.
         count: u32,
+        /// When.
+        at: Timestamp,
+    },
+    /// The press began a cycle.
+    Cycle {
+        /// Cycles since power-up.
+        count: u32,
+        /// When.
+        at: Timestamp,
+    },
+    /// The press opened or is open no longer.
+    PressOpen {
+        /// Both channels say that it is open.
+        open: bool,
         /// When.
         at: Timestamp,
     },

@@ -1,10 +1,12 @@
 //! Where orders are judged: hello, plan, state. Pure, like the sequence behind it.
 
+use crate::interlock::{Change, Head, Interlock, Levels, Orders, Phase, VerdictLamp};
 use crate::sequence::{Actions, Input, Sequence};
 use crate::session::{Judgement, Session};
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{
-    Command, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, State, Timestamp,
+    Command, Header, Identity, PROTOCOL_VERSION, PressStatus, Refusal, Reply, SCHEMA_HASH, State,
+    Timestamp,
 };
 
 /// Firmware release, from the package version.
@@ -39,19 +41,58 @@ pub struct LinkCounts {
 pub struct Desk {
     /// The sequence.
     pub sequence: Sequence,
+    /// The press interlock.
+    pub interlock: Interlock,
+    /// The verdict at the press.
+    pub verdict: VerdictLamp,
     session: Session,
     boot: Boot,
+    orders: Orders,
 }
 
 impl Desk {
     /// After power-up.
     #[must_use]
     pub fn new(sequence: Sequence, boot: Boot) -> Self {
+        let timing = sequence.config().interlock;
         Self {
             sequence,
+            interlock: Interlock::new(timing),
+            verdict: VerdictLamp::new(timing),
             session: Session::new(),
             boot,
+            orders: Orders::default(),
         }
+    }
+
+    /// Why the controller started.
+    #[must_use]
+    pub fn boot(&self) -> Boot {
+        self.boot
+    }
+
+    /// Looks at the press, together with what was ordered since the last look.
+    pub fn look(&mut self, now: Timestamp, levels: Levels) -> Change {
+        let retract = self.sequence.state() == State::Retracting;
+        let orders = Orders {
+            retract,
+            ..core::mem::take(&mut self.orders)
+        };
+        let head: Head = self.sequence.head(now);
+        self.interlock.look(now, levels, head, orders)
+    }
+
+    /// When the sequence, the interlock or the verdict wants to be looked at.
+    #[must_use]
+    pub fn deadline(&self, now: Timestamp) -> Option<Timestamp> {
+        [
+            self.sequence.deadline(),
+            self.interlock.deadline(now),
+            self.verdict.deadline(),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
     }
 
     /// The open link session.
@@ -116,6 +157,12 @@ impl Desk {
                 let mut status = sequence.status(now);
                 (status.frames_dropped, status.events_lost) =
                     (link.frames_dropped, link.events_lost);
+                status.press = PressStatus {
+                    open: self.interlock.press_open(),
+                    head_clear: self.interlock.outputs().head_clear,
+                    go: self.verdict.lines(now).go,
+                    cycles: self.interlock.cycles(),
+                };
                 return Ok(Reply::Status(status));
             }
             Command::Heartbeat => {}
@@ -145,14 +192,28 @@ impl Desk {
                 if got != want {
                     return Err(Refusal::WrongPlan { got, want });
                 }
+                if let Some(fault) = self.interlock.objection() {
+                    let fault = fault.code();
+                    return Err(Refusal::Interlock { fault });
+                }
+                self.orders.enter = true;
                 sequence.start(now, out);
             }
             Command::Home => match sequence.state() {
-                State::Unhomed | State::Ready => sequence.home(now, out),
+                State::Unhomed | State::Ready => {
+                    // Somebody at the host wants the instrument to work: power-up is over.
+                    self.orders.release = true;
+                    sequence.home(now, out);
+                }
                 State::Faulted => return Err(faulted(sequence)),
                 state => return Err(Refusal::Busy { state }),
             },
-            Command::AcknowledgeFault => sequence.acknowledge(now, out),
+            Command::AcknowledgeFault => {
+                self.orders.release |=
+                    matches!(self.interlock.state().phase, Phase::Locked(Some(_)));
+                sequence.acknowledge(now, out);
+            }
+            Command::ShowVerdict { go } => self.verdict.show(now, *go),
         }
         Ok(Reply::Accepted)
     }
@@ -182,6 +243,7 @@ impl Desk {
             firmware: FIRMWARE,
             limits: config.limits,
             host_silence: config.host_silence,
+            verdict_life: config.interlock.verdict_life,
             boot: self.boot,
         }
     }

@@ -27,9 +27,11 @@
 pub mod budget;
 pub mod desk;
 pub mod devices;
+pub mod interlock;
 pub mod lamp;
 pub mod link;
 pub mod mailbox;
+pub mod press;
 pub mod run;
 pub mod sequence;
 pub mod session;
@@ -37,5 +39,6 @@ pub mod stage;
 
 pub use desk::Desk;
 pub use devices::{Camera, CameraWait, Dmd, Led, Optics};
-pub use run::{Mailboxes, sequencer};
+pub use press::{NoPress, PinPress, Press};
+pub use run::{Mailboxes, press_sequencer, sequencer};
 pub use sequence::{Action, Actions, Config, Input, Sequence};

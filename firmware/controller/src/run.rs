@@ -2,12 +2,15 @@
 
 use crate::desk::{Desk, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
+use crate::interlock::Position;
+use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
 use crate::mailbox::Mailbox;
 use crate::stage::{StageReport, StageRequest};
 use core::sync::atomic::{AtomicU32, Ordering};
-use embassy_futures::select::{Either4, select4};
+use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
+use flankscope_protocol::message::Boot;
 use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
 
 /// Events waiting for the link: about two views' worth of triggers.
@@ -73,23 +76,48 @@ pub fn now() -> Timestamp {
     Timestamp(Instant::now().as_micros())
 }
 
-/// Runs the sequence for ever: waits for a command, a stage, a pin or a deadline, and does what the sequence says.
+/// Runs the sequence for ever on a table, without a press.
 pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
+    desk: Desk,
+    optics: Optics<L, D, C>,
+    mail: &Mailboxes,
+) -> ! {
+    press_sequencer(desk, optics, NoPress, mail).await
+}
+
+/// Runs the sequence for ever: waits for a command, a stage, a pin, the press or a deadline, and does what the
+/// interlock and the sequence say, in this order.
+pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
     mut desk: Desk,
     mut optics: Optics<L, D, C>,
+    mut press: P,
     mail: &Mailboxes,
 ) -> ! {
     let mut unreported = 0u32;
+    if desk.boot() != Boot::PowerUp {
+        // What was set off before the reset may still be under way.
+        let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
+    }
     loop {
+        watch_press(&mut desk, &mut optics, &mut press, mail, &mut unreported).await;
         let awaiting = desk.sequence.awaiting();
-        let deadline = desk.sequence.deadline();
-        let woken = select4(
-            mail.requests.receive(),
-            mail.stage_reports.receive(),
-            sleep_until(deadline),
-            optics.wait(awaiting),
+        let deadline = desk.deadline(now());
+        let seen = desk.interlock.levels();
+        let woken = select(
+            press.changed(seen),
+            select4(
+                mail.requests.receive(),
+                mail.stage_reports.receive(),
+                sleep_until(deadline),
+                optics.wait(awaiting),
+            ),
         )
         .await;
+        // The press first: what it forbids must not begin in this step either.
+        watch_press(&mut desk, &mut optics, &mut press, mail, &mut unreported).await;
+        let Either::Second(woken) = woken else {
+            continue;
+        };
         let mut actions = Actions::new();
         match woken {
             Either4::First(request) => {
@@ -115,6 +143,39 @@ pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
     }
 }
 
+/// Looks at the press, drives its outputs, and passes on what the interlock found.
+async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
+    desk: &mut Desk,
+    optics: &mut Optics<L, D, C>,
+    press: &mut P,
+    mail: &Mailboxes,
+    unreported: &mut u32,
+) {
+    let at = now();
+    let parked = desk.sequence.head(at).position == Position::Retracted;
+    let change = desk.look(at, press.levels(parked));
+    let says = desk.interlock.outputs();
+    if !says.may_enter {
+        // Whatever the sequence still believes.
+        optics.led.off();
+    }
+    press.drive(says.head_clear, desk.verdict.lines(at));
+    let mut actions = Actions::new();
+    let count = desk.interlock.cycles();
+    if change.cycle {
+        report(mail, Event::Cycle { count, at }, unreported);
+    }
+    if let Some(open) = change.press_open {
+        report(mail, Event::PressOpen { open, at }, unreported);
+    }
+    match change.fault {
+        Some(fault) => desk.sequence.step(at, Input::Unsafe(fault), &mut actions),
+        None if change.entered => desk.sequence.step(at, Input::MayEnter, &mut actions),
+        None => return,
+    }
+    perform(desk, optics, mail, actions, unreported).await;
+}
+
 /// Carries out actions in order, and what follows from them.
 async fn perform<L: Led, D: Dmd, C: Camera>(
     desk: &mut Desk,
@@ -128,7 +189,11 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
         let mut follow_up = None;
         for action in &actions {
             match *action {
-                Action::LedOn(current) => optics.led.on(current),
+                Action::LedOn(current) if desk.interlock.outputs().may_enter => {
+                    optics.led.on(current);
+                }
+                // Its current will be missed, which is a fault.
+                Action::LedOn(_) => {}
                 Action::LedOff => optics.led.off(),
                 Action::CameraTrigger(level) => optics.camera.trigger(level),
                 Action::DmdTrigger(level) => optics.dmd.trigger(level),

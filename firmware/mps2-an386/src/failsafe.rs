@@ -1,4 +1,4 @@
-//! What happens when the program itself is wrong: the cause is kept, the LED goes out, the controller starts anew.
+//! What happens when the program itself is wrong: the cause is kept, LED and head-clear go out, the controller starts anew.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -45,8 +45,9 @@ pub fn boot() -> (Boot, u32) {
 
 fn fall_safe(cause: u32) -> ! {
     cortex_m::interrupt::disable();
-    tell(Subject::LedEnable, 0);
-    tell(Subject::CameraTrigger, 0);
+    for output in [Subject::LedEnable, Subject::CameraTrigger, Subject::HeadClear1, Subject::HeadClear2] {
+        tell(output, 0);
+    }
     keep(cause);
     SCB::sys_reset()
 }

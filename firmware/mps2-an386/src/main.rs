@@ -22,8 +22,10 @@ mod uart;
 
 use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
+use flankscope_controller::press::PinPress;
+use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, sequencer, stage};
+use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, stage};
 use flankscope_protocol::Microseconds;
 
 use crate::level::Level;
@@ -47,6 +49,18 @@ const BAUD_DIVIDER: u32 = 217;
 const CONFIG: sequence::Config =
     sequence::Config { host_silence: Microseconds::from_millis(1_000), ..sequence::Config::DEFAULT };
 
+/// Every output that a device looks at.
+const LOW_AT_START: [Subject; 8] = [
+    Subject::LedEnable,
+    Subject::CameraTrigger,
+    Subject::DmdTrigger,
+    Subject::HeadClear1,
+    Subject::HeadClear2,
+    Subject::Go,
+    Subject::NoGo,
+    Subject::VerdictBeat,
+];
+
 /// Cycles between two looks at whether to sleep: about 0.1 ms.
 const SPIN_CYCLES: u32 = 3_000;
 
@@ -69,8 +83,8 @@ async fn stages() {
 }
 
 #[embassy_executor::task]
-async fn capture(desk: Desk, optics: PinOptics) {
-    sequencer(desk, optics, &MAIL).await;
+async fn capture(desk: Desk, optics: PinOptics, press: PinPress<InputPin, Output>) {
+    press_sequencer(desk, optics, press, &MAIL).await;
 }
 
 #[entry]
@@ -80,7 +94,7 @@ fn main() -> ! {
     registers::prioritise();
     pins::BENCH.start(BAUD_DIVIDER);
     // Whatever was driven before a reset is not driven any more.
-    for output in [Subject::LedEnable, Subject::CameraTrigger, Subject::DmdTrigger] {
+    for output in LOW_AT_START {
         pins::tell(output, 0);
     }
     pins::tell(Subject::Started, u16::try_from(cause).unwrap_or(u16::MAX));
@@ -88,16 +102,28 @@ fn main() -> ! {
     STAGE.start(BAUD_DIVIDER);
 
     let optics = Optics {
-        led: PinLed { enable: pins::LED_ENABLE, sense: InputPin(&pins::LED_SENSE), current: Current },
-        dmd: PinDmd { trigger: pins::DMD_TRIGGER, ready: InputPin(&pins::DMD_READY), port: PatternBus },
+        led: PinLed { enable: Output::new(Subject::LedEnable), sense: InputPin(&pins::LED_SENSE), current: Current },
+        dmd: PinDmd { trigger: Output::new(Subject::DmdTrigger), ready: InputPin(&pins::DMD_READY), port: PatternBus },
         camera: PinCamera {
-            trigger: pins::CAMERA_TRIGGER,
+            trigger: Output::new(Subject::CameraTrigger),
             ready: InputPin(&pins::CAMERA_READY),
             exposing: InputPin(&pins::CAMERA_EXPOSING),
         },
     };
+    let press = PinPress {
+        press_open_a: InputPin(&pins::PRESS_OPEN_A),
+        press_open_b: InputPin(&pins::PRESS_OPEN_B),
+        die_clear: InputPin(&pins::DIE_CLEAR),
+        guard_closed: InputPin(&pins::GUARD_CLOSED),
+        cycle: InputPin(&pins::CYCLE),
+        retract_switch: InputPin(&pins::RETRACT_SWITCH),
+        head_clear: [Output::new(Subject::HeadClear1), Output::new(Subject::HeadClear2)],
+        go: Output::new(Subject::Go),
+        no_go: Output::new(Subject::NoGo),
+        beat: Output::new(Subject::VerdictBeat),
+    };
     let desk = Desk::new(Sequence::new(CONFIG), boot);
-    URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics)));
+    URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics, press)));
     BACKGROUND.start(|spawner| {
         spawner.spawn_if(stages());
         spawner.spawn_if(receive());

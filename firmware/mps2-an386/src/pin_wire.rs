@@ -28,12 +28,23 @@ pub enum Subject {
     SelectPattern = 5,
     /// The image has started; value is the cause of the start.
     Started = 6,
+    HeadClear1 = 7,
+    HeadClear2 = 8,
+    Go = 9,
+    NoGo = 10,
+    VerdictBeat = 11,
     // Inputs of the image; sent back when seen.
     LedSense = 16,
     DmdReady = 17,
     CameraReady = 18,
     CameraExposing = 19,
     PatternTaken = 20,
+    PressOpenA = 21,
+    PressOpenB = 22,
+    DieClear = 23,
+    GuardClosed = 24,
+    Cycle = 25,
+    RetractSwitch = 26,
     // Questions; the answer repeats the subject with a value.
     /// Most stack ever used, bytes.
     StackUsed = 32,
@@ -42,18 +53,29 @@ pub enum Subject {
 }
 
 impl Subject {
-    const ALL: [Self; 13] = [
+    const ALL: [Self; 24] = [
         Self::LedEnable,
         Self::LedCurrent,
         Self::DmdTrigger,
         Self::CameraTrigger,
         Self::SelectPattern,
         Self::Started,
+        Self::HeadClear1,
+        Self::HeadClear2,
+        Self::Go,
+        Self::NoGo,
+        Self::VerdictBeat,
         Self::LedSense,
         Self::DmdReady,
         Self::CameraReady,
         Self::CameraExposing,
         Self::PatternTaken,
+        Self::PressOpenA,
+        Self::PressOpenB,
+        Self::DieClear,
+        Self::GuardClosed,
+        Self::Cycle,
+        Self::RetractSwitch,
         Self::StackUsed,
         Self::AlarmLatency,
     ];

@@ -54,6 +54,12 @@ fn hear(subject: Subject, value: u16) {
         Subject::CameraReady => &CAMERA_READY,
         Subject::CameraExposing => &CAMERA_EXPOSING,
         Subject::PatternTaken => &PATTERN_TAKEN,
+        Subject::PressOpenA => &PRESS_OPEN_A,
+        Subject::PressOpenB => &PRESS_OPEN_B,
+        Subject::DieClear => &DIE_CLEAR,
+        Subject::GuardClosed => &GUARD_CLOSED,
+        Subject::Cycle => &CYCLE,
+        Subject::RetractSwitch => &RETRACT_SWITCH,
         Subject::StackUsed => return tell(subject, u16::try_from(stack::used_bytes()).unwrap_or(u16::MAX)),
         Subject::AlarmLatency => {
             return tell(subject, u16::try_from(clock::latest_alarm_us()).unwrap_or(u16::MAX));
@@ -63,14 +69,22 @@ fn hear(subject: Subject, value: u16) {
         | Subject::DmdTrigger
         | Subject::CameraTrigger
         | Subject::SelectPattern
-        | Subject::Started => return,
+        | Subject::Started
+        | Subject::HeadClear1
+        | Subject::HeadClear2
+        | Subject::Go
+        | Subject::NoGo
+        | Subject::VerdictBeat => return,
     };
     input.set(value);
     tell(subject, value);
 }
 
-/// An output pin.
-pub struct Output(Subject);
+/// An output pin, low at start.
+pub struct Output {
+    subject: Subject,
+    level: bool,
+}
 
 impl ErrorType for Output {
     type Error = Infallible;
@@ -89,9 +103,19 @@ impl OutputPin for Output {
 }
 
 impl Output {
-    fn drive(&self, level: bool) {
-        tell(self.0, u16::from(level));
-        if self.0 == Subject::CameraTrigger {
+    /// The pin of this subject.
+    pub const fn new(subject: Subject) -> Self {
+        Self { subject, level: false }
+    }
+
+    /// Only a change is an edge.
+    fn drive(&mut self, level: bool) {
+        if self.level == level {
+            return;
+        }
+        self.level = level;
+        tell(self.subject, u16::from(level));
+        if self.subject == Subject::CameraTrigger {
             TRIGGERED.store(level, Ordering::Relaxed);
         }
     }
@@ -103,10 +127,6 @@ static TRIGGERED: AtomicBool = AtomicBool::new(false);
 pub fn exposing() -> bool {
     TRIGGERED.load(Ordering::Relaxed) && CAMERA_EXPOSING.value.load(Ordering::Relaxed) != 0
 }
-
-pub const LED_ENABLE: Output = Output(Subject::LedEnable);
-pub const DMD_TRIGGER: Output = Output(Subject::DmdTrigger);
-pub const CAMERA_TRIGGER: Output = Output(Subject::CameraTrigger);
 
 /// An input pin, or another number that the bench sets.
 pub struct Input {
@@ -120,6 +140,12 @@ pub static LED_SENSE: Input = Input::new();
 pub static DMD_READY: Input = Input::new();
 pub static CAMERA_READY: Input = Input::new();
 pub static CAMERA_EXPOSING: Input = Input::new();
+pub static PRESS_OPEN_A: Input = Input::new();
+pub static PRESS_OPEN_B: Input = Input::new();
+pub static DIE_CLEAR: Input = Input::new();
+pub static GUARD_CLOSED: Input = Input::new();
+pub static CYCLE: Input = Input::new();
+pub static RETRACT_SWITCH: Input = Input::new();
 static PATTERN_TAKEN: Input = Input::new();
 
 /// No answer yet.
@@ -166,6 +192,16 @@ pub struct InputPin(pub &'static Input);
 
 impl ErrorType for InputPin {
     type Error = Infallible;
+}
+
+impl embedded_hal::digital::InputPin for InputPin {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.value.load(Ordering::Acquire) != 0)
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.value.load(Ordering::Acquire) == 0)
+    }
 }
 
 impl Wait for InputPin {

@@ -9,12 +9,16 @@ use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::{Config, bind_interrupts, interrupt, rcc};
 use flankscope_controller::Optics;
 use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed};
+use flankscope_controller::press::PinPress;
 use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Milliamps};
 use static_cell::StaticCell;
 
 bind_interrupts!(struct Irqs {
     USART2 => usart::BufferedInterruptHandler<USART2>;
     USART3 => usart::BufferedInterruptHandler<USART3>;
+    EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
+    EXTI1 => exti::InterruptHandler<interrupt::typelevel::EXTI1>;
+    EXTI2 => exti::InterruptHandler<interrupt::typelevel::EXTI2>;
     EXTI3 => exti::InterruptHandler<interrupt::typelevel::EXTI3>;
     EXTI4 => exti::InterruptHandler<interrupt::typelevel::EXTI4>;
     EXTI9_5 => exti::InterruptHandler<interrupt::typelevel::EXTI9_5>;
@@ -29,8 +33,13 @@ type Out = Output<'static>;
 /// The devices that work with light.
 pub type BoardOptics = Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, NoPatternBus>, PinCamera<Out, In, In>>;
 
+/// The press's signals.
+pub type BoardPress = PinPress<In, Out>;
+
 /// Everything wired.
 pub struct Board {
+    /// Press.
+    pub press: BoardPress,
     /// LED, DMD, camera.
     pub optics: BoardOptics,
     /// Host link.
@@ -60,6 +69,23 @@ impl Board {
                 exposing: ExtiInput::new(p.PE10, p.EXTI10, Pull::Down, Irqs),
             },
         };
+        let input_low = Pull::Down; // a cut cable reads as "not safe"
+        let press = PinPress {
+            press_open_a: ExtiInput::new(p.PF0, p.EXTI0, input_low, Irqs),
+            // Low means open: a cut cable must read high.
+            press_open_b: ExtiInput::new(p.PF1, p.EXTI1, Pull::Up, Irqs),
+            die_clear: ExtiInput::new(p.PF2, p.EXTI2, input_low, Irqs),
+            guard_closed: ExtiInput::new(p.PF6, p.EXTI6, input_low, Irqs),
+            cycle: ExtiInput::new(p.PF7, p.EXTI7, input_low, Irqs),
+            retract_switch: ExtiInput::new(p.PF8, p.EXTI8, input_low, Irqs),
+            head_clear: [
+                Output::new(p.PE12, Level::Low, Speed::Low),
+                Output::new(p.PE14, Level::Low, Speed::Low),
+            ],
+            go: Output::new(p.PG0, Level::Low, Speed::Low),
+            no_go: Output::new(p.PG1, Level::Low, Speed::Low),
+            beat: Output::new(p.PG2, Level::Low, Speed::Low),
+        };
         static HOST: StaticCell<[[u8; MAX_FRAME_BYTES]; 2]> = StaticCell::new();
         static STAGE: StaticCell<[[u8; 128]; 2]> = StaticCell::new();
         let mut settings = usart::Config::default();
@@ -68,7 +94,7 @@ impl Board {
         let host = BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
         let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
         let stage = BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
-        Some(Self { optics, host, stage })
+        Some(Self { press, optics, host, stage })
     }
 }
 
@@ -115,10 +141,10 @@ impl PatternPort for NoPatternBus {
     }
 }
 
-/// LED enable and camera trigger low, whatever the rest of the program thinks.
+/// LED enable, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.
 pub fn go_dark() {
     use embassy_stm32::pac::GPIOE;
-    for pin in [2, 7] {
+    for pin in [2, 7, 12, 14] {
         GPIOE.bsrr().write(|bits| bits.set_br(pin, true));
     }
 }

@@ -13,11 +13,12 @@ use embassy_executor::{Executor, InterruptExecutor};
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
+use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, sequencer, stage};
+use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, stage};
 use static_cell::StaticCell;
 
-use crate::board::{Board, BoardOptics};
+use crate::board::{Board, BoardOptics, BoardPress};
 
 static MAIL: Mailboxes = Mailboxes::new();
 static URGENT: InterruptExecutor = InterruptExecutor::new();
@@ -39,8 +40,8 @@ async fn stages(port: BufferedUart<'static>) {
 }
 
 #[embassy_executor::task]
-async fn capture(desk: Desk, optics: BoardOptics) {
-    sequencer(desk, optics, &MAIL).await;
+async fn capture(desk: Desk, optics: BoardOptics, press: BoardPress) {
+    press_sequencer(desk, optics, press, &MAIL).await;
 }
 
 /// Nothing on this board raises it: pended by software.
@@ -53,11 +54,11 @@ unsafe fn SAI4() {
 #[entry]
 fn main() -> ! {
     let boot = failsafe::boot();
-    let Some(Board { optics, host, stage }) = Board::take() else { failsafe::fall_safe(line!()) };
+    let Some(Board { optics, press, host, stage }) = Board::take() else { failsafe::fall_safe(line!()) };
     let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
     interrupt::SAI4.set_priority(Priority::P6);
     let urgent = URGENT.start(interrupt::SAI4);
-    if let Ok(task) = capture(desk, optics) {
+    if let Ok(task) = capture(desk, optics, press) {
         urgent.spawn(task);
     }
     let (to_host, from_host) = host.split();

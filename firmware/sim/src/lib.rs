@@ -38,4 +38,4 @@ pub use executor::{Clock, Hold, Pace, Remote, Sim};
 pub use line::{Edge, Line};
 pub use pty::Pty;
 pub use uart::Port;
-pub use wiring::{Board, CurrentCell, PatternBus, Wiring, spawn_controller};
+pub use wiring::{Board, CurrentCell, PatternBus, PressLines, Wiring, spawn_controller};

@@ -10,7 +10,9 @@ use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, sequencer, stage};
+use flankscope_controller::{
+    Desk, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence, stage,
+};
 use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
 use std::rc::Rc;
@@ -97,6 +99,58 @@ pub struct Board {
     pub camera_ready: Line,
     /// Camera -> controller: strobe.
     pub camera_exposing: Line,
+    /// Press <-> controller.
+    pub press: PressLines,
+}
+
+/// The press's lines; [`flankscope_controller::press`] has their meanings.
+#[derive(Clone)]
+#[allow(missing_docs)] // one meaning each, in the module above
+pub struct PressLines {
+    pub press_open_a: Line,
+    pub press_open_b: Line,
+    pub die_clear: Line,
+    pub guard_closed: Line,
+    pub cycle: Line,
+    pub retract_switch: Line,
+    pub head_clear_1: Line,
+    pub head_clear_2: Line,
+    pub go: Line,
+    pub no_go: Line,
+    pub beat: Line,
+}
+
+impl PressLines {
+    fn new(sim: &Sim) -> Self {
+        Self {
+            press_open_a: sim.line("press_open_a"),
+            press_open_b: sim.line("press_open_b"),
+            die_clear: sim.line("die_clear"),
+            guard_closed: sim.line("guard_closed"),
+            cycle: sim.line("cycle"),
+            retract_switch: sim.line("retract_switch"),
+            head_clear_1: sim.line("head_clear_1"),
+            head_clear_2: sim.line("head_clear_2"),
+            go: sim.line("go"),
+            no_go: sim.line("no_go"),
+            beat: sim.line("beat"),
+        }
+    }
+
+    fn pins(self) -> PinPress<Line, Line> {
+        PinPress {
+            press_open_a: self.press_open_a,
+            press_open_b: self.press_open_b,
+            die_clear: self.die_clear,
+            guard_closed: self.guard_closed,
+            cycle: self.cycle,
+            retract_switch: self.retract_switch,
+            head_clear: [self.head_clear_1, self.head_clear_2],
+            go: self.go,
+            no_go: self.no_go,
+            beat: self.beat,
+        }
+    }
 }
 
 /// The board and both ends of its two UARTs.
@@ -129,6 +183,7 @@ impl Wiring {
             camera_trigger: sim.line("camera_trigger"),
             camera_ready: sim.line("camera_ready"),
             camera_exposing: sim.line("camera_exposing"),
+            press: PressLines::new(sim),
         };
         Self {
             board,
@@ -161,6 +216,7 @@ pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, ax
             exposing: board.camera_exposing,
         },
     };
+    let press = board.press.pins();
     let desk = Desk::new(Sequence::new(config), Boot::PowerUp);
     let stages = Esp301::new(wiring.controller_stage.clone(), axes);
     let (rx, tx) = (
@@ -170,5 +226,5 @@ pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, ax
     sim.spawn(async move { link::receive(rx, mail).await });
     sim.spawn(async move { link::transmit(tx, mail).await });
     sim.spawn(async move { stage::run(stages, mail).await });
-    sim.spawn(async move { sequencer(desk, optics, mail).await });
+    sim.spawn(async move { press_sequencer(desk, optics, press, mail).await });
 }

@@ -96,6 +96,7 @@ pub fn commands() -> Vec<Command> {
         Command::Heartbeat => Command::Heartbeat,
         Command::Status => Command::Status,
         Command::AcknowledgeFault => Command::AcknowledgeFault,
+        Command::ShowVerdict { .. } => Command::ShowVerdict { go: true },
     )
 }
 
@@ -112,6 +113,7 @@ pub fn states() -> Vec<State> {
         State::Darkening => State::Darkening,
         State::Retracting => State::Retracting,
         State::Faulted => State::Faulted,
+        State::Claiming => State::Claiming,
     )
 }
 
@@ -192,6 +194,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::Busy { .. } => Refusal::Busy { state: State::Capturing },
         Refusal::NotHomed => Refusal::NotHomed,
         Refusal::Faulted { .. } => Refusal::Faulted { fault: Fault::LedNotOn.code() },
+        Refusal::Interlock { .. } => Refusal::Interlock { fault: Fault::PressNotOpen.code() },
     );
     all.extend(plan_errors().into_iter().map(Refusal::Plan));
     all
@@ -204,6 +207,7 @@ fn identity(boot: Boot) -> Identity {
         firmware: [0, 1, 0],
         limits: Limits::DEFAULT,
         host_silence: Microseconds(100_000),
+        verdict_life: Microseconds(5_000_000),
         boot,
     }
 }
@@ -219,6 +223,12 @@ fn status(state: State) -> Status {
         homed: true,
         rotation: Microradians(74_800),
         vertical: Micrometres(33_000),
+        press: PressStatus {
+            open: true,
+            head_clear: false,
+            go: true,
+            cycles: 1_000,
+        },
         at: AT,
         frames_dropped: 1,
         events_lost: 0,
@@ -264,6 +274,8 @@ pub fn events() -> Vec<Event> {
         Event::Fault { .. } =>
             Event::Fault { fault: Fault::StageError.code(), state: State::Moving, detail: 106, at: AT },
         Event::EventsLost { .. } => Event::EventsLost { count: 4, at: AT },
+        Event::Cycle { .. } => Event::Cycle { count: 1_000, at: AT },
+        Event::PressOpen { .. } => Event::PressOpen { open: true, at: AT },
     );
     all.extend(whys().into_iter().map(|why| Event::StateChanged {
         prev: State::Moving,

@@ -13,6 +13,7 @@ use flankscope_profilometry::{HeadModel, PatternSet};
 use flankscope_station::capture::{Overflow, SharedRoot};
 use serde::{Deserialize, Serialize};
 
+use crate::ageing::Ageing;
 use crate::camera::{self, FrameFault};
 use crate::demo;
 use crate::devices::{self, Controller, InstrumentConfig};
@@ -22,6 +23,9 @@ use crate::world::{PatternSpec, Wear, World};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
+
+/// The retract switch stands this far above the die.
+const SWITCH_CLEARANCE_MM: f64 = 14.0;
 
 /// The simulated bench.
 #[derive(clap::Args)]
@@ -63,6 +67,15 @@ struct RunArgs {
     /// Who drives the pins: the controller crate in this process, or its image in QEMU.
     #[arg(long, default_value = "sim")]
     controller: ControllerKind,
+    /// Damage that each press cycle adds: TOOTH:FLANK:DEPTH_UM.
+    #[arg(long)]
+    wear_rate: Vec<Wear>,
+    /// Strokes per minute of the press; 0: it stands open.
+    #[arg(long, default_value_t = 0.0, value_parser = strokes_per_minute)]
+    strokes_per_minute: f64,
+    /// Share of a stroke during which the press counts as open.
+    #[arg(long, default_value_t = 0.4, value_parser = open_share)]
+    open_share: f64,
     /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
@@ -89,6 +102,23 @@ impl std::str::FromStr for Speed {
             Ok(speed) if (0.1..=MAX_SPEED).contains(&speed) => Ok(Self(speed)),
             _ => Err(format!("{text} is no speed; 0.1 to {MAX_SPEED} or max is")),
         }
+    }
+}
+
+fn strokes_per_minute(text: &str) -> Result<f64, String> {
+    within(text, 0.0, 300.0)
+}
+
+fn open_share(text: &str) -> Result<f64, String> {
+    within(text, 0.1, 0.9)
+}
+
+fn within(text: &str, least: f64, most: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(number) if (least..=most).contains(&number) => Ok(number),
+        _ => Err(format!(
+            "{text} is out of range; a number from {least} to {most} is needed"
+        )),
     }
 }
 
@@ -175,7 +205,15 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     };
 
     let mut config = demo::world_of(&tool, &head)?;
-    config.wear = args.wear.clone();
+    let ageing = Ageing {
+        initial: args.wear.clone(),
+        per_cycle: args.wear_rate.clone(),
+    };
+    config.wear = ageing
+        .after(0)
+        .into_iter()
+        .filter(|one| one.depth_mm > 0.0)
+        .collect();
     config.run_seed = args.seed;
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
@@ -194,6 +232,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let (camera_thread, camera) = camera::start(
         world,
         patterns,
+        ageing,
         args.frame_fault,
         SharedRoot::of_owner(&args.root),
         overflow,
@@ -201,6 +240,12 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = args.seed;
+    config.devices.press.strokes_per_minute = args.strokes_per_minute;
+    config.devices.press.open_share = args.open_share;
+    if let Some(gear) = &tool.gear {
+        // The switch is set up with the die, a little below where the head retracts to.
+        config.devices.press.switch_mm = gear.height_mm[1] + SWITCH_CLEARANCE_MM;
+    }
     let instrument = devices::run_with(config, controller, camera)?;
     // The controller counts the host's silence in virtual time, the host lives in real time.
     let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;

@@ -317,7 +317,7 @@ fn a_command_sent_three_times_is_done_once() {
         host.send(0xC0FFEE, 1_001, &Command::Start { session: 5 })
             .await;
         let refused = Reply::Refused(Refusal::Busy {
-            state: State::Moving,
+            state: State::Claiming,
         });
         assert_eq!(host.receive().await, [(1_001, refused)]);
         host
@@ -386,5 +386,15 @@ fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
         host
     });
     assert_eq!(record.notes.destinations, []);
-    assert!(record.edges.iter().all(|edge| edge.line == "camera_ready"));
+    // What the controller drives stays as it was; only the devices and the press have shown themselves.
+    for line in [
+        "led_enable",
+        "camera_trigger",
+        "dmd_trigger",
+        "head_clear_1",
+        "head_clear_2",
+        "go",
+    ] {
+        assert!(times(&record.edges, line, true).is_empty(), "{line} rose");
+    }
 }

@@ -102,16 +102,8 @@ fn lint() -> Result<(), String> {
 }
 
 fn doc() -> Result<(), String> {
-    let mut cargo = cargo(&[
-        "doc",
-        "--workspace",
-        "--no-deps",
-        "--document-private-items",
-    ]);
-    cargo.env(
-        "RUSTDOCFLAGS",
-        "-D warnings -A rustdoc::private_intra_doc_links",
-    );
+    let mut cargo = cargo(&["doc", "--workspace", "--no-deps"]);
+    cargo.env("RUSTDOCFLAGS", "-D warnings");
     run(cargo)
 }
 

@@ -1,5 +1,6 @@
 //! Settings of the instrument.
 
+use crate::interlock::Timing;
 use flankscope_protocol::{Limits, Micrometres, Microradians, Microseconds};
 
 /// What is true of the instrument, not of a plan.
@@ -23,6 +24,10 @@ pub struct Config {
     pub vertical_tolerance: Micrometres,
     /// How much longer than commanded a trigger pulse may come out.
     pub exposure_tolerance: Microseconds,
+    /// How long a claimed press may take to let the head in, hold time included.
+    pub claim_timeout: Microseconds,
+    /// Times of the press interlock.
+    pub interlock: Timing,
 }
 
 impl Config {
@@ -40,5 +45,7 @@ impl Config {
         rotation_tolerance: Microradians(786),
         vertical_tolerance: Micrometres(15),
         exposure_tolerance: Microseconds(100),
+        claim_timeout: Microseconds::from_millis(1_000),
+        interlock: Timing::DEFAULT,
     };
 }

@@ -40,6 +40,20 @@ impl Sequence {
         }
     }
 
+    /// The interlock wants the head out: a retract for a fault, whatever was going on.
+    ///
+    /// A head that is on its way out or has failed to get there already does what it can.
+    pub(super) fn unsafe_press(&mut self, now: Timestamp, fault: Fault, out: &mut Actions) {
+        match self.step {
+            Step::Retracting {
+                then: Then::Faulted,
+                ..
+            }
+            | Step::Faulted => {}
+            _ => self.fail(now, fault, 0, out),
+        }
+    }
+
     /// The head could not be brought out: where it is, is not known any more.
     pub(super) fn retract_failed(&mut self, now: Timestamp, detail: u32, out: &mut Actions) {
         let fault = Fault::RetractFailed;

@@ -1,7 +1,7 @@
 //! The capture sequence as a pure state machine: inputs with their time go in, actions come out.
 //!
 //! ```text
-//! Unhomed ─► Homing ─► Ready ─► Moving ─► Settling ─► (Cooling) ─► Lighting ─┐
+//! Unhomed ─► Homing ─► Ready ─► (Claiming) ─► Moving ─► Settling ─► (Cooling) ─► Lighting ─┐
 //!              ▲         ▲        ▲                                          ▼
 //!              │         │        └── next view ── Darkening ◄── Capturing, per frame:
 //!              │         │                             │            select ► trigger DMD ► ready ► settle
@@ -29,9 +29,11 @@ pub use signals::{Action, Actions, Awaiting, Input, MAX_ACTIONS};
 pub use view::earliest_trigger;
 
 use crate::devices::CameraWait;
+use crate::interlock::{Head, Position};
 use crate::lamp::{Confirmed, Lamp};
 use flankscope_protocol::{
-    CapturePlan, Event, Fault, Micrometres, Microradians, State, Status, Timestamp, Why,
+    CapturePlan, Event, Fault, Micrometres, Microradians, PressStatus, State, Status, Timestamp,
+    Why,
 };
 use signals::push;
 
@@ -51,6 +53,10 @@ enum Step {
         until: Timestamp,
     },
     Ready,
+    /// Waiting for the interlock to let the head in.
+    Claiming {
+        until: Timestamp,
+    },
     Moving {
         until: Timestamp,
     },
@@ -110,6 +116,8 @@ pub struct Sequence {
     lamp: Lamp,
     fault: Option<Fault>,
     homed: bool,
+    /// The stages reported to stand retracted and have not been sent away since.
+    parked: bool,
     rotation: Microradians,
     vertical: Micrometres,
     /// Request to the stages that is still open; answers to older ones are stale.
@@ -134,6 +142,7 @@ impl Sequence {
             lamp: Lamp::new(&config.limits),
             fault: None,
             homed: false,
+            parked: false,
             rotation: Microradians(0),
             vertical: config.home_vertical,
             ticket: 0,
@@ -178,6 +187,7 @@ impl Sequence {
             Step::Unhomed => State::Unhomed,
             Step::Homing { .. } => State::Homing,
             Step::Ready => State::Ready,
+            Step::Claiming { .. } => State::Claiming,
             Step::Moving { .. } => State::Moving,
             Step::Settling { .. } => State::Settling,
             Step::Cooling { .. } => State::Cooling,
@@ -200,13 +210,27 @@ impl Sequence {
     pub fn capturing(&self) -> bool {
         matches!(
             self.state(),
-            State::Moving
+            State::Claiming
+                | State::Moving
                 | State::Settling
                 | State::Cooling
                 | State::Lighting
                 | State::Capturing
                 | State::Darkening
         )
+    }
+
+    /// What the interlock must know of the head.
+    #[must_use]
+    pub fn head(&self, now: Timestamp) -> Head {
+        Head {
+            position: match (self.homed, self.parked) {
+                (false, _) => Position::Unknown,
+                (true, true) => Position::Retracted,
+                (true, false) => Position::Away,
+            },
+            host_alive: now < self.host_heard.after(self.config.host_silence),
+        }
     }
 
     /// Everything the host may ask for; the caller fills in what only the link knows.
@@ -222,6 +246,7 @@ impl Sequence {
             homed: self.homed,
             rotation: self.rotation,
             vertical: self.vertical,
+            press: PressStatus::default(),
             at: now,
             frames_dropped: 0,
             events_lost: 0,
@@ -253,6 +278,7 @@ impl Sequence {
                 Some(begin_by.map_or(end, |begin_by| end.min(begin_by)))
             }
             Step::Homing { until }
+            | Step::Claiming { until }
             | Step::Moving { until }
             | Step::Settling { until }
             | Step::Cooling { until }
@@ -305,6 +331,12 @@ impl Sequence {
             Input::CameraReady => self.camera_ready(now, out),
             Input::CameraExposing(level) => self.camera_exposing(now, level, out),
             Input::EventsLost => self.fail(now, Fault::EventOverflow, 0, out),
+            Input::MayEnter => {
+                if let Step::Claiming { .. } = self.step {
+                    self.move_to_view(now, Why::Sequence, out);
+                }
+            }
+            Input::Unsafe(fault) => self.unsafe_press(now, fault, out),
             Input::Tick => {}
         }
         self.tick(now, out);
@@ -322,6 +354,9 @@ impl Sequence {
             Step::Homing { until } if now >= until => {
                 self.homed = false;
                 self.fail(now, Fault::MotionTimeout, 0, out);
+            }
+            Step::Claiming { until } if now >= until => {
+                self.fail(now, Fault::InterlockLocked, 0, out)
             }
             Step::Moving { until } if now >= until => self.fail(now, Fault::MotionTimeout, 0, out),
             Step::Settling { until } if now >= until => self.light(now, out),
@@ -350,7 +385,7 @@ impl Sequence {
     fn in_position(&mut self, now: Timestamp, out: &mut Actions) {
         match self.step {
             Step::Homing { .. } => {
-                self.homed = true;
+                (self.homed, self.parked) = (true, true);
                 self.enter(Step::Ready, Why::Sequence, now, out);
             }
             Step::Moving { .. } => match self.target() {
@@ -381,6 +416,7 @@ impl Sequence {
                 if off_um > self.config.vertical_tolerance.get().unsigned_abs() {
                     return self.retract_failed(now, off_um, out);
                 }
+                self.parked = true;
                 self.retracted(now, then, out);
             }
             _ => {}

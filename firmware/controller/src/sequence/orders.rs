@@ -13,11 +13,18 @@ impl Sequence {
         (self.view, self.frame, self.frames_total) = (0, 0, 0);
         self.host_heard = now;
         self.readout_end = now;
-        self.move_to_view(now, Why::Start, out);
+        self.enter(
+            Step::Claiming {
+                until: now.after(self.config.claim_timeout),
+            },
+            Why::Start,
+            now,
+            out,
+        );
     }
 
     pub(crate) fn home(&mut self, now: Timestamp, out: &mut Actions) {
-        self.homed = false;
+        (self.homed, self.parked) = (false, false);
         let ticket = self.next_ticket();
         push(out, Action::Home { ticket });
         self.enter(

@@ -44,6 +44,10 @@ pub enum Input {
     CameraExposing(bool),
     /// Events for the host were lost.
     EventsLost,
+    /// The press was claimed and has had its time to obey: the head may enter.
+    MayEnter,
+    /// The interlock wants the head out.
+    Unsafe(Fault),
     /// Only time has passed.
     Tick,
 }

@@ -121,6 +121,8 @@ impl Rig {
         rig.sequence.store(plan);
         rig.log.clear();
         rig.order(|sequence, now, out| sequence.start(now, out));
+        assert_eq!(rig.sequence.state(), State::Claiming);
+        rig.input(Input::MayEnter);
         rig
     }
 
@@ -221,6 +223,9 @@ impl Rig {
                     },
                 ));
             }
+        }
+        if self.sequence.state() == State::Claiming {
+            said.push((self.now, Input::MayEnter));
         }
         if world.host_alive && self.sequence.capturing() {
             said.push((world.host_next, Input::HostAlive));
@@ -368,7 +373,7 @@ fn states_follow_each_other_as_drawn() {
         State::Darkening,
     ];
     let expected = [
-        &[State::Ready][..],
+        &[State::Ready, State::Claiming][..],
         &view,
         &view,
         &view,
@@ -746,5 +751,51 @@ fn an_exposure_that_comes_out_too_long_is_a_fault() {
             rig.advance();
         }
         assert_eq!(rig.sequence.fault(), fault);
+    }
+}
+
+#[test]
+fn a_press_that_is_never_held_is_a_fault_and_nothing_moves() {
+    let mut rig = Rig::new(config());
+    rig.order(|sequence, now, out| sequence.home(now, out));
+    rig.run();
+    rig.sequence.store(plan());
+    rig.log.clear();
+    rig.order(|sequence, now, out| sequence.start(now, out));
+    let begun = rig.now;
+    // Nobody says that the head may enter.
+    rig.world.host_alive = true;
+    while rig.sequence.state() == State::Claiming {
+        rig.now = rig.now.after(Microseconds(50_000));
+        rig.input(Input::HostAlive);
+    }
+    assert_eq!(rig.sequence.fault(), Some(Fault::InterlockLocked));
+    assert_eq!(
+        rig.now.since_us(begun),
+        u64::from(config().claim_timeout.get())
+    );
+    assert!(
+        !rig.log
+            .iter()
+            .any(|(_, action)| matches!(action, Action::Move { .. }))
+    );
+}
+
+#[test]
+fn an_unsafe_press_darkens_and_retracts_in_the_same_step_at_every_step() {
+    for mut rig in every_step() {
+        if !rig.sequence.capturing() {
+            continue;
+        }
+        rig.log.clear();
+        let at = rig.now;
+        rig.input(Input::Unsafe(Fault::PressNotOpen));
+        assert!(!rig.sequence.lamp.enabled());
+        let retract = rig
+            .log
+            .iter()
+            .find(|(_, action)| matches!(action, Action::Retract { .. }));
+        assert_eq!(retract.expect("a retract").0, at);
+        assert_eq!(rig.sequence.fault(), Some(Fault::PressNotOpen));
     }
 }

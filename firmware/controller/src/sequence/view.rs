@@ -13,6 +13,7 @@ impl Sequence {
             .plan
             .as_ref()
             .map_or(self.config.retract_timeout, |plan| plan.timeouts.motion);
+        self.parked = false;
         let ticket = self.next_ticket();
         push(out, Action::Move { ticket, view });
         self.enter(

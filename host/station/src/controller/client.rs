@@ -121,6 +121,7 @@ impl Client {
                 firmware: [0; 3],
                 limits: flankscope_protocol::Limits::DEFAULT,
                 host_silence: flankscope_protocol::Microseconds(0),
+                verdict_life: flankscope_protocol::Microseconds(0),
                 boot: flankscope_protocol::message::Boot::PowerUp,
             },
             session,
@@ -224,6 +225,11 @@ impl Client {
                 }
             }
         }
+    }
+
+    /// Drops the events that have arrived and were not asked for: what happened before the next order.
+    pub fn forget_events(&mut self) {
+        self.events.clear();
     }
 
     /// Sends a command until it is answered: a retry repeats the sequence number, so it is never carried out twice.

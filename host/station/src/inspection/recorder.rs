@@ -68,6 +68,8 @@ pub struct CapturedView {
     pub accumulator: Accumulator,
     /// Headers of the frames, in order of arrival.
     pub frames: Vec<FrameHeader>,
+    /// From hand-over by the camera process to sight by the host, per frame, ns.
+    pub handover_ns: Vec<u64>,
     /// Why it cannot be used.
     pub problem: Option<ViewError>,
 }
@@ -196,7 +198,8 @@ impl<'a> Recorder<'a> {
             self.open = Some(CapturedView {
                 view: header.label.view,
                 accumulator,
-                frames: Vec::new(),
+                frames: Vec::with_capacity(self.kinds.len()),
+                handover_ns: Vec::with_capacity(self.kinds.len()),
                 problem: None,
             });
         }
@@ -205,6 +208,11 @@ impl<'a> Recorder<'a> {
             return;
         };
         open.frames.push(header);
+        open.handover_ns.push(
+            frame
+                .received_monotonic_ns
+                .saturating_sub(header.published_monotonic_ns),
+        );
         if open.problem.is_none() {
             open.problem = match self.kinds.get(usize::from(header.label.in_view)) {
                 _ if header.session != arm.session => Some(ViewError::Session {

@@ -56,6 +56,35 @@ pub struct FrameCount {
     pub bytes_copied: u64,
     /// Views that had to be captured again.
     pub recaptured_views: u32,
+    /// From hand-over by the camera process to sight by the host.
+    pub handover_us: Handover,
+}
+
+/// How long frames were on their way, µs.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Handover {
+    /// Half of the frames were faster.
+    pub median: f64,
+    /// 99 of 100 frames were faster.
+    pub p99: f64,
+}
+
+impl Handover {
+    /// From the times of all frames; zeros where there are none. Sorts them.
+    #[must_use]
+    pub fn of(times_ns: &mut [u64]) -> Self {
+        times_ns.sort_unstable();
+        let at = |share: f64| {
+            let rank = (share * times_ns.len() as f64).ceil() as usize;
+            times_ns
+                .get(rank.saturating_sub(1))
+                .map_or(0.0, |&ns| ns as f64 / 1e3)
+        };
+        Self {
+            median: at(0.5),
+            p99: at(0.99),
+        }
+    }
 }
 
 /// How one view was laid on the CAD.

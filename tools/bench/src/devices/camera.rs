@@ -75,6 +75,10 @@ pub trait ExposureSink {
     fn read_out(&mut self, counter: u32) {
         let _ = counter;
     }
+    /// The press began its stroke number `count`, from 1.
+    fn cycled(&mut self, count: u32) {
+        let _ = count;
+    }
     /// A frame was triggered in vain; its counter value is skipped.
     fn lost(&mut self, counter: u32, why: Lost) {
         let _ = (counter, why);

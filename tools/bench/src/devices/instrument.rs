@@ -154,6 +154,8 @@ pub fn run_with(
         .spawn(move || {
             let sim = Sim::new(config.clock);
             let wiring = Wiring::new(&sim);
+            sink.attach(sim.remote());
+            spawn_all(&sim, &wiring, &config.devices, sink);
             let begun = Pty::open(&sim, wiring.host.clone()).and_then(|pty| {
                 let trace = match &controller {
                     Controller::InProcess => {
@@ -176,8 +178,6 @@ pub fn run_with(
                 }
             };
             let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
-            sink.attach(sim.remote());
-            spawn_all(&sim, &wiring, &config.devices, sink);
             sim.run_until(|| stop.load(Ordering::Acquire));
             drop(pty);
             drop(controller);

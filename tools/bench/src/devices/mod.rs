@@ -5,6 +5,7 @@
 //!             ──pattern bus, dmd_trigger──► dmd ──ready──►   │ pseudo-terminal
 //!             ──camera_trigger──► camera ──ready, exposing──►│
 //!             ◄──UART, ESP301 text──► stage                  ▼
+//!             ◄──press open, guard, ..──► press ◄──head clear
 //!                                     camera ──► ExposureSink: what was exposed, under which pattern, at which pose
 //! ```
 //! The models know nothing of each other but what light and mechanics carry between them: [`World`].
@@ -14,14 +15,18 @@ pub mod dmd;
 pub mod instrument;
 pub mod led;
 pub mod motion;
+pub mod press;
 pub mod stage;
 
 pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
 pub use dmd::DmdTiming;
 pub use instrument::{Controller, Instrument, InstrumentConfig, Outcome, run, run_with};
 pub use led::LedTiming;
+pub use press::PressModel;
 pub use stage::{AxisModel, StageModel, TruePose};
 
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::signal::Signal;
 use flankscope_sim::{Sim, Wiring};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -34,6 +39,10 @@ pub struct World {
     pub lit: Cell<bool>,
     /// Both axes as they really are.
     pub stage: RefCell<StageModel>,
+    /// The retract switch says this, whatever the stage does.
+    pub switch_stuck: Cell<Option<bool>>,
+    /// Rung whenever a stage gets another course.
+    course: Signal<NoopRawMutex, ()>,
 }
 
 /// How the devices behave.
@@ -47,6 +56,8 @@ pub struct DeviceConfig {
     pub camera: CameraTiming,
     /// Both axes.
     pub axes: stage::AxisModels,
+    /// Press around the die.
+    pub press: PressModel,
     /// Seed of the stage errors.
     pub seed: u64,
 }
@@ -62,6 +73,8 @@ pub fn spawn_all(
         displayed: Cell::new(0),
         lit: Cell::new(false),
         stage: RefCell::new(StageModel::new(config.axes, config.seed)),
+        switch_stuck: Cell::new(None),
+        course: Signal::new(),
     });
     let sink = Rc::new(RefCell::new(sink));
     let board = || wiring.board.clone();
@@ -72,6 +85,12 @@ pub fn spawn_all(
         config.camera,
         Rc::clone(&world),
         Rc::clone(&sink),
+    ));
+    sim.spawn(press::ram(board(), config.press, Rc::clone(&sink)));
+    sim.spawn(press::retract_switch(
+        board(),
+        config.press,
+        Rc::clone(&world),
     ));
     sim.spawn(stage::run(wiring.stage.clone(), Rc::clone(&world), sink));
     world

@@ -151,6 +151,18 @@ impl StageModel {
         self.pose_of(|axis| axis.profile.target())
     }
 
+    /// The next time after `now_us` at which the vertical axis crosses `vertical_mm`, to the millisecond it is looked
+    /// at; `None` if it will not.
+    pub(super) fn vertical_crossing_us(&self, now_us: u64, vertical_mm: f64) -> Option<u64> {
+        let profile = &self.axes[1].profile;
+        let above = |at_us: u64| profile.position(at_us as f64 * 1e-6) >= vertical_mm;
+        let (level, end_us) = (above(now_us), (profile.end_s() * 1e6).ceil() as u64 + 1_000);
+        (now_us..=end_us)
+            .step_by(1_000)
+            .skip(1)
+            .find(|&at_us| above(at_us) != level)
+    }
+
     fn pose_of(&self, position: impl Fn(&Axis) -> f64) -> TruePose {
         let [rotation, vertical] = [0, 1].map(|n| {
             let axis = &self.axes[n];
@@ -334,6 +346,7 @@ pub(super) async fn run<S: ExposureSink>(mut port: Port, world: Rc<World>, sink:
                         .line(Instant::now().as_micros(), &text);
                     let Ok(()) = port.write_all(answer.as_bytes()).await;
                     if set_off {
+                        world.course.signal(());
                         let destination = world.stage.borrow().true_destination();
                         sink.borrow_mut().moving_to(destination);
                     }

@@ -34,6 +34,12 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
         (Subject::DmdReady, board.dmd_ready.clone()),
         (Subject::CameraReady, board.camera_ready.clone()),
         (Subject::CameraExposing, board.camera_exposing.clone()),
+        (Subject::PressOpenA, board.press.press_open_a.clone()),
+        (Subject::PressOpenB, board.press.press_open_b.clone()),
+        (Subject::DieClear, board.press.die_clear.clone()),
+        (Subject::GuardClosed, board.press.guard_closed.clone()),
+        (Subject::Cycle, board.press.cycle.clone()),
+        (Subject::RetractSwitch, board.press.retract_switch.clone()),
     ];
     for (subject, line) in inputs.clone() {
         sim.spawn(forward(subject, line, pins.clone()));
@@ -85,6 +91,11 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         Subject::LedCurrent => board.led_current.clone().set(Milliamps(value)),
         Subject::DmdTrigger => board.dmd_trigger.set_at(level, at_us),
         Subject::CameraTrigger => board.camera_trigger.set_at(level, at_us),
+        Subject::HeadClear1 => board.press.head_clear_1.set_at(level, at_us),
+        Subject::HeadClear2 => board.press.head_clear_2.set_at(level, at_us),
+        Subject::Go => board.press.go.set_at(level, at_us),
+        Subject::NoGo => board.press.no_go.set_at(level, at_us),
+        Subject::VerdictBeat => board.press.beat.set_at(level, at_us),
         Subject::Started => {
             // It knows no level yet.
             for (subject, line) in inputs {
@@ -97,6 +108,12 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         | Subject::CameraReady
         | Subject::CameraExposing
         | Subject::PatternTaken
+        | Subject::PressOpenA
+        | Subject::PressOpenB
+        | Subject::DieClear
+        | Subject::GuardClosed
+        | Subject::Cycle
+        | Subject::RetractSwitch
         | Subject::StackUsed
         | Subject::AlarmLatency => {}
     }

@@ -1,0 +1,267 @@
+//! The instrument in a running press, in stepped time.
+
+mod common;
+
+use common::{Host, Notebook, plan};
+use flankscope_bench::devices::{DeviceConfig, PressModel, World, spawn_all};
+use flankscope_controller::sequence::Config;
+use flankscope_controller::stage::esp301::Axes;
+use flankscope_protocol::*;
+use flankscope_sim::{Board, Clock, Edge, Sim, Wiring, now_us, spawn_controller};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// What a script leaves behind.
+struct Record {
+    edges: Vec<Edge>,
+    events: Vec<Event>,
+    vertical_mm: f64,
+}
+
+fn run<F: Future<Output = Host> + 'static>(
+    press: PressModel,
+    script: impl FnOnce(Host, Board, Rc<World>) -> F,
+) -> Record {
+    let sim = Sim::new(Clock::Stepped);
+    let wiring = Wiring::new(&sim);
+    let devices = DeviceConfig {
+        press,
+        ..DeviceConfig::default()
+    };
+    let world = spawn_all(&sim, &wiring, &devices, Notebook::default());
+    spawn_controller(&sim, &wiring, Config::DEFAULT, Axes::DEFAULT);
+    let finished = Rc::new(RefCell::new(None));
+    let script = script(
+        Host::new(wiring.host.clone()),
+        wiring.board.clone(),
+        Rc::clone(&world),
+    );
+    let result = Rc::clone(&finished);
+    sim.spawn(async move {
+        let host = script.await;
+        *result.borrow_mut() = Some(host);
+    });
+    // A script that waits for what never comes would keep the controller company for ever.
+    sim.run_until(|| finished.borrow().is_some() || now_us() > 300_000_000);
+    let host = finished.take().expect("finished");
+    let vertical_mm = world.stage.borrow().true_pose(now_us()).vertical_mm;
+    Record {
+        edges: sim.edges(),
+        events: host.events.into_iter().map(|(_, event)| event).collect(),
+        vertical_mm,
+    }
+}
+
+fn running() -> PressModel {
+    PressModel {
+        strokes_per_minute: 30.0,
+        ..PressModel::default()
+    }
+}
+
+fn times(record: &Record, line: &str, level: bool) -> Vec<u64> {
+    let edges = record.edges.iter();
+    edges
+        .filter(|edge| edge.line == line && edge.level == level)
+        .map(|edge| edge.at_us)
+        .collect()
+}
+
+fn over(event: &Event) -> bool {
+    matches!(
+        event,
+        Event::CaptureDone { .. }
+            | Event::StateChanged {
+                next: State::Faulted,
+                ..
+            }
+    )
+}
+
+#[test]
+fn the_press_strokes_while_the_head_is_clear_and_stands_while_it_is_not() {
+    let record = run(running(), |mut host, _, _| async move {
+        host.prepare(plan()).await;
+        let strokes = |host: &Host| {
+            let cycles = host.events.iter().filter_map(|(_, event)| match event {
+                Event::Cycle { count, .. } => Some(*count),
+                _ => None,
+            });
+            cycles.last().unwrap_or(0)
+        };
+        for want in [3, 6] {
+            while strokes(&host) < want {
+                host.until(|event| matches!(event, Event::Cycle { .. }))
+                    .await;
+            }
+            // The stroke that has begun is let through: refused until the press is seen to have closed and opened.
+            let refused = host.order(Command::Start { session: 5 }).await;
+            let fault = Fault::PressCycled.code();
+            assert_eq!(refused, Reply::Refused(Refusal::Interlock { fault }));
+            host.until(|event| matches!(event, Event::PressOpen { open: true, .. }))
+                .await;
+            assert_eq!(
+                host.order(Command::Start { session: 5 }).await,
+                Reply::Accepted
+            );
+            host.until(over).await;
+        }
+        host.until(|event| matches!(event, Event::Cycle { .. }))
+            .await;
+        host
+    });
+    let faults: Vec<_> = record
+        .events
+        .iter()
+        .filter(|event| matches!(event, Event::Fault { .. }))
+        .collect();
+    assert_eq!(faults, Vec::<&Event>::new());
+    let triggers = |event: &&Event| matches!(event, Event::Triggered(_));
+    assert_eq!(record.events.iter().filter(triggers).count(), 150);
+
+    // Never a stroke while the head is off its switch, and never both permissions at once.
+    let (made, open) = (
+        times(&record, "retract_switch", true),
+        times(&record, "retract_switch", false),
+    );
+    assert_eq!(open.len(), 2);
+    for (n, &left_us) in open.iter().enumerate() {
+        let back_us = made[n + 1];
+        for line in ["cycle", "press_open_a", "press_open_b", "head_clear_1"] {
+            let inside = record
+                .edges
+                .iter()
+                .find(|edge| edge.line == line && (left_us..=back_us).contains(&edge.at_us));
+            assert_eq!(inside, None, "while the head was in the die");
+        }
+        // The press had its hold time before the head left.
+        let dropped = times(&record, "head_clear_2", false)[n];
+        assert!(left_us - dropped >= 100_000);
+    }
+    assert!(times(&record, "cycle", true).len() >= 7);
+}
+
+/// What goes wrong at the press while the head is in the die, with its fault.
+const LOSSES: [(&str, bool, Fault); 6] = [
+    ("press_open_a", false, Fault::PressNotOpen),
+    ("press_open_b", true, Fault::PressNotOpen),
+    ("die_clear", false, Fault::DieNotClear),
+    ("guard_closed", false, Fault::GuardOpen),
+    ("cycle", true, Fault::PressCycled),
+    ("retract_switch", true, Fault::HeadSwitch),
+];
+
+fn line<'a>(board: &'a Board, name: &str) -> &'a flankscope_sim::Line {
+    let press = &board.press;
+    match name {
+        "press_open_a" => &press.press_open_a,
+        "press_open_b" => &press.press_open_b,
+        "die_clear" => &press.die_clear,
+        "guard_closed" => &press.guard_closed,
+        "cycle" => &press.cycle,
+        "retract_switch" => &press.retract_switch,
+        other => panic!("no line {other}"),
+    }
+}
+
+/// At several frames of the view: LED off and retract begun within the limits, fault latched, nothing starts again.
+#[test]
+fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
+    for (name, level, fault) in LOSSES {
+        for frame in [0u16, 1, 7, 19, 24] {
+            let lost_at = Rc::new(RefCell::new(0));
+            let note = Rc::clone(&lost_at);
+            let record = run(PressModel::default(), |mut host, board, world| async move {
+                host.prepare(plan()).await;
+                host.order(Command::Start { session: 5 }).await;
+                host.until(|event| matches!(event, Event::Triggered(t) if t.frame == frame))
+                    .await;
+                if name == "retract_switch" {
+                    world.switch_stuck.set(Some(true));
+                }
+                line(&board, name).set(level);
+                *note.borrow_mut() = now_us();
+                host.until(|event| {
+                    matches!(
+                        event,
+                        Event::StateChanged {
+                            next: State::Faulted,
+                            ..
+                        }
+                    )
+                })
+                .await;
+                // All is well again: only an acknowledgement helps.
+                line(&board, name).set(!level);
+                if name == "retract_switch" {
+                    line(&board, name).set(true);
+                }
+                let refused = host.order(Command::Start { session: 5 }).await;
+                let code = fault.code();
+                assert_eq!(refused, Reply::Refused(Refusal::Faulted { fault: code }));
+                assert_eq!(host.order(Command::AcknowledgeFault).await, Reply::Accepted);
+                host
+            });
+            let lost_us = *lost_at.borrow();
+            let first = record.events.iter().find_map(|event| match event {
+                Event::Fault { fault, .. } => fault.known(),
+                _ => None,
+            });
+            assert_eq!(first, Some(fault), "{name} at frame {frame}");
+            // A contradicting switch is given its time; everything else counts at once.
+            let allowed_us = match fault {
+                Fault::HeadSwitch => u64::from(Config::DEFAULT.interlock.contradiction.get()),
+                _ => 0,
+            };
+            let off = times(&record, "led_enable", false);
+            let off_us = off.iter().copied().find(|&at| at >= lost_us).expect("dark");
+            assert!(
+                off_us - lost_us <= 100_000 + allowed_us,
+                "{name}: dark after {} us",
+                off_us - lost_us
+            );
+            let retract_us = record.events.iter().find_map(|event| match event {
+                Event::StateChanged {
+                    next: State::Retracting,
+                    at,
+                    ..
+                } if at.get() >= lost_us => Some(at.get()),
+                _ => None,
+            });
+            assert!(retract_us.expect("retracts") - lost_us <= 250_000 + allowed_us);
+            assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
+        }
+    }
+}
+
+#[test]
+fn a_verdict_is_shown_while_it_is_fresh() {
+    let record = run(PressModel::default(), |mut host, _, _| async move {
+        host.prepare(plan()).await;
+        let shown = Command::ShowVerdict { go: true };
+        assert_eq!(host.order(shown).await, Reply::Accepted);
+        let Reply::Status(status) = host.order(Command::Status).await else {
+            panic!("no status")
+        };
+        assert!(status.press.go && status.press.open && status.press.head_clear);
+        embassy_time::Timer::after_secs(10).await;
+        let Reply::Status(status) = host.order(Command::Status).await else {
+            panic!("no status")
+        };
+        assert!(!status.press.go);
+        host
+    });
+    let (on, off) = (
+        times(&record, "go", true)[0],
+        times(&record, "go", false)[0],
+    );
+    assert_eq!(
+        off - on,
+        u64::from(Config::DEFAULT.interlock.verdict_life.get())
+    );
+    // Power-up, then on with the fall of go.
+    assert_eq!(times(&record, "no_go", true), [0, off]);
+    assert_eq!(times(&record, "no_go", false), [on]);
+    let beats = times(&record, "beat", true).len() + times(&record, "beat", false).len();
+    assert_eq!(beats, 20);
+}
