@@ -30,8 +30,11 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 
 impl Bench {
     /// Starts the bench for a tool folder, with its camera sending frames below `root`.
+    ///
+    /// `controller` is `sim` for the controller in the bench's own process, `qemu` for its image in the emulator.
     pub fn start(
         args: &BenchArgs,
+        controller: &str,
         press: Option<&PressArgs>,
         tool: &Path,
         root: &SharedRoot,
@@ -45,7 +48,8 @@ impl Bench {
             .arg("--root")
             .arg(root.path())
             .arg("--tool")
-            .arg(tool);
+            .arg(tool)
+            .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         for wear in &args.wear {
             command.args(["--wear", wear]);

@@ -76,7 +76,8 @@ impl Instrument {
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
-        if source.link == "sim" {
+        if matches!(source.link.as_str(), "sim" | "qemu") {
+            let bench = (source.link.as_str(), bench);
             return Self::with_bench(station, bench, press, &folder, root, scratch);
         }
         if !quiet {
@@ -96,13 +97,13 @@ impl Instrument {
     #[cfg(feature = "bench")]
     fn with_bench(
         station: Station,
-        args: &BenchArgs,
+        (controller, args): (&str, &BenchArgs),
         press: Option<&PressArgs>,
         tool: &Path,
         root: Arc<SharedRoot>,
         scratch: Scratch,
     ) -> anyhow::Result<Self> {
-        let bench = crate::bench_link::Bench::start(args, press, tool, &root)?;
+        let bench = crate::bench_link::Bench::start(args, controller, press, tool, &root)?;
         Ok(Self {
             station,
             port: bench.port().to_path_buf(),
@@ -116,7 +117,7 @@ impl Instrument {
     #[cfg(not(feature = "bench"))]
     fn with_bench(
         _: Station,
-        _: &BenchArgs,
+        _: (&str, &BenchArgs),
         _: Option<&PressArgs>,
         _: &Path,
         _: Arc<SharedRoot>,

@@ -8,6 +8,7 @@
 //! | [`camera`] | exposures to frames in shared memory |
 //! | [`truth`] | what really was photographed |
 //! | [`demo`] | the built-in die and head |
+//! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
 //! | [`process`] | all of it as a process of its own |
 
 pub mod ageing;
@@ -15,5 +16,6 @@ pub mod camera;
 pub mod demo;
 pub mod devices;
 pub mod process;
+pub mod qemu;
 pub mod truth;
 pub mod world;

@@ -16,7 +16,8 @@ use serde::{Deserialize, Serialize};
 use crate::ageing::Ageing;
 use crate::camera::{self, FrameFault};
 use crate::demo;
-use crate::devices::{self, InstrumentConfig};
+use crate::devices::{self, Controller, InstrumentConfig};
+use crate::qemu::{Figures, Machine, find_image};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, Wear, World};
 
@@ -79,6 +80,9 @@ struct RunArgs {
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Speed,
+    /// Who drives the pins: the controller crate in this process, or its image in QEMU.
+    #[arg(long, default_value = "sim")]
+    controller: ControllerKind,
     /// Damage that each press cycle adds: TOOTH:FLANK:DEPTH_UM.
     #[arg(long)]
     wear_rate: Vec<Wear>,
@@ -91,6 +95,12 @@ struct RunArgs {
     /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ControllerKind {
+    Sim,
+    Qemu,
 }
 
 /// How fast virtual time runs.
@@ -158,6 +168,9 @@ pub struct Farewell {
     pub held_ms: f64,
     /// Real time by which the simulation itself fell behind, ms.
     pub lagged_ms: f64,
+    /// How punctual the emulated controller was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<Figures>,
 }
 
 impl Farewell {
@@ -209,6 +222,16 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         demo::head()
     };
     let Speed(speed) = args.speed;
+    // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
+    let controller = match args.controller {
+        ControllerKind::Sim => Controller::InProcess,
+        ControllerKind::Qemu if speed != 1.0 => {
+            anyhow::bail!(
+                "an emulated controller lives in real time: --speed must be 1, not {speed}"
+            )
+        }
+        ControllerKind::Qemu => Controller::Emulated(Machine::start(&find_image()?)?),
+    };
 
     let mut config = demo::world_of(&tool, &head)?;
     let ageing = Ageing {
@@ -252,7 +275,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         // The switch is set up with the die, a little below where the head retracts to.
         config.devices.press.switch_mm = gear.height_mm[1] + SWITCH_CLEARANCE_MM;
     }
-    let instrument = devices::run(config, camera)?;
+    let instrument = devices::run_with(config, controller, camera)?;
     // The controller counts the host's silence in virtual time, the host lives in real time.
     let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;
     let heartbeat_us = (silence_s * 1e6 / 3.0) as u64;
@@ -277,6 +300,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         virtual_s: pace.virtual_us as f64 * 1e-6,
         held_ms: pace.held.as_secs_f64() * 1e3,
         lagged_ms: pace.lagged.as_secs_f64() * 1e3,
+        controller: outcome.figures,
     };
     writeln!(out, "{}", serde_json::to_string(&farewell)?)?;
     Ok(())

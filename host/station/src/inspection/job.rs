@@ -306,6 +306,8 @@ impl Station {
                 session: plan.session,
             })
             .await?;
+        // The press is held from here on: this is how many cycles the die has seen.
+        run.press_cycles = client.status().await?.press.cycles;
         match self.follow(client, run, &plan, watch).await {
             Ok(stopped) => Ok(stopped),
             // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
@@ -523,6 +525,7 @@ impl Station {
                 recaptured_views: run.recaptured,
                 handover_us: Handover::of(&mut run.handover_ns),
             },
+            press_cycles: run.press_cycles,
             peak_memory_mb: peak_memory_mb(),
             registration,
             tool: self.subject.tool.name.clone(),

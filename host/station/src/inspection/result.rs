@@ -137,6 +137,8 @@ pub struct Inspection {
     pub timing_ms: Timing,
     /// Frame bookkeeping.
     pub frames: FrameCount,
+    /// Cycles of the press, since the controller's power-up, when the die was looked at.
+    pub press_cycles: u32,
     /// Most memory that this process held at once, MB; absent where the system does not say.
     pub peak_memory_mb: Option<f64>,
     /// One entry per view.

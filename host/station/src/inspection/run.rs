@@ -32,6 +32,7 @@ pub(super) struct Run {
     pub recaptured: u32,
     pub last_exposure_ns: u64,
     pub verdict_ns: u64,
+    pub press_cycles: u32,
     /// How long the head may be in the die.
     pub hold_limit: Option<Duration>,
 }
@@ -54,6 +55,7 @@ impl Run {
             recaptured: 0,
             last_exposure_ns: 0,
             verdict_ns: 0,
+            press_cycles: 0,
             hold_limit,
         }
     }

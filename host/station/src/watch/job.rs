@@ -153,9 +153,8 @@ impl Station {
                     }
                     check => check?,
                 };
-                // The press stood still meanwhile: the cycles now are those that the die had when it was looked at.
-                cycle = client.status().await?.press.cycles;
-                checked_at = cycle;
+                cycle = cycle.max(inspection.press_cycles);
+                checked_at = inspection.press_cycles;
                 let shown = latch.take(&inspection.verdict);
                 client
                     .order(&Command::ShowVerdict { go: shown.is_go() })
@@ -163,7 +162,7 @@ impl Station {
                 next_refresh = Instant::now() + refresh;
                 let needs_maintenance = latch.needs_maintenance();
                 if !tell(Told::Checked(Box::new(Checked {
-                    cycle,
+                    cycle: checked_at,
                     inspection,
                     shown,
                     needs_maintenance,

@@ -21,7 +21,7 @@ pub mod stage;
 
 pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
 pub use dmd::DmdTiming;
-pub use instrument::{Instrument, InstrumentConfig, Outcome, run};
+pub use instrument::{Controller, Instrument, InstrumentConfig, Outcome, run, run_with};
 pub use led::LedTiming;
 pub use press::PressModel;
 pub use stage::{AxisModel, StageModel, TruePose};
