@@ -19,7 +19,7 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    const EMPTY: Self = Self {
+    pub(crate) const EMPTY: Self = Self {
         low: [f64::INFINITY; 3],
         high: [f64::NEG_INFINITY; 3],
     };
@@ -41,7 +41,35 @@ impl Aabb {
         std::array::from_fn(|k| 0.5 * (self.low[k] + self.high[k]))
     }
 
-    fn grow(&mut self, other: &Self) {
+    /// The box of one point.
+    #[inline(always)]
+    pub(crate) fn at(point: [f64; 3]) -> Self {
+        Self {
+            low: point,
+            high: point,
+        }
+    }
+
+    /// Squared distance between two boxes.
+    #[inline(always)]
+    pub(crate) fn distance2(&self, other: &Self) -> f64 {
+        let mut sum = 0.0;
+        for k in 0..3 {
+            let gap = (self.low[k] - other.high[k]).max(other.low[k] - self.high[k]);
+            let gap = gap.max(0.0);
+            sum += gap * gap;
+        }
+        sum
+    }
+
+    /// Squared length of the diagonal.
+    #[inline(always)]
+    pub(crate) fn diagonal2(&self) -> f64 {
+        (0..3).map(|k| (self.high[k] - self.low[k]).powi(2)).sum()
+    }
+
+    #[inline(always)]
+    pub(crate) fn grow(&mut self, other: &Self) {
         for k in 0..3 {
             self.low[k] = self.low[k].min(other.low[k]);
             self.high[k] = self.high[k].max(other.high[k]);

@@ -6,9 +6,11 @@
 //! | `deps` | the arrows between the rooms: who may depend on whom |
 //! | `lint` | rustfmt and clippy, warnings are errors |
 //! | `doc` | documentation, warnings are errors |
+//! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
+mod bench;
 mod deps;
 mod prerequisites;
 
@@ -24,9 +26,11 @@ fn main() -> ExitCode {
         ["deps"] => deps::check(&root()),
         ["lint"] => lint(),
         ["doc"] => doc(),
+        ["bench"] => bench::run(&root(), None),
+        ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
         ["demo"] => demo(),
         ["ci"] => ci(),
-        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | demo | ci".into()),
+        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | bench [--peers VENV] | demo | ci".into()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
