@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use flankscope_metrology::deviation::deviations;
-use flankscope_metrology::mesh::{self, TriMesh, Unit};
 use flankscope_metrology::merge::voxel_centroids;
+use flankscope_metrology::mesh::{self, TriMesh, Unit};
 use flankscope_metrology::registration::{Options, register};
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::{alpha, outlier};
@@ -36,17 +36,20 @@ impl Bench {
             return;
         }
         let mut last = black_box(work());
-        let mut all: Vec<f64> = (0..repeats)
-            .map(|_| {
-                let start = Instant::now();
-                last = black_box(work());
-                start.elapsed().as_secs_f64() * 1e3
-            })
-            .collect();
+        let (mut all, mut processor) = (Vec::new(), Vec::new());
+        for _ in 0..repeats {
+            let (before, start) = (processor_ms(), Instant::now());
+            last = black_box(work());
+            all.push(start.elapsed().as_secs_f64() * 1e3);
+            processor.push(processor_ms() - before);
+        }
         all.sort_by(f64::total_cmp);
-        let ms = all[all.len() / 2];
+        processor.sort_by(f64::total_cmp);
+        let (ms, cpu_ms) = (all[repeats / 2], processor[repeats / 2]);
         let note = note(last).map_or(String::new(), |note| format!(", \"note\": \"{note}\""));
-        println!("{{\"name\": \"{name}\", \"ms\": {ms:.4}, \"all\": {all:.3?}{note}}}");
+        println!(
+            "{{\"name\": \"{name}\", \"ms\": {ms:.4}, \"cpu_ms\": {cpu_ms:.4}, \"all\": {all:.3?}{note}}}"
+        );
     }
 
     fn cloud(&self, name: &str) -> Outcome<Vec<[f64; 3]>> {
@@ -59,6 +62,19 @@ impl Bench {
     fn mesh(&self, name: &str) -> Outcome<TriMesh> {
         Ok(mesh::load(&self.folder.join(name), Unit::Mm)?)
     }
+}
+
+/// Processor time of all threads so far: unlike the clock's, it does not count what other programs took. 0 where the
+/// system does not say.
+fn processor_ms() -> f64 {
+    let Ok(threads) = std::fs::read_dir("/proc/self/task") else {
+        return 0.0;
+    };
+    let of_thread = |entry: std::fs::DirEntry| {
+        let text = std::fs::read_to_string(entry.path().join("schedstat")).ok()?;
+        text.split(' ').next()?.parse::<f64>().ok()
+    };
+    threads.flatten().filter_map(of_thread).sum::<f64>() * 1e-6
 }
 
 fn main() -> Outcome<()> {
@@ -110,8 +126,10 @@ fn registration(bench: &Bench) -> Outcome<()> {
 }
 
 fn clouds(bench: &Bench) -> Outcome<()> {
-    let fine = bench.mesh("fine.ply")?;
-    bench.time("sample", 15, || alpha::sample(&fine, 100_000, 1), |_| None);
+    if bench.wants("sample") {
+        let fine = bench.mesh("fine.ply")?;
+        bench.time("sample", 15, || alpha::sample(&fine, 100_000, 1), |_| None);
+    }
     for name in ["feature", "view"] {
         let points = bench.cloud(&format!("{name}.f64"))?;
         for k in [8, 20] {
@@ -122,6 +140,9 @@ fn clouds(bench: &Bench) -> Outcome<()> {
         }
     }
     for order in ["random", "scan"] {
+        if !bench.wants(&format!("merge/{order}")) {
+            continue;
+        }
         let points = bench.cloud(&format!("{order}.f64"))?;
         let work = || voxel_centroids(&points, 0.05);
         bench.time(&format!("merge/{order}"), 5, work, |merged| {
@@ -141,6 +162,19 @@ fn loading(bench: &Bench) {
 
 fn distance(bench: &Bench) -> Outcome<()> {
     for name in ["coarse", "fine"] {
+        let parts = [
+            "prepare",
+            "distance/random",
+            "distance/sorted",
+            "distance/scan",
+        ];
+        let names = parts.map(|part| match part.split_once('/') {
+            Some((part, order)) => format!("{part}/{name}/{order}"),
+            None => format!("{part}/{name}"),
+        });
+        if !names.iter().any(|name| bench.wants(name)) {
+            continue;
+        }
         let mesh = bench.mesh(&format!("{name}.ply"))?;
         let work = || Surface::new(&mesh);
         bench.time(&format!("prepare/{name}"), 5, work, |_| None);

@@ -90,8 +90,8 @@ pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3
     for (k, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
         let voxels = (bounds.high[k] - bounds.low[k]) / voxel_mm;
         let most = 1u32 << AXIS_BITS;
-        // Written so that an overflowed span is refused too.
-        if !(voxels < f64::from(most)) {
+        // An overflowed span is infinite, so it is refused here too.
+        if voxels >= f64::from(most) {
             return Err(MergeError::TooManyVoxels {
                 axis,
                 voxels,
@@ -242,8 +242,7 @@ mod tests {
     fn cloud(count: u64) -> Vec<[f64; 3]> {
         (0..count)
             .map(|i| {
-                [0, 1, 2]
-                    .map(|k| (if k == 2 { 0.3 } else { 5.0 }) * uniform(4, 3 * i + k) - 1.0)
+                [0, 1, 2].map(|k| (if k == 2 { 0.3 } else { 5.0 }) * uniform(4, 3 * i + k) - 1.0)
             })
             .collect()
     }
@@ -260,8 +259,8 @@ mod tests {
                 sums.push(([0.0; 3], 0.0));
                 sums.len() - 1
             });
-            for k in 0..3 {
-                sums[at].0[k] += p[k];
+            for (sum, c) in sums[at].0.iter_mut().zip(p) {
+                *sum += c;
             }
             sums[at].1 += 1.0;
         }

@@ -4,6 +4,8 @@
 //! candidates around a box are gathered once, and every point of the box is compared with all of them in one vectorised
 //! sweep. A search tree asked point by point spends most of its time walking from the root.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::bvh::Aabb;
@@ -18,7 +20,9 @@ struct Entry {
 
 /// The cloud, ordered so that every box's points lie together.
 struct Boxes {
-    entries: Vec<Entry>,
+    points: Columns,
+    /// Number in the cloud of every point.
+    index: Vec<u32>,
     /// Implicit binary tree: node i has the children 2 i + 1 and 2 i + 2, the last level is the boxes.
     nodes: Vec<Aabb>,
     /// Number of boxes, a power of two.
@@ -29,14 +33,11 @@ impl Boxes {
     /// Boxes of at most `most` points.
     fn new(points: &[[f64; 3]], most: usize) -> Self {
         let leaves = points.len().div_ceil(most).next_power_of_two();
-        let mut entries: Vec<Entry> = points
-            .iter()
-            .enumerate()
-            .map(|(index, &point)| Entry {
-                point,
-                index: index as u32,
-            })
-            .collect();
+        let entry = |(index, &point): (usize, &[f64; 3])| Entry {
+            point,
+            index: index as u32,
+        };
+        let mut entries: Vec<Entry> = points.iter().enumerate().map(entry).collect();
         order(&mut entries, leaves);
         let mut nodes = vec![Aabb::EMPTY; 2 * leaves - 1];
         let n = entries.len();
@@ -50,40 +51,42 @@ impl Boxes {
             nodes[node].grow(&left);
             nodes[node].grow(&right);
         }
+        let column = |k: usize| entries.iter().map(|e| e.point[k]).collect();
         Self {
-            entries,
+            points: Columns {
+                x: column(0),
+                y: column(1),
+                z: column(2),
+            },
+            index: entries.iter().map(|e| e.index).collect(),
             nodes,
             leaves,
         }
     }
 
-    fn of(&self, leaf: usize) -> &[Entry] {
-        let n = self.entries.len();
-        &self.entries[start(leaf, self.leaves, n)..start(leaf + 1, self.leaves, n)]
+    #[inline(always)]
+    fn of(&self, leaf: usize) -> Range<usize> {
+        let n = self.index.len();
+        start(leaf, self.leaves, n)..start(leaf + 1, self.leaves, n)
     }
 
-    /// Gathers all points within `reach` of the box, and few others.
-    fn gather(&self, around: &Aabb, reach: f64, into: &mut Candidates) {
+    /// Gathers the points within `reach2` (squared) of the box.
+    #[inline(always)]
+    fn gather(&self, around: &Aabb, reach2: f64, into: &mut Columns) {
         into.clear();
-        let reach2 = reach * reach;
         let mut stack = [0u32; 64];
         let mut top = 1;
         while top > 0 {
             top -= 1;
             let node = stack[top] as usize;
-            if self.nodes[node].distance2(around) > reach2 {
+            if node >= self.leaves - 1 {
+                let range = self.of(node + 1 - self.leaves);
+                into.extend_near(&self.points, range, around, reach2);
                 continue;
             }
-            if node >= self.leaves - 1 {
-                for entry in self.of(node + 1 - self.leaves) {
-                    if around.distance2(&Aabb::at(entry.point)) <= reach2 {
-                        into.push(entry.point);
-                    }
-                }
-            } else {
-                stack[top] = 2 * node as u32 + 1;
-                stack[top + 1] = 2 * node as u32 + 2;
-                top += 2;
+            for child in [2 * node + 1, 2 * node + 2] {
+                stack[top] = child as u32;
+                top += usize::from(self.nodes[child].distance2(around) <= reach2);
             }
         }
     }
@@ -134,58 +137,121 @@ fn order(entries: &mut [Entry], leaves: usize) {
 
 /// Points side by side.
 #[derive(Default)]
-struct Candidates {
+struct Columns {
     x: Vec<f64>,
     y: Vec<f64>,
     z: Vec<f64>,
 }
 
-impl Candidates {
+impl Columns {
     fn clear(&mut self) {
         self.x.clear();
         self.y.clear();
         self.z.clear();
     }
 
-    fn push(&mut self, [x, y, z]: [f64; 3]) {
-        self.x.push(x);
-        self.y.push(y);
-        self.z.push(z);
+    fn at(&self, index: usize) -> [f64; 3] {
+        [self.x[index], self.y[index], self.z[index]]
+    }
+
+    /// Adds those points of a range that lie within `reach2` (squared) of a box. All are written and the end moves only
+    /// past those that stay, because a branch per point would be guessed wrongly half the time.
+    #[inline(always)]
+    fn extend_near(&mut self, from: &Self, range: Range<usize>, around: &Aabb, reach2: f64) {
+        let (x, y, z) = (
+            &from.x[range.clone()],
+            &from.y[range.clone()],
+            &from.z[range],
+        );
+        let (n, old) = (x.len(), self.x.len());
+        self.x.resize(old + n, 0.0);
+        self.y.resize(old + n, 0.0);
+        self.z.resize(old + n, 0.0);
+        let mut kept = old;
+        for i in 0..n {
+            let point = [x[i], y[i], z[i]];
+            [self.x[kept], self.y[kept], self.z[kept]] = point;
+            kept += usize::from(around.distance2(&Aabb::at(point)) <= reach2);
+        }
+        self.x.truncate(kept);
+        self.y.truncate(kept);
+        self.z.truncate(kept);
     }
 }
 
-/// Squared distances, as the bits of non-negative numbers: their order is that of the numbers.
+/// Squared distances from one point to all candidates.
 #[derive(Default)]
 struct Distances {
-    all: Vec<u64>,
-    near: Vec<u64>,
+    all: Vec<f64>,
+    near: Vec<f64>,
 }
 
 impl Distances {
-    /// Squared distances from `p` to the candidates, then those up to `limit2` in `near`.
     #[inline(always)]
-    fn measure(&mut self, from: &Candidates, [px, py, pz]: [f64; 3], limit2: f64) {
+    fn measure(&mut self, from: &Columns, [px, py, pz]: [f64; 3]) {
         let n = from.x.len();
-        self.all.resize(n, 0);
-        self.near.resize(n, 0);
+        self.all.resize(n, 0.0);
         let (x, y, z) = (&from.x[..n], &from.y[..n], &from.z[..n]);
         let all = &mut self.all[..n];
         for i in 0..n {
             let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
-            all[i] = (dx * dx + dy * dy + dz * dz).to_bits();
+            all[i] = dx * dx + dy * dy + dz * dz;
         }
-        let limit = limit2.to_bits();
-        let mut kept = 0;
-        for &bits in all.iter() {
-            self.near[kept] = bits;
-            kept += usize::from(bits <= limit);
-        }
-        self.near.truncate(kept);
     }
 
-    /// The `count`-th smallest of `near` (from 0), which moves all smaller ones before it.
-    fn select(&mut self, count: usize) -> f64 {
-        f64::from_bits(*self.near.select_nth_unstable(count).1)
+    #[inline(always)]
+    fn count_to(&self, limit2: f64) -> usize {
+        let mut count = 0u64;
+        for &distance2 in &self.all {
+            count += u64::from(distance2 <= limit2);
+        }
+        count as usize
+    }
+
+    /// Mean of the `k` distances after the smallest, which is the point's own; none when fewer than `k + 1` lie within
+    /// `limit2` (squared).
+    ///
+    /// On a surface the number of neighbours grows with the squared distance, so the limit that leaves exactly `k + 1` is
+    /// found by interpolation in a few sweeps, each a handful of vector comparisons.
+    #[inline(always)]
+    fn mean_of_nearest(&mut self, k: usize, limit2: f64) -> Option<f64> {
+        const MOST_SWEEPS: usize = 12;
+        let wanted = k + 1;
+        let (mut low, mut low_count) = (0.0, 0usize);
+        let (mut high, mut high_count) = (limit2, self.count_to(limit2));
+        if high_count < wanted {
+            return None;
+        }
+        let mut sweeps = 0;
+        while high_count > wanted && sweeps < MOST_SWEEPS {
+            let share = (wanted as f64 + 0.5 - low_count as f64) / (high_count - low_count) as f64;
+            let middle = low + share.clamp(0.02, 0.98) * (high - low);
+            let count = self.count_to(middle);
+            if count < wanted {
+                (low, low_count) = (middle, count);
+            } else {
+                (high, high_count) = (middle, count);
+            }
+            sweeps += 1;
+        }
+        let n = self.all.len();
+        self.near.resize(n, 0.0);
+        let near = &mut self.near[..n];
+        let mut kept = 0;
+        for &distance2 in &self.all {
+            // There is room: `kept` counts some of the distances before this one.
+            near[kept] = distance2;
+            kept += usize::from(distance2 <= high);
+        }
+        if kept > wanted {
+            // Equal distances, or an uneven crowd.
+            near[..kept].select_nth_unstable_by(k, f64::total_cmp);
+        }
+        let near = &mut near[..wanted];
+        for distance2 in near.iter_mut() {
+            *distance2 = distance2.sqrt();
+        }
+        Some(near.iter().sum::<f64>() / k as f64)
     }
 }
 
@@ -196,86 +262,142 @@ pub(crate) fn mean_distances(points: &[[f64; 3]], k: usize) -> Option<Vec<f64>> 
         return None;
     }
     // A box holds enough points for its middle one to have most of its neighbours inside.
-    let boxes = Boxes::new(points, (2 * k).max(24));
-    let per_leaf: Vec<Vec<f64>> = (0..boxes.leaves)
+    let boxes = Boxes::new(points, (2 * k).max(LEAST_BOX));
+    let per_task: Vec<Vec<f64>> = (0..boxes.leaves.div_ceil(LEAVES_PER_TASK))
         .into_par_iter()
-        .with_min_len(16)
-        .map_init(
-            || (Candidates::default(), Distances::default()),
-            |(candidates, distances), leaf| {
-                simd::with_widest(
-                    #[inline(always)]
-                    || leaf_means(&boxes, leaf, k, candidates, distances),
-                )
-            },
-        )
+        .map(|task| {
+            let leaves = task * LEAVES_PER_TASK..((task + 1) * LEAVES_PER_TASK).min(boxes.leaves);
+            simd::with_widest(
+                #[inline(always)]
+                || means_of_leaves(&boxes, leaves, k),
+            )
+        })
         .collect();
     let mut means = vec![0.0; points.len()];
-    let in_order = per_leaf.iter().flatten();
-    for (entry, mean) in boxes.entries.iter().zip(in_order) {
-        means[entry.index as usize] = *mean;
+    for (&index, mean) in boxes.index.iter().zip(per_task.iter().flatten()) {
+        means[index as usize] = *mean;
     }
     Some(means)
 }
 
-/// Mean distances of one box's points, in its order.
+/// Points per box, at least, and boxes per parallel task.
+const LEAST_BOX: usize = 32;
+const LEAVES_PER_TASK: usize = 64;
+/// Squared reach around a box over the squared distance from its middle to the k-th neighbour. Measured: below 1.4 too many
+/// points have to be asked again alone, above 2 every point meets too many candidates.
+const REACH_RATIO: f64 = 1.6;
+
+/// Mean distances of the points of some boxes, in their order.
 #[inline(always)]
-fn leaf_means(
-    boxes: &Boxes,
-    leaf: usize,
-    k: usize,
-    candidates: &mut Candidates,
-    distances: &mut Distances,
-) -> Vec<f64> {
-    let own = boxes.of(leaf);
-    let around = boxes.nodes[boxes.leaves - 1 + leaf];
-    // How far the k-th neighbour is: about as far as that of the box's middle, and a little more for its other points.
-    let middle = around.centre();
-    candidates.clear();
-    own.iter().for_each(|entry| candidates.push(entry.point));
-    distances.measure(candidates, middle, f64::INFINITY);
-    let reach2 = if own.len() > k {
-        1.6 * distances.select(k)
-    } else {
-        around.diagonal2()
-    };
-    boxes.gather(&around, reach2.sqrt(), candidates);
-    own.iter()
-        .map(|entry| {
-            distances.measure(candidates, entry.point, reach2);
-            if distances.near.len() <= k {
-                alone(boxes, entry.point, k, reach2)
-            } else {
-                mean_of_nearest(distances, k)
-            }
-        })
-        .collect()
+fn means_of_leaves(boxes: &Boxes, leaves: Range<usize>, k: usize) -> Vec<f64> {
+    let (mut candidates, mut distances) = (Columns::default(), Distances::default());
+    let mut means = Vec::new();
+    for leaf in leaves {
+        let own = boxes.of(leaf);
+        let around = boxes.nodes[boxes.leaves - 1 + leaf];
+        // How far the k-th neighbour is: about as far as from the box's middle, and a little more for its other points.
+        candidates.clear();
+        candidates.extend_near(&boxes.points, own.clone(), &around, f64::INFINITY);
+        distances.measure(&candidates, around.centre());
+        let reach2 = if own.len() > k {
+            REACH_RATIO * *distances.all.select_nth_unstable_by(k, f64::total_cmp).1
+        } else {
+            around.diagonal2()
+        };
+        boxes.gather(&around, reach2, &mut candidates);
+        for index in own {
+            let point = boxes.points.at(index);
+            distances.measure(&candidates, point);
+            let mean = distances.mean_of_nearest(k, reach2);
+            means.push(match mean {
+                Some(mean) => mean,
+                None => alone(boxes, point, k, reach2),
+            });
+        }
+    }
+    means
 }
 
 /// A point whose neighbours are farther than its box's: the reach doubles until they are inside.
 #[cold]
+#[inline(never)]
 fn alone(boxes: &Boxes, point: [f64; 3], k: usize, mut reach2: f64) -> f64 {
-    let (mut candidates, mut distances) = (Candidates::default(), Distances::default());
+    let (mut candidates, mut distances) = (Columns::default(), Distances::default());
+    // From zero (coinciding points) it grows to the smallest step that the coordinates resolve, then on.
+    let least2 = 1e-24 * boxes.nodes[0].diagonal2();
     loop {
-        // From zero (coinciding points) it grows to the smallest step that the coordinates resolve, then on.
-        reach2 = (4.0 * reach2).max(1e-24 * boxes.nodes[0].diagonal2());
-        boxes.gather(&Aabb::at(point), reach2.sqrt() * (1.0 + 1e-12), &mut candidates);
-        distances.measure(&candidates, point, reach2);
-        if distances.near.len() > k {
-            return mean_of_nearest(&mut distances, k);
-        }
-        if candidates.x.len() == boxes.entries.len() {
-            distances.measure(&candidates, point, f64::INFINITY);
-            return mean_of_nearest(&mut distances, k);
+        reach2 = if reach2 > 0.0 { 4.0 * reach2 } else { least2 };
+        boxes.gather(&Aabb::at(point), reach2, &mut candidates);
+        distances.measure(&candidates, point);
+        if let Some(mean) = distances.mean_of_nearest(k, reach2) {
+            return mean;
         }
     }
 }
 
-/// Mean of the `k` distances after the smallest, which is the point's own.
-#[inline(always)]
-fn mean_of_nearest(distances: &mut Distances, k: usize) -> f64 {
-    distances.select(k);
-    let nearest = &distances.near[..=k];
-    let sum: f64 = nearest.iter().map(|&bits| f64::from_bits(bits).sqrt()).sum();
-    sum / k as f64
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::uniform;
+
+    fn brute_force(points: &[[f64; 3]], k: usize) -> Vec<f64> {
+        let mean = |p: &[f64; 3]| {
+            let away = |q: &[f64; 3]| (0..3).map(|c| (p[c] - q[c]).powi(2)).sum::<f64>();
+            let mut all: Vec<f64> = points.iter().map(away).collect();
+            all.sort_by(f64::total_cmp);
+            all[1..=k].iter().map(|d| d.sqrt()).sum::<f64>() / k as f64
+        };
+        points.iter().map(mean).collect()
+    }
+
+    /// A wavy raster with jitter, some points far off it, a clump of equal ones and a second clump far away.
+    fn cloud() -> Vec<[f64; 3]> {
+        let mut points: Vec<[f64; 3]> = (0..4_000u64)
+            .map(|i| {
+                let (x, y) = ((i % 80) as f64 * 0.025, (i / 80) as f64 * 0.025);
+                let off = if i % 97 == 0 { 1.0 } else { 0.005 };
+                [40.0 + x, y, (6.0 * y).sin() + off * uniform(1, i)]
+            })
+            .collect();
+        points.extend([[40.5, 0.5, 0.2]; 70]);
+        points.extend((0..40).map(|i| [-900.0, 1e-3 * f64::from(i % 7), 0.0]));
+        points
+    }
+
+    #[test]
+    fn means_are_those_of_brute_force() {
+        let points = cloud();
+        for k in [1, 8, 20, 75, 4_000] {
+            let found = mean_distances(&points, k).unwrap();
+            for (i, (found, expected)) in found.iter().zip(brute_force(&points, k)).enumerate() {
+                // The same numbers in another order of summation.
+                let off = (found - expected).abs();
+                assert!(off <= 1e-12 * (1.0 + expected), "point {i}, k = {k}: {off}");
+            }
+        }
+        let apart = [[-1e300, 0.0, 0.0], [1e300, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        assert_eq!(mean_distances(&apart, 2).unwrap().len(), 3);
+        assert_eq!(mean_distances(&[[1.0; 3]; 50], 9).unwrap(), [0.0; 50]);
+    }
+
+    #[test]
+    fn any_processor_and_any_number_of_threads_give_the_same_bytes() {
+        let points = cloud();
+        let bits = |means: Vec<f64>| means.into_iter().map(f64::to_bits).collect::<Vec<_>>();
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            bits(pool.install(|| mean_distances(&points, 8)).unwrap())
+        };
+        assert_eq!(run(1), run(5));
+        let boxes = Boxes::new(&points, 32);
+        let plain = means_of_leaves(&boxes, 0..boxes.leaves, 8);
+        let widest = simd::with_widest(
+            #[inline(always)]
+            || means_of_leaves(&boxes, 0..boxes.leaves, 8),
+        );
+        assert_eq!(bits(plain), bits(widest));
+    }
 }

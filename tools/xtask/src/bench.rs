@@ -128,10 +128,7 @@ fn table(figures: &[Value]) -> String {
             );
         }
         if !shown {
-            text += &format!(
-                "| {} | {own:.1} | {rate} | | | | {wanted} |\n",
-                row.work
-            );
+            text += &format!("| {} | {own:.1} | {rate} | | | | {wanted} |\n", row.work);
         }
     }
     for figure in figures.iter().filter(|f| f["note"].is_string()) {
