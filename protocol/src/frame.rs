@@ -269,9 +269,30 @@ impl Decoder {
     }
 }
 
+/// Undoes COBS in place and returns the length; `None` if a block runs over the end. Cannot panic.
+fn unstuff(bytes: &mut [u8]) -> Option<usize> {
+    let (mut read, mut written) = (0usize, 0usize);
+    while let Some(&block) = bytes.get(read) {
+        read = read.saturating_add(1);
+        for _ in 1..block {
+            let byte = *bytes.get(read)?;
+            // Writing never overtakes reading: a block has one byte more than it stands for.
+            *bytes.get_mut(written)? = byte;
+            read = read.saturating_add(1);
+            written = written.saturating_add(1);
+        }
+        // A full block, and the last one, stand for no zero.
+        if block != u8::MAX && read < bytes.len() {
+            *bytes.get_mut(written)? = 0;
+            written = written.saturating_add(1);
+        }
+    }
+    Some(written)
+}
+
 /// Unstuffs and checks one frame in place.
 fn open(bytes: &mut [u8]) -> Result<Frame<'_>, DecodeError> {
-    let length = cobs::decode_in_place(bytes).map_err(|_| DecodeError::Stuffing)?;
+    let length = unstuff(bytes).ok_or(DecodeError::Stuffing)?;
     let raw = bytes.get(..length).ok_or(DecodeError::Stuffing)?;
     let too_short = DecodeError::TooShort { got: length };
     let (covered, checksum) = raw.split_last_chunk::<CRC_BYTES>().ok_or(too_short)?;

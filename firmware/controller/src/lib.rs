@@ -31,6 +31,7 @@ pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
 pub mod link;
+pub mod mailbox;
 pub mod press;
 pub mod run;
 pub mod sequence;

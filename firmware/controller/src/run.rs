@@ -3,14 +3,13 @@
 use crate::desk::{Desk, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::interlock::Position;
+use crate::mailbox::Mailbox;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
 use crate::stage::{StageReport, StageRequest};
 use crate::vitals::{Task, Vitals};
 use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_futures::select::{Either, Either4, select, select4};
-use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_sync::channel::Channel;
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
@@ -19,9 +18,6 @@ use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
 pub const EVENTS_QUEUED: usize = 64;
 /// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
 const SELECT_TIMEOUT: Duration = Duration::from_millis(20);
-
-/// A channel between tasks, and from interrupts.
-pub(crate) type Mailbox<T, const N: usize> = Channel<CriticalSectionRawMutex, T, N>;
 
 /// A command as it came off the link; `None` when the payload could not be read.
 #[derive(Debug, Clone)]
@@ -70,10 +66,10 @@ impl Mailboxes {
     const fn with(supervised: bool) -> Self {
         Self {
             vitals: Vitals::new(supervised),
-            requests: Channel::new(),
-            outgoing: Channel::new(),
-            stage_requests: Channel::new(),
-            stage_reports: Channel::new(),
+            requests: Mailbox::new(),
+            outgoing: Mailbox::new(),
+            stage_requests: Mailbox::new(),
+            stage_reports: Mailbox::new(),
             session: AtomicU32::new(0),
             frames_dropped: AtomicU32::new(0),
             events_lost: AtomicU32::new(0),

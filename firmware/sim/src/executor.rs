@@ -8,7 +8,7 @@ use core::pin::Pin;
 use core::task::{Context, Poll};
 use embassy_executor::raw::{Executor, TaskStorage};
 use std::rc::Rc;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
@@ -55,12 +55,23 @@ struct Bell {
     owner: ThreadId,
     shared: Mutex<Shared>,
     rung: Condvar,
+    on_hold: OnceLock<HoldHook>,
 }
+
+/// Called with true when virtual time is held, with false when it goes on.
+type HoldHook = Box<dyn Fn(bool) + Send + Sync>;
 
 impl Bell {
     fn lock(&self) -> MutexGuard<'_, Shared> {
         // Every critical section leaves the state whole, so a panic elsewhere does not matter.
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Only called with the lock taken, so that the two calls of a hold keep their order.
+    fn tell_hold(&self, held: bool) {
+        if let Some(hook) = self.on_hold.get() {
+            hook(held);
+        }
     }
 
     fn ring(&self) {
@@ -97,7 +108,10 @@ impl Remote {
     pub fn hold(&self) -> Hold {
         let mut shared = self.bell.lock();
         shared.holds += 1;
-        shared.held_since.get_or_insert_with(Instant::now);
+        if shared.holds == 1 {
+            shared.held_since = Some(Instant::now());
+            self.bell.tell_hold(true);
+        }
         Hold {
             remote: self.clone(),
         }
@@ -122,6 +136,7 @@ impl Drop for Hold {
             && let Some(since) = shared.held_since.take()
         {
             shared.held += since.elapsed();
+            self.remote.bell.tell_hold(false);
         }
         drop(shared);
         self.remote.bell.rung.notify_one();
@@ -152,6 +167,7 @@ impl Sim {
             owner,
             shared: Mutex::default(),
             rung: Condvar::new(),
+            on_hold: OnceLock::new(),
         };
         let bell: &'static Bell = Box::leak(Box::new(bell));
         let context = core::ptr::from_ref(bell).cast_mut().cast::<()>();
@@ -174,6 +190,12 @@ impl Sim {
             bell: self.bell,
             _alive: Arc::clone(&self.alive),
         }
+    }
+
+    /// Tells somebody whose clock runs beside this one whenever virtual time is held and released; only the first one
+    /// to ask is told. The hook is called on the thread that holds and must not hold itself.
+    pub fn on_hold(&self, hook: impl Fn(bool) + Send + Sync + 'static) {
+        let _first = self.bell.on_hold.set(Box::new(hook));
     }
 
     /// A new line at low level whose edges are recorded under `name`.

@@ -33,6 +33,8 @@ impl Recorder {
 #[derive(Debug)]
 struct State {
     level: bool,
+    /// When it last changed, by the clock of whoever drives it.
+    changed_us: u64,
     rises: u64,
     falls: u64,
     waiting: Vec<Waker>,
@@ -50,6 +52,7 @@ impl Line {
     pub(crate) fn new(name: &'static str, recorder: &Recorder) -> Self {
         let state = State {
             level: false,
+            changed_us: 0,
             rises: 0,
             falls: 0,
             waiting: Vec::new(),
@@ -67,13 +70,25 @@ impl Line {
         self.state.borrow().level
     }
 
+    /// When the level last changed, in microseconds: virtual time, or the time named by [`Line::set_at`].
+    #[must_use]
+    pub fn changed_us(&self) -> u64 {
+        self.state.borrow().changed_us
+    }
+
     /// Drives the line; only a change is an edge.
     pub fn set(&self, level: bool) {
+        self.set_at(level, now_us());
+    }
+
+    /// Drives the line for somebody who has a clock of his own, by which the edge was at `at_us`.
+    pub fn set_at(&self, level: bool, at_us: u64) {
         let mut state = self.state.borrow_mut();
         if state.level == level {
             return;
         }
         state.level = level;
+        state.changed_us = at_us;
         *(if level {
             &mut state.rises
         } else {

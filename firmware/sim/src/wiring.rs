@@ -174,7 +174,7 @@ impl PressLines {
     }
 }
 
-/// The board and the far ends of its two UARTs.
+/// The board and both ends of its two UARTs.
 pub struct Wiring {
     /// Lines.
     pub board: Board,
@@ -182,8 +182,10 @@ pub struct Wiring {
     pub host: Port,
     /// The stage controller's end of its UART.
     pub stage: Port,
-    controller_link: Port,
-    controller_stage: Port,
+    /// The controller's end of the link.
+    pub controller_link: Port,
+    /// The controller's end of the stages' UART.
+    pub controller_stage: Port,
 }
 
 impl Wiring {

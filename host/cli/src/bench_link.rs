@@ -5,21 +5,19 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, bail};
+use flankscope_bench::process::{Farewell, Hello};
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
-use serde_json::Value;
 
-use crate::inspect::BenchArgs;
+use crate::instrument::BenchArgs;
+use crate::watch::PressArgs;
 
 /// A running bench.
 pub struct Bench {
     child: Child,
     stdout: BufReader<ChildStdout>,
-    hello: flankscope_bench::process::Hello,
+    hello: Hello,
 }
-
-/// What the bench says about itself when the check is over.
-pub struct Truth(flankscope_bench::process::Farewell);
 
 /// Writes the demo tool's folder and returns it.
 pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
@@ -32,7 +30,15 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 
 impl Bench {
     /// Starts the bench for a tool folder, with its camera sending frames below `root`.
-    pub fn start(args: &BenchArgs, tool: &Path, root: &SharedRoot) -> anyhow::Result<Self> {
+    ///
+    /// `controller` is `sim` for the controller in the bench's own process, `qemu` for its image in the emulator.
+    pub fn start(
+        args: &BenchArgs,
+        controller: &str,
+        press: Option<&PressArgs>,
+        tool: &Path,
+        root: &SharedRoot,
+    ) -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find this program to start the bench")?;
         let mut command = Command::new(program);
@@ -42,13 +48,24 @@ impl Bench {
             .arg("--root")
             .arg(root.path())
             .arg("--tool")
-            .arg(tool);
+            .arg(tool)
+            .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         for wear in &args.wear {
             command.args(["--wear", wear]);
         }
         if let Some(fault) = &args.frame_fault {
             command.args(["--frame-fault", fault]);
+        }
+        if let Some(press) = press {
+            command.args([
+                "--strokes-per-minute",
+                &press.strokes_per_minute.to_string(),
+            ]);
+            command.args(["--open-share", &press.open_share.to_string()]);
+            for rate in &press.wear_rate {
+                command.args(["--wear-rate", rate]);
+            }
         }
         // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
         let mut child = command
@@ -95,14 +112,12 @@ impl Bench {
     }
 
     /// Ends the bench and takes its truth.
-    pub fn finish(mut self) -> anyhow::Result<Truth> {
+    pub fn finish(mut self) -> anyhow::Result<Farewell> {
         drop(self.child.stdin.take());
         let mut text = String::new();
         self.stdout.read_to_string(&mut text)?;
         self.child.wait()?;
-        let farewell =
-            serde_json::from_str(&text).context("the simulated bench ended without its truth")?;
-        Ok(Truth(farewell))
+        serde_json::from_str(&text).context("the simulated bench ended without its truth")
     }
 }
 
@@ -110,17 +125,5 @@ impl Drop for Bench {
     fn drop(&mut self) {
         drop(self.child.stdin.take());
         let _ = self.child.wait();
-    }
-}
-
-impl Truth {
-    /// For the JSON document.
-    pub fn document(&self) -> Value {
-        serde_json::to_value(&self.0).unwrap_or(Value::Null)
-    }
-
-    /// A line for the user where the bench did not keep up.
-    pub fn notice(&self) -> Option<String> {
-        self.0.notice()
     }
 }

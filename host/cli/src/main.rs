@@ -8,9 +8,11 @@ mod decode;
 mod deviation;
 mod geometry;
 mod inspect;
+mod instrument;
 mod output;
 mod register;
 mod sample;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -20,6 +22,8 @@ use output::Outcome;
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
 #[command(name = "flankscope", version, propagate_version = true)]
+#[command(after_help = "Start with: flankscope inspect --report out\n\n\
+    Exit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -28,6 +32,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Inspect(inspect::Args),
+    Watch(watch::Args),
     Decode(decode::Args),
     Sample(sample::Args),
     Register(register::Args),
@@ -61,6 +66,7 @@ fn main() -> ExitCode {
         .init();
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
+        Command::Watch(args) => watch::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),

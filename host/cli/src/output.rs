@@ -21,6 +21,18 @@ pub enum Outcome {
     Warn = 4,
 }
 
+impl Outcome {
+    /// The outcome of a check by the word of its verdict; an unknown word is indeterminate, never go.
+    pub fn of_verdict(word: &str) -> Self {
+        match word {
+            "go" => Self::Go,
+            "warn" => Self::Warn,
+            "no-go" => Self::NoGo,
+            _ => Self::Indeterminate,
+        }
+    }
+}
+
 impl From<Outcome> for ExitCode {
     fn from(outcome: Outcome) -> Self {
         ExitCode::from(outcome as u8)

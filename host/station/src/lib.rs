@@ -11,3 +11,4 @@ pub mod controller;
 pub mod files;
 pub mod inspection;
 pub mod report;
+pub mod watch;

@@ -8,7 +8,7 @@
 //! A [`FrameFault`] makes the camera misbehave as cameras do.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 
 use flankscope_sim::{Hold, Remote};
@@ -17,6 +17,7 @@ use flankscope_station::capture::{
     monotonic_ns,
 };
 
+use crate::ageing::Ageing;
 use crate::devices::{Exposure, ExposureSink, TruePose};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, ViewState, World};
@@ -82,6 +83,8 @@ enum Job {
         exposure: Exposure,
         ended_monotonic_ns: u64,
     },
+    /// The press began another stroke.
+    Cycled(u32),
     HandOver {
         counter: u32,
         _hold: Option<Hold>,
@@ -109,6 +112,7 @@ pub struct CameraThread {
 pub fn start(
     world: World,
     patterns: Vec<PatternSpec>,
+    ageing: Ageing,
     fault: Option<FrameFault>,
     root: SharedRoot,
     overflow: Overflow,
@@ -122,7 +126,7 @@ pub fn start(
             match FrameSender::open(&root, overflow) {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
-                    Darkroom::new(world, patterns, fault, sender).run(&queue);
+                    Darkroom::new(world, patterns, ageing, fault, sender).run(&queue);
                 }
                 Err(error) => drop(opened_sender.send(Err(error))),
             }
@@ -182,6 +186,10 @@ impl ExposureSink for Camera {
         });
     }
 
+    fn cycled(&mut self, count: u32) {
+        let _ = self.jobs.send(Job::Cycled(count));
+    }
+
     fn read_out(&mut self, counter: u32) {
         let _ = self.jobs.send(Job::HandOver {
             counter,
@@ -199,6 +207,9 @@ struct Darkroom {
     ready: VecDeque<(u32, SealedFrame)>,
     arm: Option<Arm>,
     since_arming: u32,
+    ageing: Ageing,
+    /// Strokes of the press so far, and after how many the world's die is.
+    cycles: [u32; 2],
     fault: Option<FrameFault>,
     /// Captures armed so far.
     captures: u32,
@@ -211,6 +222,7 @@ impl Darkroom {
     fn new(
         world: World,
         patterns: Vec<PatternSpec>,
+        ageing: Ageing,
         fault: Option<FrameFault>,
         sender: FrameSender,
     ) -> Self {
@@ -222,6 +234,8 @@ impl Darkroom {
             ready: VecDeque::new(),
             arm: None,
             since_arming: 0,
+            ageing,
+            cycles: [0; 2],
             fault,
             captures: 0,
             extra: 0,
@@ -230,16 +244,37 @@ impl Darkroom {
     }
 
     fn run(mut self, queue: &Receiver<Job>) {
-        while let Ok(job) = queue.recv() {
+        // The stages set off while the last frame of a view is still being read out: that frame goes first.
+        let mut announced = None;
+        loop {
+            let job = match queue.try_recv() {
+                Ok(job) => job,
+                Err(TryRecvError::Disconnected) => return,
+                Err(TryRecvError::Empty) => {
+                    if self.ready.is_empty()
+                        && let Some((rotation_rad, vertical_mm)) = announced.take()
+                        // A retracted head photographs nothing.
+                        && self.world.sees_die(vertical_mm)
+                    {
+                        self.prepare(rotation_rad, vertical_mm);
+                        continue;
+                    }
+                    match queue.recv() {
+                        Ok(job) => job,
+                        Err(_) => return,
+                    }
+                }
+            };
             match job {
                 Job::Prepare {
                     rotation_rad,
                     vertical_mm,
-                } => self.prepare(rotation_rad, vertical_mm),
+                } => announced = Some((rotation_rad, vertical_mm)),
                 Job::Expose {
                     exposure,
                     ended_monotonic_ns,
                 } => self.develop(&exposure, ended_monotonic_ns),
+                Job::Cycled(count) => self.cycles[0] = count,
                 Job::HandOver { counter, _hold } => self.hand_over(counter),
                 Job::Finish(truth) => return drop(truth.send(self.truth)),
             }
@@ -247,6 +282,7 @@ impl Darkroom {
     }
 
     fn prepare(&mut self, rotation_rad: f64, vertical_mm: f64) {
+        self.age();
         let key = [rotation_rad.to_bits(), vertical_mm.to_bits()];
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
@@ -260,6 +296,19 @@ impl Darkroom {
                 self.views.push_front((key, view));
             }
             Err(error) => eprintln!("bench: view at {rotation_rad} rad, {vertical_mm} mm: {error}"),
+        }
+    }
+
+    /// Wears the die as the press did since the last view.
+    fn age(&mut self) {
+        let [cycles, shown] = self.cycles;
+        if cycles == shown || self.ageing.per_cycle.is_empty() {
+            return;
+        }
+        self.cycles[1] = cycles;
+        self.views.clear();
+        if let Err(error) = self.world.wear_to(&self.ageing.after(cycles)) {
+            eprintln!("bench: after {cycles} cycles: {error}");
         }
     }
 

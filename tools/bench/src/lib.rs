@@ -4,14 +4,18 @@
 //! |---|---|
 //! | [`devices`] | LED, DMD, camera and stages as the controller sees them, in virtual time |
 //! | [`world`] | die, light and sensor: what a frame shows |
+//! | [`ageing`] | how the die wears with press cycles |
 //! | [`camera`] | exposures to frames in shared memory |
 //! | [`truth`] | what really was photographed |
 //! | [`demo`] | the built-in die and head |
+//! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
 //! | [`process`] | all of it as a process of its own |
 
+pub mod ageing;
 pub mod camera;
 pub mod demo;
 pub mod devices;
 pub mod process;
+pub mod qemu;
 pub mod truth;
 pub mod world;

@@ -13,9 +13,11 @@ use flankscope_profilometry::{HeadModel, PatternSet};
 use flankscope_station::capture::{Overflow, SharedRoot};
 use serde::{Deserialize, Serialize};
 
+use crate::ageing::Ageing;
 use crate::camera::{self, FrameFault};
 use crate::demo;
-use crate::devices::{self, InstrumentConfig};
+use crate::devices::{self, Controller, InstrumentConfig};
+use crate::qemu::{Figures, Machine, find_image};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, Wear, World};
 
@@ -72,15 +74,33 @@ struct RunArgs {
     /// Seed of stage errors, surface grain and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Damage: TOOTH:FLANK:DEPTH_UM[:KIND].
+    /// Damage: TOOTH:FLANK:DEPTH_UM, a kind may follow.
     #[arg(long)]
     wear: Vec<Wear>,
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Speed,
-    /// A camera that misbehaves: lose|repeat|extra:FRAME[:once].
+    /// Who drives the pins: the controller crate in this process, or its image in QEMU.
+    #[arg(long, default_value = "sim")]
+    controller: ControllerKind,
+    /// Damage that each press cycle adds: TOOTH:FLANK:DEPTH_UM.
+    #[arg(long)]
+    wear_rate: Vec<Wear>,
+    /// Strokes per minute of the press; 0: it stands open.
+    #[arg(long, default_value_t = 0.0, value_parser = strokes_per_minute)]
+    strokes_per_minute: f64,
+    /// Share of a stroke during which the press counts as open.
+    #[arg(long, default_value_t = 0.4, value_parser = open_share)]
+    open_share: f64,
+    /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ControllerKind {
+    Sim,
+    Qemu,
 }
 
 /// How fast virtual time runs.
@@ -98,6 +118,23 @@ impl std::str::FromStr for Speed {
             Ok(speed) if (0.1..=MAX_SPEED).contains(&speed) => Ok(Self(speed)),
             _ => Err(format!("{text} is no speed; 0.1 to {MAX_SPEED} or max is")),
         }
+    }
+}
+
+fn strokes_per_minute(text: &str) -> Result<f64, String> {
+    within(text, 0.0, 300.0)
+}
+
+fn open_share(text: &str) -> Result<f64, String> {
+    within(text, 0.1, 0.9)
+}
+
+fn within(text: &str, least: f64, most: f64) -> Result<f64, String> {
+    match text.parse() {
+        Ok(number) if (least..=most).contains(&number) => Ok(number),
+        _ => Err(format!(
+            "{text} is out of range; a number from {least} to {most} is needed"
+        )),
     }
 }
 
@@ -131,6 +168,9 @@ pub struct Farewell {
     pub held_ms: f64,
     /// Real time by which the simulation itself fell behind, ms.
     pub lagged_ms: f64,
+    /// How punctual the emulated controller was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<Figures>,
 }
 
 impl Farewell {
@@ -182,9 +222,27 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         demo::head()
     };
     let Speed(speed) = args.speed;
+    // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
+    let controller = match args.controller {
+        ControllerKind::Sim => Controller::InProcess,
+        ControllerKind::Qemu if speed != 1.0 => {
+            anyhow::bail!(
+                "an emulated controller lives in real time: --speed must be 1, not {speed}"
+            )
+        }
+        ControllerKind::Qemu => Controller::Emulated(Machine::start(&find_image()?)?),
+    };
 
     let mut config = demo::world_of(&tool, &head)?;
-    config.wear = args.wear.clone();
+    let ageing = Ageing {
+        initial: args.wear.clone(),
+        per_cycle: args.wear_rate.clone(),
+    };
+    config.wear = ageing
+        .after(0)
+        .into_iter()
+        .filter(|one| one.depth_mm > 0.0)
+        .collect();
     config.run_seed = args.seed;
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
@@ -203,6 +261,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let (camera_thread, camera) = camera::start(
         world,
         patterns,
+        ageing,
         args.frame_fault,
         SharedRoot::of_owner(&args.root),
         overflow,
@@ -210,11 +269,13 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = args.seed;
+    config.devices.press.strokes_per_minute = args.strokes_per_minute;
+    config.devices.press.open_share = args.open_share;
     if let Some(gear) = &tool.gear {
         // The switch is set up with the die, a little below where the head retracts to.
         config.devices.press.switch_mm = gear.height_mm[1] + SWITCH_CLEARANCE_MM;
     }
-    let instrument = devices::run(config, camera)?;
+    let instrument = devices::run_with(config, controller, camera)?;
     // The controller counts the host's silence in virtual time, the host lives in real time.
     let silence_s = f64::from(config.controller.host_silence.get()) * 1e-6 / speed;
     let heartbeat_us = (silence_s * 1e6 / 3.0) as u64;
@@ -239,6 +300,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         virtual_s: pace.virtual_us as f64 * 1e-6,
         held_ms: pace.held.as_secs_f64() * 1e3,
         lagged_ms: pace.lagged.as_secs_f64() * 1e3,
+        controller: outcome.figures,
     };
     writeln!(out, "{}", serde_json::to_string(&farewell)?)?;
     Ok(())

@@ -97,12 +97,16 @@ impl SharedRoot {
         &self.prefix
     }
 
-    /// The default base folder: below the user's runtime folder, else the temporary folder.
+    /// The default base folder: in the user's runtime folder, else the user's own one in the temporary folder.
     #[must_use]
     pub fn default_base() -> PathBuf {
-        std::env::var_os("XDG_RUNTIME_DIR")
-            .map_or_else(std::env::temp_dir, PathBuf::from)
-            .join("flankscope")
+        std::env::var_os("XDG_RUNTIME_DIR").map_or_else(
+            || {
+                std::env::temp_dir()
+                    .join(format!("flankscope-{}", rustix::process::getuid().as_raw()))
+            },
+            |runtime| PathBuf::from(runtime).join("flankscope"),
+        )
     }
 }
 

@@ -214,8 +214,8 @@ impl Client {
             }
             match timeout_at(end.min(self.next_heartbeat), self.link.receive()).await {
                 Ok(incoming) => {
-                    // A late answer to a heartbeat tells nothing.
-                    let _answer = self.sort(incoming?)?;
+                    // Only an event is wanted; what answers an earlier heartbeat is of no interest.
+                    self.sort(incoming?)?;
                 }
                 Err(_) if Instant::now() < end => {}
                 Err(_) => {
@@ -225,6 +225,11 @@ impl Client {
                 }
             }
         }
+    }
+
+    /// Drops the events that have arrived and were not asked for: what happened before the next order.
+    pub fn forget_events(&mut self) {
+        self.events.clear();
     }
 
     /// Sends a command until it is answered: a retry repeats the sequence number, so it is never carried out twice.

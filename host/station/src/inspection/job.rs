@@ -17,16 +17,17 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, FrameKind};
-use flankscope_protocol::{CapturePlan, Command, Event, FaultCode, PlanError, State, Trigger};
+use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, FaultCode, PlanError, State};
 use tokio::sync::mpsc as channel;
+use tokio::time::Instant;
 
 use super::pairing::pair;
 use super::plan::{Itinerary, PlanningError, capture_plan};
 use super::recorder::{
     CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError,
 };
-use super::result::{Feature, FrameCount, Inspection, Pictures, Timing};
-use super::timeline::Timeline;
+use super::result::{Feature, FrameCount, Handover, Inspection, Pictures, Timing};
+use super::run::Run;
 use super::verdict::{self, Judged};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
@@ -36,6 +37,9 @@ use crate::controller::{Client, ClientError, ClientSettings};
 const EVENT_PATIENCE: Duration = Duration::from_secs(15);
 /// Patience for the capture thread once every trigger was fired.
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Part of a hold limit that is kept for the way out: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
+const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -216,24 +220,30 @@ impl Station {
             .enable_all()
             .build();
         let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
-        runtime.block_on(self.check(port, settings, watch))
+        runtime.block_on(async {
+            let mut client = Client::connect(port, settings).await?;
+            let mut watch = watch;
+            watch(Progress::Connected);
+            self.make_ready(&mut client, &mut watch).await?;
+            self.check(&mut client, None, &mut watch).await
+        })
     }
 
-    async fn check(
+    /// Runs one check with a controller that is ready. With a hold limit, counted by the controller's clock, the head is
+    /// out again by then, done or not.
+    pub(crate) async fn check(
         &mut self,
-        port: &Path,
-        settings: ClientSettings,
-        mut watch: impl FnMut(Progress),
+        client: &mut Client,
+        hold_limit: Option<Duration>,
+        watch: &mut impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
-        let mut client = Client::connect(port, settings).await?;
-        watch(Progress::Connected);
-        let rotation_rad = self.prepare(&mut client, &mut watch).await?;
+        let begun_ns = monotonic_ns();
+        let rotation_rad = f64::from(client.status().await?.rotation.get()) * 1e-6;
         let limits = client.identity().limits;
         let order = self.itinerary.order_from(rotation_rad);
-        let mut run = Run::new(order.clone());
-        let begun_ns = monotonic_ns();
+        let mut run = Run::new(order.clone(), hold_limit);
         let mut stopped = self
-            .capture(&mut client, &mut run, &order, &limits, &mut watch)
+            .capture(client, &mut run, &order, &limits, watch)
             .await?;
         let again = run.missing();
         if stopped.is_none() && !again.is_empty() {
@@ -242,37 +252,36 @@ impl Station {
             }
             run.recaptured += again.len() as u32;
             stopped = self
-                .capture(&mut client, &mut run, &again, &limits, &mut watch)
+                .capture(client, &mut run, &again, &limits, watch)
                 .await?;
         }
-        Ok(self.conclude(run, stopped, begun_ns, &client))
+        Ok(self.conclude(run, stopped, begun_ns, client))
     }
 
-    /// Brings the controller to `Ready`; returns where the rotary stage stands, rad.
-    async fn prepare(
+    /// Brings a controller without a fault to `Ready`: references its stages if they are not.
+    pub(crate) async fn make_ready(
         &self,
         client: &mut Client,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<f64, InspectError> {
-        let mut status = client.status().await?;
+    ) -> Result<(), InspectError> {
+        let status = client.status().await?;
         if let Some(fault) = status.fault {
             return Err(InspectError::Faulted { fault });
         }
-        if !status.homed {
-            watch(Progress::Homing);
-            client.order(&Command::Home).await?;
-            loop {
-                match client.event(EVENT_PATIENCE).await? {
-                    Event::StateChanged {
-                        next: State::Ready, ..
-                    } => break,
-                    Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
-                    _ => {}
-                }
-            }
-            status = client.status().await?;
+        if status.homed {
+            return Ok(());
         }
-        Ok(f64::from(status.rotation.get()) * 1e-6)
+        watch(Progress::Homing);
+        client.order(&Command::Home).await?;
+        loop {
+            match client.event(EVENT_PATIENCE).await? {
+                Event::StateChanged {
+                    next: State::Ready, ..
+                } => return Ok(()),
+                Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
+                _ => {}
+            }
+        }
     }
 
     /// Captures `views`; returns why the capture stopped early, if it did.
@@ -287,6 +296,9 @@ impl Station {
         let plan = capture_plan(&self.itinerary, views, limits)?;
         plan.validate(limits)?;
         run.begin_session(views);
+        // Whatever the controller did before it answers this belongs to an earlier capture.
+        client.status().await?;
+        client.forget_events();
         self.order(Order::Arm(arm_of(&plan)))?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
@@ -294,6 +306,8 @@ impl Station {
                 session: plan.session,
             })
             .await?;
+        // The press is held from here on: this is how many cycles the die has seen.
+        run.press_cycles = client.status().await?.press.cycles;
         match self.follow(client, run, &plan, watch).await {
             Ok(stopped) => Ok(stopped),
             // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
@@ -301,7 +315,8 @@ impl Station {
         }
     }
 
-    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated.
+    /// Follows events and frames until the capture is done or has failed and every whole view is evaluated; returns
+    /// why it failed, if it did.
     async fn follow(
         &mut self,
         client: &mut Client,
@@ -310,68 +325,80 @@ impl Station {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<String>, InspectError> {
         let frames = plan.frames_per_view();
-        let (mut captured, mut closed, mut fault) = (false, false, None);
-        let mut closing_ends = None;
+        let mut failure = None;
+        // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
+        let mut captured: Option<Instant> = None;
+        let (mut closing, mut closed) = (false, false);
         loop {
             self.evaluate_whole_views(run, frames)?;
-            if captured && closed && run.evaluating == 0 {
-                return Ok(fault);
+            match captured {
+                Some(_) if closed && run.evaluating == 0 => return Ok(failure),
+                Some(limit) if !closed && Instant::now() > limit => {
+                    return Ok(Some("the capture thread does not answer".into()));
+                }
+                _ => {}
             }
-            if closing_ends.is_some_and(|end| tokio::time::Instant::now() > end) {
-                return Ok(Some("the capture thread does not answer".into()));
-            }
-            let pause = Duration::from_millis(200);
             tokio::select! {
                 recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
-                    Recorded::View(view) => run.recorded(*view),
+                    Recorded::View(view) => run.waiting.push(*view),
                     Recorded::Closed => closed = true,
-                    Recorded::Picture(width, height, grey) => run.picture = Some((width, height, grey)),
+                    Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(InspectError::Thread { thread: "compute" })?;
                     watch(Progress::Evaluated(view));
                     run.evaluated(view, *outcome);
                 }
-                () = tokio::time::sleep(pause), if captured => {}
-                event = client.event(EVENT_PATIENCE), if !captured => {
-                    let event = match event {
-                        Ok(event) => event,
-                        Err(error) => {
-                            let _ = self.order(Order::Close);
-                            captured = true;
-                            fault.get_or_insert(error.to_string());
-                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
-                            continue;
-                        }
-                    };
-                    tracing::debug!(?event);
-                    run.timeline.note(&event);
+                () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
+                event = client.event(EVENT_PATIENCE), if captured.is_none() => {
+                    let (mut done, mut retracting) = (false, false);
                     match event {
-                        Event::StateChanged { next: State::Moving, .. } => {
-                            watch(Progress::Moving(run.views_begun(), run.session.len()));
+                        Err(error) => {
+                            failure.get_or_insert(error.to_string());
+                            done = true;
                         }
-                        Event::StateChanged { next: State::Retracting, .. } => watch(Progress::Retracting),
-                        Event::Triggered(trigger) => {
-                            watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
-                            run.triggered(trigger);
+                        Ok(event) => {
+                            tracing::debug!(?event);
+                            run.timeline.note(&event);
+                            match event {
+                                Event::StateChanged { next: State::Moving, .. } => {
+                                    watch(Progress::Moving(run.views_begun(), run.session.len()));
+                                }
+                                Event::StateChanged { next: State::Retracting, .. } => {
+                                    watch(Progress::Retracting);
+                                    retracting = true;
+                                }
+                                Event::Triggered(trigger) => {
+                                    watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
+                                    run.triggered(trigger);
+                                }
+                                Event::Fault { fault, .. }
+                                    if fault.known().is_none_or(|f| f.class() != FaultClass::Limit) =>
+                                {
+                                    failure.get_or_insert(fault.to_string());
+                                }
+                                Event::EventsLost { count, .. } => {
+                                    failure.get_or_insert(format!("{count} events were lost in the controller"));
+                                }
+                                Event::CaptureDone { .. }
+                                | Event::StateChanged { next: State::Faulted | State::Ready, .. } => done = true,
+                                _ => {}
+                            }
                         }
-                        Event::Fault { fault: code, .. } if code.0 < 96 => drop(fault.get_or_insert(code.to_string())),
-                        Event::EventsLost { count, .. } => {
-                            fault.get_or_insert(format!("{count} events were lost in the controller"));
-                        }
-                        Event::CaptureDone { .. } => captured = true,
-                        Event::StateChanged { next: State::Faulted, .. } => captured = true,
-                        _ => {}
                     }
-                    // All triggers of the last view are known when the head begins to retract: nothing to wait for.
-                    if captured || matches!(event, Event::StateChanged { next: State::Retracting, .. }) {
-                        if closing_ends.is_none() {
-                            self.order(Order::Close)?;
-                        }
-                        closing_ends.get_or_insert(tokio::time::Instant::now() + FRAME_PATIENCE);
-                        if captured {
-                            closing_ends = Some(tokio::time::Instant::now() + FRAME_PATIENCE);
-                        }
+                    // The press is not held any longer, whatever is still missing.
+                    if !done && run.hold_limit.is_some_and(|limit| run.timeline.elapsed() + RETRACT_RESERVE > limit) {
+                        run.hold_limit = None;
+                        failure.get_or_insert("the check did not fit into the time for which the press may be held".into());
+                        client.order(&Command::Abort).await?;
+                    }
+                    // Every trigger has been fired when the head begins to retract: the last views need not wait longer.
+                    if (retracting || done) && !closing {
+                        self.order(Order::Close)?;
+                        closing = true;
+                    }
+                    if done {
+                        captured = Some(Instant::now() + FRAME_PATIENCE);
                     }
                 }
             }
@@ -393,6 +420,7 @@ impl Station {
                 view,
                 accumulator,
                 frames,
+                handover_ns,
                 problem,
             } = captured;
             let place = run.session.get(usize::from(view)).copied();
@@ -408,6 +436,7 @@ impl Station {
             match result {
                 Ok(()) => {
                     run.received += frames.len() as u64;
+                    run.handover_ns.extend(handover_ns);
                     let ended = frames
                         .last()
                         .map_or(0, |frame| frame.exposure_end_monotonic_ns);
@@ -438,7 +467,7 @@ impl Station {
 
     fn conclude(
         &self,
-        run: Run,
+        mut run: Run,
         stopped: Option<String>,
         begun_ns: u64,
         client: &Client,
@@ -494,7 +523,10 @@ impl Station {
                 received: run.received,
                 bytes_copied: Frame::bytes_copied(),
                 recaptured_views: run.recaptured,
+                handover_us: Handover::of(&mut run.handover_ns),
             },
+            press_cycles: run.press_cycles,
+            peak_memory_mb: peak_memory_mb(),
             registration,
             tool: self.subject.tool.name.clone(),
             versions,
@@ -518,6 +550,20 @@ impl Drop for Station {
     }
 }
 
+/// High-water mark of this process's resident memory, from the kernel.
+fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kilobytes
+        .trim()
+        .trim_end_matches(" kB")
+        .parse::<f64>()
+        .ok()
+        .map(|kb| kb / 1024.0)
+}
+
 fn arm_of(plan: &CapturePlan) -> Arm {
     Arm {
         session: plan.session,
@@ -525,100 +571,5 @@ fn arm_of(plan: &CapturePlan) -> Arm {
         views: plan.views.len() as u16,
         exposures: plan.exposures.len() as u16,
         patterns: plan.pattern_count(),
-    }
-}
-
-/// What a check has gathered so far.
-#[derive(Debug)]
-struct Run {
-    /// Every view that was asked for.
-    wanted: Vec<usize>,
-    /// View of the itinerary behind each view of the running session.
-    session: Vec<usize>,
-    /// Triggers per view of the session.
-    triggers: Vec<Vec<Trigger>>,
-    /// Captured views of the session that wait for the rest of their triggers.
-    waiting: Vec<CapturedView>,
-    outcomes: BTreeMap<usize, ViewOutcome>,
-    problems: BTreeMap<usize, String>,
-    timeline: Timeline,
-    picture: Option<(usize, usize, Vec<u8>)>,
-    evaluating: usize,
-    triggered: u64,
-    received: u64,
-    recaptured: u32,
-    last_exposure_ns: u64,
-    verdict_ns: u64,
-}
-
-impl Run {
-    fn new(wanted: Vec<usize>) -> Self {
-        Self {
-            wanted,
-            session: Vec::new(),
-            triggers: Vec::new(),
-            waiting: Vec::new(),
-            outcomes: BTreeMap::new(),
-            problems: BTreeMap::new(),
-            timeline: Timeline::default(),
-            picture: None,
-            evaluating: 0,
-            triggered: 0,
-            received: 0,
-            recaptured: 0,
-            last_exposure_ns: 0,
-            verdict_ns: 0,
-        }
-    }
-
-    fn begin_session(&mut self, views: &[usize]) {
-        self.session = views.to_vec();
-        self.triggers = vec![Vec::new(); views.len()];
-        self.waiting.clear();
-    }
-
-    fn triggered(&mut self, trigger: Trigger) {
-        self.triggered += 1;
-        if let Some(view) = self.triggers.get_mut(usize::from(trigger.view)) {
-            view.push(trigger);
-        }
-    }
-
-    fn views_begun(&self) -> usize {
-        self.triggers
-            .iter()
-            .filter(|triggers| !triggers.is_empty())
-            .count()
-    }
-
-    fn recorded(&mut self, view: CapturedView) {
-        self.waiting.push(view);
-    }
-
-    /// Captured views that need not wait any longer: damaged ones, and those whose triggers have all been reported.
-    fn take_complete(&mut self, frames_per_view: u16) -> Vec<CapturedView> {
-        let triggers = &self.triggers;
-        let complete = |view: &mut CapturedView| {
-            view.problem.is_some()
-                || triggers
-                    .get(usize::from(view.view))
-                    .is_none_or(|t| t.len() >= usize::from(frames_per_view))
-        };
-        self.waiting.extract_if(.., complete).collect()
-    }
-
-    fn evaluated(&mut self, view: usize, outcome: ViewOutcome) {
-        self.evaluating -= 1;
-        self.verdict_ns = monotonic_ns();
-        self.outcomes.insert(view, outcome);
-    }
-
-    /// Views that were asked for and have no outcome.
-    fn missing(&self) -> Vec<usize> {
-        self.wanted
-            .iter()
-            .copied()
-            .filter(|view| !self.outcomes.contains_key(view))
-            .collect()
     }
 }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `plan` | which poses, patterns and exposures: from tool and head to a capture plan |
 //! | `job` | orders, events and threads of one check |
+//! | `run` | what a running check has gathered |
 //! | `recorder` | the capture thread: frames summed where they lie |
 //! | `pairing` | triggers against frames |
 //! | `views` | one view's sums to points, pose and wear |
@@ -16,6 +17,7 @@ mod pairing;
 mod plan;
 mod recorder;
 mod result;
+mod run;
 mod timeline;
 mod verdict;
 mod views;
@@ -25,5 +27,6 @@ pub use pairing::{PairingError, pair};
 pub use plan::{Itinerary, PlannedView, PlanningError};
 pub use recorder::ViewError;
 pub use result::{
-    Feature, FlankMap, FrameCount, Inspection, Pictures, Timing, ViewRegistration, WeakDirection,
+    Feature, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing, ViewRegistration,
+    WeakDirection,
 };

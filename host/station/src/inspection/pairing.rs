@@ -176,7 +176,7 @@ mod tests {
         };
         for i in 0..5 {
             assert!(
-                disturb(&|_, f| drop(f.remove(i))).is_err(),
+                disturb(&|_, f| _ = f.remove(i)).is_err(),
                 "frame {i} missing"
             );
             assert!(
@@ -184,7 +184,7 @@ mod tests {
                 "frame {i} twice"
             );
             assert!(
-                disturb(&|t, _| drop(t.remove(i))).is_err(),
+                disturb(&|t, _| _ = t.remove(i)).is_err(),
                 "trigger {i} missing"
             );
             assert!(

@@ -5,7 +5,7 @@
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
 use std::time::Duration;
 
-use flankscope_profilometry::{Accumulator, FrameError, FrameKind};
+use flankscope_profilometry::{Accumulator, FrameError, FrameKind, FrameView};
 
 use super::pairing::PairingError;
 use crate::capture::{Arm, Frame, FrameHeader, FrameReceiver, ReceiveError};
@@ -68,6 +68,8 @@ pub struct CapturedView {
     pub accumulator: Accumulator,
     /// Headers of the frames, in order of arrival.
     pub frames: Vec<FrameHeader>,
+    /// From hand-over by the camera process to sight by the host, per frame, ns.
+    pub handover_ns: Vec<u64>,
     /// Why it cannot be used.
     pub problem: Option<ViewError>,
 }
@@ -79,8 +81,8 @@ pub enum Recorded {
     View(Box<CapturedView>),
     /// After [`Order::Close`]: nothing is open any more.
     Closed,
-    /// A frame for the report: width, height, 8-bit grey.
-    Picture(usize, usize, Vec<u8>),
+    /// A frame for the report.
+    Picture(Picture),
 }
 
 /// Which frame to keep for the report.
@@ -196,7 +198,8 @@ impl<'a> Recorder<'a> {
             self.open = Some(CapturedView {
                 view: header.label.view,
                 accumulator,
-                frames: Vec::new(),
+                frames: Vec::with_capacity(self.kinds.len()),
+                handover_ns: Vec::with_capacity(self.kinds.len()),
                 problem: None,
             });
         }
@@ -205,6 +208,11 @@ impl<'a> Recorder<'a> {
             return;
         };
         open.frames.push(header);
+        open.handover_ns.push(
+            frame
+                .received_monotonic_ns
+                .saturating_sub(header.published_monotonic_ns),
+        );
         if open.problem.is_none() {
             open.problem = match self.kinds.get(usize::from(header.label.in_view)) {
                 _ if header.session != arm.session => Some(ViewError::Session {
@@ -269,25 +277,121 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Draws the kept frame out of the shared memory, as 8-bit grey, and releases it.
+    /// Draws the kept frame's bright part out of the shared memory, as 8-bit grey, and releases it.
     fn show(&mut self) {
         let Some(frame) = self.kept.take() else {
             return;
         };
-        let view = frame.view();
-        let full = u32::from(self.settings.full_scale_dn.max(1));
-        let grey = view
-            .pixels
-            .chunks(view.stride)
-            .take(view.height)
-            .flat_map(|row| row.iter().take(view.width))
-            .map(|&dn| (u32::from(dn) * 255 / full).min(255) as u8)
-            .collect();
         let _ = self
             .events
-            .send(Recorded::Picture(view.width, view.height, grey));
+            .send(Recorded::Picture(picture(frame.view(), self.settings)));
+    }
+}
+
+/// The lit part of a frame as a grey picture.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Row by row.
+    pub grey: Vec<u8>,
+}
+
+/// Crops a frame to where it is lit and spreads its counts over 8 bits; reads the frame where it lies.
+fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
+    let row = |y: usize| {
+        view.pixels
+            .get(y * view.stride..)
+            .and_then(|rest| rest.get(..view.width))
+            .unwrap_or_default()
+    };
+    let lit = |dn: u16| f64::from(dn) > settings.dark_limit_dn;
+    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    let mut histogram = vec![0_usize; usize::from(settings.full_scale_dn) + 1];
+    for y in 0..view.height {
+        for (x, &dn) in row(y).iter().enumerate().filter(|&(_, &dn)| lit(dn)) {
+            low = [low[0].min(x), low[1].min(y)];
+            high = [high[0].max(x + 1), high[1].max(y + 1)];
+            histogram[usize::from(dn.min(settings.full_scale_dn))] += 1;
+        }
+    }
+    if low[0] > high[0] {
+        return Picture {
+            width: 1,
+            height: 1,
+            grey: vec![0],
+        };
+    }
+    // White is the count that one pixel in a thousand exceeds: highlights and hot pixels do not darken the rest.
+    let mut brighter = histogram.iter().sum::<usize>() / 1000;
+    let white = histogram.iter().rposition(|&count| {
+        let here = brighter < count;
+        brighter = brighter.saturating_sub(count);
+        here
+    });
+    let black = settings
+        .dark_limit_dn
+        .min(f64::from(settings.full_scale_dn));
+    let span = (white.unwrap_or(0) as f64 - black).max(1.0);
+    let grey = |dn: u16| ((f64::from(dn) - black) / span * 255.0).clamp(0.0, 255.0) as u8;
+    let grey = (low[1]..high[1])
+        .flat_map(|y| row(y)[low[0]..high[0]].iter().map(|&dn| grey(dn)))
+        .collect();
+    Picture {
+        width: high[0] - low[0],
+        height: high[1] - low[1],
+        grey,
     }
 }
 
 /// The sending ends that the job keeps.
 pub type Orders = Sender<Order>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_picture_shows_the_lit_part_in_full_contrast() {
+        // 8 x 6 px with padding; a lit patch of 3 x 2 at (2, 1), one glaring pixel in it.
+        let (width, height, stride) = (8, 6, 10);
+        let mut pixels = vec![100_u16; stride * height];
+        for (x, y, dn) in [
+            (2, 1, 1000),
+            (3, 1, 2000),
+            (4, 1, 3000),
+            (2, 2, 1000),
+            (3, 2, 4095),
+            (4, 2, 1000),
+        ] {
+            pixels[y * stride + x] = dn;
+        }
+        let keepsake = Keepsake {
+            exposure: 0,
+            pattern: 1,
+        };
+        let settings = RecorderSettings {
+            dark_limit_dn: 140.0,
+            keepsake,
+            full_scale_dn: 4095,
+        };
+        let picture = picture(
+            FrameView {
+                pixels: &pixels,
+                width,
+                height,
+                stride,
+            },
+            settings,
+        );
+        assert_eq!((picture.width, picture.height), (3, 2));
+        assert_eq!(picture.grey[4], 255, "the brightest is white");
+        let expected = |dn: f64| ((dn - 140.0) / (4095.0 - 140.0) * 255.0) as u8;
+        assert_eq!(
+            picture.grey[..3],
+            [expected(1000.0), expected(2000.0), expected(3000.0)]
+        );
+    }
+}

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+pub use super::recorder::Picture;
+
 /// One inspected flank: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
@@ -54,6 +56,35 @@ pub struct FrameCount {
     pub bytes_copied: u64,
     /// Views that had to be captured again.
     pub recaptured_views: u32,
+    /// From hand-over by the camera process to sight by the host.
+    pub handover_us: Handover,
+}
+
+/// How long frames were on their way, µs.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Handover {
+    /// Half of the frames were faster.
+    pub median: f64,
+    /// 99 of 100 frames were faster.
+    pub p99: f64,
+}
+
+impl Handover {
+    /// From the times of all frames; zeros where there are none. Sorts them.
+    #[must_use]
+    pub fn of(times_ns: &mut [u64]) -> Self {
+        times_ns.sort_unstable();
+        let at = |share: f64| {
+            let rank = (share * times_ns.len() as f64).ceil() as usize;
+            times_ns
+                .get(rank.saturating_sub(1))
+                .map_or(0.0, |&ns| ns as f64 / 1e3)
+        };
+        Self {
+            median: at(0.5),
+            p99: at(0.99),
+        }
+    }
 }
 
 /// How one view was laid on the CAD.
@@ -106,6 +137,10 @@ pub struct Inspection {
     pub timing_ms: Timing,
     /// Frame bookkeeping.
     pub frames: FrameCount,
+    /// Cycles of the press, since the controller's power-up, when the die was looked at.
+    pub press_cycles: u32,
+    /// Most memory that this process held at once, MB; absent where the system does not say.
+    pub peak_memory_mb: Option<f64>,
     /// One entry per view.
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
@@ -128,8 +163,8 @@ pub struct Pictures {
     pub deviations_um: Vec<f64>,
     /// Activity of the devices.
     pub lanes: Vec<crate::report::Lane>,
-    /// One raw frame as a grey picture: width, height, 8-bit pixels.
-    pub frame: Option<(usize, usize, Vec<u8>)>,
+    /// One raw frame.
+    pub frame: Option<Picture>,
 }
 
 /// Mean deviation per cell of one flank.

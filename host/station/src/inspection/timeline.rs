@@ -1,5 +1,7 @@
 //! What the devices did when, from the controller's events.
 
+use std::time::Duration;
+
 use flankscope_protocol::{Event, State, Timestamp, Trigger};
 
 use crate::report::{Lane, Span};
@@ -14,6 +16,7 @@ pub struct Timeline {
     dmd: Vec<Span>,
     camera: Vec<Span>,
     state_since: Timestamp,
+    latest: Timestamp,
     led_since: Option<Timestamp>,
 }
 
@@ -30,6 +33,7 @@ impl Timeline {
                     _ => {}
                 }
                 self.state_since = at;
+                self.latest = at;
             }
             Event::Led { on: true, at } => self.led_since = Some(at),
             Event::Led { on: false, at } => {
@@ -45,6 +49,7 @@ impl Timeline {
                 ..
             }) => {
                 let (dmd, camera) = (self.span(dmd_at, camera_at), self.span(camera_at, end_at));
+                self.latest = end_at;
                 self.dmd.push(dmd);
                 self.camera.push(camera);
             }
@@ -59,6 +64,12 @@ impl Timeline {
             start_ms: ms(from),
             end_ms: ms(to),
         }
+    }
+
+    /// From the first event to the latest, by the controller's clock.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)))
     }
 
     /// Time spent moving and settling, ms.

@@ -82,7 +82,8 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &s
     const BINS: usize = 80;
     const WIDTH: f64 = 900.0;
     const HEIGHT: f64 = 240.0;
-    let (left, bottom, top) = (50.0, HEIGHT - 36.0, 12.0);
+    const RIGHT: f64 = 30.0;
+    let (left, bottom, top) = (30.0, HEIGHT - 36.0, 16.0);
     let mut counts = [0_usize; BINS];
     let mut outside = 0_usize;
     for &deviation in deviations_um {
@@ -93,7 +94,7 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &s
         }
     }
     let peak = counts.iter().copied().max().unwrap_or(0).max(1) as f64;
-    let x = |um: f64| left + (um + half_range_um) / (2.0 * half_range_um) * (WIDTH - left - 10.0);
+    let x = |um: f64| left + (um + half_range_um) / (2.0 * half_range_um) * (WIDTH - left - RIGHT);
     let mut svg = open(WIDTH, HEIGHT, "Histogram of deviations");
     for tick in ticks(-half_range_um, half_range_um) {
         let at = x(tick);
@@ -107,7 +108,7 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &s
             bottom + 16.0
         );
     }
-    let width = (WIDTH - left - 10.0) / BINS as f64;
+    let width = (WIDTH - left - RIGHT) / BINS as f64;
     for (bin, &count) in counts.iter().enumerate() {
         let height = count as f64 / peak * (bottom - top);
         let centre_um = (bin as f64 + 0.5) / BINS as f64 * 2.0 * half_range_um - half_range_um;
@@ -136,7 +137,7 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &s
         svg,
         r#"<text x="{left:.1}" y="{:.1}">points, most in one bin: {peak}</text><text x="{:.1}" y="{:.1}" text-anchor="end">deviation / µm (minus: material missing) · {outside} points beyond the axis</text></svg>"#,
         HEIGHT - 4.0,
-        WIDTH - 10.0,
+        WIDTH - RIGHT,
         HEIGHT - 4.0
     );
     svg

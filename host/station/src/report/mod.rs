@@ -76,7 +76,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         frame: pictures
             .frame
             .as_ref()
-            .map(|(width, height, pixels)| colour::grey_data_uri(*width, *height, pixels)),
+            .map(|frame| colour::grey_data_uri(frame.width, frame.height, &frame.grey)),
         max_abs_um: full_um,
     };
     page.render()
@@ -99,7 +99,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         .iter()
         .find(|f| f.tooth == map.tooth && f.flank == map.flank)
         .map_or("indeterminate", |f| f.verdict.as_str());
-    const PX_PER_MM: f64 = 42.0;
+    const PX_PER_MM: f64 = 48.0;
     Map {
         map,
         verdict,
@@ -109,7 +109,27 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
     }
 }
 
-/// A number for the table, a dash where there is none.
-fn number(value: &Option<f64>) -> String {
-    value.map_or_else(|| "–".into(), |v| format!("{v:.1}"))
+/// A figure in µm for a table: one decimal, no minus before zero, a dash where there is none.
+#[must_use]
+pub fn figure(value: Option<f64>) -> String {
+    // Adding zero turns the −0 that rounding may leave into 0.
+    value.map_or_else(
+        || "–".into(),
+        |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_have_one_decimal_and_no_negative_zero() {
+        let of = |um| figure(Some(um));
+        assert_eq!(
+            [of(-0.04), of(0.04), of(-0.06), of(79.96)],
+            ["0.0", "0.0", "-0.1", "80.0"]
+        );
+        assert_eq!(figure(None), "–");
+    }
 }

@@ -16,6 +16,9 @@ pub struct CameraTiming {
     pub latency_us: u64,
     /// Exposure end to the last row: 1920x1200 at 16 bit and 80 frames per second over USB 3.
     pub readout_us: u64,
+    /// The sensor begins and ends its exposure between two lines: it lasts whole lines. 1200 lines are read out in
+    /// 12.5 ms, which is 10 us each, the order that data sheets of such sensors give.
+    pub line_us: u64,
 }
 
 impl Default for CameraTiming {
@@ -23,6 +26,7 @@ impl Default for CameraTiming {
         Self {
             latency_us: 5,
             readout_us: 12_500,
+            line_us: 10,
         }
     }
 }
@@ -32,9 +36,9 @@ impl Default for CameraTiming {
 pub struct Exposure {
     /// Frames since the camera was switched on, counted from 0.
     pub counter: u32,
-    /// Start of the exposure, virtual time.
+    /// Start of the exposure, by the clock of whoever triggers.
     pub start_us: u64,
-    /// End of the exposure, virtual time.
+    /// End of the exposure, by the same clock: whole lines after its start.
     pub end_us: u64,
     /// DMD index on the mirrors: 0 is black.
     pub pattern: u16,
@@ -71,6 +75,10 @@ pub trait ExposureSink {
     fn read_out(&mut self, counter: u32) {
         let _ = counter;
     }
+    /// The press began its stroke number `count`, from 1.
+    fn cycled(&mut self, count: u32) {
+        let _ = count;
+    }
     /// A frame was triggered in vain; its counter value is skipped.
     fn lost(&mut self, counter: u32, why: Lost) {
         let _ = (counter, why);
@@ -91,6 +99,8 @@ pub(super) async fn run<S: ExposureSink>(
     let latency = Duration::from_micros(timing.latency_us);
     let mut counter = 0;
     let mut reading: VecDeque<(u32, u64)> = VecDeque::new();
+    // By the clock of whoever triggers, which need not be ours: when the last frame is read out.
+    let mut read_out_us = 0;
     ready.set(true);
     loop {
         // Idle: waiting for a trigger, handing over what is read out meanwhile.
@@ -102,7 +112,7 @@ pub(super) async fn run<S: ExposureSink>(
         ready.set(false);
         Timer::after(latency).await;
         exposing.set(true);
-        let start_us = now_us();
+        let start_us = trigger.changed_us() + timing.latency_us;
         let (pattern, lit) = (world.displayed.get(), world.lit.get());
         until(&mut trigger, false, &mut reading, &sink).await;
         Timer::after(latency).await;
@@ -110,12 +120,20 @@ pub(super) async fn run<S: ExposureSink>(
             return core::future::pending().await;
         }
         exposing.set(false);
-        let end_us = now_us();
-        let readout_done_us = end_us + timing.readout_us;
-        if reading.iter().any(|&(_, done_us)| done_us > end_us) {
+        let closed_us = trigger.changed_us() + timing.latency_us;
+        let width_us = closed_us.saturating_sub(start_us);
+        let end_us = start_us + width_us - width_us % timing.line_us.max(1);
+        let ended_us = now_us();
+        let readout_done_us = ended_us + timing.readout_us;
+        if closed_us < read_out_us {
             sink.borrow_mut().lost(counter, Lost::Readout);
         } else {
-            let pose = world.stage.borrow().true_pose(end_us);
+            read_out_us = closed_us + timing.readout_us;
+            // By that clock, all frames before have been read out.
+            for (counter, _) in reading.drain(..) {
+                sink.borrow_mut().read_out(counter);
+            }
+            let pose = world.stage.borrow().true_pose(ended_us);
             sink.borrow_mut().exposed(Exposure {
                 counter,
                 start_us,

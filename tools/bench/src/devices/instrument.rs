@@ -1,6 +1,7 @@
 //! The whole instrument on a thread of its own: controller, devices, and a pseudo-terminal for the host.
 
 use super::{DeviceConfig, ExposureSink, spawn_all};
+use crate::qemu::{self, Figures, Machine};
 use flankscope_controller::sequence;
 use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::Microseconds;
@@ -66,6 +67,14 @@ impl Default for InstrumentConfig {
     }
 }
 
+/// Who drives the pins.
+pub enum Controller {
+    /// The controller crate in this process, in virtual time.
+    InProcess,
+    /// The controller crate as a processor's image, in the emulator's time; it has its own settings built in.
+    Emulated(Machine),
+}
+
 /// What a finished run leaves behind.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outcome {
@@ -73,6 +82,8 @@ pub struct Outcome {
     pub pace: Pace,
     /// Every pin edge, in order.
     pub edges: Vec<Edge>,
+    /// How punctual the controller was, if it was emulated.
+    pub figures: Option<Figures>,
 }
 
 /// A running instrument. Dropping it stops it.
@@ -115,12 +126,24 @@ impl Drop for Instrument {
     }
 }
 
-/// Starts the instrument and returns once its port can be opened.
+/// Starts the instrument with the controller in this process and returns once its port can be opened.
 ///
 /// # Errors
 /// The system has no thread or no pseudo-terminal left.
 pub fn run(
     config: InstrumentConfig,
+    sink: impl ExposureSink + Send + 'static,
+) -> io::Result<Instrument> {
+    run_with(config, Controller::InProcess, sink)
+}
+
+/// Starts the instrument with this controller and returns once its port can be opened.
+///
+/// # Errors
+/// The system has no thread, no socket or no pseudo-terminal left.
+pub fn run_with(
+    config: InstrumentConfig,
+    controller: Controller,
     mut sink: impl ExposureSink + Send + 'static,
 ) -> io::Result<Instrument> {
     let stopping = Arc::new(AtomicBool::new(false));
@@ -131,25 +154,37 @@ pub fn run(
         .spawn(move || {
             let sim = Sim::new(config.clock);
             let wiring = Wiring::new(&sim);
-            let pty = match Pty::open(&sim, wiring.host.clone()) {
-                Ok(pty) => pty,
+            sink.attach(sim.remote());
+            spawn_all(&sim, &wiring, &config.devices, sink);
+            let begun = Pty::open(&sim, wiring.host.clone()).and_then(|pty| {
+                let trace = match &controller {
+                    Controller::InProcess => {
+                        spawn_controller(&sim, &wiring, config.controller, config.axes);
+                        None
+                    }
+                    Controller::Emulated(machine) => Some(qemu::join(&sim, &wiring, machine)?),
+                };
+                Ok((pty, trace))
+            });
+            let (pty, trace) = match begun {
+                Ok(begun) => begun,
                 Err(error) => {
                     let _starter = opened.send(Err(error));
                     return Outcome {
                         pace: sim.pace(),
                         edges: Vec::new(),
+                        figures: None,
                     };
                 }
             };
             let _starter = opened.send(Ok((pty.path().to_owned(), sim.remote())));
-            sink.attach(sim.remote());
-            spawn_all(&sim, &wiring, &config.devices, sink);
-            spawn_controller(&sim, &wiring, config.controller, config.axes);
             sim.run_until(|| stop.load(Ordering::Acquire));
             drop(pty);
+            drop(controller);
             Outcome {
                 pace: sim.pace(),
                 edges: sim.edges(),
+                figures: trace.map(|trace| Figures::of(&trace.borrow())),
             }
         })?;
     let (port, remote) = opening

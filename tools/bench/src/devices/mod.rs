@@ -23,7 +23,7 @@ pub mod stage;
 pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
 pub use dmd::DmdTiming;
 pub use faults::{DeviceFault, Faults};
-pub use instrument::{Instrument, InstrumentConfig, Outcome, run};
+pub use instrument::{Controller, Instrument, InstrumentConfig, Outcome, run, run_with};
 pub use led::LedTiming;
 pub use press::PressModel;
 pub use stage::{AxisModel, StageModel, TruePose};
@@ -92,7 +92,7 @@ pub fn spawn_all(
         Rc::clone(&world),
         Rc::clone(&sink),
     ));
-    sim.spawn(press::ram(board(), config.press));
+    sim.spawn(press::ram(board(), config.press, Rc::clone(&sink)));
     sim.spawn(press::retract_switch(
         board(),
         config.press,

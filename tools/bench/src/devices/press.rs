@@ -7,11 +7,12 @@
 //!  open B   __________╱▔▔▔▔▔▔▔▔▔▔▔▔▔▔╲__________________
 //! ```
 
-use super::World;
+use super::{ExposureSink, World};
 use embassy_futures::select::select;
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::digital::Wait;
 use flankscope_sim::Board;
+use std::cell::RefCell;
 use std::rc::Rc;
 
 /// How the press runs.
@@ -42,7 +43,7 @@ impl Default for PressModel {
 /// Length of the cycle pulse.
 const CYCLE_PULSE: Duration = Duration::from_millis(60);
 
-pub(super) async fn ram(board: Board, model: PressModel) {
+pub(super) async fn ram<S: ExposureSink>(board: Board, model: PressModel, sink: Rc<RefCell<S>>) {
     let mut lines = board.press;
     lines.guard_closed.set(true);
     lines.die_clear.set(true);
@@ -55,6 +56,7 @@ pub(super) async fn ram(board: Board, model: PressModel) {
     let half_open = Duration::from_micros((0.5 * model.open_share * cycle_us) as u64);
     let closed = Duration::from_micros(((1.0 - model.open_share) * cycle_us) as u64);
     let skew = Duration::from_micros(model.skew_us);
+    let mut strokes = 0;
     loop {
         // Both channels, or the ram stays where it is.
         while !(lines.head_clear_1.level() && lines.head_clear_2.level()) {
@@ -62,6 +64,8 @@ pub(super) async fn ram(board: Board, model: PressModel) {
             let Ok(()) = lines.head_clear_2.wait_for_high().await;
         }
         let top = Instant::now();
+        strokes += 1;
+        sink.borrow_mut().cycled(strokes);
         lines.cycle.set(true);
         Timer::at(top + half_open.min(CYCLE_PULSE)).await;
         lines.cycle.set(false);

@@ -198,6 +198,8 @@ impl WorldError {
 
 /// The bench's world.
 pub struct World {
+    cad: Mesh,
+    gear: GearSpec,
     optics: HeadOptics,
     sensor_spec: SensorSpec,
     surface: Surface,
@@ -241,6 +243,8 @@ impl World {
             config.run_seed,
         );
         Ok(Self {
+            cad: config.cad.clone(),
+            gear: config.gear.clone(),
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
@@ -255,9 +259,37 @@ impl World {
         })
     }
 
+    /// Replaces the damage of the die, as more press cycles do. Views prepared before show the die as it was.
+    ///
+    /// # Errors
+    /// Damage that this die cannot have; it then stays as it is.
+    pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
+        let die = Die::as_built(&self.cad, WearField::new(&self.gear, wear)?)?;
+        self.rays = RayCaster::new(die.mesh());
+        self.die = die;
+        Ok(())
+    }
+
     /// Columns and rows of a frame.
     pub fn size_px(&self) -> [usize; 2] {
         self.optics.camera_size_px
+    }
+
+    /// Whether the die reaches into the field of a head raised by `vertical_mm`.
+    pub fn sees_die(&self, vertical_mm: f64) -> bool {
+        let centre_mm = self
+            .optics
+            .tool_from_camera(0.0, vertical_mm)
+            .translation
+            .vector
+            .z;
+        // The field's edge, seen under twice its angle: distortion and blur reach a little farther than the circle.
+        let reach_mm = 2.0 * self.optics.camera_objective.field_radius_mm;
+        let heights = || self.die.mesh().vertices.iter().map(|vertex| vertex[2]);
+        let (low, high) = heights().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| {
+            (l.min(z), h.max(z))
+        });
+        (low - reach_mm..=high + reach_mm).contains(&centre_mm)
     }
 
     /// The die as it really is.

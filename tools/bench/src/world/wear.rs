@@ -24,7 +24,7 @@ pub struct Wear {
     pub tooth: u32,
     /// Its flank.
     pub flank: Flank,
-    /// Largest depth, mm; of [`WearKind::Buildup`] the height. Always positive.
+    /// Largest depth, mm; of [`WearKind::Buildup`] the height. Never negative.
     pub depth_mm: f64,
     /// Its shape.
     pub kind: WearKind,
@@ -61,7 +61,7 @@ pub enum WearError {
     },
     /// The depth is not a number in range.
     #[error(
-        "depth \"{got}\" is not usable; a number above 0 and up to {max_um} µm is (built-up material: kind buildup)"
+        "depth \"{got}\" is not usable; a number from 0 to {max_um} µm is (built-up material: kind buildup)"
     )]
     Depth {
         /// The part at fault.
@@ -105,7 +105,7 @@ impl FromStr for Wear {
         let depth_um = depth
             .parse()
             .ok()
-            .filter(|&d: &f64| d > 0.0 && d <= MAX_DEPTH_UM);
+            .filter(|d: &f64| (0.0..=MAX_DEPTH_UM).contains(d));
         Ok(Self {
             tooth: number.ok_or_else(|| WearError::Tooth {
                 got: tooth.to_owned(),
@@ -181,7 +181,7 @@ impl WearField {
                 });
             }
             let um = one.depth_mm * 1e3;
-            if !(um > 0.0 && um <= MAX_DEPTH_UM * (1.0 + 1e-12)) {
+            if !(0.0..=MAX_DEPTH_UM * (1.0 + 1e-12)).contains(&um) {
                 return Err(WearError::Depth {
                     got: um.to_string(),
                     max_um: MAX_DEPTH_UM,
@@ -190,7 +190,11 @@ impl WearField {
         }
         Ok(Self {
             gear: gear.clone(),
-            wear: wear.to_vec(),
+            wear: wear
+                .iter()
+                .copied()
+                .filter(|one| one.depth_mm > 0.0)
+                .collect(),
         })
     }
 
@@ -348,7 +352,7 @@ mod tests {
         assert!(matches!(error("0:left:80"), WearError::Tooth { .. }));
         assert!(matches!(error("-3:left:80"), WearError::Tooth { .. }));
         assert!(matches!(error("3:top:80"), WearError::Flank { .. }));
-        for depth in ["0", "-5", "nan", "inf", "301", "deep"] {
+        for depth in ["-0.1", "-5", "nan", "inf", "301", "deep"] {
             assert!(
                 matches!(error(&format!("3:left:{depth}")), WearError::Depth { .. }),
                 "{depth}"

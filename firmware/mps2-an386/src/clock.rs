@@ -1,0 +1,161 @@
+//! The time driver: microseconds since start from TIMER0, one alarm on TIMER1.
+//!
+//! Both timers count down at 25 MHz. TIMER0 wraps after exactly 2^27 us (134 s), so a time is its wraps and its count
+//! without any 64-bit division.
+
+use core::cell::{Cell, UnsafeCell};
+use core::sync::atomic::{AtomicU32, Ordering};
+use core::task::Waker;
+
+use critical_section::{CriticalSection, Mutex};
+use embassy_time_driver::Driver;
+
+use crate::pins;
+use crate::registers::{Block, CLOCK_HZ};
+
+const CONTROL: usize = 0x0;
+const VALUE: usize = 0x4;
+const RELOAD: usize = 0x8;
+const INTERRUPT: usize = 0xC;
+const ENABLE: u32 = 1;
+const ENABLE_INTERRUPT: u32 = 1 << 3;
+
+const TICKS_PER_US: u32 = CLOCK_HZ / 1_000_000;
+const WRAP_LOG2_US: u32 = 27;
+/// Counts from here to 0.
+const TOP: u32 = (TICKS_PER_US << WRAP_LOG2_US) - 1;
+
+/// Every task waits for one time at most, and there are four tasks.
+const WAITING: usize = 8;
+
+/// One task that waits, and for when.
+type Wait = Option<(u64, Waker)>;
+
+struct Clock {
+    wraps: Mutex<Cell<u32>>,
+    waiting: Mutex<UnsafeCell<[Wait; WAITING]>>,
+    alarm_at: Mutex<Cell<u64>>,
+    /// Longest time from the due time of an alarm that ends an exposure to its interrupt, us.
+    latest_us: AtomicU32,
+}
+
+embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
+    wraps: Mutex::new(Cell::new(0)),
+    waiting: Mutex::new(UnsafeCell::new([const { None }; WAITING])),
+    alarm_at: Mutex::new(Cell::new(u64::MAX)),
+    latest_us: AtomicU32::new(0),
+});
+
+/// Starts the clock.
+pub fn start() {
+    Block::TIMER0.write(RELOAD, TOP);
+    Block::TIMER0.write(VALUE, TOP);
+    Block::TIMER0.write(CONTROL, ENABLE | ENABLE_INTERRUPT);
+}
+
+/// Time since start, us.
+pub fn now_us() -> u64 {
+    critical_section::with(|cs| CLOCK.now_in(cs))
+}
+
+/// Longest time from the due time of an alarm that ends an exposure to its interrupt so far, us.
+pub fn latest_alarm_us() -> u32 {
+    CLOCK.latest_us.load(Ordering::Relaxed)
+}
+
+/// TIMER0's interrupt: it has wrapped.
+pub fn on_wrap() {
+    critical_section::with(|cs| CLOCK.count_wrap(cs));
+}
+
+/// TIMER1's interrupt: the alarm.
+pub fn on_alarm() {
+    critical_section::with(|cs| {
+        Block::TIMER1.write(CONTROL, 0);
+        Block::TIMER1.write(INTERRUPT, 1);
+        let (now, due) = (CLOCK.now_in(cs), CLOCK.alarm_at.borrow(cs).get());
+        if let Some(late) = now.checked_sub(due).filter(|_| pins::exposing()) {
+            CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
+        }
+        CLOCK.wake_due(cs);
+    });
+}
+
+impl Clock {
+    fn count_wrap(&self, cs: CriticalSection<'_>) {
+        if Block::TIMER0.read(INTERRUPT) & 1 != 0 {
+            Block::TIMER0.write(INTERRUPT, 1);
+            let wraps = self.wraps.borrow(cs);
+            wraps.set(wraps.get().wrapping_add(1));
+        }
+    }
+
+    fn now_in(&self, cs: CriticalSection<'_>) -> u64 {
+        self.count_wrap(cs);
+        let mut ticks = TOP - Block::TIMER0.read(VALUE).min(TOP);
+        if Block::TIMER0.read(INTERRUPT) & 1 != 0 {
+            // It wrapped between the two looks.
+            self.count_wrap(cs);
+            ticks = TOP - Block::TIMER0.read(VALUE).min(TOP);
+        }
+        (u64::from(self.wraps.borrow(cs).get()) << WRAP_LOG2_US) + u64::from(ticks / TICKS_PER_US)
+    }
+
+    fn waiting<'a>(&'a self, cs: CriticalSection<'a>) -> &'a mut [Wait; WAITING] {
+        // SAFETY: in a critical section, and no caller holds the reference while it calls another that takes it.
+        unsafe { &mut *self.waiting.borrow(cs).get() }
+    }
+
+    /// Wakes what is due and sets the alarm for what is not.
+    fn wake_due(&self, cs: CriticalSection<'_>) {
+        let mut next = u64::MAX;
+        let now = self.now_in(cs);
+        for slot in self.waiting(cs) {
+            match slot {
+                Some((at, _)) if *at > now => next = next.min(*at),
+                _ => {
+                    if let Some((_, waker)) = slot.take() {
+                        waker.wake();
+                    }
+                }
+            }
+        }
+        self.alarm_at.borrow(cs).set(next);
+        Block::TIMER1.write(CONTROL, 0);
+        if next == u64::MAX {
+            return;
+        }
+        // Far alarms come early and are set again.
+        let ahead_us = (next - now).min(1 << (WRAP_LOG2_US - 1)) as u32;
+        let ticks = ahead_us * TICKS_PER_US;
+        // Loads once and does not come again: the interrupt stops the timer.
+        Block::TIMER1.write(RELOAD, ticks);
+        Block::TIMER1.write(VALUE, ticks);
+        Block::TIMER1.write(CONTROL, ENABLE | ENABLE_INTERRUPT);
+    }
+}
+
+impl Driver for Clock {
+    fn now(&self) -> u64 {
+        critical_section::with(|cs| self.now_in(cs))
+    }
+
+    fn schedule_wake(&self, at: u64, waker: &Waker) {
+        critical_section::with(|cs| {
+            let waiting = self.waiting(cs);
+            let known = waiting.iter_mut().find(|slot| matches!(slot, Some((_, other)) if other.will_wake(waker)));
+            match known {
+                Some(Some((known_at, _))) if *known_at <= at => return,
+                Some(slot) => *slot = Some((at, waker.clone())),
+                None => match waiting.iter_mut().find(|slot| slot.is_none()) {
+                    Some(slot) => *slot = Some((at, waker.clone())),
+                    // More tasks than foreseen: this one polls.
+                    None => return waker.wake_by_ref(),
+                },
+            }
+            if at < self.alarm_at.borrow(cs).get() {
+                self.wake_due(cs);
+            }
+        });
+    }
+}

@@ -1,0 +1,164 @@
+//! The controller as a Cortex-M4 image for QEMU's machine `mps2-an386`.
+//!
+//! | UART | address     | other end                                                     |
+//! |------|-------------|---------------------------------------------------------------|
+//! | 0    | 0x4000_4000 | host link                                                     |
+//! | 1    | 0x4000_5000 | the bench: virtual pins, see [`pin_wire`]                     |
+//! | 2    | 0x4000_6000 | stage controller, ESP301 text                                 |
+//!
+//! Two executors, each in a software interrupt: the sequencer above link and stages, so that an edge is never late
+//! because a message is being encoded. Interrupts of clock and UARTs are above both; thread mode only sleeps.
+#![no_std]
+#![no_main]
+
+mod clock;
+mod failsafe;
+mod level;
+mod pin_wire;
+mod pins;
+mod registers;
+mod stack;
+mod uart;
+
+use cortex_m_rt::{entry, exception};
+use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
+use flankscope_controller::press::PinPress;
+use flankscope_controller::run::press_sequencer;
+use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, stage};
+use flankscope_protocol::Microseconds;
+
+use crate::level::Level;
+use crate::pin_wire::Subject;
+use crate::pins::{Current, InputPin, Output, PatternBus};
+use crate::registers::{Block, Irq};
+use crate::uart::{Port, Uart};
+
+static HOST: Uart = Uart::new(Block::UART0, Irq::Uart0Rx);
+static STAGE: Uart = Uart::new(Block::UART2, Irq::Uart2Rx);
+static MAIL: Mailboxes = Mailboxes::new();
+
+static URGENT: Level = Level::new(Irq::Sequencer);
+static BACKGROUND: Level = Level::new(Irq::Background);
+
+/// 25 MHz / 217 = 115207 baud; QEMU does not mind, a board would.
+const BAUD_DIVIDER: u32 = 217;
+
+/// The controller as delivered, but for a host that runs on the same machine as this emulation and everything else:
+/// it may be silent for a second, as in the in-process simulation.
+const CONFIG: sequence::Config =
+    sequence::Config { host_silence: Microseconds::from_millis(1_000), ..sequence::Config::DEFAULT };
+
+/// Every output that a device looks at.
+const LOW_AT_START: [Subject; 8] = [
+    Subject::LedEnable,
+    Subject::CameraTrigger,
+    Subject::DmdTrigger,
+    Subject::HeadClear1,
+    Subject::HeadClear2,
+    Subject::Go,
+    Subject::NoGo,
+    Subject::VerdictBeat,
+];
+
+/// Cycles between two looks at whether to sleep: about 0.1 ms.
+const SPIN_CYCLES: u32 = 3_000;
+
+type PinOptics =
+    Optics<PinLed<Output, InputPin, Current>, PinDmd<Output, InputPin, PatternBus>, PinCamera<Output, InputPin, InputPin>>;
+
+#[embassy_executor::task]
+async fn receive() {
+    link::receive(Port(&HOST), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn transmit() {
+    link::transmit(Port(&HOST), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn stages() {
+    stage::run(Esp301::new(Port(&STAGE), Axes::DEFAULT), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn capture(desk: Desk, optics: PinOptics, press: PinPress<InputPin, Output>) {
+    press_sequencer(desk, optics, press, &MAIL).await;
+}
+
+#[entry]
+fn main() -> ! {
+    let (boot, cause) = failsafe::boot();
+    clock::start();
+    registers::prioritise();
+    pins::BENCH.start(BAUD_DIVIDER);
+    // Whatever was driven before a reset is not driven any more.
+    for output in LOW_AT_START {
+        pins::tell(output, 0);
+    }
+    pins::tell(Subject::Started, u16::try_from(cause).unwrap_or(u16::MAX));
+    HOST.start(BAUD_DIVIDER);
+    STAGE.start(BAUD_DIVIDER);
+
+    let optics = Optics {
+        led: PinLed { enable: Output::new(Subject::LedEnable), sense: InputPin(&pins::LED_SENSE), current: Current },
+        dmd: PinDmd { trigger: Output::new(Subject::DmdTrigger), ready: InputPin(&pins::DMD_READY), port: PatternBus },
+        camera: PinCamera {
+            trigger: Output::new(Subject::CameraTrigger),
+            ready: InputPin(&pins::CAMERA_READY),
+            exposing: InputPin(&pins::CAMERA_EXPOSING),
+        },
+    };
+    let press = PinPress {
+        press_open_a: InputPin(&pins::PRESS_OPEN_A),
+        press_open_b: InputPin(&pins::PRESS_OPEN_B),
+        die_clear: InputPin(&pins::DIE_CLEAR),
+        guard_closed: InputPin(&pins::GUARD_CLOSED),
+        cycle: InputPin(&pins::CYCLE),
+        retract_switch: InputPin(&pins::RETRACT_SWITCH),
+        head_clear: [Output::new(Subject::HeadClear1), Output::new(Subject::HeadClear2)],
+        go: Output::new(Subject::Go),
+        no_go: Output::new(Subject::NoGo),
+        beat: Output::new(Subject::VerdictBeat),
+    };
+    let desk = Desk::new(Sequence::new(CONFIG), boot);
+    URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics, press)));
+    BACKGROUND.start(|spawner| {
+        spawner.spawn_if(stages());
+        spawner.spawn_if(receive());
+        spawner.spawn_if(transmit());
+    });
+    loop {
+        idle();
+    }
+}
+
+/// Sleeps until the next interrupt, except during an exposure.
+///
+/// A sleeping processor's time passes in real time, and the machine below may oversleep: an alarm then is late by as
+/// much. While instructions are executed, time is counted in instructions and an alarm is never late. It then runs
+/// faster than real time, so nothing may be awaited from outside meanwhile: hence awake only once the camera has said
+/// that it exposes, with nothing left to wait for but the exposure's end.
+fn idle() {
+    if pins::exposing() {
+        cortex_m::asm::delay(SPIN_CYCLES);
+    } else {
+        cortex_m::asm::wfi();
+    }
+}
+
+#[exception]
+unsafe fn DefaultHandler(number: i16) {
+    match number {
+        0 => HOST.on_receive(),
+        2 => pins::on_receive(),
+        4 => STAGE.on_receive(),
+        8 => clock::on_wrap(),
+        9 => clock::on_alarm(),
+        30 => BACKGROUND.poll(),
+        31 => URGENT.poll(),
+        // Nothing else is enabled.
+        _ => {}
+    }
+}

@@ -1,0 +1,150 @@
+//! Pins of the NUCLEO-H743ZI2 and what is on them. The table in `firmware/README.md` is this file in words.
+
+use embassy_stm32::dac::{DacChannel, Value};
+use embassy_stm32::exti::{self, ExtiInput};
+use embassy_stm32::gpio::{Level, Output, Pull, Speed};
+use embassy_stm32::mode::{Async, Blocking};
+use embassy_stm32::peripherals::{USART2, USART3};
+use embassy_stm32::usart::{self, BufferedUart};
+use embassy_stm32::{Config, bind_interrupts, interrupt, rcc};
+use flankscope_controller::Optics;
+use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed};
+use flankscope_controller::press::PinPress;
+use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Milliamps};
+use static_cell::StaticCell;
+
+bind_interrupts!(struct Irqs {
+    USART2 => usart::BufferedInterruptHandler<USART2>;
+    USART3 => usart::BufferedInterruptHandler<USART3>;
+    EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
+    EXTI1 => exti::InterruptHandler<interrupt::typelevel::EXTI1>;
+    EXTI2 => exti::InterruptHandler<interrupt::typelevel::EXTI2>;
+    EXTI3 => exti::InterruptHandler<interrupt::typelevel::EXTI3>;
+    EXTI4 => exti::InterruptHandler<interrupt::typelevel::EXTI4>;
+    EXTI9_5 => exti::InterruptHandler<interrupt::typelevel::EXTI9_5>;
+    EXTI15_10 => exti::InterruptHandler<interrupt::typelevel::EXTI15_10>;
+});
+
+/// Both UARTs, baud.
+const BAUD: u32 = 115_200;
+
+type In = ExtiInput<'static, Async>;
+type Out = Output<'static>;
+/// The devices that work with light.
+pub type BoardOptics = Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, NoPatternBus>, PinCamera<Out, In, In>>;
+
+/// The press's signals.
+pub type BoardPress = PinPress<In, Out>;
+
+/// Everything wired.
+pub struct Board {
+    /// Press.
+    pub press: BoardPress,
+    /// LED, DMD, camera.
+    pub optics: BoardOptics,
+    /// Host link.
+    pub host: BufferedUart<'static>,
+    /// Stage controller.
+    pub stage: BufferedUart<'static>,
+}
+
+impl Board {
+    /// Sets clocks and pins: every output low. `None` if a UART refuses its settings, which are fixed.
+    pub fn take() -> Option<Self> {
+        let p = embassy_stm32::init(clocks());
+        let optics = Optics {
+            led: PinLed {
+                enable: Output::new(p.PE2, Level::Low, Speed::Low),
+                sense: ExtiInput::new(p.PE3, p.EXTI3, Pull::Down, Irqs),
+                current: LedCurrent(DacChannel::new_blocking(p.DAC1, p.PA4)),
+            },
+            dmd: PinDmd {
+                trigger: Output::new(p.PE6, Level::Low, Speed::Low),
+                ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
+                port: NoPatternBus,
+            },
+            camera: PinCamera {
+                trigger: Output::new(p.PE7, Level::Low, Speed::Low),
+                ready: ExtiInput::new(p.PE5, p.EXTI5, Pull::Down, Irqs),
+                exposing: ExtiInput::new(p.PE10, p.EXTI10, Pull::Down, Irqs),
+            },
+        };
+        let input_low = Pull::Down; // a cut cable reads as "not safe"
+        let press = PinPress {
+            press_open_a: ExtiInput::new(p.PF0, p.EXTI0, input_low, Irqs),
+            // Low means open: a cut cable must read high.
+            press_open_b: ExtiInput::new(p.PF1, p.EXTI1, Pull::Up, Irqs),
+            die_clear: ExtiInput::new(p.PF2, p.EXTI2, input_low, Irqs),
+            guard_closed: ExtiInput::new(p.PF6, p.EXTI6, input_low, Irqs),
+            cycle: ExtiInput::new(p.PF7, p.EXTI7, input_low, Irqs),
+            retract_switch: ExtiInput::new(p.PF8, p.EXTI8, input_low, Irqs),
+            head_clear: [
+                Output::new(p.PE12, Level::Low, Speed::Low),
+                Output::new(p.PE14, Level::Low, Speed::Low),
+            ],
+            go: Output::new(p.PG0, Level::Low, Speed::Low),
+            no_go: Output::new(p.PG1, Level::Low, Speed::Low),
+            beat: Output::new(p.PG2, Level::Low, Speed::Low),
+        };
+        static HOST: StaticCell<[[u8; MAX_FRAME_BYTES]; 2]> = StaticCell::new();
+        static STAGE: StaticCell<[[u8; 128]; 2]> = StaticCell::new();
+        let mut settings = usart::Config::default();
+        settings.baudrate = BAUD;
+        let [to_host, from_host] = HOST.try_init([[0; MAX_FRAME_BYTES]; 2])?;
+        let host = BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
+        let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
+        let stage = BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
+        Some(Self { press, optics, host, stage })
+    }
+}
+
+/// 400 MHz from the internal oscillator (64 MHz / 4 * 50 / 2), buses at 200 and 100 MHz.
+fn clocks() -> Config {
+    let mut config = Config::default();
+    config.rcc.hsi = Some(rcc::HSIPrescaler::DIV1);
+    config.rcc.pll1 = Some(rcc::Pll {
+        source: rcc::PllSource::HSI,
+        prediv: rcc::PllPreDiv::DIV4,
+        mul: rcc::PllMul::MUL50,
+        fracn: None,
+        divp: Some(rcc::PllDiv::DIV2),
+        divq: None,
+        divr: None,
+    });
+    config.rcc.sys = rcc::Sysclk::PLL1_P;
+    config.rcc.ahb_pre = rcc::AHBPrescaler::DIV2;
+    config.rcc.apb1_pre = rcc::APBPrescaler::DIV2;
+    config.rcc.apb2_pre = rcc::APBPrescaler::DIV2;
+    config.rcc.apb3_pre = rcc::APBPrescaler::DIV2;
+    config.rcc.apb4_pre = rcc::APBPrescaler::DIV2;
+    config.rcc.voltage_scale = rcc::VoltageScale::Scale1;
+    config
+}
+
+/// The LED driver's current input: full scale of the converter is the largest current allowed.
+pub struct LedCurrent(DacChannel<'static, Blocking>);
+
+impl CurrentSetting for LedCurrent {
+    fn set(&mut self, current: Milliamps) {
+        let full = u32::from(Limits::DEFAULT.led_max.get()).max(1);
+        let code = (u32::from(current.get()) * 4095 / full).min(4095);
+        self.0.set(Value::Bit12Right(code as u16));
+    }
+}
+
+/// No DMD controller is connected yet: every selection is refused, so a capture ends in a fault before its first frame.
+pub struct NoPatternBus;
+
+impl PatternPort for NoPatternBus {
+    async fn select(&mut self, _pattern: u16) -> Result<(), NotSelected> {
+        Err(NotSelected)
+    }
+}
+
+/// LED enable, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.
+pub fn go_dark() {
+    use embassy_stm32::pac::GPIOE;
+    for pin in [2, 7, 12, 14] {
+        GPIOE.bsrr().write(|bits| bits.set_br(pin, true));
+    }
+}

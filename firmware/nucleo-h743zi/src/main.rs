@@ -1,0 +1,77 @@
+//! The controller for a NUCLEO-H743ZI2: embassy-stm32's pins, UARTs and time driver behind the controller's traits.
+//!
+//! The sequencer runs in an interrupt of its own above link and stages, so that an edge is never late because a message
+//! is being encoded.
+#![no_std]
+#![no_main]
+
+mod board;
+mod failsafe;
+
+use cortex_m_rt::entry;
+use embassy_executor::{Executor, InterruptExecutor};
+use embassy_stm32::interrupt;
+use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
+use flankscope_controller::run::press_sequencer;
+use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, stage};
+use static_cell::StaticCell;
+
+use crate::board::{Board, BoardOptics, BoardPress};
+
+static MAIL: Mailboxes = Mailboxes::new();
+static URGENT: InterruptExecutor = InterruptExecutor::new();
+static BACKGROUND: StaticCell<Executor> = StaticCell::new();
+
+#[embassy_executor::task]
+async fn receive(port: BufferedUartRx<'static>) {
+    link::receive(port, &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn transmit(port: BufferedUartTx<'static>) {
+    link::transmit(port, &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn stages(port: BufferedUart<'static>) {
+    stage::run(Esp301::new(port, Axes::DEFAULT), &MAIL).await;
+}
+
+#[embassy_executor::task]
+async fn capture(desk: Desk, optics: BoardOptics, press: BoardPress) {
+    press_sequencer(desk, optics, press, &MAIL).await;
+}
+
+/// Nothing on this board raises it: pended by software.
+#[interrupt]
+unsafe fn SAI4() {
+    // SAFETY: this is the handler, and it is unmasked only by `start`.
+    unsafe { URGENT.on_interrupt() };
+}
+
+#[entry]
+fn main() -> ! {
+    let boot = failsafe::boot();
+    let Some(Board { optics, press, host, stage }) = Board::take() else { failsafe::fall_safe(line!()) };
+    let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
+    interrupt::SAI4.set_priority(Priority::P6);
+    let urgent = URGENT.start(interrupt::SAI4);
+    if let Ok(task) = capture(desk, optics, press) {
+        urgent.spawn(task);
+    }
+    let (to_host, from_host) = host.split();
+    let Some(background) = BACKGROUND.try_uninit() else { failsafe::fall_safe(line!()) };
+    background.write(Executor::new()).run(|spawner| {
+        if let Ok(task) = receive(from_host) {
+            spawner.spawn(task);
+        }
+        if let Ok(task) = transmit(to_host) {
+            spawner.spawn(task);
+        }
+        if let Ok(task) = stages(stage) {
+            spawner.spawn(task);
+        }
+    })
+}

@@ -1,0 +1,203 @@
+//! What `inspect` and `watch` share: which tool, which head, which controller, and the simulated bench in between.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+use flankscope_station::capture::SharedRoot;
+use flankscope_station::controller::ClientSettings;
+use flankscope_station::inspection::{Station, Subject};
+
+use crate::watch::PressArgs;
+
+/// Which tool is looked at through which controller.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Source {
+    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
+    #[arg(long, value_name = "DIR")]
+    pub tool: Option<PathBuf>,
+    /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
+    #[arg(long, value_name = "sim|PORT", default_value = "sim")]
+    pub link: String,
+    /// Teeth to check instead of the tool file's, for example 12,40,68
+    #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
+    pub teeth: Option<Vec<u32>>,
+}
+
+/// What only the simulated bench knows.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Simulated bench")]
+pub struct BenchArgs {
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Wear of a flank: TOOTH:left|right:DEPTH_UM, a fourth word uniform|tip|pit|buildup may follow
+    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
+    pub wear: Vec<String>,
+    /// How many times faster than real time the bench runs, or max
+    #[arg(long, value_name = "1|K|max", default_value = "1")]
+    pub speed: String,
+    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
+    #[arg(long, value_name = "KIND:FRAME")]
+    pub frame_fault: Option<String>,
+}
+
+/// A station with its threads running, and the controller's port.
+pub struct Instrument {
+    /// The host's side.
+    pub station: Station,
+    /// The controller's port.
+    pub port: PathBuf,
+    /// How patiently to talk to it.
+    pub settings: ClientSettings,
+    #[cfg(feature = "bench")]
+    bench: Option<crate::bench_link::Bench>,
+    _root: Arc<SharedRoot>,
+    _scratch: Scratch,
+}
+
+impl Instrument {
+    /// Reads tool and head, starts the station, then the bench or nothing.
+    pub fn open(
+        source: &Source,
+        bench: &BenchArgs,
+        press: Option<&PressArgs>,
+        quiet: bool,
+    ) -> anyhow::Result<Self> {
+        let scratch = Scratch::new()?;
+        let folder = match &source.tool {
+            Some(folder) => folder.clone(),
+            None => demo_tool(scratch.path())?,
+        };
+        let subject = load(&folder, scratch.path())?;
+        // The services must be there when the camera process comes.
+        let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
+        let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
+        if matches!(source.link.as_str(), "sim" | "qemu") {
+            let bench = (source.link.as_str(), bench);
+            return Self::with_bench(station, bench, press, &folder, root, scratch);
+        }
+        if !quiet {
+            eprintln!("frames are expected in {}", root.path().display());
+        }
+        Ok(Self {
+            station,
+            port: PathBuf::from(&source.link),
+            settings: ClientSettings::default(),
+            #[cfg(feature = "bench")]
+            bench: None,
+            _root: root,
+            _scratch: scratch,
+        })
+    }
+
+    #[cfg(feature = "bench")]
+    fn with_bench(
+        station: Station,
+        (controller, args): (&str, &BenchArgs),
+        press: Option<&PressArgs>,
+        tool: &Path,
+        root: Arc<SharedRoot>,
+        scratch: Scratch,
+    ) -> anyhow::Result<Self> {
+        let bench = crate::bench_link::Bench::start(args, controller, press, tool, &root)?;
+        Ok(Self {
+            station,
+            port: bench.port().to_path_buf(),
+            settings: bench.client_settings(),
+            bench: Some(bench),
+            _root: root,
+            _scratch: scratch,
+        })
+    }
+
+    #[cfg(not(feature = "bench"))]
+    fn with_bench(
+        _: Station,
+        _: (&str, &BenchArgs),
+        _: Option<&PressArgs>,
+        _: &Path,
+        _: Arc<SharedRoot>,
+        _: Scratch,
+    ) -> anyhow::Result<Self> {
+        anyhow::bail!("this build has no simulated bench: name the controller's port by --link")
+    }
+
+    /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
+    pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
+        drop(self.station);
+        #[cfg(feature = "bench")]
+        if let Some(bench) = self.bench {
+            let truth = bench.finish()?;
+            if let Some(notice) = truth.notice().filter(|_| !quiet) {
+                eprintln!("{notice}");
+            }
+            return Ok(Some(serde_json::to_value(&truth)?));
+        }
+        let _ = quiet;
+        Ok(None)
+    }
+}
+
+/// Reads tool and head, and hashes what was read.
+fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
+    let tool = Tool::load(folder)?;
+    let mut head_path = tool.path.with_file_name("head.toml");
+    if !head_path.exists() {
+        // A tool folder may leave the head out: the demo head then looks at it.
+        head_path = demo_tool(scratch)?.join("head.toml");
+    }
+    let head = HeadModel::load(&head_path)?;
+    let mut hashes = BTreeMap::new();
+    for (name, path) in [
+        ("tool", tool.path.clone()),
+        ("cad", tool.cad_path()),
+        ("head", head_path),
+    ] {
+        let bytes =
+            std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        hashes.insert(name, flankscope_station::files::hash(&bytes));
+    }
+    Ok(Subject {
+        tool: Arc::new(tool),
+        head: Arc::new(head),
+        hashes,
+    })
+}
+
+#[cfg(feature = "bench")]
+fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
+    crate::bench_link::demo_tool(scratch)
+}
+
+#[cfg(not(feature = "bench"))]
+fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
+    anyhow::bail!(
+        "this build has no demo tool: name a folder with tool.toml and head.toml by --tool"
+    )
+}
+
+/// A folder of this run alone, gone afterwards.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new() -> anyhow::Result<Self> {
+        let path = std::env::temp_dir().join(format!("flankscope-run-{}", std::process::id()));
+        std::fs::create_dir_all(&path)
+            .with_context(|| format!("cannot make {}", path.display()))?;
+        Ok(Self(path))
+    }
+
+    fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

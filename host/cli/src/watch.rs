@@ -1,0 +1,208 @@
+//! `flankscope watch`: check every N press cycles, as a service.
+
+use std::io::BufRead;
+use std::path::PathBuf;
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use flankscope_station::report::{figure, html};
+use flankscope_station::watch::{Checked, Shown, Told, WatchSettings};
+use serde_json::{Value, json};
+
+use crate::instrument::{BenchArgs, Instrument, Source};
+use crate::output::{Common, Outcome, write_whole};
+
+/// Check every N press cycles: hold the press, check, release it, show the verdict.
+///
+/// A no-go stays until it is acknowledged: write a line to standard input. Every verdict goes to the press, and falls to
+/// no-go there when this program stops.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\
+    lets the simulated press wear 2 um per cycle off one flank: go, then warn, then no-go\n\n\
+    Exit code: that of the last verdict shown: 0 go, 1 no-go, 2 indeterminate or none, 3 could not run, 4 warn"
+)]
+pub struct Args {
+    #[command(flatten)]
+    source: Source,
+    /// Press cycles from check to check
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    every: u32,
+    /// End after this many press cycles [default: never]
+    #[arg(long)]
+    cycles: Option<u32>,
+    /// The press is never held longer than this, s
+    #[arg(long, default_value_t = 12.0)]
+    hold_limit_s: f64,
+    /// Write the last check's report.html into this folder, and a line per check into checks.jsonl
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    bench: BenchArgs,
+    #[command(flatten)]
+    press: PressArgs,
+}
+
+/// The simulated press.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Simulated press")]
+pub struct PressArgs {
+    /// Strokes per minute
+    #[arg(long, default_value_t = 30.0)]
+    pub strokes_per_minute: f64,
+    /// Share of a stroke during which the press counts as open
+    #[arg(long, default_value_t = 0.4)]
+    pub open_share: f64,
+    /// Wear that each cycle adds: TOOTH:FLANK:DEPTH_UM
+    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
+    pub wear_rate: Vec<String>,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    anyhow::ensure!(
+        args.hold_limit_s > 0.0 && args.hold_limit_s <= 600.0,
+        "--hold-limit-s {}: more than 0 and at most 600 seconds are possible",
+        args.hold_limit_s
+    );
+    if let Some(folder) = &args.report {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    let quiet = args.common.quiet;
+    let mut instrument = Instrument::open(&args.source, &args.bench, Some(&args.press), quiet)?;
+    let settings = WatchSettings {
+        every: args.every,
+        cycles: args.cycles,
+        hold_limit: Duration::from_secs_f64(args.hold_limit_s),
+    };
+    let acknowledged = acknowledgements();
+    let mut log = Log::new(args);
+    let shown = instrument.station.watch(
+        &instrument.port,
+        instrument.settings,
+        &settings,
+        &acknowledged,
+        |told| log.take(told),
+    )?;
+    let truth = instrument.close(quiet)?;
+    if let Some(error) = log.failure {
+        return Err(error);
+    }
+    args.common
+        .write_json(&json!({ "shown": shown.word(), "checks": log.checks, "truth": truth }))?;
+    Ok(match shown {
+        Shown::Unchecked => Outcome::Indeterminate,
+        shown => Outcome::of_verdict(shown.word()),
+    })
+}
+
+/// A message for every line that somebody types.
+fn acknowledgements() -> mpsc::Receiver<()> {
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        for _line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            if sender.send(()).is_err() {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+/// What is printed and kept of the checks.
+struct Log<'a> {
+    args: &'a Args,
+    start: Instant,
+    checks: Vec<Value>,
+    failure: Option<anyhow::Error>,
+}
+
+impl<'a> Log<'a> {
+    fn new(args: &'a Args) -> Self {
+        Self {
+            args,
+            start: Instant::now(),
+            checks: Vec::new(),
+            failure: None,
+        }
+    }
+
+    /// Takes one message; false stops the watch.
+    fn take(&mut self, told: Told) -> bool {
+        match told {
+            Told::Cycle(_) => {}
+            Told::Checking(cycle) => self.say(&format!("cycle {cycle}: press held, checking")),
+            Told::Missed(cycle, fault) => self.say(&format!(
+                "cycle {cycle}: not let in ({fault}), next opening"
+            )),
+            Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
+            Told::Checked(checked) => {
+                if let Err(error) = self.keep(&checked) {
+                    self.failure = Some(error);
+                    return false;
+                }
+            }
+        }
+        true
+    }
+
+    fn keep(&mut self, checked: &Checked) -> anyhow::Result<()> {
+        let Checked {
+            cycle,
+            inspection,
+            shown,
+            needs_maintenance,
+        } = checked;
+        let worst = inspection.features.iter().max_by(|a, b| {
+            a.wear_um
+                .unwrap_or(f64::NEG_INFINITY)
+                .total_cmp(&b.wear_um.unwrap_or(f64::NEG_INFINITY))
+        });
+        let worst = worst.map_or_else(String::new, |f| {
+            format!(
+                ", most worn: tooth {} {} {} um",
+                f.tooth,
+                f.flank,
+                figure(f.wear_um)
+            )
+        });
+        let held_s = inspection.timing_ms.total / 1000.0;
+        self.say(&format!(
+            "cycle {cycle}: {} (shown: {}){worst}, press held {held_s:.2} s: {}",
+            inspection.verdict.to_uppercase(),
+            shown.word(),
+            inspection.reason
+        ));
+        if *needs_maintenance {
+            self.say(
+                "MAINTENANCE: several checks in a row gave no result; is the head soiled or moved?",
+            );
+        }
+        if *shown == Shown::NoGo && inspection.verdict == "no-go" {
+            self.say("ALARM: no-go stays until it is acknowledged (press Enter)");
+        }
+        let line = json!({ "cycle": cycle, "shown": shown.word(), "inspection": inspection });
+        if let Some(folder) = &self.args.report {
+            write_whole(&folder.join("report.html"), html(inspection)?.as_bytes())?;
+            use std::io::Write as _;
+            let path = folder.join("checks.jsonl");
+            let mut file = std::fs::OpenOptions::new()
+                .append(true)
+                .create(true)
+                .open(&path)?;
+            writeln!(file, "{line}").with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        self.checks.push(line);
+        Ok(())
+    }
+
+    fn say(&self, text: &str) {
+        if !self.args.common.quiet {
+            eprintln!("{:7.1} s  {text}", self.start.elapsed().as_secs_f64());
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! From a row of verdicts to what stands at the press: no-go stays until somebody acknowledges it, and one good check
+//! after a warning does not clear the warning.
+
+/// What is shown at the press and on the screen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// Nothing has been checked since power-up or since an acknowledgement.
+    Unchecked,
+    /// Wear is within the warning limit.
+    Go,
+    /// Wear is beyond the warning limit; the press may go on.
+    Warn,
+    /// Wear is beyond the stop limit, or was: only an acknowledgement clears this.
+    NoGo,
+    /// The last check could not tell.
+    Indeterminate,
+}
+
+impl Shown {
+    /// Whether the press gets its go.
+    #[must_use]
+    pub fn is_go(self) -> bool {
+        matches!(self, Self::Go | Self::Warn)
+    }
+
+    /// The word for tables and files.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Unchecked => "unchecked",
+            Self::Go => "go",
+            Self::Warn => "warn",
+            Self::NoGo => "no-go",
+            Self::Indeterminate => "indeterminate",
+        }
+    }
+}
+
+/// Good checks in a row that clear a warning.
+const GO_TO_CLEAR_WARNING: u32 = 2;
+/// Checks in a row without a result that call for maintenance.
+const INDETERMINATE_TO_CALL: u32 = 3;
+
+/// The memory between checks.
+#[derive(Clone, Debug)]
+pub struct Latch {
+    shown: Shown,
+    warned: bool,
+    go_in_row: u32,
+    indeterminate_in_row: u32,
+}
+
+impl Default for Latch {
+    fn default() -> Self {
+        Self {
+            shown: Shown::Unchecked,
+            warned: false,
+            go_in_row: 0,
+            indeterminate_in_row: 0,
+        }
+    }
+}
+
+impl Latch {
+    /// Takes a check's verdict (`go`, `warn`, `no-go`; anything else is indeterminate) and returns what is shown now.
+    pub fn take(&mut self, verdict: &str) -> Shown {
+        self.indeterminate_in_row = match verdict {
+            "go" | "warn" | "no-go" => 0,
+            _ => self.indeterminate_in_row + 1,
+        };
+        self.go_in_row = if verdict == "go" {
+            self.go_in_row + 1
+        } else {
+            0
+        };
+        if verdict == "warn" {
+            self.warned = true;
+        } else if self.go_in_row >= GO_TO_CLEAR_WARNING {
+            self.warned = false;
+        }
+        self.shown = match (self.shown, verdict) {
+            (Shown::NoGo, _) | (_, "no-go") => Shown::NoGo,
+            (_, "warn") => Shown::Warn,
+            (_, "go") if self.warned => Shown::Warn,
+            (_, "go") => Shown::Go,
+            _ => Shown::Indeterminate,
+        };
+        self.shown
+    }
+
+    /// What is shown now.
+    #[must_use]
+    pub fn shown(&self) -> Shown {
+        self.shown
+    }
+
+    /// Somebody has looked: the next check starts afresh, and until then there is no go.
+    pub fn acknowledge(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Several checks in a row gave no result: the head is soiled, moved or broken.
+    #[must_use]
+    pub fn needs_maintenance(&self) -> bool {
+        self.indeterminate_in_row >= INDETERMINATE_TO_CALL
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const VERDICTS: [&str; 4] = ["go", "warn", "no-go", "indeterminate"];
+
+    /// Every row of up to six verdicts.
+    fn rows() -> impl Iterator<Item = Vec<&'static str>> {
+        (0..6_u32).flat_map(|length| {
+            (0..4_usize.pow(length)).map(move |code| {
+                (0..length)
+                    .map(|i| VERDICTS[code / 4_usize.pow(i) % 4])
+                    .collect()
+            })
+        })
+    }
+
+    #[test]
+    fn the_rules_hold_for_every_row_of_verdicts() {
+        for row in rows() {
+            let mut latch = Latch::default();
+            for &verdict in &row {
+                latch.take(verdict);
+            }
+            let shown = latch.shown();
+            let stopped = row.contains(&"no-go");
+            assert_eq!(
+                stopped,
+                shown == Shown::NoGo,
+                "{row:?}: no-go stays, and only a no-go makes it"
+            );
+            if let Some(&last) = row.last().filter(|_| !stopped) {
+                assert_eq!(
+                    shown.is_go(),
+                    last == "go" || last == "warn",
+                    "{row:?}: without a result there is no go"
+                );
+                let last_warning = row.iter().rposition(|&v| v == "warn");
+                let cleared = last_warning
+                    .is_none_or(|at| row[at + 1..].windows(2).any(|pair| pair == ["go", "go"]));
+                assert_eq!(
+                    shown == Shown::Go,
+                    last == "go" && cleared,
+                    "{row:?}: two good checks clear a warning"
+                );
+            }
+            let trailing = row
+                .iter()
+                .rev()
+                .take_while(|&&v| v == "indeterminate")
+                .count();
+            assert_eq!(latch.needs_maintenance(), trailing >= 3, "{row:?}");
+            latch.acknowledge();
+            assert_eq!(latch.shown(), Shown::Unchecked);
+            assert!(!latch.shown().is_go(), "acknowledged is not checked");
+        }
+    }
+}

@@ -1,0 +1,13 @@
+//! The instrument by itself: every N press cycles it asks for the die, checks, gives the press back and shows a verdict.
+//!
+//! ```text
+//!  press cycles ──► every N-th: wait for the press to open ──► check ──► latch ──► verdict at the press
+//!                                                               │
+//!                                        hold limit reached ────┴──► abort, retract, indeterminate
+//! ```
+
+mod job;
+mod latch;
+
+pub use job::{Checked, Told, WatchSettings};
+pub use latch::{Latch, Shown};

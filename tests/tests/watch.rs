@@ -1,0 +1,106 @@
+//! The instrument by itself: a stroking press, checks between strokes, a verdict that is latched.
+
+use std::process::Stdio;
+
+use flankscope_tests::{Run, flankscope, run};
+
+/// The simulated press runs ten times as fast as a real one: fifty times, and its openings are too short for a busy host.
+fn watch(arguments: &[&str]) -> Run {
+    let mut command = flankscope();
+    command
+        .args(["watch", "--quiet", "--json", "-", "--speed", "10"])
+        .args(arguments);
+    run(command.stdin(Stdio::null()))
+}
+
+/// What was shown after each check.
+fn shown(run: &Run) -> Vec<&str> {
+    let checks = run.json["checks"].as_array().map_or(&[][..], Vec::as_slice);
+    checks
+        .iter()
+        .filter_map(|check| check["shown"].as_str())
+        .collect()
+}
+
+#[test]
+fn growing_wear_goes_from_go_over_warn_to_a_no_go_that_stays() {
+    // 1.2 µm per stroke: 30 µm (warn) after 25 strokes, 50 µm (stop) after 42.
+    let result = watch(&[
+        "--every",
+        "8",
+        "--cycles",
+        "60",
+        "--teeth",
+        "40",
+        "--wear-rate",
+        "40:left:1.2",
+    ]);
+    let shown = shown(&result);
+    assert_eq!(result.code, 1, "{shown:?} {}", result.stderr);
+    assert_eq!(shown.first(), Some(&"go"), "{shown:?}");
+    let first = |word| shown.iter().position(|&s| s == word);
+    let (warn, no_go) = (
+        first("warn").expect("a warning"),
+        first("no-go").expect("a no-go"),
+    );
+    assert!(warn < no_go, "{shown:?}");
+    assert!(
+        shown[no_go..].iter().all(|&s| s == "no-go"),
+        "a no-go stays until it is acknowledged: {shown:?}"
+    );
+    // The figure follows the wear, each within its own uncertainty.
+    for check in result.json["checks"].as_array().unwrap() {
+        let strokes = check["cycle"].as_f64().unwrap();
+        let feature = &check["inspection"]["features"][0];
+        let (wear, u95) = (
+            feature["wear_um"].as_f64().unwrap(),
+            feature["u95_um"].as_f64().unwrap(),
+        );
+        assert!(
+            (wear - 1.2 * strokes).abs() <= u95,
+            "after {strokes} strokes: {wear} µm ± {u95} µm"
+        );
+    }
+}
+
+#[test]
+fn a_check_that_does_not_fit_is_cut_short_and_shows_no_go() {
+    let result = watch(&["--every", "3", "--cycles", "6", "--hold-limit-s", "5"]);
+    assert_eq!(result.code, 2, "{}", result.stderr);
+    assert!(!shown(&result).is_empty() && shown(&result).iter().all(|&s| s == "indeterminate"));
+    for check in result.json["checks"].as_array().unwrap() {
+        let timing = &check["inspection"]["timing_ms"];
+        let held_ms =
+            timing["positioning"].as_f64().unwrap() + timing["exposure"].as_f64().unwrap();
+        assert!(
+            held_ms < 5000.0,
+            "the head was out within the limit: {timing}"
+        );
+        assert!(
+            check["inspection"]["reason"]
+                .as_str()
+                .unwrap()
+                .contains("held"),
+            "{}",
+            check["inspection"]["reason"]
+        );
+    }
+}
+
+#[test]
+fn bad_arguments_could_not_run() {
+    for (arguments, hint) in [
+        (&["--every", "0"][..], "1"),
+        (&["--hold-limit-s", "nan"], "600"),
+        (&["--strokes-per-minute", "3000"], "300"),
+        (&["--wear-rate", "40:left"], "TOOTH:FLANK:DEPTH"),
+    ] {
+        let result = watch(&[&["--cycles", "1"], arguments].concat());
+        assert_eq!(result.code, 3, "{arguments:?}: {}", result.stderr);
+        assert!(
+            result.stderr.contains(hint),
+            "{arguments:?} should mention {hint:?}: {}",
+            result.stderr
+        );
+    }
+}

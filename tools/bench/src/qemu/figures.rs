@@ -1,0 +1,221 @@
+//! How punctual the emulated controller was, by its own clock.
+
+use serde::{Deserialize, Serialize};
+
+use super::pin_wire::{PinMessage, Subject};
+
+/// Smallest and largest of a kind of interval.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Spread {
+    /// How many.
+    pub count: u64,
+    /// Shortest, us.
+    pub min_us: u64,
+    /// Longest, us.
+    pub max_us: u64,
+}
+
+impl Spread {
+    fn of(intervals_us: impl IntoIterator<Item = u64>) -> Option<Self> {
+        intervals_us.into_iter().fold(None, |spread, us| {
+            let Self {
+                count,
+                min_us,
+                max_us,
+            } = spread.unwrap_or(Self {
+                count: 0,
+                min_us: us,
+                max_us: us,
+            });
+            Some(Self {
+                count: count + 1,
+                min_us: min_us.min(us),
+                max_us: max_us.max(us),
+            })
+        })
+    }
+
+    /// Longest minus shortest, us.
+    #[must_use]
+    pub fn width_us(&self) -> u64 {
+        self.max_us - self.min_us
+    }
+}
+
+/// What was measured in one run. `None`: it did not occur.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Figures {
+    /// Times that the image started; more than one is a reset.
+    pub starts: usize,
+    /// Most stack ever used, bytes.
+    pub stack_bytes: Option<u16>,
+    /// Longest time from the due time of an alarm that ends an exposure to its interrupt, us.
+    pub timer_interrupt_us: Option<u16>,
+    /// Input seen in its interrupt -> output that follows from it at once (DMD ready -> DMD trigger released).
+    pub reaction: Option<Spread>,
+    /// Camera trigger pulse beyond the exposure commanded, which is a multiple of 0.1 ms.
+    pub pulse_excess: Option<Spread>,
+    /// DMD trigger -> camera trigger of the same frame: switching time and settling, and the bench's answers on the way.
+    pub dmd_to_camera: Option<Spread>,
+    /// Trigger to trigger between frames of one exposure, jitter as (longest - shortest), the worst of all exposures, us.
+    pub period_jitter_us: Option<u64>,
+}
+
+/// Exposures are commanded in multiples of this.
+const EXPOSURE_STEP_US: u64 = 100;
+/// Frames further apart than this belong to different views.
+const SAME_VIEW_US: u64 = 200_000;
+
+impl Figures {
+    /// Measures a trace.
+    #[must_use]
+    pub fn of(trace: &[PinMessage]) -> Self {
+        let all = |subject: Subject| {
+            trace
+                .iter()
+                .filter(move |message| message.subject == subject)
+        };
+        let last = |subject| all(subject).last().map(|message| message.value);
+        let pulses = pulses(trace);
+        let mut periods: Vec<(u64, u64)> = Vec::new();
+        for pair in pulses.windows(2) {
+            let [(start, width), (next, next_width)] = [pair[0], pair[1]];
+            let (exposure, next_exposure) = (nominal(width), nominal(next_width));
+            if exposure == next_exposure && next - start < SAME_VIEW_US {
+                periods.push((exposure, next - start));
+            }
+        }
+        let period_jitter_us = periods
+            .iter()
+            .filter_map(|&(exposure, _)| {
+                Spread::of(
+                    periods
+                        .iter()
+                        .filter(|(of, _)| *of == exposure)
+                        .map(|(_, us)| *us),
+                )
+            })
+            .map(|spread| spread.width_us())
+            .max();
+        Self {
+            starts: all(Subject::Started).count(),
+            stack_bytes: last(Subject::StackUsed),
+            timer_interrupt_us: last(Subject::AlarmLatency),
+            reaction: Spread::of(reactions(trace)),
+            pulse_excess: Spread::of(
+                pulses
+                    .iter()
+                    .map(|(_, width)| width.saturating_sub(nominal(*width))),
+            ),
+            dmd_to_camera: Spread::of(between(trace, Subject::DmdTrigger, Subject::CameraTrigger)),
+            period_jitter_us,
+        }
+    }
+}
+
+/// The exposure that a pulse stands for.
+fn nominal(width_us: u64) -> u64 {
+    width_us / EXPOSURE_STEP_US * EXPOSURE_STEP_US
+}
+
+/// Start and width of every camera trigger pulse.
+fn pulses(trace: &[PinMessage]) -> Vec<(u64, u64)> {
+    let mut rise = None;
+    let mut pulses = Vec::new();
+    for message in trace
+        .iter()
+        .filter(|message| message.subject == Subject::CameraTrigger)
+    {
+        match (message.value, rise.take()) {
+            (1, _) => rise = Some(message.at_us),
+            (_, Some(start)) => pulses.push((start, message.at_us - start)),
+            _ => {}
+        }
+    }
+    pulses
+}
+
+/// From each rise of one output to the next rise of another.
+fn between(trace: &[PinMessage], first: Subject, second: Subject) -> Vec<u64> {
+    let mut since = None;
+    let mut intervals = Vec::new();
+    for message in trace.iter().filter(|message| message.value == 1) {
+        if message.subject == first {
+            since = Some(message.at_us);
+        } else if message.subject == second
+            && let Some(since) = since.take()
+        {
+            intervals.push(message.at_us - since);
+        }
+    }
+    intervals
+}
+
+/// From DMD ready seen to the DMD trigger released.
+fn reactions(trace: &[PinMessage]) -> Vec<u64> {
+    let mut seen = None;
+    let mut intervals = Vec::new();
+    for message in trace {
+        match (message.subject, message.value) {
+            (Subject::DmdReady, 1) => seen = Some(message.at_us),
+            (Subject::DmdTrigger, 0) => {
+                intervals.extend(seen.take().map(|seen| message.at_us - seen));
+            }
+            _ => {}
+        }
+    }
+    intervals
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(subject: Subject, value: u16, at_us: u64) -> PinMessage {
+        PinMessage {
+            subject,
+            value,
+            at_us,
+        }
+    }
+
+    #[test]
+    fn intervals_are_taken_between_the_edges_that_belong_together() {
+        let mut trace = vec![message(Subject::Started, 0, 1)];
+        // Two frames of 10 ms, 15.000 and 15.040 ms apart, each 7 us too long at most.
+        for (start, excess) in [(100_000, 3), (115_000, 7), (130_040, 5)] {
+            trace.extend([
+                message(Subject::DmdTrigger, 1, start - 700),
+                message(Subject::DmdReady, 1, start - 200),
+                message(Subject::DmdTrigger, 0, start - 190 + excess),
+                message(Subject::CameraTrigger, 1, start),
+                message(Subject::CameraTrigger, 0, start + 10_000 + excess),
+            ]);
+        }
+        trace.push(message(Subject::StackUsed, 3000, 200_000));
+        let figures = Figures::of(&trace);
+        let spread = |min_us, max_us| {
+            Some(Spread {
+                count: 3,
+                min_us,
+                max_us,
+            })
+        };
+        assert_eq!(figures.starts, 1);
+        assert_eq!(figures.stack_bytes, Some(3000));
+        assert_eq!(figures.timer_interrupt_us, None);
+        assert_eq!(figures.reaction, spread(13, 17));
+        assert_eq!(figures.pulse_excess, spread(3, 7));
+        assert_eq!(figures.dmd_to_camera, spread(700, 700));
+        assert_eq!(figures.period_jitter_us, Some(40));
+    }
+
+    #[test]
+    fn nothing_measured_is_no_figure() {
+        let figures = Figures::of(&[]);
+        assert_eq!(
+            (figures.starts, figures.reaction, figures.period_jitter_us),
+            (0, None, None)
+        );
+    }
+}

@@ -1,0 +1,188 @@
+//! The emulated controller on its side of the wiring: three sockets to two UARTs and the lines.
+
+use std::cell::RefCell;
+use std::io::{self, Read as _, Write as _};
+use std::os::unix::net::UnixStream;
+use std::rc::Rc;
+use std::sync::mpsc;
+
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_sync::channel::Channel;
+use embedded_hal_async::digital::Wait;
+use embedded_io_async::Read;
+use flankscope_controller::devices::{CurrentSetting, PatternPort};
+use flankscope_protocol::Milliamps;
+use flankscope_sim::{Board, Line, Port, Remote, Sim, Wiring};
+
+use super::machine::Machine;
+use super::pin_wire::{PinDecoder, PinMessage, Subject, input_bytes};
+
+/// Every message that came from the image, in order.
+pub(crate) type Trace = Rc<RefCell<Vec<PinMessage>>>;
+
+/// Puts an emulated controller on its side of the wiring. The machine must be kept as long as the simulation runs.
+pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Trace> {
+    bridge(sim, "link", &machine.link, wiring.controller_link.clone())?;
+    bridge(
+        sim,
+        "stage",
+        &machine.stage,
+        wiring.controller_stage.clone(),
+    )?;
+    let (pins, far_end) = Port::pair();
+    bridge(sim, "pins", &machine.pins, far_end)?;
+    sim.on_hold(machine.brake()?);
+
+    let board = wiring.board.clone();
+    let inputs = [
+        (Subject::LedSense, board.led_sense.clone()),
+        (Subject::DmdReady, board.dmd_ready.clone()),
+        (Subject::CameraReady, board.camera_ready.clone()),
+        (Subject::CameraExposing, board.camera_exposing.clone()),
+        (Subject::PressOpenA, board.press.press_open_a.clone()),
+        (Subject::PressOpenB, board.press.press_open_b.clone()),
+        (Subject::DieClear, board.press.die_clear.clone()),
+        (Subject::GuardClosed, board.press.guard_closed.clone()),
+        (Subject::Cycle, board.press.cycle.clone()),
+        (Subject::RetractSwitch, board.press.retract_switch.clone()),
+    ];
+    for (subject, line) in inputs.clone() {
+        sim.spawn(forward(subject, line, pins.clone()));
+    }
+    let selections: Rc<Channel<NoopRawMutex, u16, 4>> = Rc::new(Channel::new());
+    sim.spawn({
+        let (selections, mut bus, pins) = (
+            Rc::clone(&selections),
+            board.pattern_bus.clone(),
+            pins.clone(),
+        );
+        let ready = board.dmd_ready.clone();
+        async move {
+            loop {
+                let taken = bus.select(selections.receive().await).await.is_ok();
+                // On real wires ready has fallen before the answer is on the bus; here one message follows the other.
+                pins.send(&input_bytes(Subject::DmdReady, u8::from(ready.level())));
+                pins.send(&input_bytes(Subject::PatternTaken, u8::from(taken)));
+            }
+        }
+    });
+    let trace = Trace::default();
+    let told = Rc::clone(&trace);
+    sim.spawn(async move {
+        let (mut port, mut decoder, mut buffer) = (pins.clone(), PinDecoder::new(), [0u8; 256]);
+        loop {
+            let Ok(count) = port.read(&mut buffer).await;
+            for message in buffer
+                .iter()
+                .take(count)
+                .filter_map(|&byte| decoder.push(byte))
+            {
+                told.borrow_mut().push(message);
+                if message.subject == Subject::SelectPattern {
+                    let _full = selections.try_send(message.value);
+                }
+                hear(&board, &inputs, &pins, message);
+            }
+        }
+    });
+    Ok(trace)
+}
+
+/// Does what the image drives.
+fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMessage) {
+    let PinMessage {
+        subject,
+        value,
+        at_us,
+    } = message;
+    let level = value != 0;
+    match subject {
+        Subject::LedEnable => {
+            board.led_enable.set_at(level, at_us);
+            if !level {
+                // A view is over: a good time to ask how it went.
+                pins.send(&input_bytes(Subject::StackUsed, 0));
+                pins.send(&input_bytes(Subject::AlarmLatency, 0));
+            }
+        }
+        Subject::LedCurrent => board.led_current.clone().set(Milliamps(value)),
+        Subject::DmdTrigger => board.dmd_trigger.set_at(level, at_us),
+        Subject::CameraTrigger => board.camera_trigger.set_at(level, at_us),
+        Subject::HeadClear1 => board.press.head_clear_1.set_at(level, at_us),
+        Subject::HeadClear2 => board.press.head_clear_2.set_at(level, at_us),
+        Subject::Go => board.press.go.set_at(level, at_us),
+        Subject::NoGo => board.press.no_go.set_at(level, at_us),
+        Subject::VerdictBeat => board.press.beat.set_at(level, at_us),
+        Subject::Started => {
+            // It knows no level yet.
+            for (subject, line) in inputs {
+                pins.send(&input_bytes(*subject, u8::from(line.level())));
+            }
+        }
+        Subject::SelectPattern
+        | Subject::LedSense
+        | Subject::DmdReady
+        | Subject::CameraReady
+        | Subject::CameraExposing
+        | Subject::PatternTaken
+        | Subject::PressOpenA
+        | Subject::PressOpenB
+        | Subject::DieClear
+        | Subject::GuardClosed
+        | Subject::Cycle
+        | Subject::RetractSwitch
+        | Subject::StackUsed
+        | Subject::AlarmLatency => {}
+    }
+}
+
+/// Tells the image every change of a line.
+async fn forward(subject: Subject, mut line: Line, pins: Port) {
+    let mut told = false;
+    loop {
+        let Ok(()) = if told {
+            line.wait_for_low().await
+        } else {
+            line.wait_for_high().await
+        };
+        told = !told;
+        pins.send(&input_bytes(subject, u8::from(told)));
+    }
+}
+
+/// Joins a socket and a port, each way.
+fn bridge(sim: &Sim, name: &str, socket: &UnixStream, port: Port) -> io::Result<()> {
+    let (mut from, mut to) = (socket.try_clone()?, socket.try_clone()?);
+    let (arriving, remote): (_, Remote) = (port.clone(), sim.remote());
+    std::thread::Builder::new()
+        .name(format!("{name}-read"))
+        .spawn(move || {
+            // The remote tells a stepped simulation that somebody outside may still speak.
+            let _remote = remote;
+            let mut buffer = [0u8; 512];
+            while let Ok(count @ 1..) = from.read(&mut buffer) {
+                arriving.send(&buffer[..count]);
+            }
+        })?;
+    // A thread does the writing: an emulator that does not read must not stop virtual time.
+    let (outbox, queue) = mpsc::channel::<Vec<u8>>();
+    std::thread::Builder::new()
+        .name(format!("{name}-write"))
+        .spawn(move || {
+            for bytes in queue {
+                if to.write_all(&bytes).is_err() {
+                    break;
+                }
+            }
+        })?;
+    sim.spawn(async move {
+        let (mut port, mut buffer) = (port, [0u8; 512]);
+        loop {
+            let Ok(count) = port.read(&mut buffer).await;
+            if outbox.send(buffer[..count].to_vec()).is_err() {
+                return;
+            }
+        }
+    });
+    Ok(())
+}
