@@ -73,7 +73,7 @@ impl Timing {
     /// 100 ms is broken.
     pub const DEFAULT: Self = Self {
         disagreement: Microseconds::from_millis(500),
-        contradiction: Microseconds::from_millis(2_000),
+        contradiction: Microseconds::from_millis(1_000),
         hold: Microseconds::from_millis(100),
         withdraw: Microseconds::from_millis(6_000),
         verdict_life: Microseconds::from_millis(5_000),

@@ -74,6 +74,16 @@ impl Sequence {
         self.enter(Step::Faulted, Why::Fault(fault.code()), now, out);
     }
 
+    /// The same retract once more.
+    pub(super) fn retry_retract(&mut self, out: &mut Actions) {
+        self.retract_again = None;
+        if let Step::Retracting { .. } = self.step {
+            let ticket = self.next_ticket();
+            let vertical = self.retract_position();
+            push(out, Action::Retract { ticket, vertical });
+        }
+    }
+
     pub(super) fn withdraw(
         &mut self,
         now: Timestamp,

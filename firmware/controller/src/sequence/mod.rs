@@ -32,10 +32,13 @@ use crate::devices::CameraWait;
 use crate::interlock::{Head, Position};
 use crate::lamp::{Confirmed, Lamp};
 use flankscope_protocol::{
-    CapturePlan, Event, Fault, Micrometres, Microradians, PressStatus, State, Status, Timestamp,
-    Why,
+    CapturePlan, Event, Fault, Micrometres, Microradians, Microseconds, PressStatus, State, Status,
+    Timestamp, Why,
 };
 use signals::push;
+
+/// Between two tries of a retract.
+const RETRACT_PAUSE: Microseconds = Microseconds::from_millis(50);
 
 /// What happens once the head is retracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -128,6 +131,8 @@ pub struct Sequence {
     dmd_at: Timestamp,
     camera_at: Timestamp,
     readout_end: Timestamp,
+    /// A retract failed and is tried again then.
+    retract_again: Option<Timestamp>,
     host_heard: Timestamp,
 }
 
@@ -152,6 +157,7 @@ impl Sequence {
             dmd_at: Timestamp(0),
             camera_at: Timestamp(0),
             readout_end: Timestamp(0),
+            retract_again: None,
             host_heard: Timestamp(0),
         }
     }
@@ -298,7 +304,7 @@ impl Sequence {
         let host = self
             .capturing()
             .then(|| self.host_heard.after(self.config.host_silence));
-        [step, host, self.lamp.deadline()]
+        [step, host, self.lamp.deadline(), self.retract_again]
             .into_iter()
             .flatten()
             .min()
@@ -349,6 +355,9 @@ impl Sequence {
         }
         if self.capturing() && now >= self.host_heard.after(self.config.host_silence) {
             self.fail(now, Fault::HostSilent, 0, out);
+        }
+        if self.retract_again.is_some_and(|at| now >= at) {
+            self.retry_retract(out);
         }
         match self.step {
             Step::Homing { until } if now >= until => {
@@ -414,7 +423,8 @@ impl Sequence {
             Step::Retracting { then, .. } => {
                 let off_um = self.vertical.get().abs_diff(self.retract_position().get());
                 if off_um > self.config.vertical_tolerance.get().unsigned_abs() {
-                    return self.retract_failed(now, off_um, out);
+                    self.retract_again = Some(now.after(RETRACT_PAUSE));
+                    return;
                 }
                 self.parked = true;
                 self.retracted(now, then, out);
@@ -451,7 +461,8 @@ impl Sequence {
 
     fn stage_failed(&mut self, now: Timestamp, fault: Fault, detail: u32, out: &mut Actions) {
         match self.step {
-            Step::Retracting { .. } => self.retract_failed(now, detail, out),
+            // Whatever it was, the head must come out: tried again until the time for it is over.
+            Step::Retracting { .. } => self.retract_again = Some(now.after(RETRACT_PAUSE)),
             Step::Homing { .. } => {
                 self.homed = false;
                 self.fail(now, fault, detail, out);
@@ -482,6 +493,7 @@ impl Sequence {
 
     fn enter(&mut self, next: Step, why: Why, now: Timestamp, out: &mut Actions) {
         let prev = self.state();
+        self.retract_again = None;
         self.step = next;
         let next = self.state();
         if prev != next {

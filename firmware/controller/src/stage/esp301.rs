@@ -26,6 +26,8 @@ const ROTATION: char = '1';
 const VERTICAL: char = '2';
 /// The controller answers questions within a few milliseconds even while it moves.
 const REPLY_TIMEOUT: Duration = Duration::from_millis(200);
+/// Longer than the controller ever pauses within or before an answer it is late with.
+const QUIET: Duration = Duration::from_millis(150);
 /// 180/pi in millionths: a micro-radian is 57.295780 millionths of a degree.
 const DEGREES_PER_RADIAN_MILLIONTHS: i64 = 57_295_780;
 
@@ -65,6 +67,8 @@ pub struct Esp301<P> {
     axes: Axes,
     homing: Homing,
     prepared: bool,
+    /// A question was given up: its answer may still come.
+    out_of_step: bool,
 }
 
 impl<P: Read + Write> Esp301<P> {
@@ -75,6 +79,7 @@ impl<P: Read + Write> Esp301<P> {
             axes,
             homing: Homing::No,
             prepared: false,
+            out_of_step: false,
         }
     }
 
@@ -95,6 +100,7 @@ impl<P: Read + Write> Esp301<P> {
     }
 
     async fn send(&mut self, line: &str) -> Result<(), StageFault> {
+        self.fall_in().await;
         let sent = async {
             self.port
                 .write_all(line.as_bytes())
@@ -111,9 +117,27 @@ impl<P: Read + Write> Esp301<P> {
     /// Sends a question and reads one line of answer.
     async fn ask(&mut self, question: &str, answer: &mut Line) -> Result<(), StageFault> {
         self.send(question).await?;
-        with_timeout(REPLY_TIMEOUT, self.line(answer))
+        self.out_of_step = true;
+        let answered = with_timeout(REPLY_TIMEOUT, self.line(answer))
             .await
-            .map_err(|_| silent())?
+            .map_err(|_| silent())?;
+        self.out_of_step = answered.is_err();
+        answered
+    }
+
+    /// Throws away what still comes of old answers, until the line has been quiet for a while: an answer that is
+    /// taken for the one to a later question is worse than none.
+    async fn fall_in(&mut self) {
+        let mut stale = [0u8; 32];
+        let mut reads = 0u8;
+        while self.out_of_step {
+            let quiet = with_timeout(QUIET, self.port.read(&mut stale))
+                .await
+                .is_err();
+            reads = reads.saturating_add(1);
+            // A line that never falls quiet is reported by the question that follows.
+            self.out_of_step = !quiet && reads < u8::MAX;
+        }
     }
 
     async fn line(&mut self, answer: &mut Line) -> Result<(), StageFault> {

@@ -1,6 +1,6 @@
 //! Camera in trigger-width mode: exposed while the trigger is high, read out while the next frame may be exposed.
 
-use super::World;
+use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::digital::Wait;
@@ -105,6 +105,10 @@ pub(super) async fn run<S: ExposureSink>(
     loop {
         // Idle: waiting for a trigger, handing over what is read out meanwhile.
         until(&mut trigger, true, &mut reading, &sink).await;
+        if world.faults.spoils(DeviceFault::CameraDeaf) {
+            until(&mut trigger, false, &mut reading, &sink).await;
+            continue;
+        }
         ready.set(false);
         Timer::after(latency).await;
         exposing.set(true);
@@ -112,6 +116,9 @@ pub(super) async fn run<S: ExposureSink>(
         let (pattern, lit) = (world.displayed.get(), world.lit.get());
         until(&mut trigger, false, &mut reading, &sink).await;
         Timer::after(latency).await;
+        if world.faults.spoils(DeviceFault::CameraStuck) {
+            return core::future::pending().await;
+        }
         exposing.set(false);
         let closed_us = trigger.changed_us() + timing.latency_us;
         let width_us = closed_us.saturating_sub(start_us);
@@ -140,6 +147,9 @@ pub(super) async fn run<S: ExposureSink>(
             reading.push_back((counter, readout_done_us));
         }
         counter += 1;
+        if world.faults.spoils(DeviceFault::CameraNotReady) {
+            return core::future::pending().await;
+        }
         ready.set(true);
     }
 }

@@ -1,6 +1,6 @@
 //! DMD controller: pattern selection over a bus, trigger in, ready out.
 
-use super::World;
+use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::digital::Wait;
@@ -40,7 +40,11 @@ pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
         match select(bus.requested(), trigger.wait_for_rising_edge()).await {
             Either::First(pattern) => {
                 Timer::after(Duration::from_micros(timing.select_us)).await;
-                let taken = pattern <= timing.patterns;
+                if world.faults.spoils(DeviceFault::DmdSilent) {
+                    continue;
+                }
+                let taken =
+                    pattern <= timing.patterns && !world.faults.spoils(DeviceFault::DmdRefuses);
                 if taken {
                     selected = pattern;
                     ready.set(false);
@@ -53,7 +57,7 @@ pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
                     .is_some_and(|from| triggers >= from);
                 triggers += 1;
                 Timer::after(Duration::from_micros(timing.switch_us)).await;
-                if !dead {
+                if !dead && !world.faults.spoils(DeviceFault::DmdNotReady) {
                     world.displayed.set(selected);
                     ready.set(true);
                 }

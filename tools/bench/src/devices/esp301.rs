@@ -1,7 +1,7 @@
 //! The emulated stage controller by itself, on a pseudo-terminal, for any ESP301 or ESP300 client.
 
-use super::StageModel;
 use super::stage::{AxisModels, serve};
+use super::{Faults, StageModel};
 use flankscope_sim::{Clock, Port, Pty, Remote, Sim};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -61,7 +61,7 @@ pub fn run(speed: f64, seed: u64) -> io::Result<Stages> {
                 AxisModels::default(),
                 seed,
             )));
-            sim.spawn(async move { serve(device, &model, |_| {}).await });
+            sim.spawn(async move { serve(device, &model, &Faults::default(), |_| {}).await });
             sim.run_until(|| stop.load(Ordering::Acquire));
             drop(pty);
         })?;

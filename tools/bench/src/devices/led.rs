@@ -1,6 +1,6 @@
 //! LED driver: enable in, current sense out.
 
-use super::World;
+use super::{DeviceFault, World};
 use embassy_futures::select::select;
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::digital::Wait;
@@ -39,12 +39,15 @@ pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
             abandoned.wait_for_low(),
         )
         .await;
-        if enable.level() && !timing.open {
+        if enable.level() && !timing.open && !world.faults.spoils(DeviceFault::LedOpen) {
             world.lit.set(true);
             sense.set(true);
         }
         let Ok(()) = enable.wait_for_low().await;
         Timer::after(Duration::from_micros(timing.fall_us)).await;
+        if sense.level() && world.faults.spoils(DeviceFault::LedStuckOn) {
+            continue;
+        }
         world.lit.set(false);
         sense.set(false);
     }

@@ -13,6 +13,7 @@
 pub mod camera;
 pub mod dmd;
 pub mod esp301;
+pub mod faults;
 pub mod instrument;
 pub mod led;
 pub mod motion;
@@ -21,6 +22,7 @@ pub mod stage;
 
 pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
 pub use dmd::DmdTiming;
+pub use faults::{DeviceFault, Faults};
 pub use instrument::{Controller, Instrument, InstrumentConfig, Outcome, run, run_with};
 pub use led::LedTiming;
 pub use press::PressModel;
@@ -40,6 +42,8 @@ pub struct World {
     pub lit: Cell<bool>,
     /// Both axes as they really are.
     pub stage: RefCell<StageModel>,
+    /// Faults given while it runs.
+    pub faults: Faults,
     /// The retract switch says this, whatever the stage does.
     pub switch_stuck: Cell<Option<bool>>,
     /// Rung whenever a stage gets another course.
@@ -74,6 +78,7 @@ pub fn spawn_all(
         displayed: Cell::new(0),
         lit: Cell::new(false),
         stage: RefCell::new(StageModel::new(config.axes, config.seed)),
+        faults: Faults::default(),
         switch_stuck: Cell::new(None),
         course: Signal::new(),
     });

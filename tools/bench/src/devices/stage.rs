@@ -1,8 +1,8 @@
 //! Both stages behind an emulated Newport ESP301: its text protocol on a UART, trapezoidal motion, stage errors.
 
-use super::World;
 use super::camera::ExposureSink;
 use super::motion::{Dynamics, Profile};
+use super::{DeviceFault, Faults, World};
 use embassy_time::{Instant, Timer};
 use embedded_io_async::{Read, Write};
 use flankscope_sim::Port;
@@ -90,6 +90,10 @@ struct Axis {
     /// Value the home switch is given by `SH`.
     home_preset: f64,
     stalled: bool,
+    /// It never comes to a stand.
+    stalls: bool,
+    /// Added to the next reading of the position, and to no other.
+    reads_beside_mm: f64,
     /// Where the client counts from, moved by `DH`.
     zero: f64,
 }
@@ -104,6 +108,8 @@ impl Axis {
             moves: 0,
             home_preset: model.home,
             stalled: false,
+            stalls: false,
+            reads_beside_mm: 0.0,
             zero: 0.0,
         }
     }
@@ -134,7 +140,7 @@ impl Axis {
     }
 
     fn done(&self, now_s: f64) -> bool {
-        !self.stalled && now_s >= self.profile.end_s()
+        !self.stalled && !self.stalls && now_s >= self.profile.end_s()
     }
 }
 
@@ -288,7 +294,11 @@ impl StageModel {
             ("VA", "?") => text(axis.dynamics.speed.to_string()),
             ("MO", "?") => text(u8::from(axis.motor_on).to_string()),
             ("MD", "?") => text(u8::from(axis.done(now_s)).to_string()),
-            ("TP", "?") => text(format!("{:.6}", axis.profile.position(now_s) - axis.zero)),
+            ("TP", "?") => {
+                let beside_mm = core::mem::take(&mut axis.reads_beside_mm);
+                let position = axis.profile.position(now_s) - axis.zero + beside_mm;
+                text(format!("{position:.6}"))
+            }
             ("PA" | "DP", "?") => text(format!("{:.6}", axis.profile.target() - axis.zero)),
             ("MO", "") => {
                 axis.motor_on = true;
@@ -366,7 +376,7 @@ const MISSING_AXIS: (u32, &str) = (37, "AXIS NUMBER MISSING");
 const MISSING_PARAMETER: (u32, &str) = (38, "COMMAND PARAMETER MISSING");
 
 pub(super) async fn run<S: ExposureSink>(port: Port, world: Rc<World>, sink: Rc<RefCell<S>>) {
-    serve(port, &world.stage, |destination| {
+    serve(port, &world.stage, &world.faults, |destination| {
         world.course.signal(());
         sink.borrow_mut().moving_to(destination);
     })
@@ -379,6 +389,7 @@ pub(super) async fn run<S: ExposureSink>(port: Port, world: Rc<World>, sink: Rc<
 pub(super) async fn serve(
     mut port: Port,
     stage: &RefCell<StageModel>,
+    faults: &Faults,
     mut set_off: impl FnMut(TruePose),
 ) {
     let mut line = Vec::new();
@@ -393,8 +404,18 @@ pub(super) async fn serve(
                     let mut rest = text.as_str();
                     while !rest.is_empty() {
                         let (now, wait, later) = split_at_wait(rest);
-                        let (answer, moved) =
+                        spoil(stage, faults, now);
+                        let (mut answer, moved) =
                             stage.borrow_mut().line(Instant::now().as_micros(), now);
+                        if !answer.is_empty() {
+                            if faults.spoils(DeviceFault::StageSilent) {
+                                answer.clear();
+                            } else if faults.spoils(DeviceFault::StageGarbage) {
+                                answer = "\u{7f}?#9,\r\n".into();
+                            } else if faults.spoils(DeviceFault::StageLate) {
+                                Timer::after_millis(300).await;
+                            }
+                        }
                         let Ok(()) = port.write_all(answer.as_bytes()).await;
                         if moved {
                             let destination = stage.borrow().true_destination();
@@ -413,6 +434,25 @@ pub(super) async fn serve(
                 _ => {}
             }
         }
+    }
+}
+
+/// Faults of the mechanics and of the controller's own, just before a line is carried out.
+fn spoil(stage: &RefCell<StageModel>, faults: &Faults, line: &str) {
+    let mut stage = stage.borrow_mut();
+    let moving = line.contains("PA") && !line.contains('?');
+    if moving && line.contains("1PA") && faults.spoils(DeviceFault::RotationStalls) {
+        stage.axes[0].stalls = true;
+    }
+    if moving && line.contains("2PA") && faults.spoils(DeviceFault::VerticalStalls) {
+        stage.axes[1].stalls = true;
+    }
+    if line == "TB?" && faults.spoils(DeviceFault::StageError) {
+        stage.errors.push_front((7, "PARAMETER OUT OF RANGE"));
+    }
+    if line == "2TP?" && faults.spoils(DeviceFault::StageBeside) {
+        let reading_mm = 1.0;
+        stage.axes[1].reads_beside_mm = reading_mm;
     }
 }
 

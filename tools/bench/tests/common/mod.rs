@@ -176,6 +176,30 @@ impl Host {
         assert_eq!(self.order(Command::LoadPlan(plan)).await, Reply::Accepted);
     }
 
+    /// Sends a new command without waiting for its reply.
+    pub async fn tell(&mut self, command: &Command) {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.send(SESSION, self.sequence, command).await;
+    }
+
+    /// Sends the last command again, under the same number.
+    pub async fn repeat(&mut self, command: &Command, times: u32) {
+        for _ in 0..times {
+            self.send(SESSION, self.sequence, command).await;
+        }
+    }
+
+    /// Sends bytes as they are.
+    pub fn scribble(&mut self, bytes: &[u8]) {
+        self.port.send(bytes);
+    }
+
+    /// Takes what arrives for a while; replies are dropped.
+    pub async fn listen(&mut self, time_ms: u64) {
+        let end = Instant::now() + Duration::from_millis(time_ms);
+        while let Either::First(_) = select(self.receive(), Timer::at(end)).await {}
+    }
+
     /// Forgets what arrived in part.
     pub fn forget(&mut self) {
         let _bytes = self.port.take();

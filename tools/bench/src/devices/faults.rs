@@ -1,0 +1,84 @@
+//! Faults that a device can be given while it runs, and the proof that it had them.
+
+use flankscope_sim::now_us;
+use std::cell::Cell;
+
+/// What a device does wrong from now on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum DeviceFault {
+    /// The LED draws no current when it is enabled.
+    LedOpen,
+    /// The LED keeps its current when it is disabled.
+    LedStuckOn,
+    /// The DMD never says that a pattern stands.
+    DmdNotReady,
+    /// The DMD refuses a selection.
+    DmdRefuses,
+    /// The DMD does not answer a selection.
+    DmdSilent,
+    /// The camera does not become ready again after a frame.
+    CameraNotReady,
+    /// The camera does not obey a trigger.
+    CameraDeaf,
+    /// The camera goes on exposing when the trigger falls.
+    CameraStuck,
+    /// The rotary stage never comes to a stand.
+    RotationStalls,
+    /// The vertical stage never comes to a stand.
+    VerticalStalls,
+    /// The stage controller answers nothing any more.
+    StageSilent,
+    /// One answer of the stage controller is garbage.
+    StageGarbage,
+    /// One answer of the stage controller comes 300 ms late.
+    StageLate,
+    /// The stage controller reports an error of its own, once.
+    StageError,
+    /// The vertical stage reads 1 mm beside its target, once.
+    StageBeside,
+}
+
+impl DeviceFault {
+    /// It happens once and is over.
+    #[must_use]
+    pub fn once(self) -> bool {
+        matches!(
+            self,
+            Self::StageGarbage | Self::StageLate | Self::StageError | Self::StageBeside
+        )
+    }
+}
+
+/// The fault given, if any, and when it first showed.
+#[derive(Debug, Default)]
+pub struct Faults {
+    given: Cell<Option<DeviceFault>>,
+    fired_us: Cell<Option<u64>>,
+}
+
+impl Faults {
+    /// From here on.
+    pub fn give(&self, fault: DeviceFault) {
+        self.given.set(Some(fault));
+    }
+
+    /// When it first showed, virtual time.
+    #[must_use]
+    pub fn fired_us(&self) -> Option<u64> {
+        self.fired_us.get()
+    }
+
+    /// A device is about to do what this fault spoils: true if it must.
+    pub(super) fn spoils(&self, fault: DeviceFault) -> bool {
+        let spoils = self.given.get() == Some(fault);
+        if spoils {
+            if self.fired_us.get().is_none() {
+                self.fired_us.set(Some(now_us()));
+            }
+            if fault.once() {
+                self.given.set(None);
+            }
+        }
+        spoils
+    }
+}
