@@ -8,26 +8,35 @@ use serde_json::Value;
 
 use flankscope_tests::{Run, flankscope, inspect, run, workspace};
 
-const IMAGE: &str = "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
+const IMAGE: &str =
+    "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
 
 /// The image, if it and the emulator are there; else says what is missing, and fails where everything must run.
 fn image() -> Option<PathBuf> {
     let image = workspace().join(IMAGE);
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let emulator = std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file());
+    let emulator =
+        std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file());
     let missing = match (image.is_file(), emulator) {
         (true, true) => return Some(image),
         (false, _) => "the image, which cargo xtask firmware builds",
         (_, false) => "qemu-system-arm",
     };
-    assert!(std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(), "{missing} is missing");
+    assert!(
+        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
+        "{missing} is missing"
+    );
     eprintln!("SKIPPED: {missing} is missing");
     None
 }
 
 #[track_caller]
 fn assert_same(one: &Run, other: &Run) {
-    assert_eq!(one.code, other.code, "{} {}", other.json["reason"], other.stderr);
+    assert_eq!(
+        one.code, other.code,
+        "{} {}",
+        other.json["reason"], other.stderr
+    );
     // Everything computed from frames, to the last bit: an exposure lasts whole lines of the sensor, so that the
     // microseconds by which the image's pulses are longer change nothing.
     for key in ["verdict", "reason", "features", "registration"] {
@@ -51,12 +60,18 @@ fn untimed(value: &Value) -> Value {
 #[test]
 fn the_emulated_image_gives_the_verdict_and_the_points_of_the_in_process_controller() {
     let Some(_) = image() else { return };
-    for arguments in [vec!["--seed", "3"], vec!["--seed", "3", "--wear", "40:left:80"]] {
+    for arguments in [
+        vec!["--seed", "3"],
+        vec!["--seed", "3", "--wear", "40:left:80"],
+    ] {
         let sim = inspect(&arguments);
         let emulated = inspect(&[&arguments[..], &["--link", "qemu", "--speed", "1"]].concat());
         assert_same(&sim, &emulated);
         let controller = &emulated.json["truth"]["controller"];
-        assert_eq!(controller["starts"], 1, "the image started once: {controller}");
+        assert_eq!(
+            controller["starts"], 1,
+            "the image started once: {controller}"
+        );
         assert_eq!(emulated.json["frames"]["received"], 75);
     }
 }
@@ -70,10 +85,18 @@ fn without_an_emulator_or_an_image_it_could_not_run_and_says_how_to_get_them() {
     };
     let missing = check(Path::new("nowhere/image"), "");
     assert_eq!(missing.code, 3, "{}", missing.stderr);
-    assert!(missing.stderr.contains("cargo xtask firmware"), "{}", missing.stderr);
+    assert!(
+        missing.stderr.contains("cargo xtask firmware"),
+        "{}",
+        missing.stderr
+    );
     let missing = check(&workspace().join("Cargo.toml"), "");
     assert_eq!(missing.code, 3, "{}", missing.stderr);
-    assert!(missing.stderr.contains("apt-get install qemu-system-arm"), "{}", missing.stderr);
+    assert!(
+        missing.stderr.contains("apt-get install qemu-system-arm"),
+        "{}",
+        missing.stderr
+    );
 }
 
 #[test]
@@ -91,8 +114,14 @@ fn a_killed_check_leaves_no_emulator_behind() {
     let own = folder.path().join("image");
     std::fs::copy(image, &own).unwrap();
     let mut command = flankscope();
-    command.args(["inspect", "--quiet", "--link", "qemu"]).env("FLANKSCOPE_IMAGE", &own);
-    let mut check = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    command
+        .args(["inspect", "--quiet", "--link", "qemu"])
+        .env("FLANKSCOPE_IMAGE", &own);
+    let mut check = command
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     wait_for("the emulator to start", || emulators(&own) == 1);
     check.kill().unwrap();
     check.wait().unwrap();
@@ -114,7 +143,10 @@ fn emulators(image: &Path) -> usize {
 fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {
-        assert!(start.elapsed() < Duration::from_secs(60), "waited in vain for {what}");
+        assert!(
+            start.elapsed() < Duration::from_secs(60),
+            "waited in vain for {what}"
+        );
         std::thread::sleep(Duration::from_millis(20));
     }
 }

@@ -30,8 +30,12 @@ impl<T, const N: usize> Mailbox<T, N> {
 
     /// `None` never happens: no message is handled while the state is borrowed, and a critical section keeps others out.
     fn with<R>(&self, work: impl FnOnce(&mut State<T, N>) -> R) -> Option<R> {
-        self.0
-            .lock(|state| state.try_borrow_mut().ok().map(|mut state| work(&mut state)))
+        self.0.lock(|state| {
+            state
+                .try_borrow_mut()
+                .ok()
+                .map(|mut state| work(&mut state))
+        })
     }
 
     /// Queues a message.
@@ -131,7 +135,10 @@ mod tests {
         assert_eq!((mail.try_send(3), mail.free_capacity()), (Err(3), 0));
         let mut context = Context::from_waker(Waker::noop());
         for expected in [1, 2] {
-            assert_eq!(pin!(mail.receive()).poll(&mut context), Poll::Ready(expected));
+            assert_eq!(
+                pin!(mail.receive()).poll(&mut context),
+                Poll::Ready(expected)
+            );
         }
         assert_eq!(pin!(mail.receive()).poll(&mut context), Poll::Pending);
     }

@@ -3,9 +3,9 @@
 use crate::desk::{Desk, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::interlock::Position;
+use crate::mailbox::Mailbox;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
-use crate::mailbox::Mailbox;
 use crate::stage::{StageReport, StageRequest};
 use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_futures::select::{Either, Either4, select, select4};

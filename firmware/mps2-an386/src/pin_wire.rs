@@ -81,14 +81,21 @@ impl Subject {
     ];
 
     fn from_number(number: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|subject| *subject as u8 == number)
+        Self::ALL
+            .into_iter()
+            .find(|subject| *subject as u8 == number)
     }
 }
 
 /// A message to the image, as it goes over the wire.
 #[allow(dead_code)] // each end uses its half of this file
 pub fn input_bytes(subject: Subject, value: u8) -> [u8; INPUT_BYTES] {
-    [INPUT_START, subject as u8, value, INPUT_START ^ subject as u8 ^ value]
+    [
+        INPUT_START,
+        subject as u8,
+        value,
+        INPUT_START ^ subject as u8 ^ value,
+    ]
 }
 
 /// Bytes to messages to the image.
@@ -101,7 +108,9 @@ pub struct InputDecoder {
 #[allow(dead_code)]
 impl InputDecoder {
     pub const fn new() -> Self {
-        Self { window: [0; INPUT_BYTES] }
+        Self {
+            window: [0; INPUT_BYTES],
+        }
     }
 
     /// Takes one byte; subject and value if it was the last of a message.
@@ -131,7 +140,20 @@ impl PinMessage {
     pub fn to_bytes(self) -> [u8; MESSAGE_BYTES] {
         let [v0, v1] = self.value.to_le_bytes();
         let [t0, t1, t2, t3, t4, t5, t6, t7] = self.at_us.to_le_bytes();
-        let body = [START, self.subject as u8, v0, v1, t0, t1, t2, t3, t4, t5, t6, t7];
+        let body = [
+            START,
+            self.subject as u8,
+            v0,
+            v1,
+            t0,
+            t1,
+            t2,
+            t3,
+            t4,
+            t5,
+            t6,
+            t7,
+        ];
         let check = body.iter().fold(0, |check, byte| check ^ byte);
         let [a, b, c, d, e, f, g, h, i, j, k, l] = body;
         [a, b, c, d, e, f, g, h, i, j, k, l, check]
@@ -160,7 +182,9 @@ pub struct PinDecoder {
 #[allow(dead_code)]
 impl PinDecoder {
     pub const fn new() -> Self {
-        Self { window: [0; MESSAGE_BYTES] }
+        Self {
+            window: [0; MESSAGE_BYTES],
+        }
     }
 
     /// Takes one byte; a message if it was the last of one.

@@ -56,7 +56,12 @@ impl Image {
             let offset = offset as usize;
             if flags & ALLOCATED != 0 && size > 0 {
                 let stored = kind != NO_BITS;
-                sections.push(Section { address, size, stored, offset });
+                sections.push(Section {
+                    address,
+                    size,
+                    stored,
+                    offset,
+                });
             }
             if kind == SYMBOL_TABLE {
                 let names = u32_at(header(link as usize) + 16)? as usize;
@@ -71,7 +76,11 @@ impl Image {
                 }
             }
         }
-        Some(Self { bytes, sections, symbols })
+        Some(Self {
+            bytes,
+            sections,
+            symbols,
+        })
     }
 
     /// Functions that call or jump to `target` (Arm v7-M, encodings BL and B.W).
@@ -101,7 +110,8 @@ fn branch(from: u32, first: u32, second: u32) -> Option<u32> {
     }
     let sign = first >> 10 & 1;
     let bit = |n: u32| !(second >> n ^ sign) & 1; // I = NOT(J XOR S)
-    let high = (bit(13) << 23) | (bit(11) << 22) | ((first & 0x3FF) << 12) | ((second & 0x7FF) << 1);
+    let high =
+        (bit(13) << 23) | (bit(11) << 22) | ((first & 0x3FF) << 12) | ((second & 0x7FF) << 1);
     let offset = if sign == 1 { high | 0xFF00_0000 } else { high };
     Some(from.wrapping_add(4).wrapping_add(offset))
 }

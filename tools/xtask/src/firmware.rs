@@ -26,8 +26,14 @@ struct Board {
 }
 
 const BOARDS: [Board; 2] = [
-    Board { folder: "mps2-an386", traps: false },
-    Board { folder: "nucleo-h743zi", traps: true },
+    Board {
+        folder: "mps2-an386",
+        traps: false,
+    },
+    Board {
+        folder: "nucleo-h743zi",
+        traps: true,
+    },
 ];
 
 enum Toolchain {
@@ -46,7 +52,11 @@ pub fn build(root: &Path) -> Result<(), String> {
         let strict = !board.traps || matches!(toolchain, Toolchain::Debian);
         broken.extend(judge(board, &path, strict)?);
     }
-    if broken.is_empty() { Ok(()) } else { Err(broken.join("\n       ")) }
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(broken.join("\n       "))
+    }
 }
 
 /// Runs the in-situ check in-process and through the emulated image, compares them and prints the image's timing.
@@ -61,18 +71,42 @@ pub fn qemu(root: &Path) -> Result<(), String> {
     let number = |value: &Value| value.as_u64().map_or_else(|| "?".into(), |n| n.to_string());
     let spread = |key: &str| {
         let spread = &figures[key];
-        format!("{}..{} us ({} times)", number(&spread["min_us"]), number(&spread["max_us"]), number(&spread["count"]))
+        format!(
+            "{}..{} us ({} times)",
+            number(&spread["min_us"]),
+            number(&spread["max_us"]),
+            number(&spread["count"])
+        )
     };
-    println!("mps2-an386 in QEMU, 500 million instructions per second (-icount shift=1), by its own clock:");
-    println!("  stack high-water mark            {} bytes", number(&figures["stack_bytes"]));
-    println!("  alarm to interrupt, worst        {} us", number(&figures["timer_interrupt_us"]));
+    println!(
+        "mps2-an386 in QEMU, 500 million instructions per second (-icount shift=1), by its own clock:"
+    );
+    println!(
+        "  stack high-water mark            {} bytes",
+        number(&figures["stack_bytes"])
+    );
+    println!(
+        "  alarm to interrupt, worst        {} us",
+        number(&figures["timer_interrupt_us"])
+    );
     println!("  input interrupt to output        {}", spread("reaction"));
-    println!("  exposure beyond the commanded    {}", spread("pulse_excess"));
-    println!("  DMD trigger to camera trigger    {}, the bench's answers in real time included", spread("dmd_to_camera"));
-    println!("  trigger period jitter, worst     {} us, likewise", number(&figures["period_jitter_us"]));
+    println!(
+        "  exposure beyond the commanded    {}",
+        spread("pulse_excess")
+    );
+    println!(
+        "  DMD trigger to camera trigger    {}, the bench's answers in real time included",
+        spread("dmd_to_camera")
+    );
+    println!(
+        "  trigger period jitter, worst     {} us, likewise",
+        number(&figures["period_jitter_us"])
+    );
     let path = image_path(root, &BOARDS[0]);
     let image = read(&path)?;
-    let stack = figures["stack_bytes"].as_u64().ok_or("the image did not tell its stack")?;
+    let stack = figures["stack_bytes"]
+        .as_u64()
+        .ok_or("the image did not tell its stack")?;
     let used = u64::from(static_ram(&image)) + stack;
     println!("  static RAM and stack             {used} of {RAM_BYTES} bytes");
     if used > u64::from(RAM_BYTES) {
@@ -81,7 +115,9 @@ pub fn qemu(root: &Path) -> Result<(), String> {
     for key in ["verdict", "features", "registration"] {
         let (one, other) = (untimed(&sim[key]), untimed(&emulated[key]));
         if one != other {
-            return Err(format!("{key} differs between --link sim and --link qemu:\n{one}\n{other}"));
+            return Err(format!(
+                "{key} differs between --link sim and --link qemu:\n{one}\n{other}"
+            ));
         }
     }
     println!("  verdict, features and registration are those of --link sim, to the last bit");
@@ -102,26 +138,50 @@ fn untimed(value: &Value) -> Value {
 }
 
 fn inspect(root: &Path, arguments: &[&str]) -> Result<Value, String> {
-    let mut command = crate::cargo(&["run", "--release", "--quiet", "--", "inspect", "--quiet", "--json", "-"]);
+    let mut command = crate::cargo(&[
+        "run",
+        "--release",
+        "--quiet",
+        "--",
+        "inspect",
+        "--quiet",
+        "--json",
+        "-",
+    ]);
     command.args(arguments).current_dir(root);
     eprintln!("$ {command:?}");
-    let output = command.output().map_err(|error| format!("{command:?}: {error}"))?;
+    let output = command
+        .output()
+        .map_err(|error| format!("{command:?}: {error}"))?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
         let document: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
-        return Err(format!("{command:?} ended with {}: {}\n{said}", output.status, document["reason"]));
+        return Err(format!(
+            "{command:?} ended with {}: {}\n{said}",
+            output.status, document["reason"]
+        ));
     }
     serde_json::from_slice(&output.stdout).map_err(|error| format!("{command:?}: {error}"))
 }
 
 /// What can build here.
 fn toolchain() -> Result<Toolchain, String> {
-    let installed = Command::new("rustup").args(["target", "list", "--installed"]).output();
-    if installed.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).lines().any(|line| line == TARGET)) {
+    let installed = Command::new("rustup")
+        .args(["target", "list", "--installed"])
+        .output();
+    if installed.is_ok_and(|output| {
+        String::from_utf8_lossy(&output.stdout)
+            .lines()
+            .any(|line| line == TARGET)
+    }) {
         return Ok(Toolchain::Rustup);
     }
-    let sysroot = Command::new("/usr/bin/rustc").args(["--print", "sysroot"]).output();
-    let sysroot = sysroot.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_string()).unwrap_or_default();
+    let sysroot = Command::new("/usr/bin/rustc")
+        .args(["--print", "sysroot"])
+        .output();
+    let sysroot = sysroot
+        .map(|output| String::from_utf8_lossy(&output.stdout).trim().to_string())
+        .unwrap_or_default();
     let core = Path::new(&sysroot).join("lib/rustlib/src/rust/library/core/Cargo.toml");
     let mut missing = Vec::new();
     for (what, there) in [
@@ -151,7 +211,10 @@ fn on_path(program: &str) -> bool {
 
 fn image_path(root: &Path, board: &Board) -> PathBuf {
     let target = root.join("firmware").join(board.folder).join("target");
-    target.join(TARGET).join("release").join(format!("flankscope-{}", board.folder))
+    target
+        .join(TARGET)
+        .join("release")
+        .join(format!("flankscope-{}", board.folder))
 }
 
 fn compile(root: &Path, board: &Board, toolchain: &Toolchain) -> Result<PathBuf, String> {
@@ -162,20 +225,35 @@ fn compile(root: &Path, board: &Board, toolchain: &Toolchain) -> Result<PathBuf,
     cargo.args(["build", "--release", "--locked", "--target", TARGET]);
     cargo.current_dir(root.join("firmware").join(board.folder));
     // The image's own folder says where and how, not what this build was called with.
-    for name in ["CARGO_TARGET_DIR", "CARGO_BUILD_TARGET_DIR", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS"] {
+    for name in [
+        "CARGO_TARGET_DIR",
+        "CARGO_BUILD_TARGET_DIR",
+        "RUSTFLAGS",
+        "CARGO_ENCODED_RUSTFLAGS",
+    ] {
         cargo.env_remove(name);
     }
     if let Toolchain::Debian = toolchain {
-        for name in ["RUSTUP_TOOLCHAIN", "CARGO", "RUSTC_WRAPPER", "RUSTC_WORKSPACE_WRAPPER"] {
+        for name in [
+            "RUSTUP_TOOLCHAIN",
+            "CARGO",
+            "RUSTC_WRAPPER",
+            "RUSTC_WORKSPACE_WRAPPER",
+        ] {
             cargo.env_remove(name);
         }
         cargo.args(["-Z", "build-std=core"]);
         // build-std is unstable; a packaged compiler of a fixed version allows it when told to.
-        cargo.env("RUSTC_BOOTSTRAP", "1").env("RUSTC", "/usr/bin/rustc");
+        cargo
+            .env("RUSTC_BOOTSTRAP", "1")
+            .env("RUSTC", "/usr/bin/rustc");
         cargo.env("RUSTDOC", "/usr/bin/rustdoc");
         cargo.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
         if board.traps {
-            cargo.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS", "-Zunstable-options -Cpanic=immediate-abort");
+            cargo.env(
+                "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS",
+                "-Zunstable-options -Cpanic=immediate-abort",
+            );
         }
     }
     crate::run(cargo)?;
@@ -188,28 +266,50 @@ fn read(path: &Path) -> Result<Image, String> {
 }
 
 fn static_ram(image: &Image) -> u32 {
-    image.sections.iter().filter(|section| section.address >= RAM_START).map(|section| section.size).sum()
+    image
+        .sections
+        .iter()
+        .filter(|section| section.address >= RAM_START)
+        .map(|section| section.size)
+        .sum()
 }
 
 /// Prints an image's figures and returns the budgets that it breaks.
 fn judge(board: &Board, path: &Path, strict: bool) -> Result<Vec<String>, String> {
     let image = read(path)?;
-    let flash: u32 = image.sections.iter().filter(|section| section.stored).map(|section| section.size).sum();
+    let flash: u32 = image
+        .sections
+        .iter()
+        .filter(|section| section.stored)
+        .map(|section| section.size)
+        .sum();
     let ram = static_ram(&image);
     println!("{}:", board.folder);
     println!("  flash        {flash:>6} of {FLASH_BUDGET} bytes");
-    println!("  static RAM   {ram:>6} of {STATIC_RAM_BUDGET} bytes (stack: cargo xtask qemu measures it)");
+    println!(
+        "  static RAM   {ram:>6} of {STATIC_RAM_BUDGET} bytes (stack: cargo xtask qemu measures it)"
+    );
     let mut broken = Vec::new();
     if flash > FLASH_BUDGET {
-        broken.push(format!("{}: {flash} bytes of flash, {FLASH_BUDGET} allowed", board.folder));
+        broken.push(format!(
+            "{}: {flash} bytes of flash, {FLASH_BUDGET} allowed",
+            board.folder
+        ));
     }
     if ram > STATIC_RAM_BUDGET {
-        broken.push(format!("{}: {ram} bytes of static RAM, {STATIC_RAM_BUDGET} allowed", board.folder));
+        broken.push(format!(
+            "{}: {ram} bytes of static RAM, {STATIC_RAM_BUDGET} allowed",
+            board.folder
+        ));
     }
     let panicking = panicking(&image);
     match (panicking.is_empty(), strict) {
         (true, _) => println!("  no panicking path, no formatting machinery"),
-        (false, true) => broken.push(format!("{}: panicking paths: {}", board.folder, panicking.join(", "))),
+        (false, true) => broken.push(format!(
+            "{}: panicking paths: {}",
+            board.folder,
+            panicking.join(", ")
+        )),
         (false, false) => println!(
             "  {} panicking paths of its hardware library; Debian's toolchain turns them into traps",
             panicking.len()
@@ -223,18 +323,36 @@ fn judge(board: &Board, path: &Path, strict: bool) -> Result<Vec<String>, String
 /// One kind of check is left out: the compiler's own guard against an `async` function that is polled after its end,
 /// which no `await` does. It is allowed to call the panic entry; nobody else is.
 fn panicking(image: &Image) -> Vec<String> {
-    const MARKS: [&str; 6] =
-        ["9panicking", "4core3fmt", "unwrap_failed", "expect_failed", "slice_index_fail", "panic_already"];
+    const MARKS: [&str; 6] = [
+        "9panicking",
+        "4core3fmt",
+        "unwrap_failed",
+        "expect_failed",
+        "slice_index_fail",
+        "panic_already",
+    ];
     let guard = |symbol: &Symbol| symbol.name.contains("panic_const_async_fn_resumed");
     let entry = |symbol: &Symbol| symbol.name.contains("9panicking9panic_fmt");
     let mut found = Vec::new();
-    for symbol in image.symbols.iter().filter(|symbol| MARKS.iter().any(|mark| symbol.name.contains(mark))) {
+    for symbol in image
+        .symbols
+        .iter()
+        .filter(|symbol| MARKS.iter().any(|mark| symbol.name.contains(mark)))
+    {
         if entry(symbol) {
             let callers = image.callers(symbol);
             if callers.is_empty() {
-                found.push(format!("{} (called by nobody that this tool can see)", symbol.name));
+                found.push(format!(
+                    "{} (called by nobody that this tool can see)",
+                    symbol.name
+                ));
             }
-            found.extend(callers.iter().filter(|caller| !guard(caller)).map(|caller| caller.name.clone()));
+            found.extend(
+                callers
+                    .iter()
+                    .filter(|caller| !guard(caller))
+                    .map(|caller| caller.name.clone()),
+            );
         } else if !guard(symbol) {
             found.push(symbol.name.clone());
         }

@@ -32,7 +32,10 @@ fn main() -> ExitCode {
         ["qemu"] => firmware::qemu(&root()),
         ["demo"] => demo(),
         ["ci"] => ci(),
-        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | demo | ci".into()),
+        _ => Err(
+            "usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | demo | ci"
+                .into(),
+        ),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -18,9 +18,20 @@ pub struct Spread {
 impl Spread {
     fn of(intervals_us: impl IntoIterator<Item = u64>) -> Option<Self> {
         intervals_us.into_iter().fold(None, |spread, us| {
-            let Self { count, min_us, max_us } =
-                spread.unwrap_or(Self { count: 0, min_us: us, max_us: us });
-            Some(Self { count: count + 1, min_us: min_us.min(us), max_us: max_us.max(us) })
+            let Self {
+                count,
+                min_us,
+                max_us,
+            } = spread.unwrap_or(Self {
+                count: 0,
+                min_us: us,
+                max_us: us,
+            });
+            Some(Self {
+                count: count + 1,
+                min_us: min_us.min(us),
+                max_us: max_us.max(us),
+            })
         })
     }
 
@@ -59,7 +70,11 @@ impl Figures {
     /// Measures a trace.
     #[must_use]
     pub fn of(trace: &[PinMessage]) -> Self {
-        let all = |subject: Subject| trace.iter().filter(move |message| message.subject == subject);
+        let all = |subject: Subject| {
+            trace
+                .iter()
+                .filter(move |message| message.subject == subject)
+        };
         let last = |subject| all(subject).last().map(|message| message.value);
         let pulses = pulses(trace);
         let mut periods: Vec<(u64, u64)> = Vec::new();
@@ -73,7 +88,12 @@ impl Figures {
         let period_jitter_us = periods
             .iter()
             .filter_map(|&(exposure, _)| {
-                Spread::of(periods.iter().filter(|(of, _)| *of == exposure).map(|(_, us)| *us))
+                Spread::of(
+                    periods
+                        .iter()
+                        .filter(|(of, _)| *of == exposure)
+                        .map(|(_, us)| *us),
+                )
             })
             .map(|spread| spread.width_us())
             .max();
@@ -82,7 +102,11 @@ impl Figures {
             stack_bytes: last(Subject::StackUsed),
             timer_interrupt_us: last(Subject::AlarmLatency),
             reaction: Spread::of(reactions(trace)),
-            pulse_excess: Spread::of(pulses.iter().map(|(_, width)| width.saturating_sub(nominal(*width)))),
+            pulse_excess: Spread::of(
+                pulses
+                    .iter()
+                    .map(|(_, width)| width.saturating_sub(nominal(*width))),
+            ),
             dmd_to_camera: Spread::of(between(trace, Subject::DmdTrigger, Subject::CameraTrigger)),
             period_jitter_us,
         }
@@ -98,7 +122,10 @@ fn nominal(width_us: u64) -> u64 {
 fn pulses(trace: &[PinMessage]) -> Vec<(u64, u64)> {
     let mut rise = None;
     let mut pulses = Vec::new();
-    for message in trace.iter().filter(|message| message.subject == Subject::CameraTrigger) {
+    for message in trace
+        .iter()
+        .filter(|message| message.subject == Subject::CameraTrigger)
+    {
         match (message.value, rise.take()) {
             (1, _) => rise = Some(message.at_us),
             (_, Some(start)) => pulses.push((start, message.at_us - start)),
@@ -145,7 +172,11 @@ mod tests {
     use super::*;
 
     fn message(subject: Subject, value: u16, at_us: u64) -> PinMessage {
-        PinMessage { subject, value, at_us }
+        PinMessage {
+            subject,
+            value,
+            at_us,
+        }
     }
 
     #[test]
@@ -163,7 +194,13 @@ mod tests {
         }
         trace.push(message(Subject::StackUsed, 3000, 200_000));
         let figures = Figures::of(&trace);
-        let spread = |min_us, max_us| Some(Spread { count: 3, min_us, max_us });
+        let spread = |min_us, max_us| {
+            Some(Spread {
+                count: 3,
+                min_us,
+                max_us,
+            })
+        };
         assert_eq!(figures.starts, 1);
         assert_eq!(figures.stack_bytes, Some(3000));
         assert_eq!(figures.timer_interrupt_us, None);
@@ -176,6 +213,9 @@ mod tests {
     #[test]
     fn nothing_measured_is_no_figure() {
         let figures = Figures::of(&[]);
-        assert_eq!((figures.starts, figures.reaction, figures.period_jitter_us), (0, None, None));
+        assert_eq!(
+            (figures.starts, figures.reaction, figures.period_jitter_us),
+            (0, None, None)
+        );
     }
 }

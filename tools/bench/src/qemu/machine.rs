@@ -87,9 +87,17 @@ impl Machine {
     /// # Errors
     /// QEMU is missing, or ends, or does not connect.
     pub fn start(image: &Path) -> Result<Self, EmulatorError> {
-        let folder = tempfile::Builder::new().prefix("flankscope-qemu-").tempdir()?;
+        let folder = tempfile::Builder::new()
+            .prefix("flankscope-qemu-")
+            .tempdir()?;
         let mut command = Command::new(PROGRAM);
-        command.args(["-no-user-config", "-machine", "mps2-an386", "-cpu", "cortex-m4"]);
+        command.args([
+            "-no-user-config",
+            "-machine",
+            "mps2-an386",
+            "-cpu",
+            "cortex-m4",
+        ]);
         // 2^1 ns per instruction: 500 million per second, the order of the real board's Cortex-M7 at 400 MHz (rated
         // 856 DMIPS). Asleep, its time is real time.
         command.args(["-icount", "shift=1"]);
@@ -123,14 +131,25 @@ impl Machine {
             accept(&listener, child)
         };
         let connected = (|| {
-            Ok((accept(&mut child)?, accept(&mut child)?, accept(&mut child)?, accept(&mut child)?))
+            Ok((
+                accept(&mut child)?,
+                accept(&mut child)?,
+                accept(&mut child)?,
+                accept(&mut child)?,
+            ))
         })();
         match connected {
             // Connected sockets need no name: the folder goes now, so that nothing can leave it behind.
             Ok((link, pins, stage, monitor)) => {
                 (&monitor).write_all(b"{\"execute\":\"qmp_capabilities\"}\n")?;
                 drain(monitor.try_clone()?)?;
-                Ok(Self { child, link, pins, stage, monitor })
+                Ok(Self {
+                    child,
+                    link,
+                    pins,
+                    stage,
+                    monitor,
+                })
             }
             Err(error) => {
                 let _ = child.kill();
@@ -147,8 +166,11 @@ impl Machine {
     pub(super) fn brake(&self) -> io::Result<impl Fn(bool) + Send + Sync + 'static> {
         let monitor = self.monitor.try_clone()?;
         Ok(move |held: bool| {
-            let order: &[u8] =
-                if held { b"{\"execute\":\"stop\"}\n" } else { b"{\"execute\":\"cont\"}\n" };
+            let order: &[u8] = if held {
+                b"{\"execute\":\"stop\"}\n"
+            } else {
+                b"{\"execute\":\"cont\"}\n"
+            };
             // A machine that has ended needs no brake.
             let _ = (&monitor).write_all(order);
         })
@@ -185,8 +207,10 @@ fn accept(listener: &UnixListener, child: &mut Child) -> Result<UnixStream, Emul
 
 /// Reads what the monitor says, which nobody needs, so that it never waits.
 fn drain(monitor: UnixStream) -> io::Result<()> {
-    std::thread::Builder::new().name("qemu-monitor".into()).spawn(move || {
-        let _ = io::copy(&mut { monitor }, &mut io::sink());
-    })?;
+    std::thread::Builder::new()
+        .name("qemu-monitor".into())
+        .spawn(move || {
+            let _ = io::copy(&mut { monitor }, &mut io::sink());
+        })?;
     Ok(())
 }

@@ -28,13 +28,24 @@ mod tests {
 
     #[test]
     fn messages_survive_the_wire_and_junk_before_them() {
-        let subjects = [Subject::LedEnable, Subject::CameraTrigger, Subject::StackUsed];
+        let subjects = [
+            Subject::LedEnable,
+            Subject::CameraTrigger,
+            Subject::StackUsed,
+        ];
         let mut decoder = PinDecoder::new();
         for (n, subject) in subjects.into_iter().enumerate() {
-            let sent = PinMessage { subject, value: 0xA5A5, at_us: 0x0102_0304_0506_07A5 + n as u64 };
+            let sent = PinMessage {
+                subject,
+                value: 0xA5A5,
+                at_us: 0x0102_0304_0506_07A5 + n as u64,
+            };
             let junk = [0xA5, n as u8, 0xA5];
-            let heard: Vec<_> =
-                junk.into_iter().chain(sent.to_bytes()).filter_map(|byte| decoder.push(byte)).collect();
+            let heard: Vec<_> = junk
+                .into_iter()
+                .chain(sent.to_bytes())
+                .filter_map(|byte| decoder.push(byte))
+                .collect();
             assert_eq!(heard, [sent]);
         }
     }
@@ -42,8 +53,14 @@ mod tests {
     #[test]
     fn inputs_survive_the_wire_and_junk_before_them() {
         let mut decoder = InputDecoder::new();
-        for (subject, value) in [(Subject::DmdReady, 1), (Subject::LedSense, 0), (Subject::PatternTaken, 0x5A)] {
-            let bytes = [0x5A, subject as u8].into_iter().chain(input_bytes(subject, value));
+        for (subject, value) in [
+            (Subject::DmdReady, 1),
+            (Subject::LedSense, 0),
+            (Subject::PatternTaken, 0x5A),
+        ] {
+            let bytes = [0x5A, subject as u8]
+                .into_iter()
+                .chain(input_bytes(subject, value));
             let heard: Vec<_> = bytes.filter_map(|byte| decoder.push(byte)).collect();
             assert_eq!(heard, [(subject, value)]);
         }
@@ -51,12 +68,24 @@ mod tests {
 
     #[test]
     fn one_flipped_bit_is_noticed() {
-        let whole = PinMessage { subject: Subject::DmdTrigger, value: 1, at_us: 77 }.to_bytes();
+        let whole = PinMessage {
+            subject: Subject::DmdTrigger,
+            value: 1,
+            at_us: 77,
+        }
+        .to_bytes();
         for bit in 0..whole.len() * 8 {
             let mut bytes = whole;
             bytes[bit / 8] ^= 1 << (bit % 8);
             let mut decoder = PinDecoder::new();
-            assert_eq!(bytes.into_iter().filter_map(|byte| decoder.push(byte)).count(), 0, "bit {bit}");
+            assert_eq!(
+                bytes
+                    .into_iter()
+                    .filter_map(|byte| decoder.push(byte))
+                    .count(),
+                0,
+                "bit {bit}"
+            );
         }
     }
 }

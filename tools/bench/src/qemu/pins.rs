@@ -23,7 +23,12 @@ pub(crate) type Trace = Rc<RefCell<Vec<PinMessage>>>;
 /// Puts an emulated controller on its side of the wiring. The machine must be kept as long as the simulation runs.
 pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Trace> {
     bridge(sim, "link", &machine.link, wiring.controller_link.clone())?;
-    bridge(sim, "stage", &machine.stage, wiring.controller_stage.clone())?;
+    bridge(
+        sim,
+        "stage",
+        &machine.stage,
+        wiring.controller_stage.clone(),
+    )?;
     let (pins, far_end) = Port::pair();
     bridge(sim, "pins", &machine.pins, far_end)?;
     sim.on_hold(machine.brake()?);
@@ -46,7 +51,11 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
     }
     let selections: Rc<Channel<NoopRawMutex, u16, 4>> = Rc::new(Channel::new());
     sim.spawn({
-        let (selections, mut bus, pins) = (Rc::clone(&selections), board.pattern_bus.clone(), pins.clone());
+        let (selections, mut bus, pins) = (
+            Rc::clone(&selections),
+            board.pattern_bus.clone(),
+            pins.clone(),
+        );
         let ready = board.dmd_ready.clone();
         async move {
             loop {
@@ -63,7 +72,11 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
         let (mut port, mut decoder, mut buffer) = (pins.clone(), PinDecoder::new(), [0u8; 256]);
         loop {
             let Ok(count) = port.read(&mut buffer).await;
-            for message in buffer.iter().take(count).filter_map(|&byte| decoder.push(byte)) {
+            for message in buffer
+                .iter()
+                .take(count)
+                .filter_map(|&byte| decoder.push(byte))
+            {
                 told.borrow_mut().push(message);
                 if message.subject == Subject::SelectPattern {
                     let _full = selections.try_send(message.value);
@@ -77,7 +90,11 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
 
 /// Does what the image drives.
 fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMessage) {
-    let PinMessage { subject, value, at_us } = message;
+    let PinMessage {
+        subject,
+        value,
+        at_us,
+    } = message;
     let level = value != 0;
     match subject {
         Subject::LedEnable => {
@@ -123,7 +140,11 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
 async fn forward(subject: Subject, mut line: Line, pins: Port) {
     let mut told = false;
     loop {
-        let Ok(()) = if told { line.wait_for_low().await } else { line.wait_for_high().await };
+        let Ok(()) = if told {
+            line.wait_for_low().await
+        } else {
+            line.wait_for_high().await
+        };
         told = !told;
         pins.send(&input_bytes(subject, u8::from(told)));
     }
@@ -133,23 +154,27 @@ async fn forward(subject: Subject, mut line: Line, pins: Port) {
 fn bridge(sim: &Sim, name: &str, socket: &UnixStream, port: Port) -> io::Result<()> {
     let (mut from, mut to) = (socket.try_clone()?, socket.try_clone()?);
     let (arriving, remote): (_, Remote) = (port.clone(), sim.remote());
-    std::thread::Builder::new().name(format!("{name}-read")).spawn(move || {
-        // The remote tells a stepped simulation that somebody outside may still speak.
-        let _remote = remote;
-        let mut buffer = [0u8; 512];
-        while let Ok(count @ 1..) = from.read(&mut buffer) {
-            arriving.send(&buffer[..count]);
-        }
-    })?;
+    std::thread::Builder::new()
+        .name(format!("{name}-read"))
+        .spawn(move || {
+            // The remote tells a stepped simulation that somebody outside may still speak.
+            let _remote = remote;
+            let mut buffer = [0u8; 512];
+            while let Ok(count @ 1..) = from.read(&mut buffer) {
+                arriving.send(&buffer[..count]);
+            }
+        })?;
     // A thread does the writing: an emulator that does not read must not stop virtual time.
     let (outbox, queue) = mpsc::channel::<Vec<u8>>();
-    std::thread::Builder::new().name(format!("{name}-write")).spawn(move || {
-        for bytes in queue {
-            if to.write_all(&bytes).is_err() {
-                break;
+    std::thread::Builder::new()
+        .name(format!("{name}-write"))
+        .spawn(move || {
+            for bytes in queue {
+                if to.write_all(&bytes).is_err() {
+                    break;
+                }
             }
-        }
-    })?;
+        })?;
     sim.spawn(async move {
         let (mut port, mut buffer) = (port, [0u8; 512]);
         loop {
