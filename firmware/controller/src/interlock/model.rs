@@ -67,6 +67,11 @@ fn inputs() -> impl Iterator<Item = Inputs> {
     })
 }
 
+/// Where the cause holds, the effect must.
+fn implies(cause: bool, effect: bool) -> bool {
+    !cause || effect
+}
+
 /// Requirements that the step breaks.
 fn broken(before: State, input: &Inputs, after: State) -> Option<&'static str> {
     let (was, is) = (outputs(before), outputs(after));
@@ -185,16 +190,20 @@ fn broken(before: State, input: &Inputs, after: State) -> Option<&'static str> {
         // The rest keeps the rules from being safe by never allowing anything.
         (
             "a retract without a cause ends clear",
-            !(before.phase == Phase::Withdrawing(None)
-                && proven_out
-                && !signal_dead
-                && !switch_dead)
-                || is.head_clear,
+            implies(
+                before.phase == Phase::Withdrawing(None)
+                    && proven_out
+                    && !signal_dead
+                    && !switch_dead,
+                is.head_clear,
+            ),
         ),
         (
             "an armed interlock clears as soon as the head is proven out",
-            !(before.phase == Phase::Armed && proven_out && !signal_dead && !switch_dead)
-                || is.head_clear,
+            implies(
+                before.phase == Phase::Armed && proven_out && !signal_dead && !switch_dead,
+                is.head_clear,
+            ),
         ),
         (
             "an entry is granted when all is well",
