@@ -83,11 +83,11 @@ fn the_press_strokes_while_the_head_is_clear_and_stands_while_it_is_not() {
     let record = run(running(), |mut host, _, _| async move {
         host.prepare(plan()).await;
         let strokes = |host: &Host| {
-            let cycles = host.events.iter().filter_map(|(_, event)| match event {
+            let mut cycles = host.events.iter().filter_map(|(_, event)| match event {
                 Event::Cycle { count, .. } => Some(*count),
                 _ => None,
             });
-            cycles.last().unwrap_or(0)
+            cycles.next_back().unwrap_or(0)
         };
         for want in [3, 6] {
             while strokes(&host) < want {

@@ -16,6 +16,9 @@ const STATIC_RAM_BUDGET: u32 = 24 * 1024;
 /// Static data and stack together: what `memory.x` of both images gives them.
 const RAM_BYTES: u32 = 40 * 1024;
 const RAM_START: u32 = 0x2000_0000;
+/// The image that the emulator runs, below the repository.
+pub const EMULATED_IMAGE: &str =
+    "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
@@ -62,7 +65,7 @@ pub fn build(root: &Path) -> Result<(), String> {
 /// Runs the in-situ check in-process and through the emulated image, compares them and prints the image's timing.
 pub fn qemu(root: &Path) -> Result<(), String> {
     build(root)?;
-    if !on_path("qemu-system-arm") {
+    if !is_on_path("qemu-system-arm") {
         return Err("qemu-system-arm is missing; get it: apt-get install qemu-system-arm".into());
     }
     let sim = inspect(root, &["--link", "sim", "--speed", "max"])?;
@@ -188,7 +191,7 @@ fn toolchain() -> Result<Toolchain, String> {
         ("/usr/bin/rustc", Path::new("/usr/bin/rustc").exists()),
         ("/usr/bin/cargo", Path::new("/usr/bin/cargo").exists()),
         ("the source of core", !sysroot.is_empty() && core.exists()),
-        ("ld.lld", on_path("ld.lld")),
+        ("ld.lld", is_on_path("ld.lld")),
     ] {
         if !there {
             missing.push(what);
@@ -204,7 +207,7 @@ fn toolchain() -> Result<Toolchain, String> {
     ))
 }
 
-fn on_path(program: &str) -> bool {
+pub fn is_on_path(program: &str) -> bool {
     let path = std::env::var_os("PATH").unwrap_or_default();
     std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
 }

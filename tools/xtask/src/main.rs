@@ -118,6 +118,7 @@ fn demo() -> Result<(), String> {
 }
 
 fn ci() -> Result<(), String> {
+    firmware::build(&root())?;
     test(true)?;
     lint()?;
     doc()?;

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::firmware;
+
 /// Something a group of tests needs and this machine lacks.
 pub struct Missing {
     /// The tests that cannot run.
@@ -27,6 +29,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "tests of the zero-copy frame path",
             needs: "POSIX shared memory at /dev/shm",
             how: "mount -t tmpfs tmpfs /dev/shm",
+        });
+    }
+    if !firmware::is_on_path("qemu-system-arm") || !root.join(firmware::EMULATED_IMAGE).is_file() {
+        missing.push(Missing {
+            what: "the check through the controller's Cortex-M image",
+            needs: "qemu-system-arm and the image",
+            how: "apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }
     missing
