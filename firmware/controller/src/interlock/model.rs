@@ -67,7 +67,8 @@ fn inputs() -> impl Iterator<Item = Inputs> {
     })
 }
 
-/// Requirements that the step breaks.
+/// Requirements that the step breaks, each as "not the case, or else".
+#[allow(clippy::nonminimal_bool)] // read as written
 fn broken(before: State, input: &Inputs, after: State) -> Option<&'static str> {
     let (was, is) = (outputs(before), outputs(after));
     let proven_out = input.retract_switch && input.position == Position::Retracted;
