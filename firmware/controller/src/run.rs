@@ -143,7 +143,7 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
                 mail.session
                     .store(desk.session().unwrap_or(0), Ordering::Relaxed);
                 // The outputs follow before the reply is sent: an accepted abort has already put out the LED.
-                perform(&mut desk, &mut optics, mail, actions, &mut unreported).await;
+                perform(&mut desk, &mut optics, mail, &mut actions, &mut unreported).await;
                 // No room: the host asks again, and the reply is remembered.
                 let _room = mail.outgoing.try_send(Outgoing::Reply(header, reply));
                 continue;
@@ -152,7 +152,7 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
             Either4::Third(()) => desk.sequence.step(now(), Input::Tick, &mut actions),
             Either4::Fourth(input) => desk.sequence.step(now(), input, &mut actions),
         }
-        perform(&mut desk, &mut optics, mail, actions, &mut unreported).await;
+        perform(&mut desk, &mut optics, mail, &mut actions, &mut unreported).await;
     }
 }
 
@@ -186,21 +186,21 @@ async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
         None if change.entered => desk.sequence.step(at, Input::MayEnter, &mut actions),
         None => return,
     }
-    perform(desk, optics, mail, actions, unreported).await;
+    perform(desk, optics, mail, &mut actions, unreported).await;
 }
 
-/// Carries out actions in order, and what follows from them.
+/// Carries out actions in order, and what follows from them; none is left. Lent, not given: they are a kilobyte, and
+/// copying it would be most of the time from an alarm to its edge.
 async fn perform<L: Led, D: Dmd, C: Camera>(
     desk: &mut Desk,
     optics: &mut Optics<L, D, C>,
     mail: &Mailboxes,
-    first: Actions,
+    actions: &mut Actions,
     unreported: &mut u32,
 ) {
-    let mut actions = first;
     loop {
         let mut follow_up = None;
-        for action in &actions {
+        for action in actions.iter() {
             match *action {
                 Action::LedOn(current) if desk.interlock.outputs().may_enter => {
                     optics.led.on(current);
@@ -231,9 +231,9 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
                 }
             }
         }
+        actions.clear();
         let Some(input) = follow_up else { return };
-        actions = Actions::new();
-        desk.sequence.step(now(), input, &mut actions);
+        desk.sequence.step(now(), input, actions);
     }
 }
 

@@ -143,7 +143,9 @@ impl Driver for Clock {
     fn schedule_wake(&self, at: u64, waker: &Waker) {
         critical_section::with(|cs| {
             let waiting = self.waiting(cs);
-            let known = waiting.iter_mut().find(|slot| matches!(slot, Some((_, other)) if other.will_wake(waker)));
+            let known = waiting
+                .iter_mut()
+                .find(|slot| matches!(slot, Some((_, other)) if other.will_wake(waker)));
             match known {
                 Some(Some((known_at, _))) if *known_at <= at => return,
                 Some(slot) => *slot = Some((at, waker.clone())),

@@ -27,7 +27,11 @@ static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 /// Keeps `cause` over the reset that follows.
 fn keep(cause: u32) {
     // SAFETY: only called with interrupts off, just before a reset.
-    unsafe { addr_of_mut!(KEPT).cast::<Kept>().write_volatile(Kept { mark: MARK, cause }) };
+    unsafe {
+        addr_of_mut!(KEPT)
+            .cast::<Kept>()
+            .write_volatile(Kept { mark: MARK, cause })
+    };
 }
 
 /// Why the controller started, and the cause kept by the panic handler (0: none). Forgets it.
@@ -45,7 +49,12 @@ pub fn boot() -> (Boot, u32) {
 
 fn fall_safe(cause: u32) -> ! {
     cortex_m::interrupt::disable();
-    for output in [Subject::LedEnable, Subject::CameraTrigger, Subject::HeadClear1, Subject::HeadClear2] {
+    for output in [
+        Subject::LedEnable,
+        Subject::CameraTrigger,
+        Subject::HeadClear1,
+        Subject::HeadClear2,
+    ] {
         tell(output, 0);
     }
     keep(cause);

@@ -24,7 +24,11 @@ unsafe impl Sync for Level {}
 impl Level {
     /// Polled by the handler of this software interrupt.
     pub const fn new(irq: Irq) -> Self {
-        Self { irq, executor: UnsafeCell::new(MaybeUninit::uninit()), started: AtomicBool::new(false) }
+        Self {
+            irq,
+            executor: UnsafeCell::new(MaybeUninit::uninit()),
+            started: AtomicBool::new(false),
+        }
     }
 
     /// Starts the executor with its tasks. A second time does nothing.

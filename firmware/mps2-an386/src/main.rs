@@ -46,8 +46,10 @@ const BAUD_DIVIDER: u32 = 217;
 
 /// The controller as delivered, but for a host that runs on the same machine as this emulation and everything else:
 /// it may be silent for a second, as in the in-process simulation.
-const CONFIG: sequence::Config =
-    sequence::Config { host_silence: Microseconds::from_millis(1_000), ..sequence::Config::DEFAULT };
+const CONFIG: sequence::Config = sequence::Config {
+    host_silence: Microseconds::from_millis(1_000),
+    ..sequence::Config::DEFAULT
+};
 
 /// Every output that a device looks at.
 const LOW_AT_START: [Subject; 8] = [
@@ -64,8 +66,11 @@ const LOW_AT_START: [Subject; 8] = [
 /// Cycles between two looks at whether to sleep: about 0.1 ms.
 const SPIN_CYCLES: u32 = 3_000;
 
-type PinOptics =
-    Optics<PinLed<Output, InputPin, Current>, PinDmd<Output, InputPin, PatternBus>, PinCamera<Output, InputPin, InputPin>>;
+type PinOptics = Optics<
+    PinLed<Output, InputPin, Current>,
+    PinDmd<Output, InputPin, PatternBus>,
+    PinCamera<Output, InputPin, InputPin>,
+>;
 
 #[embassy_executor::task]
 async fn receive() {
@@ -102,8 +107,16 @@ fn main() -> ! {
     STAGE.start(BAUD_DIVIDER);
 
     let optics = Optics {
-        led: PinLed { enable: Output::new(Subject::LedEnable), sense: InputPin(&pins::LED_SENSE), current: Current },
-        dmd: PinDmd { trigger: Output::new(Subject::DmdTrigger), ready: InputPin(&pins::DMD_READY), port: PatternBus },
+        led: PinLed {
+            enable: Output::new(Subject::LedEnable),
+            sense: InputPin(&pins::LED_SENSE),
+            current: Current,
+        },
+        dmd: PinDmd {
+            trigger: Output::new(Subject::DmdTrigger),
+            ready: InputPin(&pins::DMD_READY),
+            port: PatternBus,
+        },
         camera: PinCamera {
             trigger: Output::new(Subject::CameraTrigger),
             ready: InputPin(&pins::CAMERA_READY),
@@ -117,7 +130,10 @@ fn main() -> ! {
         guard_closed: InputPin(&pins::GUARD_CLOSED),
         cycle: InputPin(&pins::CYCLE),
         retract_switch: InputPin(&pins::RETRACT_SWITCH),
-        head_clear: [Output::new(Subject::HeadClear1), Output::new(Subject::HeadClear2)],
+        head_clear: [
+            Output::new(Subject::HeadClear1),
+            Output::new(Subject::HeadClear2),
+        ],
         go: Output::new(Subject::Go),
         no_go: Output::new(Subject::NoGo),
         beat: Output::new(Subject::VerdictBeat),

@@ -28,7 +28,14 @@ pub fn tell(subject: Subject, value: u16) {
     // No interrupt may come between the look at the clock and the last byte, or between two messages' bytes.
     critical_section::with(|_| {
         let at_us = clock::now_us();
-        BENCH.send_now(&PinMessage { subject, value, at_us }.to_bytes());
+        BENCH.send_now(
+            &PinMessage {
+                subject,
+                value,
+                at_us,
+            }
+            .to_bytes(),
+        );
     });
 }
 
@@ -60,9 +67,17 @@ fn hear(subject: Subject, value: u16) {
         Subject::GuardClosed => &GUARD_CLOSED,
         Subject::Cycle => &CYCLE,
         Subject::RetractSwitch => &RETRACT_SWITCH,
-        Subject::StackUsed => return tell(subject, u16::try_from(stack::used_bytes()).unwrap_or(u16::MAX)),
+        Subject::StackUsed => {
+            return tell(
+                subject,
+                u16::try_from(stack::used_bytes()).unwrap_or(u16::MAX),
+            );
+        }
         Subject::AlarmLatency => {
-            return tell(subject, u16::try_from(clock::latest_alarm_us()).unwrap_or(u16::MAX));
+            return tell(
+                subject,
+                u16::try_from(clock::latest_alarm_us()).unwrap_or(u16::MAX),
+            );
         }
         Subject::LedEnable
         | Subject::LedCurrent
@@ -105,7 +120,10 @@ impl OutputPin for Output {
 impl Output {
     /// The pin of this subject.
     pub const fn new(subject: Subject) -> Self {
-        Self { subject, level: false }
+        Self {
+            subject,
+            level: false,
+        }
     }
 
     /// Only a change is an edge.
@@ -176,13 +194,20 @@ impl Input {
     async fn wait(&self, mut over: impl FnMut(&Self) -> bool) {
         poll_fn(|context| {
             self.waiting.register(context.waker());
-            if over(self) { Poll::Ready(()) } else { Poll::Pending }
+            if over(self) {
+                Poll::Ready(())
+            } else {
+                Poll::Pending
+            }
         })
         .await;
     }
 
     fn edges(&self) -> (u32, u32) {
-        (self.rises.load(Ordering::Relaxed), self.falls.load(Ordering::Relaxed))
+        (
+            self.rises.load(Ordering::Relaxed),
+            self.falls.load(Ordering::Relaxed),
+        )
     }
 }
 
@@ -206,12 +231,16 @@ impl embedded_hal::digital::InputPin for InputPin {
 
 impl Wait for InputPin {
     async fn wait_for_high(&mut self) -> Result<(), Infallible> {
-        self.0.wait(|input| input.value.load(Ordering::Acquire) != 0).await;
+        self.0
+            .wait(|input| input.value.load(Ordering::Acquire) != 0)
+            .await;
         Ok(())
     }
 
     async fn wait_for_low(&mut self) -> Result<(), Infallible> {
-        self.0.wait(|input| input.value.load(Ordering::Acquire) == 0).await;
+        self.0
+            .wait(|input| input.value.load(Ordering::Acquire) == 0)
+            .await;
         Ok(())
     }
 
@@ -241,7 +270,9 @@ impl PatternPort for PatternBus {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
         PATTERN_TAKEN.value.store(UNANSWERED, Ordering::Release);
         tell(Subject::SelectPattern, pattern);
-        PATTERN_TAKEN.wait(|input| input.value.load(Ordering::Acquire) != UNANSWERED).await;
+        PATTERN_TAKEN
+            .wait(|input| input.value.load(Ordering::Acquire) != UNANSWERED)
+            .await;
         match PATTERN_TAKEN.value.load(Ordering::Acquire) {
             0 => Err(NotSelected),
             _ => Ok(()),

@@ -61,7 +61,13 @@ pub fn prioritise() {
     // SAFETY: called once at start; the registers are the core's own, and the handlers are in place.
     unsafe {
         let mut nvic = cortex_m::Peripherals::steal().NVIC;
-        for irq in [Irq::Uart0Rx, Irq::Uart1Rx, Irq::Uart2Rx, Irq::Timer0, Irq::Timer1] {
+        for irq in [
+            Irq::Uart0Rx,
+            Irq::Uart1Rx,
+            Irq::Uart2Rx,
+            Irq::Timer0,
+            Irq::Timer1,
+        ] {
             nvic.set_priority(irq, URGENT);
         }
         nvic.set_priority(Irq::Sequencer, SEQUENCER);

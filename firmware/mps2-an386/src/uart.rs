@@ -59,7 +59,8 @@ impl Uart {
     /// Starts transmitter, receiver and interrupt.
     pub fn start(&self, divider: u32) {
         self.block.write(BAUD_DIVIDER, divider);
-        self.block.write(CONTROL, CONTROL_TX | CONTROL_RX | CONTROL_RX_INTERRUPT);
+        self.block
+            .write(CONTROL, CONTROL_TX | CONTROL_RX | CONTROL_RX_INTERRUPT);
         // SAFETY: the interrupt's handler is in place and works from the first byte on.
         unsafe { NVIC::unmask(self.irq) };
     }
@@ -78,7 +79,10 @@ impl Uart {
 
     /// The next byte from the receiver, unless the ring is full: then its interrupt is masked.
     fn receive(&self) -> Option<u8> {
-        let held = self.put.load(Ordering::Relaxed).wrapping_sub(self.taken.load(Ordering::Acquire));
+        let held = self
+            .put
+            .load(Ordering::Relaxed)
+            .wrapping_sub(self.taken.load(Ordering::Acquire));
         if held >= RING {
             NVIC::mask(self.irq);
             return None;
@@ -100,7 +104,10 @@ impl Uart {
             if taken == put {
                 break;
             }
-            *slot = self.ring.get(taken % RING).map_or(0, |byte| byte.load(Ordering::Relaxed));
+            *slot = self
+                .ring
+                .get(taken % RING)
+                .map_or(0, |byte| byte.load(Ordering::Relaxed));
             taken = taken.wrapping_add(1);
             count += 1;
         }

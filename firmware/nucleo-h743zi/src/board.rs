@@ -8,7 +8,9 @@ use embassy_stm32::peripherals::{USART2, USART3};
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::{Config, bind_interrupts, interrupt, rcc};
 use flankscope_controller::Optics;
-use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed};
+use flankscope_controller::devices::{
+    CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
+};
 use flankscope_controller::press::PinPress;
 use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Milliamps};
 use static_cell::StaticCell;
@@ -31,7 +33,8 @@ const BAUD: u32 = 115_200;
 type In = ExtiInput<'static, Async>;
 type Out = Output<'static>;
 /// The devices that work with light.
-pub type BoardOptics = Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, NoPatternBus>, PinCamera<Out, In, In>>;
+pub type BoardOptics =
+    Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, NoPatternBus>, PinCamera<Out, In, In>>;
 
 /// The press's signals.
 pub type BoardPress = PinPress<In, Out>;
@@ -91,10 +94,17 @@ impl Board {
         let mut settings = usart::Config::default();
         settings.baudrate = BAUD;
         let [to_host, from_host] = HOST.try_init([[0; MAX_FRAME_BYTES]; 2])?;
-        let host = BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
+        let host =
+            BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
         let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
-        let stage = BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
-        Some(Self { press, optics, host, stage })
+        let stage =
+            BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
+        Some(Self {
+            press,
+            optics,
+            host,
+            stage,
+        })
     }
 }
 

@@ -40,7 +40,11 @@ pub fn fall_safe(cause: u32) -> ! {
     cortex_m::interrupt::disable();
     crate::board::go_dark();
     // SAFETY: interrupts are off and a reset follows.
-    unsafe { addr_of_mut!(KEPT).cast::<Kept>().write_volatile(Kept { mark: MARK, cause }) };
+    unsafe {
+        addr_of_mut!(KEPT)
+            .cast::<Kept>()
+            .write_volatile(Kept { mark: MARK, cause })
+    };
     SCB::sys_reset()
 }
 

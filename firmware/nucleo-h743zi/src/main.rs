@@ -54,7 +54,15 @@ unsafe fn SAI4() {
 #[entry]
 fn main() -> ! {
     let boot = failsafe::boot();
-    let Some(Board { optics, press, host, stage }) = Board::take() else { failsafe::fall_safe(line!()) };
+    let Some(Board {
+        optics,
+        press,
+        host,
+        stage,
+    }) = Board::take()
+    else {
+        failsafe::fall_safe(line!())
+    };
     let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
     interrupt::SAI4.set_priority(Priority::P6);
     let urgent = URGENT.start(interrupt::SAI4);
@@ -62,7 +70,9 @@ fn main() -> ! {
         urgent.spawn(task);
     }
     let (to_host, from_host) = host.split();
-    let Some(background) = BACKGROUND.try_uninit() else { failsafe::fall_safe(line!()) };
+    let Some(background) = BACKGROUND.try_uninit() else {
+        failsafe::fall_safe(line!())
+    };
     background.write(Executor::new()).run(|spawner| {
         if let Ok(task) = receive(from_host) {
             spawner.spawn(task);

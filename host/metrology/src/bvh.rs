@@ -6,7 +6,9 @@
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use wide::f32x4;
 
+use crate::leaf::{ERROR_RATIO, LANES, Leaf};
 use crate::triangle::{Nearest, Prepared};
 
 /// Axis-aligned box in f64, mm.
@@ -19,7 +21,7 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    const EMPTY: Self = Self {
+    pub(crate) const EMPTY: Self = Self {
         low: [f64::INFINITY; 3],
         high: [f64::NEG_INFINITY; 3],
     };
@@ -41,7 +43,35 @@ impl Aabb {
         std::array::from_fn(|k| 0.5 * (self.low[k] + self.high[k]))
     }
 
-    fn grow(&mut self, other: &Self) {
+    /// The box of one point.
+    #[inline(always)]
+    pub(crate) fn at(point: [f64; 3]) -> Self {
+        Self {
+            low: point,
+            high: point,
+        }
+    }
+
+    /// Squared distance between two boxes.
+    #[inline(always)]
+    pub(crate) fn distance2(&self, other: &Self) -> f64 {
+        let mut sum = 0.0;
+        for k in 0..3 {
+            let gap = (self.low[k] - other.high[k]).max(other.low[k] - self.high[k]);
+            let gap = gap.max(0.0);
+            sum += gap * gap;
+        }
+        sum
+    }
+
+    /// Squared length of the diagonal.
+    #[inline(always)]
+    pub(crate) fn diagonal2(&self) -> f64 {
+        (0..3).map(|k| (self.high[k] - self.low[k]).powi(2)).sum()
+    }
+
+    #[inline(always)]
+    pub(crate) fn grow(&mut self, other: &Self) {
         for k in 0..3 {
             self.low[k] = self.low[k].min(other.low[k]);
             self.high[k] = self.high[k].max(other.high[k]);
@@ -55,7 +85,7 @@ impl Aabb {
 }
 
 const WIDTH: usize = 4;
-const LEAF_TRIANGLES: usize = 4;
+const LEAF_TRIANGLES: usize = LANES;
 const BINS: usize = 16;
 /// Below this many triangles a subtree is built on the current thread.
 const PARALLEL_FROM: usize = 1 << 13;
@@ -89,17 +119,14 @@ impl Node {
     }
 
     /// Squared distances from `q` to the four boxes.
-    #[inline]
-    fn distances2(&self, q: &[f32; 3]) -> [f32; WIDTH] {
-        let mut sum = [0.0f32; WIDTH];
-        for ((low, high), &q) in self.low.iter().zip(&self.high).zip(q) {
-            for (slot, total) in sum.iter_mut().enumerate() {
-                let outside = (low[slot] - q).max(q - high[slot]);
-                let outside = outside.max(0.0);
-                *total += outside * outside;
-            }
-        }
-        sum
+    #[inline(always)]
+    fn distances2(&self, q: &[f32x4; 3]) -> f32x4 {
+        let outside = |k: usize| {
+            let (low, high) = (f32x4::from(self.low[k]), f32x4::from(self.high[k]));
+            (low - q[k]).fast_max(q[k] - high).fast_max(f32x4::ZERO)
+        };
+        let [x, y, z] = [outside(0), outside(1), outside(2)];
+        x * x + y * y + z * z
     }
 }
 
@@ -107,8 +134,12 @@ impl Node {
 #[derive(Debug, Clone)]
 pub(crate) struct Bvh {
     nodes: Vec<Node>,
+    leaves: Vec<Leaf>,
+    /// [`LANES`] per leaf; unused ones repeat the leaf's first.
     triangles: Vec<Prepared>,
     ids: Vec<u32>,
+    /// Sum of the sizes of a corner's coordinates, the largest: scales the slack for rounding.
+    extent: f32,
 }
 
 /// A closest triangle: place in the hierarchy (a good hint for the next query near by) and the closest point.
@@ -158,19 +189,41 @@ impl Bvh {
             .collect();
         let tree = split(&mut references, 0);
         let mut nodes = Vec::with_capacity(items.len() / 2);
-        flatten(&tree, &references, &mut nodes);
-        let (triangles, ids) = references
+        let mut ranges = Vec::with_capacity(items.len() / 2);
+        flatten(&tree, &references, &mut nodes, &mut ranges);
+        let leaves = ranges
             .par_iter()
-            .with_min_len(1 << 12)
-            .map(|reference| {
-                let (corners, id) = items[reference.id as usize];
+            .with_min_len(1 << 10)
+            .map(|&(start, count)| {
+                let mut corners = [[[0.0; 3]; 3]; LANES];
+                let own = &references[start as usize..(start + count) as usize];
+                for (corners, reference) in corners.iter_mut().zip(own) {
+                    *corners = items[reference.id as usize].0;
+                }
+                Leaf::new(&corners[..own.len()])
+            })
+            .collect();
+        let (triangles, ids) = ranges
+            .par_iter()
+            .with_min_len(1 << 10)
+            .flat_map_iter(|&(start, count)| {
+                (0..LANES as u32).map(move |lane| start + if lane < count { lane } else { 0 })
+            })
+            .map(|at| {
+                let (corners, id) = items[references[at as usize].id as usize];
                 (Prepared::new(corners), id)
             })
             .unzip();
+        let size = |corner: &[f64; 3]| corner.iter().map(|c| c.abs()).sum::<f64>();
+        let extent = items
+            .iter()
+            .flat_map(|(corners, _)| corners.iter().map(size));
         Self {
             nodes,
+            leaves,
             triangles,
             ids,
+            extent: extent.fold(0.0, f64::max) as f32,
         }
     }
 
@@ -180,16 +233,17 @@ impl Bvh {
     }
 
     /// The closest triangle to `p`, which must be finite. `hint` is any place; a near one makes the query faster.
-    #[inline]
+    #[inline(always)]
     pub fn closest(&self, p: [f64; 3], hint: u32, scratch: &mut Scratch) -> Found {
         let p64 = Vector3::from(p);
         let q = p.map(|c| c as f32);
-        // Rounding p to f32 moves it by at most 2^-24 of its size per axis; the sums below lose a few 2^-24 more.
-        let slack = 4e-7 * (q[0].abs() + q[1].abs() + q[2].abs());
+        // What f32 may lose in the tests of boxes and leaves.
+        let slack = ERROR_RATIO * (self.extent + q[0].abs() + q[1].abs() + q[2].abs());
         let limit_of = |distance2: f64| {
             let reach = distance2.sqrt() as f32 * (1.0 + 4e-7) + slack;
             reach * reach * (1.0 + 4e-7)
         };
+        let q = q.map(f32x4::splat);
         let hint = (hint as usize).min(self.triangles.len() - 1) as u32;
         let mut best = Found {
             place: hint,
@@ -206,7 +260,15 @@ impl Bvh {
                 continue;
             }
             if count > 0 {
-                for place in child..child + count {
+                let estimates = self.leaves[child as usize].distances2(&q);
+                let mut promising = estimates.simd_le(f32x4::splat(limit)).to_bitmask();
+                promising &= (1 << count) - 1;
+                while promising != 0 {
+                    let place = child * LANES as u32 + promising.trailing_zeros();
+                    promising &= promising - 1;
+                    if place == best.place {
+                        continue;
+                    }
                     let nearest = self.triangles[place as usize].nearest(p64);
                     if nearest.distance2_mm2 < best.nearest.distance2_mm2 {
                         best = Found { place, nearest };
@@ -217,18 +279,21 @@ impl Bvh {
             }
             let node = &self.nodes[child as usize];
             let distances2 = node.distances2(&q);
+            let mut near = distances2.simd_le(f32x4::splat(limit)).to_bitmask();
+            let distances2 = distances2.to_array();
             let first = top;
-            for (slot, &distance2) in distances2.iter().enumerate() {
-                if distance2 <= limit {
-                    // Insertion into the new part of the stack, nearest on top.
-                    let mut at = top;
-                    while at > first && stack[at - 1].0 < distance2 {
-                        stack[at] = stack[at - 1];
-                        at -= 1;
-                    }
-                    stack[at] = (distance2, node.child[slot], node.count[slot]);
-                    top += 1;
+            while near != 0 {
+                let slot = near.trailing_zeros() as usize % WIDTH;
+                near &= near - 1;
+                let distance2 = distances2[slot];
+                // Insertion into the new part of the stack, nearest on top.
+                let mut at = top;
+                while at > first && stack[at - 1].0 < distance2 {
+                    stack[at] = stack[at - 1];
+                    at -= 1;
                 }
+                stack[at] = (distance2, node.child[slot], node.count[slot]);
+                top += 1;
             }
         }
         best
@@ -350,7 +415,12 @@ fn bin_of(centre: f64, low: f64, extent: f64) -> usize {
 }
 
 /// Collapses the binary tree to four children per node; the root is node 0.
-fn flatten(tree: &Tree, references: &[Reference], nodes: &mut Vec<Node>) -> u32 {
+fn flatten(
+    tree: &Tree,
+    references: &[Reference],
+    nodes: &mut Vec<Node>,
+    leaves: &mut Vec<(u32, u32)>,
+) -> u32 {
     let index = nodes.len();
     nodes.push(Node::EMPTY);
     let mut slots: Vec<(Aabb, &Tree)> = vec![(bounds(references), tree)];
@@ -372,8 +442,11 @@ fn flatten(tree: &Tree, references: &[Reference], nodes: &mut Vec<Node>) -> u32 
     }
     for (slot, (aabb, tree)) in slots.into_iter().enumerate() {
         let (child, count) = match tree {
-            Tree::Leaf { start, count } => (*start, *count),
-            Tree::Fork { .. } => (flatten(tree, &[], nodes), 0),
+            Tree::Leaf { start, count } => {
+                leaves.push((*start, *count));
+                (leaves.len() as u32 - 1, *count)
+            }
+            Tree::Fork { .. } => (flatten(tree, &[], nodes, leaves), 0),
         };
         nodes[index].set(slot, &aabb, child, count);
     }

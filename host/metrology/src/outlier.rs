@@ -1,17 +1,13 @@
 //! Statistical outlier removal.
 
-use std::num::NonZero;
-
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use rayon::prelude::*;
+use crate::neighbours::mean_distances;
 
 /// Marks the points to keep: a point goes when the mean distance to its `k` nearest neighbours exceeds the mean of that
 /// quantity over the cloud by more than `std_ratio` standard deviations.
 ///
 /// `points` are finite, mm. Clouds of at most `k` points are kept whole: there is nothing to compare with.
 pub fn statistical(points: &[[f64; 3]], k: usize, std_ratio: f64) -> Vec<bool> {
-    let mean_distances_mm = mean_neighbour_distances(points, k);
-    let Some(mean_distances_mm) = mean_distances_mm else {
+    let Some(mean_distances_mm) = mean_distances(points, k) else {
         return vec![true; points.len()];
     };
     let n = points.len() as f64;
@@ -23,24 +19,6 @@ pub fn statistical(points: &[[f64; 3]], k: usize, std_ratio: f64) -> Vec<bool> {
         / (n - 1.0);
     let limit_mm = mean + std_ratio * variance.sqrt();
     mean_distances_mm.iter().map(|&d| d <= limit_mm).collect()
-}
-
-/// Mean distance of every point to its `k` nearest other points, mm; none when there are not enough points.
-fn mean_neighbour_distances(points: &[[f64; 3]], k: usize) -> Option<Vec<f64>> {
-    // The point itself is its own first neighbour.
-    let with_self = NonZero::new(k.checked_add(1)?)?;
-    if k == 0 || points.len() <= k {
-        return None;
-    }
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(points).ok()?;
-    let mean = |point: &[f64; 3]| {
-        let neighbours = tree
-            .query(point)
-            .nearest_n::<SquaredEuclidean<f64>>(with_self)
-            .execute();
-        neighbours.iter().map(|n| n.distance.sqrt()).sum::<f64>() / k as f64
-    };
-    Some(points.par_iter().with_min_len(256).map(mean).collect())
 }
 
 #[cfg(test)]

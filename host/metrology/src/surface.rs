@@ -13,6 +13,8 @@ use rayon::prelude::*;
 pub use crate::bvh::Aabb;
 use crate::bvh::{Bvh, Found, Scratch};
 use crate::mesh::{MeshError, TriMesh, weld};
+use crate::order::map_along_curve;
+use crate::simd;
 pub use crate::triangle::Feature;
 use crate::triangle::unit_normal;
 
@@ -112,6 +114,7 @@ impl Surface {
     }
 
     /// As [`Surface::closest`], faster when `place` is that of a point near by. The hint never changes the distance.
+    #[inline(always)]
     pub(crate) fn closest_near(&self, p: [f64; 3], place: u32, scratch: &mut Scratch) -> Closest {
         let Found { place, nearest } = self.bvh.closest(p, place, scratch);
         let facet = &self.facets[self.bvh.id(place) as usize];
@@ -140,28 +143,37 @@ impl Surface {
     }
 
     /// As [`Surface::closest_many`], keeping only what `pick` takes.
-    pub fn map_closest<T: Send>(
+    ///
+    /// Scattered points are asked in an order of their own, so that each finds the surface where its
+    /// predecessor left it; the results come in the order of `points`.
+    pub fn map_closest<T: Copy + Send + Sync>(
         &self,
         points: &[[f64; 3]],
         pick: impl Fn(&Closest) -> T + Sync,
     ) -> Vec<T> {
-        let mut chunks: Vec<Vec<T>> = Vec::new();
-        points
-            .par_chunks(CHUNK)
-            .map(|chunk| {
-                let mut place = 0;
-                let mut scratch = Scratch::new();
-                chunk
-                    .iter()
-                    .map(|&point| {
-                        let closest = self.closest_near(point, place, &mut scratch);
-                        place = closest.place;
-                        pick(&closest)
-                    })
-                    .collect()
-            })
-            .collect_into_vec(&mut chunks);
-        chunks.into_iter().flatten().collect()
+        map_along_curve(points, |piece| self.map_block(piece, &pick)).unwrap_or_else(|| {
+            let blocks: Vec<Vec<T>> = points
+                .par_chunks(CHUNK)
+                .map(|block| self.map_block(block, &pick))
+                .collect();
+            blocks.concat()
+        })
+    }
+
+    fn map_block<T>(&self, points: &[[f64; 3]], pick: impl Fn(&Closest) -> T) -> Vec<T> {
+        simd::with_widest(
+            #[inline(always)]
+            || {
+                let (mut place, mut scratch) = (0, Scratch::new());
+                let mut results = Vec::with_capacity(points.len());
+                for &point in points {
+                    let closest = self.closest_near(point, place, &mut scratch);
+                    place = closest.place;
+                    results.push(pick(&closest));
+                }
+                results
+            },
+        )
     }
 }
 

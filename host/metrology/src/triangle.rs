@@ -73,7 +73,7 @@ impl Prepared {
     /// The closest point to `p`: Voronoi regions after Ericson, Real-Time Collision Detection (2005), section 5.1.5, with
     /// two changes: the dot products at b and c follow from those at a, and inside the face the distance is taken along
     /// the normal, which keeps long thin triangles exact where barycentric weights lose digits.
-    #[inline]
+    #[inline(always)]
     pub fn nearest(&self, p: Vector3<f64>) -> Nearest {
         let ap = p - self.a;
         let d1 = self.ab.dot(&ap);
@@ -116,6 +116,7 @@ impl Prepared {
         }
     }
 
+    #[inline(always)]
     fn at(&self, p: Vector3<f64>, point: Vector3<f64>, feature: Feature) -> Nearest {
         Nearest {
             point,

@@ -105,7 +105,14 @@ pub struct CameraThread {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Starts the camera thread for a world, with frames going to the host that owns `root`.
+/// Lets every other thread of the machine go first; for threads that only compute.
+pub(crate) fn give_way() {
+    // A system that does not allow it computes as before.
+    let _ = rustix::process::nice(10);
+}
+
+/// Starts the camera thread for a world, with frames going to the host that owns `root`. `gives_way`: it computes only
+/// when nobody else wants to.
 ///
 /// # Errors
 /// The host's services cannot be opened.
@@ -116,12 +123,16 @@ pub fn start(
     fault: Option<FrameFault>,
     root: SharedRoot,
     overflow: Overflow,
+    gives_way: bool,
 ) -> anyhow::Result<(CameraThread, Camera)> {
     let (jobs, queue) = channel();
     let (opened_sender, opened) = channel();
     let thread = std::thread::Builder::new()
         .name("camera".into())
         .spawn(move || {
+            if gives_way {
+                give_way();
+            }
             // Ports stay on the thread that made them.
             match FrameSender::open(&root, overflow) {
                 Ok(sender) => {

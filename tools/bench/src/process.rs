@@ -210,6 +210,26 @@ fn stages(args: &Esp301Args) -> anyhow::Result<()> {
 }
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {
+    let Speed(speed) = args.speed;
+    // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
+    let controller = match args.controller {
+        ControllerKind::Sim => Controller::InProcess,
+        ControllerKind::Qemu if speed != 1.0 => {
+            anyhow::bail!(
+                "an emulated controller lives in real time: --speed must be 1, not {speed}"
+            )
+        }
+        ControllerKind::Qemu => {
+            let machine = Machine::start(&find_image()?)?;
+            // The emulator lives in real time and waits for the devices on this process's other threads: rendering,
+            // which waits for nobody, gives way.
+            rayon::ThreadPoolBuilder::new()
+                .start_handler(|_| camera::give_way())
+                .build_global()?;
+            Controller::Emulated(machine)
+        }
+    };
+    let gives_way = matches!(controller, Controller::Emulated(_));
     let tool = Tool::load(&args.tool)?;
     let beside = if args.tool.is_dir() {
         args.tool.join("head.toml")
@@ -221,18 +241,6 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     } else {
         demo::head()
     };
-    let Speed(speed) = args.speed;
-    // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
-    let controller = match args.controller {
-        ControllerKind::Sim => Controller::InProcess,
-        ControllerKind::Qemu if speed != 1.0 => {
-            anyhow::bail!(
-                "an emulated controller lives in real time: --speed must be 1, not {speed}"
-            )
-        }
-        ControllerKind::Qemu => Controller::Emulated(Machine::start(&find_image()?)?),
-    };
-
     let mut config = demo::world_of(&tool, &head)?;
     let ageing = Ageing {
         initial: args.wear.clone(),
@@ -265,6 +273,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         args.frame_fault,
         SharedRoot::of_owner(&args.root),
         overflow,
+        gives_way,
     )?;
 
     let mut config = InstrumentConfig::paced(speed);

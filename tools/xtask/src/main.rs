@@ -8,9 +8,11 @@
 //! | `doc` | documentation, warnings are errors |
 //! | `firmware` | both board images, with their budgets |
 //! | `qemu` | the check through the emulated image: same verdict as in-process, and its timing |
+//! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
+mod bench;
 mod deps;
 mod elf;
 mod firmware;
@@ -30,12 +32,13 @@ fn main() -> ExitCode {
         ["doc"] => doc(),
         ["firmware"] => firmware::build(&root()),
         ["qemu"] => firmware::qemu(&root()),
+        ["bench"] => bench::run(&root(), None),
+        ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
         ["demo"] => demo(),
         ["ci"] => ci(),
-        _ => Err(
-            "usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | demo | ci"
-                .into(),
-        ),
+        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV] | \
+                  demo | ci"
+            .into()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

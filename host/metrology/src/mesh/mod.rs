@@ -101,8 +101,15 @@ impl TriMesh {
     }
 
     /// Positions of the corners of triangle `index`.
+    #[inline]
     pub fn corners(&self, index: usize) -> [[f64; 3]; 3] {
-        self.triangles[index].map(|i| self.vertices[i as usize])
+        // Spelled out: `map` would be called, not inlined.
+        let [a, b, c] = self.triangles[index];
+        [
+            self.vertices[a as usize],
+            self.vertices[b as usize],
+            self.vertices[c as usize],
+        ]
     }
 
     fn in_unit(mut self, unit: Unit) -> Result<Self, MeshError> {
