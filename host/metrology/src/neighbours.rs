@@ -283,8 +283,8 @@ pub(crate) fn mean_distances(points: &[[f64; 3]], k: usize) -> Option<Vec<f64>> 
 /// Points per box, at least, and boxes per parallel task.
 const LEAST_BOX: usize = 32;
 const LEAVES_PER_TASK: usize = 64;
-/// Squared reach around a box over the squared distance from its middle to the k-th neighbour. Measured: below 1.4 too many
-/// points have to be asked again alone, above 2 every point meets too many candidates.
+/// Squared reach around a box over the squared distance from its middle to the k-th neighbour. Of 1.2, 1.35, 1.6 and 2.0 the
+/// best compromise between random clouds (larger: fewer points asked again alone) and rasters (smaller: fewer candidates).
 const REACH_RATIO: f64 = 1.6;
 
 /// Mean distances of the points of some boxes, in their order.
