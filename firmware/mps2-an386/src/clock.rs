@@ -2,15 +2,20 @@
 //!
 //! Both timers count down at 25 MHz. TIMER0 wraps after exactly 2^27 us (134 s), so a time is its wraps and its count
 //! without any 64-bit division.
+//!
+//! **Stalls of the machine below.** While this processor executes, QEMU counts its time in instructions; while it sleeps,
+//! in real time, and when the machine below is busy it oversleeps. That time is not this processor's: what an alarm is
+//! late by after a sleep is taken off the clock, and no sleep is longer than [`SLICE_US`], so a stall of any length
+//! counts as that much at most. So no alarm is ever late but by the instructions before it, and no timeout expires
+//! because everybody stood still.
 
 use core::cell::{Cell, UnsafeCell};
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use core::task::Waker;
 
 use critical_section::{CriticalSection, Mutex};
 use embassy_time_driver::Driver;
 
-use crate::pins;
 use crate::registers::{Block, CLOCK_HZ};
 
 const CONTROL: usize = 0x0;
@@ -31,11 +36,20 @@ const WAITING: usize = 8;
 /// One task that waits, and for when.
 type Wait = Option<(u64, Waker)>;
 
+/// Longest sleep.
+const SLICE_US: u64 = 1_000;
+
 struct Clock {
     wraps: Mutex<Cell<u32>>,
     waiting: Mutex<UnsafeCell<[Wait; WAITING]>>,
+    /// When the timer's interrupt is due: at the next deadline, or before.
     alarm_at: Mutex<Cell<u64>>,
-    /// Longest time from the due time of an alarm that ends an exposure to its interrupt, us.
+    /// The earliest deadline.
+    next_at: Mutex<Cell<u64>>,
+    /// Time overslept so far, us.
+    overslept_us: Mutex<Cell<u64>>,
+    asleep: AtomicBool,
+    /// Longest time from an alarm's due time to its interrupt, us, when the processor was awake.
     latest_us: AtomicU32,
 }
 
@@ -43,6 +57,9 @@ embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
     wraps: Mutex::new(Cell::new(0)),
     waiting: Mutex::new(UnsafeCell::new([const { None }; WAITING])),
     alarm_at: Mutex::new(Cell::new(u64::MAX)),
+    next_at: Mutex::new(Cell::new(u64::MAX)),
+    overslept_us: Mutex::new(Cell::new(0)),
+    asleep: AtomicBool::new(false),
     latest_us: AtomicU32::new(0),
 });
 
@@ -58,9 +75,21 @@ pub fn now_us() -> u64 {
     critical_section::with(|cs| CLOCK.now_in(cs))
 }
 
-/// Longest time from the due time of an alarm that ends an exposure to its interrupt so far, us.
+/// Longest time from an alarm's due time to its interrupt so far, us; of alarms that found the processor awake.
 pub fn latest_alarm_us() -> u32 {
     CLOCK.latest_us.load(Ordering::Relaxed)
+}
+
+/// Sleeps until the next interrupt.
+pub fn sleep() {
+    CLOCK.asleep.store(true, Ordering::Relaxed);
+    cortex_m::asm::wfi();
+    CLOCK.asleep.store(false, Ordering::Relaxed);
+}
+
+/// Another interrupt than the alarm's came: the processor is awake.
+pub fn awake() {
+    CLOCK.asleep.store(false, Ordering::Relaxed);
 }
 
 /// TIMER0's interrupt: it has wrapped.
@@ -74,8 +103,13 @@ pub fn on_alarm() {
         Block::TIMER1.write(CONTROL, 0);
         Block::TIMER1.write(INTERRUPT, 1);
         let (now, due) = (CLOCK.now_in(cs), CLOCK.alarm_at.borrow(cs).get());
-        if let Some(late) = now.checked_sub(due).filter(|_| pins::exposing()) {
-            CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
+        if let Some(late) = now.checked_sub(due) {
+            if CLOCK.asleep.swap(false, Ordering::Relaxed) {
+                let overslept = CLOCK.overslept_us.borrow(cs);
+                overslept.set(overslept.get() + late);
+            } else {
+                CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
+            }
         }
         CLOCK.wake_due(cs);
     });
@@ -98,7 +132,9 @@ impl Clock {
             self.count_wrap(cs);
             ticks = TOP - Block::TIMER0.read(VALUE).min(TOP);
         }
-        (u64::from(self.wraps.borrow(cs).get()) << WRAP_LOG2_US) + u64::from(ticks / TICKS_PER_US)
+        let raw = (u64::from(self.wraps.borrow(cs).get()) << WRAP_LOG2_US)
+            + u64::from(ticks / TICKS_PER_US);
+        raw.saturating_sub(self.overslept_us.borrow(cs).get())
     }
 
     fn waiting<'a>(&'a self, cs: CriticalSection<'a>) -> &'a mut [Wait; WAITING] {
@@ -120,14 +156,15 @@ impl Clock {
                 }
             }
         }
-        self.alarm_at.borrow(cs).set(next);
+        self.next_at.borrow(cs).set(next);
         Block::TIMER1.write(CONTROL, 0);
         if next == u64::MAX {
+            self.alarm_at.borrow(cs).set(next);
             return;
         }
-        // Far alarms come early and are set again.
-        let ahead_us = (next - now).min(1 << (WRAP_LOG2_US - 1)) as u32;
-        let ticks = ahead_us * TICKS_PER_US;
+        let ahead_us = (next - now).min(SLICE_US);
+        self.alarm_at.borrow(cs).set(now + ahead_us);
+        let ticks = ahead_us as u32 * TICKS_PER_US;
         // Loads once and does not come again: the interrupt stops the timer.
         Block::TIMER1.write(RELOAD, ticks);
         Block::TIMER1.write(VALUE, ticks);
@@ -155,7 +192,7 @@ impl Driver for Clock {
                     None => return waker.wake_by_ref(),
                 },
             }
-            if at < self.alarm_at.borrow(cs).get() {
+            if at < self.next_at.borrow(cs).get() {
                 self.wake_due(cs);
             }
         });

@@ -63,8 +63,8 @@ const LOW_AT_START: [Subject; 8] = [
     Subject::VerdictBeat,
 ];
 
-/// Cycles between two looks at whether to sleep: about 0.1 ms.
-const SPIN_CYCLES: u32 = 3_000;
+/// The interrupt that ends a sleep on time.
+const ALARM: i16 = Irq::Timer1 as i16;
 
 type PinOptics = Optics<
     PinLed<Output, InputPin, Current>,
@@ -146,32 +146,21 @@ fn main() -> ! {
         spawner.spawn_if(transmit());
     });
     loop {
-        idle();
-    }
-}
-
-/// Sleeps until the next interrupt, except during an exposure.
-///
-/// A sleeping processor's time passes in real time, and the machine below may oversleep: an alarm then is late by as
-/// much. While instructions are executed, time is counted in instructions and an alarm is never late. It then runs
-/// faster than real time, so nothing may be awaited from outside meanwhile: hence awake only once the camera has said
-/// that it exposes, with nothing left to wait for but the exposure's end.
-fn idle() {
-    if pins::exposing() {
-        cortex_m::asm::delay(SPIN_CYCLES);
-    } else {
-        cortex_m::asm::wfi();
+        clock::sleep();
     }
 }
 
 #[exception]
 unsafe fn DefaultHandler(number: i16) {
+    if number != ALARM {
+        clock::awake();
+    }
     match number {
         0 => HOST.on_receive(),
         2 => pins::on_receive(),
         4 => STAGE.on_receive(),
         8 => clock::on_wrap(),
-        9 => clock::on_alarm(),
+        ALARM => clock::on_alarm(),
         30 => BACKGROUND.poll(),
         31 => URGENT.poll(),
         // Nothing else is enabled.

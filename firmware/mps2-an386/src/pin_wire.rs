@@ -1,7 +1,7 @@
 // Messages about virtual pins between the emulated image and the bench (which includes this very file).
 //
 // ```text
-// image -> bench:  A5 | subject u8 | value u16 | time u64 | check u8     little-endian, check = xor of all bytes before
+// image -> bench:  A5 | subject u8 | value u16 | time u64 | check u8     little-endian, check = CRC-8 of all bytes before
 // bench -> image:  5A | subject u8 | value u8 | check u8                 short, for an emulated UART is slow
 // ```
 // The image sends what it drives and, with the time at which it saw them, the inputs it was given; the bench sends
@@ -90,12 +90,18 @@ impl Subject {
 /// A message to the image, as it goes over the wire.
 #[allow(dead_code)] // each end uses its half of this file
 pub fn input_bytes(subject: Subject, value: u8) -> [u8; INPUT_BYTES] {
-    [
-        INPUT_START,
-        subject as u8,
-        value,
-        INPUT_START ^ subject as u8 ^ value,
-    ]
+    let body = [INPUT_START, subject as u8, value];
+    let [a, b, c] = body;
+    [a, b, c, check(&body)]
+}
+
+/// CRC-8 (polynomial x8 + x2 + x + 1). A plain xor would take two starts of a message in a row for a message.
+fn check(bytes: &[u8]) -> u8 {
+    bytes.iter().fold(0, |crc, byte| {
+        (0..8).fold(crc ^ byte, |crc: u8, _| {
+            (crc << 1) ^ if crc & 0x80 == 0 { 0 } else { 0x07 }
+        })
+    })
 }
 
 /// Bytes to messages to the image.
@@ -117,7 +123,7 @@ impl InputDecoder {
     pub fn push(&mut self, byte: u8) -> Option<(Subject, u8)> {
         let [_, a, b, c] = self.window;
         self.window = [a, b, c, byte];
-        let whole = a == INPUT_START && a ^ b ^ c == byte;
+        let whole = a == INPUT_START && check(&[a, b, c]) == byte;
         let subject = Subject::from_number(b).filter(|_| whole)?;
         // These bytes are spent.
         self.window = [0; INPUT_BYTES];
@@ -154,15 +160,15 @@ impl PinMessage {
             t6,
             t7,
         ];
-        let check = body.iter().fold(0, |check, byte| check ^ byte);
         let [a, b, c, d, e, f, g, h, i, j, k, l] = body;
-        [a, b, c, d, e, f, g, h, i, j, k, l, check]
+        [a, b, c, d, e, f, g, h, i, j, k, l, check(&body)]
     }
 
     #[allow(dead_code)]
     fn from_bytes(bytes: [u8; MESSAGE_BYTES]) -> Option<Self> {
         let [start, subject, v0, v1, t0, t1, t2, t3, t4, t5, t6, t7, _] = bytes;
-        let whole = start == START && bytes.iter().fold(0, |check, byte| check ^ byte) == 0;
+        // A message followed by its own check has the check 0.
+        let whole = start == START && check(&bytes) == 0;
         Some(Self {
             subject: Subject::from_number(subject).filter(|_| whole)?,
             value: u16::from_le_bytes([v0, v1]),

@@ -3,7 +3,7 @@
 use core::cell::Cell;
 use core::convert::Infallible;
 use core::future::poll_fn;
-use core::sync::atomic::{AtomicBool, AtomicU16, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 use core::task::Poll;
 
 use critical_section::Mutex;
@@ -133,17 +133,7 @@ impl Output {
         }
         self.level = level;
         tell(self.subject, u16::from(level));
-        if self.subject == Subject::CameraTrigger {
-            TRIGGERED.store(level, Ordering::Relaxed);
-        }
     }
-}
-
-static TRIGGERED: AtomicBool = AtomicBool::new(false);
-
-/// The camera is triggered and has said that it exposes.
-pub fn exposing() -> bool {
-    TRIGGERED.load(Ordering::Relaxed) && CAMERA_EXPOSING.value.load(Ordering::Relaxed) != 0
 }
 
 /// An input pin, or another number that the bench sets.

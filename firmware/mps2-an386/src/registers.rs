@@ -55,21 +55,18 @@ impl Block {
 
 /// Unmasks the timers' interrupts and orders all interrupts: clock and UARTs first, then the sequencer, then the rest.
 pub fn prioritise() {
+    // The alarm first of all: after a sleep it puts the clock right, by which everything else is stamped.
+    const ALARM: u8 = 0x00;
     const URGENT: u8 = 0x40;
     const SEQUENCER: u8 = 0x80;
     const BACKGROUND: u8 = 0xC0;
     // SAFETY: called once at start; the registers are the core's own, and the handlers are in place.
     unsafe {
         let mut nvic = cortex_m::Peripherals::steal().NVIC;
-        for irq in [
-            Irq::Uart0Rx,
-            Irq::Uart1Rx,
-            Irq::Uart2Rx,
-            Irq::Timer0,
-            Irq::Timer1,
-        ] {
+        for irq in [Irq::Uart0Rx, Irq::Uart1Rx, Irq::Uart2Rx, Irq::Timer0] {
             nvic.set_priority(irq, URGENT);
         }
+        nvic.set_priority(Irq::Timer1, ALARM);
         nvic.set_priority(Irq::Sequencer, SEQUENCER);
         nvic.set_priority(Irq::Background, BACKGROUND);
         cortex_m::peripheral::NVIC::unmask(Irq::Timer0);

@@ -55,7 +55,7 @@ struct Bell {
     owner: ThreadId,
     shared: Mutex<Shared>,
     rung: Condvar,
-    on_hold: OnceLock<HoldHook>,
+    time_elsewhere: OnceLock<HoldHook>,
 }
 
 /// Called with true when virtual time is held, with false when it goes on.
@@ -69,7 +69,7 @@ impl Bell {
 
     /// Only called with the lock taken, so that the two calls of a hold keep their order.
     fn tell_hold(&self, held: bool) {
-        if let Some(hook) = self.on_hold.get() {
+        if let Some(hook) = self.time_elsewhere.get() {
             hook(held);
         }
     }
@@ -167,7 +167,7 @@ impl Sim {
             owner,
             shared: Mutex::default(),
             rung: Condvar::new(),
-            on_hold: OnceLock::new(),
+            time_elsewhere: OnceLock::new(),
         };
         let bell: &'static Bell = Box::leak(Box::new(bell));
         let context = core::ptr::from_ref(bell).cast_mut().cast::<()>();
@@ -192,10 +192,12 @@ impl Sim {
         }
     }
 
-    /// Tells somebody whose clock runs beside this one whenever virtual time is held and released; only the first one
-    /// to ask is told. The hook is called on the thread that holds and must not hold itself.
-    pub fn on_hold(&self, hook: impl Fn(bool) + Send + Sync + 'static) {
-        let _first = self.bell.on_hold.set(Box::new(hook));
+    /// Somebody else's clock is the one that counts, and this simulation only accompanies it: holds are passed on to
+    /// `hold` (true: hold, false: go on), and time here passes on. Holding both would leave the other's questions, on
+    /// their way while it is being stopped, without an answer. Only the first to ask is told; `hold` is called on the
+    /// thread that holds and must not hold itself.
+    pub fn follow(&self, hold: impl Fn(bool) + Send + Sync + 'static) {
+        let _first = self.bell.time_elsewhere.set(Box::new(hold));
     }
 
     /// A new line at low level whose edges are recorded under `name`.
@@ -264,7 +266,7 @@ impl Sim {
             }
             let deadline = clock::next_deadline_us();
             shared = match (deadline, self.mode) {
-                _ if shared.holds > 0 => self.sleep(shared, None),
+                _ if shared.holds > 0 && !self.follows() => self.sleep(shared, None),
                 (None, Clock::Stepped) if Arc::strong_count(&self.alive) == 1 => return false,
                 (None, _) => self.sleep(shared, None),
                 (Some(at), Clock::Stepped) => {
@@ -313,11 +315,21 @@ impl Sim {
         }
     }
 
+    /// Somebody else's clock counts.
+    fn follows(&self) -> bool {
+        self.bell.time_elsewhere.get().is_some()
+    }
+
     /// Real time since the start, without holds and lag: what virtual time is paced by.
     fn real_elapsed(&self, shared: &Shared) -> Duration {
+        let held = if self.follows() {
+            Duration::ZERO
+        } else {
+            held(shared)
+        };
         self.started
             .elapsed()
-            .saturating_sub(held(shared))
+            .saturating_sub(held)
             .saturating_sub(self.lagged.get())
     }
 

@@ -19,8 +19,9 @@ pub struct Source {
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
     pub tool: Option<PathBuf>,
-    /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
-    #[arg(long, value_name = "sim|PORT", default_value = "sim")]
+    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
+    /// port such as /dev/ttyACM0
+    #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
     pub link: String,
     /// Teeth to check instead of the tool file's, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]

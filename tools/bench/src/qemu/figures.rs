@@ -75,7 +75,12 @@ impl Figures {
                 .iter()
                 .filter(move |message| message.subject == subject)
         };
-        let last = |subject| all(subject).next_back().map(|message| message.value);
+        let last = |subject| {
+            let mut newest_first = trace.iter().rev();
+            newest_first
+                .find(|message| message.subject == subject)
+                .map(|message| message.value)
+        };
         let pulses = pulses(trace);
         let mut periods: Vec<(u64, u64)> = Vec::new();
         for pair in pulses.windows(2) {

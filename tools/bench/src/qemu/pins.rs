@@ -31,7 +31,7 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
     )?;
     let (pins, far_end) = Port::pair();
     bridge(sim, "pins", &machine.pins, far_end)?;
-    sim.on_hold(machine.brake()?);
+    sim.follow(machine.brake()?);
 
     let board = wiring.board.clone();
     let inputs = [
