@@ -5,9 +5,9 @@
 //!
 //! **Stalls of the machine below.** While this processor executes, QEMU counts its time in instructions; while it sleeps,
 //! in real time, and when the machine below is busy it oversleeps. That time is not this processor's: what an alarm is
-//! late by after a sleep is taken off the clock, and no sleep is longer than [`SLICE_US`], so a stall of any length
-//! counts as that much at most. So no alarm is ever late but by the instructions before it, and no timeout expires
-//! because everybody stood still.
+//! late by after a sleep is taken off the clock. Nor are the bench's stalls the instrument's: every [`SLICE_US`] the bench
+//! is asked whether it is there, and the clock stands until it has answered the question before. So no alarm is ever late
+//! but by the instructions before it, and no timeout expires because everybody, or the other side, stood still.
 
 use core::cell::{Cell, UnsafeCell};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -16,6 +16,8 @@ use core::task::Waker;
 use critical_section::{CriticalSection, Mutex};
 use embassy_time_driver::Driver;
 
+use crate::pin_wire::Subject;
+use crate::pins;
 use crate::registers::{Block, CLOCK_HZ};
 
 const CONTROL: usize = 0x0;
@@ -36,7 +38,7 @@ const WAITING: usize = 8;
 /// One task that waits, and for when.
 type Wait = Option<(u64, Waker)>;
 
-/// Longest sleep.
+/// Longest sleep, and how far the clock runs ahead of the bench at most (twice this).
 const SLICE_US: u64 = 1_000;
 
 struct Clock {
@@ -49,6 +51,12 @@ struct Clock {
     /// Time overslept so far, us.
     overslept_us: Mutex<Cell<u64>>,
     asleep: AtomicBool,
+    /// When the bench was last asked.
+    asked_at: Mutex<Cell<u64>>,
+    /// It has not answered yet.
+    unanswered: AtomicBool,
+    /// The clock stands at the alarm until it does.
+    standing: AtomicBool,
     /// Longest time from an alarm's due time to its interrupt, us, when the processor was awake.
     latest_us: AtomicU32,
 }
@@ -60,6 +68,9 @@ embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
     next_at: Mutex::new(Cell::new(u64::MAX)),
     overslept_us: Mutex::new(Cell::new(0)),
     asleep: AtomicBool::new(false),
+    asked_at: Mutex::new(Cell::new(0)),
+    unanswered: AtomicBool::new(false),
+    standing: AtomicBool::new(false),
     latest_us: AtomicU32::new(0),
 });
 
@@ -111,7 +122,35 @@ pub fn on_alarm() {
                 CLOCK.latest_us.fetch_max(late as u32, Ordering::Relaxed);
             }
         }
+        let asked_at = CLOCK.asked_at.borrow(cs);
+        if due.saturating_sub(asked_at.get()) >= SLICE_US {
+            if CLOCK.unanswered.load(Ordering::Relaxed) {
+                CLOCK.standing.store(true, Ordering::Relaxed);
+                return;
+            }
+            asked_at.set(due);
+            CLOCK.unanswered.store(true, Ordering::Relaxed);
+            pins::tell(Subject::Tick, 0);
+        }
         CLOCK.wake_due(cs);
+    });
+}
+
+/// The bench has answered: it is there.
+pub fn on_answer() {
+    critical_section::with(|cs| {
+        CLOCK.unanswered.store(false, Ordering::Relaxed);
+        if CLOCK.standing.swap(false, Ordering::Relaxed) {
+            let stood = CLOCK
+                .now_in(cs)
+                .saturating_sub(CLOCK.alarm_at.borrow(cs).get());
+            let overslept = CLOCK.overslept_us.borrow(cs);
+            overslept.set(overslept.get() + stood);
+            CLOCK.asked_at.borrow(cs).set(CLOCK.now_in(cs));
+            CLOCK.unanswered.store(true, Ordering::Relaxed);
+            pins::tell(Subject::Tick, 0);
+            CLOCK.wake_due(cs);
+        }
     });
 }
 
@@ -134,7 +173,12 @@ impl Clock {
         }
         let raw = (u64::from(self.wraps.borrow(cs).get()) << WRAP_LOG2_US)
             + u64::from(ticks / TICKS_PER_US);
-        raw.saturating_sub(self.overslept_us.borrow(cs).get())
+        let now = raw.saturating_sub(self.overslept_us.borrow(cs).get());
+        if self.standing.load(Ordering::Relaxed) {
+            now.min(self.alarm_at.borrow(cs).get())
+        } else {
+            now
+        }
     }
 
     fn waiting<'a>(&'a self, cs: CriticalSection<'a>) -> &'a mut [Wait; WAITING] {
@@ -192,7 +236,8 @@ impl Driver for Clock {
                     None => return waker.wake_by_ref(),
                 },
             }
-            if at < self.next_at.borrow(cs).get() {
+            // A clock that stands looks at all of them when it goes on.
+            if at < self.next_at.borrow(cs).get() && !self.standing.load(Ordering::Relaxed) {
                 self.wake_due(cs);
             }
         });

@@ -50,10 +50,12 @@ pub enum Subject {
     StackUsed = 32,
     /// Longest time from an alarm's due time to its interrupt, us.
     AlarmLatency = 33,
+    /// Asked by the image, answered by the bench: are you there?
+    Tick = 34,
 }
 
 impl Subject {
-    const ALL: [Self; 24] = [
+    const ALL: [Self; 25] = [
         Self::LedEnable,
         Self::LedCurrent,
         Self::DmdTrigger,
@@ -78,6 +80,7 @@ impl Subject {
         Self::RetractSwitch,
         Self::StackUsed,
         Self::AlarmLatency,
+        Self::Tick,
     ];
 
     fn from_number(number: u8) -> Option<Self> {

@@ -67,6 +67,7 @@ fn hear(subject: Subject, value: u16) {
         Subject::GuardClosed => &GUARD_CLOSED,
         Subject::Cycle => &CYCLE,
         Subject::RetractSwitch => &RETRACT_SWITCH,
+        Subject::Tick => return clock::on_answer(),
         Subject::StackUsed => {
             return tell(
                 subject,

@@ -77,6 +77,10 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
                 .take(count)
                 .filter_map(|&byte| decoder.push(byte))
             {
+                if message.subject == Subject::Tick {
+                    pins.send(&input_bytes(Subject::Tick, 0));
+                    continue;
+                }
                 told.borrow_mut().push(message);
                 if message.subject == Subject::SelectPattern {
                     let _full = selections.try_send(message.value);
@@ -132,7 +136,8 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         | Subject::Cycle
         | Subject::RetractSwitch
         | Subject::StackUsed
-        | Subject::AlarmLatency => {}
+        | Subject::AlarmLatency
+        | Subject::Tick => {}
     }
 }
 
