@@ -128,9 +128,13 @@ pub fn on_alarm() {
                 CLOCK.standing.store(true, Ordering::Relaxed);
                 return;
             }
-            asked_at.set(due);
-            CLOCK.unanswered.store(true, Ordering::Relaxed);
-            pins::tell(Subject::Tick, 0);
+            // Not while a deadline is waiting to be served, unless it has been long.
+            let deadline = CLOCK.next_at.borrow(cs).get() <= due;
+            if !deadline || due - asked_at.get() >= 4 * SLICE_US {
+                asked_at.set(due);
+                CLOCK.unanswered.store(true, Ordering::Relaxed);
+                pins::tell(Subject::Tick, 0);
+            }
         }
         CLOCK.wake_due(cs);
     });

@@ -82,7 +82,7 @@ pub fn qemu(root: &Path) -> Result<(), String> {
         )
     };
     println!(
-        "mps2-an386 in QEMU, 500 million instructions per second (-icount shift=1), by its own clock:"
+        "mps2-an386 in QEMU, 1000 million instructions per second (-icount shift=0), by its own clock:"
     );
     println!(
         "  stack high-water mark            {} bytes",
