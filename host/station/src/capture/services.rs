@@ -77,6 +77,11 @@ impl Services {
             &Path::new(root.path().as_os_str().as_encoded_bytes()).map_err(|_| named())?,
         );
         config.global.prefix = FileName::new(root.prefix().as_bytes()).map_err(|_| named())?;
+        // A killed peer's half-made files can keep the library's own cleaning waiting for ever, and none is needed: the
+        // root is this run's alone, and its owner removes it whole.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
         let node = NodeBuilder::new()
             .config(&config)
             // Signals belong to the program, not to a library.
