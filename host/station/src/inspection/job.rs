@@ -423,8 +423,12 @@ impl Station {
                 handover_ns,
                 problem,
             } = captured;
-            let place = run.session.get(usize::from(view)).copied();
-            let Some(view_number) = place else { continue };
+            let Some(view_number) = run.session.get(usize::from(view)).copied() else {
+                // A frame beyond the plan: one more than was triggered, and nobody knows before which of the others.
+                run.spoil_session("the camera sent a frame beyond the plan");
+                self.order(Order::Recycle(accumulator))?;
+                continue;
+            };
             let triggers = run
                 .triggers
                 .get(usize::from(view))
@@ -442,13 +446,12 @@ impl Station {
                         .map_or(0, |frame| frame.exposure_end_monotonic_ns);
                     run.last_exposure_ns = run.last_exposure_ns.max(ended);
                     run.evaluating += 1;
-                    run.problems.remove(&view_number);
                     work.send((view_number, accumulator))
                         .map_err(|_| InspectError::Thread { thread: "compute" })?;
                 }
                 Err(problem) => {
                     tracing::warn!(view = view_number, %problem, "view refused");
-                    run.problems.insert(view_number, problem.to_string());
+                    run.spoil(view_number, &problem.to_string());
                     self.order(Order::Recycle(accumulator))?;
                 }
             }

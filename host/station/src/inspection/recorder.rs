@@ -17,6 +17,9 @@ const PATIENCE: Duration = Duration::from_millis(5);
 /// some tens more.
 const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
 
+/// A frame that nobody triggered follows the last one within two readouts, or is not this capture's.
+const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
+
 /// What the job tells the recorder.
 #[derive(Debug)]
 pub enum Order {
@@ -242,13 +245,18 @@ impl<'a> Recorder<'a> {
         }
     }
 
-    /// Takes the frames that are still on their way.
+    /// Takes the frames that are still on their way, and looks whether more come than were triggered.
     fn drain(&mut self) {
         let planned = self
             .arm
             .map_or(0, |arm| u32::from(arm.views) * arm.frames_per_view());
-        while self.arrived < planned {
-            match self.receiver.receive(LAST_FRAME_PATIENCE) {
+        loop {
+            let patience = if self.arrived < planned {
+                LAST_FRAME_PATIENCE
+            } else {
+                EXTRA_FRAME_PATIENCE
+            };
+            match self.receiver.receive(patience) {
                 Ok(Some(frame)) => self.add(frame),
                 Ok(None) => return,
                 Err(error) => self.fail(error.into()),

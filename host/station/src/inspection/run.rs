@@ -1,6 +1,6 @@
 //! What a running check has gathered: triggers, captured views, outcomes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use flankscope_protocol::Trigger;
@@ -23,6 +23,8 @@ pub(super) struct Run {
     pub waiting: Vec<CapturedView>,
     pub outcomes: BTreeMap<usize, ViewOutcome>,
     pub problems: BTreeMap<usize, String>,
+    /// Views of the session whose frames cannot be trusted.
+    pub spoiled: BTreeSet<usize>,
     pub timeline: Timeline,
     pub picture: Option<Picture>,
     pub evaluating: usize,
@@ -46,6 +48,7 @@ impl Run {
             waiting: Vec::new(),
             outcomes: BTreeMap::new(),
             problems: BTreeMap::new(),
+            spoiled: BTreeSet::new(),
             timeline: Timeline::default(),
             picture: None,
             evaluating: 0,
@@ -64,6 +67,24 @@ impl Run {
         self.session = views.to_vec();
         self.triggers = vec![Vec::new(); views.len()];
         self.waiting.clear();
+        self.spoiled.clear();
+        for view in views {
+            self.problems.remove(view);
+        }
+    }
+
+    /// A view's frames cannot be trusted, whatever was made of them so far or is being made of them.
+    pub fn spoil(&mut self, view: usize, why: &str) {
+        self.outcomes.remove(&view);
+        self.spoiled.insert(view);
+        self.problems.entry(view).or_insert_with(|| why.into());
+    }
+
+    /// No view of the session can be trusted.
+    pub fn spoil_session(&mut self, why: &str) {
+        for view in self.session.clone() {
+            self.spoil(view, why);
+        }
     }
 
     pub fn triggered(&mut self, trigger: Trigger) {
@@ -95,7 +116,9 @@ impl Run {
     pub fn evaluated(&mut self, view: usize, outcome: ViewOutcome) {
         self.evaluating -= 1;
         self.verdict_ns = monotonic_ns();
-        self.outcomes.insert(view, outcome);
+        if !self.spoiled.contains(&view) {
+            self.outcomes.insert(view, outcome);
+        }
     }
 
     /// Views that were asked for and have no outcome.
