@@ -31,7 +31,7 @@ pub struct RayCaster {
 }
 
 impl RayCaster {
-    /// Prepares `mesh`. Its coordinates must be finite and below 1000 mm (see [`BOX_MARGIN_MM`]).
+    /// Prepares `mesh`. Its coordinates must be finite and below 1000 mm.
     pub fn new(mesh: &Mesh) -> Self {
         let corners: Vec<[Vector3<f64>; 3]> = mesh
             .triangles
