@@ -60,6 +60,7 @@ fn the_questions_that_clients_ask_when_they_connect_have_answers() {
         assert_eq!(client.ask(&format!("{axis}MO?")), "0");
     }
     assert_eq!(client.ask("TE?"), "0");
+    assert_eq!(client.ask("TE"), "0");
     assert!(client.ask("TB?").starts_with("0, "));
 }
 
@@ -75,6 +76,9 @@ fn a_client_moves_waits_reads_and_sets_its_own_zero() {
     // Wait for stop: the answer behind it comes when the axis stands.
     assert_eq!(client.ask("1WS100;1MD?"), "1");
     assert_eq!(client.ask("1TP?"), "10.000000");
+    // What can only be read is answered without a question mark too.
+    assert_eq!(client.ask("1TP"), "10.000000");
+    assert_eq!(client.ask("1MD"), "1");
     client.say("1DH");
     assert_eq!(client.ask("1TP?"), "0.000000");
     client.say("1PR-2.5");

@@ -244,9 +244,10 @@ impl StageModel {
         let (name, argument) = rest.split_at_checked(2).ok_or(UNKNOWN)?;
         let (name, argument) = (name.to_ascii_uppercase(), argument.trim());
         let text = |text: String| Ok(Answer::Text(text));
+        // What can only be read may be asked without a question mark, and some clients do.
         match (name.as_str(), argument) {
             ("VE", "?") => return text("ESP301 Version 3.0.1 6/1/99".into()),
-            ("TE", "?") => {
+            ("TE", "" | "?") => {
                 return text(
                     self.errors
                         .pop_front()
@@ -254,7 +255,7 @@ impl StageModel {
                         .to_string(),
                 );
             }
-            ("TB", "?") => {
+            ("TB", "" | "?") => {
                 let (code, message) = self.errors.pop_front().unwrap_or((0, "NO ERROR DETECTED"));
                 return text(format!("{code}, {:.0}, {message}", now_s * 1e3));
             }
@@ -293,8 +294,8 @@ impl StageModel {
             ("SR", "?") => text(axis.model.travel.1.to_string()),
             ("VA", "?") => text(axis.dynamics.speed.to_string()),
             ("MO", "?") => text(u8::from(axis.motor_on).to_string()),
-            ("MD", "?") => text(u8::from(axis.done(now_s)).to_string()),
-            ("TP", "?") => {
+            ("MD", "" | "?") => text(u8::from(axis.done(now_s)).to_string()),
+            ("TP", "" | "?") => {
                 let beside_mm = core::mem::take(&mut axis.reads_beside_mm);
                 let position = axis.profile.position(now_s) - axis.zero + beside_mm;
                 text(format!("{position:.6}"))
