@@ -9,6 +9,7 @@ mod deviation;
 mod geometry;
 mod inspect;
 mod instrument;
+mod merge;
 mod output;
 mod register;
 mod sample;
@@ -37,6 +38,7 @@ enum Command {
     Sample(sample::Args),
     Register(register::Args),
     Deviation(deviation::Args),
+    Merge(merge::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true)]
@@ -71,6 +73,7 @@ fn main() -> ExitCode {
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),
         Command::Deviation(args) => deviation::run(&args),
+        Command::Merge(args) => merge::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
     };

@@ -1,20 +1,14 @@
 //! `sample`, `register` and `deviation` as a user runs them: on a gear of another CAD kernel and on damaged files.
 
+mod support;
+
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use flankscope_metrology::mesh::{self, Unit};
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::{cloud, ply};
 use serde_json::Value;
-
-fn flankscope(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_flankscope"))
-        .current_dir(folder)
-        .args(args)
-        .output()
-        .unwrap()
-}
+use support::{Random, assert_refused, flankscope, json, write_xyz};
 
 fn ring84(test: &str) -> Option<PathBuf> {
     let path =
@@ -24,30 +18,6 @@ fn ring84(test: &str) -> Option<PathBuf> {
         return None;
     }
     Some(path)
-}
-
-fn json(output: &Output) -> Value {
-    assert!(output.status.code().is_some());
-    serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&output.stderr)))
-}
-
-/// Uniform numbers that do not come from the code under test.
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Sum of twelve uniforms less six: normal enough for noise.
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
 }
 
 /// The points of a sampled cloud about +x, with 10 um of noise.
@@ -76,14 +46,6 @@ fn disturbed(points: &[[f64; 3]]) -> Vec<[f64; 3]> {
             [42.0 + c * x - s * y + 0.06, s * x + c * y - 0.08, p[2]]
         })
         .collect()
-}
-
-fn write_xyz(path: &Path, points: &[[f64; 3]]) {
-    let text: String = points
-        .iter()
-        .map(|p| format!("{} {} {}\n", p[0], p[1], p[2]))
-        .collect();
-    std::fs::write(path, text).unwrap();
 }
 
 #[test]
@@ -440,17 +402,6 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
 }
 
 /// The run ended with exit 3, one readable line, and left nothing behind but its inputs.
-fn assert_refused(folder: &Path, name: &str, output: &Output, words: &[&str]) {
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(3), "{name}: {text}");
-    assert_eq!(text.trim_end().lines().count(), 1, "{name}: {text}");
-    for word in words {
-        assert!(text.contains(word), "{name}: {word:?} is not in {text}");
-    }
-    assert!(output.stdout.is_empty(), "{name}");
-    assert!(!folder.join("out.ply").exists(), "{name}: half-written");
-}
-
 #[test]
 fn damaged_meshes_are_refused_by_every_command() {
     let folder = tempfile::tempdir().unwrap();
@@ -555,6 +506,22 @@ fn damaged_clouds_and_start_poses_are_refused() {
                 &[name, word],
             );
         }
+        let args = [
+            "merge",
+            "good.xyz",
+            name,
+            "--voxel-mm",
+            "0.5",
+            "-o",
+            "out.ply",
+        ];
+        let output = flankscope(folder.path(), &args);
+        assert_refused(
+            folder.path(),
+            &format!("merge {name}"),
+            &output,
+            &[name, word],
+        );
     }
     write_xyz(&folder.path().join("three.xyz"), &grid[..3]);
     let output = flankscope(
@@ -797,7 +764,7 @@ fn formats_agree() {
 #[test]
 fn help_has_an_example_for_every_command() {
     let folder = tempfile::tempdir().unwrap();
-    for command in ["sample", "register", "deviation"] {
+    for command in ["sample", "register", "deviation", "merge"] {
         let output = flankscope(folder.path(), &[command, "--help"]);
         assert_eq!(output.status.code(), Some(0));
         let text = String::from_utf8_lossy(&output.stdout).into_owned();

@@ -67,15 +67,25 @@ struct Voxel {
     first: u32,
 }
 
+/// Whether a voxel size is one, before anything large is loaded.
+///
+/// # Errors
+/// [`MergeError::VoxelSize`] unless it is finite and above 0.
+pub fn check_voxel_size(voxel_mm: f64) -> Result<(), MergeError> {
+    if voxel_mm.is_finite() && voxel_mm > 0.0 {
+        Ok(())
+    } else {
+        Err(MergeError::VoxelSize { voxel_mm })
+    }
+}
+
 /// Replaces the points (finite, mm) in each cube of `voxel_mm` by their centroid. Cubes are counted from the cloud's smallest
 /// coordinates. The results come in the order of each cube's first point, the same bytes on any number of threads.
 ///
 /// # Errors
 /// [`MergeError`] for a size that is no size, or a cloud with too many voxels or points to number.
 pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3]>, MergeError> {
-    if !(voxel_mm.is_finite() && voxel_mm > 0.0) {
-        return Err(MergeError::VoxelSize { voxel_mm });
-    }
+    check_voxel_size(voxel_mm)?;
     if u32::try_from(points.len()).is_err() {
         return Err(MergeError::TooManyPoints {
             points: points.len(),
