@@ -180,7 +180,7 @@ impl Surface {
 /// Sums and their normals per edge and corner of the joined mesh.
 fn facets(mesh: &TriMesh, joined: &[u32]) -> Vec<Facet> {
     // Triangles that name one position twice are segments which their neighbours already have.
-    let mut kept: Vec<(u32, [u32; 3], [[f64; 3]; 3])> = Vec::with_capacity(mesh.triangles.len());
+    let mut kept: Vec<Kept> = Vec::with_capacity(mesh.triangles.len());
     for (number, triangle) in mesh.triangles.iter().enumerate() {
         let ids = triangle.map(|i| joined[i as usize]);
         let corners = mesh.corners(number);
@@ -201,32 +201,26 @@ fn facets(mesh: &TriMesh, joined: &[u32]) -> Vec<Facet> {
         normals.push(normal.unwrap_or([0.0; 3]));
     }
 
-    let mut edges: HashMap<(u32, u32), Vector3<f64>, EdgeHash> =
-        HashMap::with_capacity_and_hasher(kept.len() * 3 / 2, EdgeHash);
-    let edge_key = |ids: &[u32; 3], k: usize| {
-        let (a, b) = (ids[k], ids[(k + 1) % 3]);
-        (a.min(b), a.max(b))
-    };
-    for ((_, ids, _), normal) in kept.iter().zip(&normals) {
-        for k in 0..3 {
-            *edges.entry(edge_key(ids, k)).or_insert_with(Vector3::zeros) += Vector3::from(*normal);
+    let positions = joined.iter().max().map_or(0, |&m| m as usize + 1);
+    let (edges, edge_count) = edge_numbers(&kept, positions);
+    let mut edge_sums = vec![Vector3::zeros(); edge_count];
+    for (edges, normal) in edges.iter().zip(&normals) {
+        for &edge in edges {
+            edge_sums[edge as usize] += Vector3::from(*normal);
         }
     }
     // A triangle flat to a segment (a T-junction closed by a sliver) passes on what lies across its longest edge, so that
     // its two short edges and the corner between them see both sides.
     let mut stands_for: HashMap<usize, Vector3<f64>> = HashMap::new();
     for &index in &flat {
-        let ids = &kept[index].1;
-        let keys = [0, 1, 2].map(|k| edge_key(ids, k));
-        let sums = keys.map(|key| edges.get(&key).copied().unwrap_or_else(Vector3::zeros));
-        stands_for.insert(index, sums[0]);
-        let all = sums[0] + sums[1] + sums[2];
-        for key in keys {
-            edges.insert(key, all);
+        let own = edges[index].map(|edge| edge as usize);
+        stands_for.insert(index, edge_sums[own[0]]);
+        let all = edge_sums[own[0]] + edge_sums[own[1]] + edge_sums[own[2]];
+        for edge in own {
+            edge_sums[edge] = all;
         }
     }
 
-    let positions = joined.iter().max().map_or(0, |&m| m as usize + 1);
     let mut corner_sums = vec![Vector3::zeros(); positions];
     for (index, (_, ids, corners)) in kept.iter().enumerate() {
         let normal = stands_for
@@ -242,9 +236,10 @@ fn facets(mesh: &TriMesh, joined: &[u32]) -> Vec<Facet> {
         }
     }
 
-    kept.iter()
+    kept.par_iter()
         .zip(normals)
-        .map(|((triangle, ids, corners), normal)| {
+        .zip(&edges)
+        .map(|(((triangle, ids, corners), normal), edges)| {
             let own = Vector3::from(normal);
             let or_own = |sum: Vector3<f64>| -> [f64; 3] {
                 // Opposite faces (a sheet without thickness) cancel; the face's own side is then as good as any.
@@ -254,13 +249,58 @@ fn facets(mesh: &TriMesh, joined: &[u32]) -> Vec<Facet> {
                 corners: *corners,
                 triangle: *triangle,
                 normal,
-                edge_normals: std::array::from_fn(|k| {
-                    or_own(edges.get(&edge_key(ids, k)).copied().unwrap_or(own))
-                }),
+                edge_normals: edges.map(|edge| or_own(edge_sums[edge as usize])),
                 corner_normals: ids.map(|id| or_own(corner_sums[id as usize])),
             }
         })
         .collect()
+}
+
+/// A triangle's number in the mesh, its joined corners, and where they are.
+type Kept = (u32, [u32; 3], [[f64; 3]; 3]);
+
+/// Numbers the edges: those of each triangle, side k from corner k to the next, and how many there are in all.
+///
+/// The sides are gathered by their lower corner, of which each has few, so that no table of all edges has to be searched.
+fn edge_numbers(kept: &[Kept], positions: usize) -> (Vec<[u32; 3]>, usize) {
+    let ends = |ids: &[u32; 3], k: usize| {
+        let (a, b) = (ids[k], ids[(k + 1) % 3]);
+        (a.min(b) as usize, a.max(b))
+    };
+    let mut starts = vec![0u32; positions + 1];
+    for (_, ids, _) in kept {
+        for k in 0..3 {
+            starts[ends(ids, k).0 + 1] += 1;
+        }
+    }
+    for at in 0..positions {
+        starts[at + 1] += starts[at];
+    }
+    // Upper corner above, side below: sorted, the sides of one edge lie together.
+    let mut sides = vec![0u64; 3 * kept.len()];
+    let mut next = starts.clone();
+    for (side, (ids, k)) in kept
+        .iter()
+        .flat_map(|(_, ids, _)| (0..3).map(move |k| (ids, k)))
+        .enumerate()
+    {
+        let (low, high) = ends(ids, k);
+        sides[next[low] as usize] = u64::from(high) << 32 | side as u64;
+        next[low] += 1;
+    }
+    let mut edges = vec![[0u32; 3]; kept.len()];
+    let mut count = 0;
+    for at in 0..positions {
+        let own = &mut sides[starts[at] as usize..starts[at + 1] as usize];
+        own.sort_unstable();
+        for edge in own.chunk_by(|a, b| a >> 32 == b >> 32) {
+            for side in edge.iter().map(|side| *side as u32 as usize) {
+                edges[side / 3][side % 3] = count;
+            }
+            count += 1;
+        }
+    }
+    (edges, count as usize)
 }
 
 fn unit(v: Vector3<f64>) -> Vector3<f64> {
@@ -278,31 +318,4 @@ fn longest_edge(corners: &[[f64; 3]; 3]) -> usize {
         }
     }
     longest
-}
-
-/// Multiplicative hash for pairs of corner numbers: the keys are our own, so no defence against crafted keys is needed.
-#[derive(Clone, Copy, Default)]
-struct EdgeHash;
-
-struct EdgeHasher(u64);
-
-impl std::hash::BuildHasher for EdgeHash {
-    type Hasher = EdgeHasher;
-    fn build_hasher(&self) -> EdgeHasher {
-        EdgeHasher(0)
-    }
-}
-
-impl std::hash::Hasher for EdgeHasher {
-    fn finish(&self) -> u64 {
-        self.0 ^ (self.0 >> 29)
-    }
-    fn write(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.write_u32(u32::from(byte));
-        }
-    }
-    fn write_u32(&mut self, value: u32) {
-        self.0 = (self.0.rotate_left(32) ^ u64::from(value)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    }
 }
