@@ -70,17 +70,28 @@ pub fn sample(mesh: &TriMesh, count: usize, seed: u64) -> Result<Vec<[f64; 3]>, 
 
 /// Running sum of the triangles' areas, mm2. Chunk sums are added in order, so the result does not depend on threads.
 fn cumulative_areas(mesh: &TriMesh) -> Vec<f64> {
-    let mut areas: Vec<f64> = (0..mesh.triangles.len())
-        .into_par_iter()
-        .with_min_len(CHUNK)
-        .map(|index| area(mesh.corners(index)))
+    let mut cumulative = vec![0.0; mesh.triangles.len()];
+    let totals: Vec<f64> = cumulative
+        .par_chunks_mut(CHUNK)
+        .enumerate()
+        .map(|(chunk, sums)| {
+            let mut total = 0.0;
+            for (i, sum) in sums.iter_mut().enumerate() {
+                total += area(mesh.corners(chunk * CHUNK + i));
+                *sum = total;
+            }
+            total
+        })
         .collect();
-    let mut total = 0.0;
-    for area in &mut areas {
-        total += *area;
-        *area = total;
-    }
-    areas
+    let before: Vec<f64> = totals
+        .iter()
+        .scan(0.0, |sum, total| Some(std::mem::replace(sum, *sum + total)))
+        .collect();
+    cumulative
+        .par_chunks_mut(CHUNK)
+        .zip(before)
+        .for_each(|(sums, before)| sums.iter_mut().for_each(|sum| *sum += before));
+    cumulative
 }
 
 /// A shortcut into the running sum: where the search for a target starts. A bisection of half a million sums misses the cache
@@ -95,14 +106,23 @@ impl Guide {
     fn new(cumulative: &[f64], area_mm2: f64) -> Self {
         let slots = cumulative.len().div_ceil(2);
         let slots_per_mm2 = slots as f64 / area_mm2;
-        let mut first = Vec::with_capacity(slots + 1);
-        for (triangle, total) in cumulative.iter().enumerate() {
-            // Slots that begin before this sum and have no triangle yet.
-            while first.len() <= slots && (first.len() as f64) < total * slots_per_mm2 {
-                first.push(triangle as u32);
-            }
-        }
-        first.resize(slots + 1, cumulative.len() as u32 - 1);
+        let target = |slot: usize| slot as f64 / slots_per_mm2;
+        let mut first = vec![0u32; slots + 1];
+        first
+            .par_chunks_mut(CHUNK)
+            .enumerate()
+            .for_each(|(chunk, first)| {
+                // The chunk's first slot by bisection; every further one a step or two on.
+                let mut triangle = cumulative.partition_point(|&sum| sum <= target(chunk * CHUNK));
+                for (i, first) in first.iter_mut().enumerate() {
+                    while triangle < cumulative.len()
+                        && cumulative[triangle] <= target(chunk * CHUNK + i)
+                    {
+                        triangle += 1;
+                    }
+                    *first = triangle.min(cumulative.len() - 1) as u32;
+                }
+            });
         Self {
             first,
             slots_per_mm2,
