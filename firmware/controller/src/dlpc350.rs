@@ -19,9 +19,9 @@
 //! **What this rests on.** Codes `0x65`, `0x66`, `0x75` to `0x78`, `0x7D`, the meaning of their bytes, the layout of a
 //! pattern definition and the order of the steps were compared with the comments of TI's own host library for the
 //! DLPC350 and with excerpts of its programmer's guide (DLPU010). That a write is the read code with bit 7 set is
-//! stated for the sister chip DLPC900 (DLPU018). The codes of display mode, data source and trigger mode (`0x69`,
-//! `0x6F`, `0x70`), the slave address and the status byte before read data could *not* be compared with a document
-//! here, and nothing has been tried on a chip: check them on the first real board.
+//! stated for the sister chip DLPC900 (DLPU018), whose code for the display mode is `0x69` too. The codes of data source
+//! and trigger mode (`0x6F`, `0x70`), the slave address and the status byte before read data could *not* be compared
+//! with a document here, and nothing has been tried on a chip: check them on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
 use embassy_time::{Duration, Timer};
