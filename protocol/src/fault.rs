@@ -92,6 +92,9 @@ pub enum Fault {
     /// The interlock is locked since power-up or since a fault: the host must home or acknowledge.
     #[error("the interlock is locked; home or acknowledge first")]
     InterlockLocked = 56,
+    /// The press was held for the head for as long as it may be. The head is retracted and the press let go.
+    #[error("the press was held for the head for as long as it may be")]
+    HoldLimit = 57,
 
     /// The LED must cool before the next view; the capture goes on by itself.
     #[error("the LED must cool before the next view")]
@@ -114,7 +117,7 @@ pub enum FaultClass {
 
 impl Fault {
     /// Every fault known to this version, by rising number.
-    pub const ALL: [Self; 29] = [
+    pub const ALL: [Self; 30] = [
         Self::HostSilent,
         Self::EventOverflow,
         Self::MotionTimeout,
@@ -142,6 +145,7 @@ impl Fault {
         Self::HeadSwitch,
         Self::PositionLost,
         Self::InterlockLocked,
+        Self::HoldLimit,
         Self::LedCooling,
         Self::LinkNoise,
     ];

@@ -22,6 +22,14 @@ fn run<F: Future<Output = Host> + 'static>(
     press: PressModel,
     script: impl FnOnce(Host, Board, Rc<World>) -> F,
 ) -> Record {
+    run_with(Config::DEFAULT, press, script)
+}
+
+fn run_with<F: Future<Output = Host> + 'static>(
+    config: Config,
+    press: PressModel,
+    script: impl FnOnce(Host, Board, Rc<World>) -> F,
+) -> Record {
     let sim = Sim::new(Clock::Stepped);
     let wiring = Wiring::new(&sim);
     let devices = DeviceConfig {
@@ -29,7 +37,7 @@ fn run<F: Future<Output = Host> + 'static>(
         ..DeviceConfig::default()
     };
     let world = spawn_all(&sim, &wiring, &devices, Notebook::default());
-    spawn_controller(&sim, &wiring, Config::DEFAULT, Axes::DEFAULT);
+    spawn_controller(&sim, &wiring, config, Axes::DEFAULT);
     let finished = Rc::new(RefCell::new(None));
     let script = script(
         Host::new(wiring.host.clone()),
@@ -232,6 +240,54 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
             assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
         }
     }
+}
+
+/// The host is alive and content; the controller alone ends a stay that is too long, and the press goes on by itself.
+#[test]
+fn a_press_is_never_held_beyond_the_limit_even_for_a_living_host() {
+    let stay_us = 2_000_000;
+    let mut config = Config::DEFAULT;
+    config.interlock.stay = Microseconds(stay_us);
+    let record = run_with(config, PressModel::default(), |mut host, _, _| async move {
+        host.prepare(plan()).await;
+        let started = host.order(Command::Start { session: 5 }).await;
+        assert_eq!(started, Reply::Accepted);
+        host.until(over).await;
+        let Reply::Status(status) = host.order(Command::Status).await else {
+            panic!("no status")
+        };
+        assert!(status.press.head_clear, "let go without an acknowledgement");
+        let refused = host.order(Command::Start { session: 5 }).await;
+        let fault = Fault::HoldLimit.code();
+        assert_eq!(refused, Reply::Refused(Refusal::Faulted { fault }));
+        host
+    });
+    let faults: Vec<_> = record
+        .events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Fault { fault, .. } => fault.known(),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(faults, [Fault::HoldLimit]);
+    let claimed_us = times(&record, "head_clear_1", false)[0];
+    let over_us = claimed_us + u64::from(stay_us);
+    // Between two views the LED is dark already; it must be so soon after the limit, and stay so.
+    let mut led = record.edges.iter().filter(|edge| edge.line == "led_enable");
+    let lit_us = led.rfind(|edge| edge.level).expect("was lit").at_us;
+    assert!(lit_us < over_us);
+    let dark_us = *times(&record, "led_enable", false).last().expect("dark");
+    assert!(dark_us <= over_us + 100_000, "dark at {dark_us}");
+    let released_us = *times(&record, "head_clear_1", true)
+        .last()
+        .expect("released");
+    let limit_us = over_us + u64::from(config.interlock.withdraw.get());
+    assert!(
+        (over_us..=limit_us).contains(&released_us),
+        "held from {claimed_us} to {released_us}"
+    );
+    assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
 }
 
 #[test]

@@ -6,7 +6,7 @@
 //!     ▲                                             head_clear high │                     │ out, no fault
 //!     │ out, for a fault, or not out in time                  enter ▼                     │
 //!     └──────────── Withdrawing ◄── any objection ── Claiming ─ press has obeyed ─► Entered
-//!                   head retracts, LED off ◄──────────── retract, any objection ──────┘
+//!                   head retracts, LED off ◄── retract, any objection, stayed too long ┘
 //! ```
 //! [`rules`] decides without time and is tried exhaustively. [`Interlock`] adds the clock.
 //!
@@ -60,6 +60,9 @@ pub struct Timing {
     pub contradiction: Microseconds,
     /// From taking head-clear away until the press must have obeyed.
     pub hold: Microseconds,
+    /// From taking head-clear away until the head is called back whatever it is doing. The press is held for this and
+    /// the way out at most; a host may ask for less, never for more.
+    pub stay: Microseconds,
     /// For the head to be out. Longer than the sequence's own limit, which then says why.
     pub withdraw: Microseconds,
     /// A verdict shown falls to no-go after this.
@@ -75,6 +78,7 @@ impl Timing {
         disagreement: Microseconds::from_millis(500),
         contradiction: Microseconds::from_millis(1_000),
         hold: Microseconds::from_millis(100),
+        stay: Microseconds::from_millis(60_000),
         withdraw: Microseconds::from_millis(6_000),
         verdict_life: Microseconds::from_millis(5_000),
         verdict_beat: Microseconds::from_millis(250),
@@ -95,7 +99,7 @@ pub struct Head {
 pub struct Change {
     /// The head may enter now: the claim was obeyed.
     pub entered: bool,
-    /// This fault locks the interlock, now or once the head is out.
+    /// This fault locks the interlock, now or once the head is out; [`Fault::HoldLimit`] lets the press go instead.
     pub fault: Option<Fault>,
     /// A cycle began.
     pub cycle: bool,
@@ -113,6 +117,7 @@ pub struct Interlock {
     disagrees_until: Option<Timestamp>,
     contradicts_until: Option<Timestamp>,
     phase_until: Option<Timestamp>,
+    stay_until: Option<Timestamp>,
     cycles: u32,
 }
 
@@ -131,6 +136,7 @@ impl Interlock {
             disagrees_until: None,
             contradicts_until: None,
             phase_until: None,
+            stay_until: None,
             cycles: 0,
         }
     }
@@ -188,6 +194,7 @@ impl Interlock {
             disagreement: over(self.disagrees_until),
             contradiction: over(self.contradicts_until),
             phase: over(self.phase_until),
+            stay: over(self.stay_until),
         };
         let was_open = self.press_open();
         let cycle = levels.cycle && !self.levels.cycle;
@@ -197,9 +204,15 @@ impl Interlock {
         let inputs = self.inputs(levels, orders, expired, cycle);
         self.state = rules::decide::<0>(before, &inputs);
         self.run_times(now, before);
+        let overstayed = expired.stay
+            && !orders.retract
+            && in_use(before.phase)
+            && self.state.phase == Phase::Withdrawing(None);
         Change {
             entered: self.state.phase == Phase::Entered && before.phase != Phase::Entered,
-            fault: cause(self.state.phase).filter(|_| cause(before.phase).is_none()),
+            fault: cause(self.state.phase)
+                .filter(|_| cause(before.phase).is_none())
+                .or(overstayed.then_some(Fault::HoldLimit)),
             cycle,
             press_open: (self.press_open() != was_open).then_some(self.press_open()),
         }
@@ -212,6 +225,7 @@ impl Interlock {
             self.disagrees_until,
             self.contradicts_until,
             self.phase_until,
+            self.stay_until,
         ]
         .into_iter()
         .flatten()
@@ -243,6 +257,7 @@ impl Interlock {
             disagreement,
             contradiction,
             hold,
+            stay,
             withdraw,
             ..
         } = self.timing;
@@ -252,6 +267,7 @@ impl Interlock {
             self.state.contradicts,
             contradiction,
         );
+        self.stay_until = run(self.stay_until, in_use(self.state.phase), stay);
         let withdrawing = |phase| matches!(phase, Phase::Withdrawing(_));
         self.phase_until = match self.state.phase {
             Phase::Claiming if before.phase != Phase::Claiming => Some(now.after(hold)),
@@ -260,6 +276,11 @@ impl Interlock {
             _ => None,
         };
     }
+}
+
+/// The press is held for the head to go in or be in.
+fn in_use(phase: Phase) -> bool {
+    matches!(phase, Phase::Claiming | Phase::Entered)
 }
 
 fn cause(phase: Phase) -> Option<Fault> {

@@ -1,7 +1,8 @@
 //! The decisions of the interlock, without time: what follows from a state and one vector of inputs.
 //!
 //! Everything here is small enough to be tried exhaustively (`model.rs`): 4 phases
-//! without a cause and 2 with one of 10, three flags, and inputs of 13 bits and three positions. Outputs follow from the phase alone, so each condition stands in one place only.
+//! without a cause and 2 with one of 10, three flags, and inputs of 14 bits and three positions. Outputs follow from
+//! the phase alone, so each condition stands in one place only.
 
 use flankscope_protocol::Fault;
 
@@ -36,6 +37,8 @@ pub struct Expired {
     pub contradiction: bool,
     /// Claiming: the press must have obeyed by now. Withdrawing: the head should be out by now.
     pub phase: bool,
+    /// Claiming or entered: the press has been held for as long as it may be.
+    pub stay: bool,
 }
 
 /// Everything the interlock decides by.
@@ -176,12 +179,14 @@ pub enum Rule {
     ReleaseByOrder,
     /// Only an order claims the press.
     EnterByOrder,
+    /// A stay that takes too long ends, and the press is let go.
+    StayTime,
 }
 
 impl Rule {
     /// All of them, in the order of their numbers.
     #[cfg(test)]
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 21] = [
         Self::SwitchToClear,
         Self::PositionToClear,
         Self::SwitchHoldsClear,
@@ -202,6 +207,7 @@ impl Rule {
         Self::CauseLocks,
         Self::ReleaseByOrder,
         Self::EnterByOrder,
+        Self::StayTime,
     ];
 }
 
@@ -250,6 +256,7 @@ pub fn decide<const OFF: u32>(before: State, inputs: &Inputs) -> State {
     let out = (inputs.retract_switch || off::<OFF>(Rule::SwitchToClear))
         && (inputs.position == Position::Retracted || off::<OFF>(Rule::PositionToClear));
     let time_over = inputs.expired.phase;
+    let stay_over = inputs.expired.stay && !off::<OFF>(Rule::StayTime);
     let broken = broken::<OFF>(before, inputs);
 
     let phase = match before.phase {
@@ -281,7 +288,8 @@ pub fn decide<const OFF: u32>(before: State, inputs: &Inputs) -> State {
         }
         Phase::Claiming | Phase::Entered => match broken.or(objection::<OFF>(before, inputs)) {
             Some(fault) => Phase::Withdrawing(Some(fault)),
-            None if retract => Phase::Withdrawing(None),
+            // Without a cause: what locks would hold the press for longer still.
+            None if retract || stay_over => Phase::Withdrawing(None),
             None if time_over || off::<OFF>(Rule::Hold) => Phase::Entered,
             None => before.phase,
         },

@@ -133,6 +133,33 @@ fn a_head_that_does_not_come_out_locks_with_head_clear_low() {
 }
 
 #[test]
+fn a_press_held_for_too_long_is_let_go_whatever_the_host_says() {
+    // Entered at 300 ms; the time runs from 200 ms, when the press lost head-clear.
+    let mut interlock = entered();
+    let away = Levels {
+        retract_switch: false,
+        ..OPEN
+    };
+    assert_eq!(interlock.deadline(ms(400)), Some(ms(60_200)));
+    assert_eq!(
+        interlock.look(ms(60_199), away, IN, NONE),
+        Change::default()
+    );
+    let change = interlock.look(ms(60_200), away, IN, NONE);
+    assert_eq!(change.fault, Some(Fault::HoldLimit));
+    assert!(interlock.outputs().retract);
+    // Said once only, and an order to enter changes nothing.
+    assert_eq!(interlock.look(ms(60_300), away, IN, ENTER).fault, None);
+    interlock.look(ms(61_000), OPEN, OUT, NONE);
+    assert!(interlock.outputs().head_clear);
+    // The next stay has its whole time again.
+    interlock.look(ms(62_000), OPEN, OUT, ENTER);
+    assert_eq!(interlock.deadline(ms(62_000)), Some(ms(62_100)));
+    assert!(interlock.look(ms(62_100), OPEN, OUT, NONE).entered);
+    assert_eq!(interlock.deadline(ms(62_100)), Some(ms(122_000)));
+}
+
+#[test]
 fn cycles_are_counted_by_their_rising_edge() {
     let mut interlock = Interlock::new(Timing::DEFAULT);
     for n in 0..10u64 {
