@@ -19,6 +19,7 @@ use embassy_time_driver::Driver;
 use crate::pin_wire::Subject;
 use crate::pins;
 use crate::registers::{Block, CLOCK_HZ};
+use crate::watchdog;
 
 const CONTROL: usize = 0x0;
 const VALUE: usize = 0x4;
@@ -32,7 +33,7 @@ const WRAP_LOG2_US: u32 = 27;
 /// Counts from here to 0.
 const TOP: u32 = (TICKS_PER_US << WRAP_LOG2_US) - 1;
 
-/// Every task waits for one time at most, and there are four tasks.
+/// Every task waits for one time at most, and there are five tasks.
 const WAITING: usize = 8;
 
 /// One task that waits, and for when.
@@ -126,6 +127,7 @@ pub fn on_alarm() {
         if due.saturating_sub(asked_at.get()) >= SLICE_US {
             if CLOCK.unanswered.load(Ordering::Relaxed) {
                 CLOCK.standing.store(true, Ordering::Relaxed);
+                watchdog::halt();
                 return;
             }
             // Not while a deadline is waiting to be served, unless it has been long.
@@ -145,6 +147,7 @@ pub fn on_answer() {
     critical_section::with(|cs| {
         CLOCK.unanswered.store(false, Ordering::Relaxed);
         if CLOCK.standing.swap(false, Ordering::Relaxed) {
+            watchdog::go_on();
             let stood = CLOCK
                 .now_in(cs)
                 .saturating_sub(CLOCK.alarm_at.borrow(cs).get());

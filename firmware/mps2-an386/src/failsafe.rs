@@ -14,40 +14,33 @@ use crate::pins::tell;
 /// Survives a reset, not a power cycle.
 #[repr(C)]
 struct Kept {
-    /// Says that the rest was written.
+    /// Why, as [`PANIC`] or [`WATCHDOG`]; anything else: nothing was kept.
     mark: u32,
     cause: u32,
 }
 
-const MARK: u32 = 0x5AFE_B007;
+const PANIC: u32 = 0x5AFE_B007;
+const WATCHDOG: u32 = 0x5AFE_D069;
 
 #[unsafe(link_section = ".uninit.KEPT")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-/// Keeps `cause` over the reset that follows.
-fn keep(cause: u32) {
-    // SAFETY: only called with interrupts off, just before a reset.
-    unsafe {
-        addr_of_mut!(KEPT)
-            .cast::<Kept>()
-            .write_volatile(Kept { mark: MARK, cause })
-    };
-}
-
-/// Why the controller started, and the cause kept by the panic handler (0: none). Forgets it.
+/// Why the controller started, and the cause that was kept (0: none). Forgets it.
 pub fn boot() -> (Boot, u32) {
     let kept = addr_of_mut!(KEPT).cast::<Kept>();
     // SAFETY: called once, before interrupts are on; any content is a valid `Kept`.
     let Kept { mark, cause } = unsafe { kept.read_volatile() };
-    if mark != MARK {
-        return (Boot::PowerUp, 0);
-    }
     // SAFETY: as above.
     unsafe { kept.write_volatile(Kept { mark: 0, cause: 0 }) };
-    (Boot::Panic, cause)
+    match mark {
+        PANIC => (Boot::Panic, cause),
+        WATCHDOG => (Boot::Watchdog, cause),
+        _ => (Boot::PowerUp, 0),
+    }
 }
 
-fn fall_safe(cause: u32) -> ! {
+/// Drops the outputs, keeps `mark` and `cause` over the reset, resets.
+fn fall_safe(mark: u32, cause: u32) -> ! {
     cortex_m::interrupt::disable();
     for output in [
         Subject::LedEnable,
@@ -57,18 +50,29 @@ fn fall_safe(cause: u32) -> ! {
     ] {
         tell(output, 0);
     }
-    keep(cause);
+    // SAFETY: interrupts are off and a reset follows.
+    unsafe {
+        addr_of_mut!(KEPT)
+            .cast::<Kept>()
+            .write_volatile(Kept { mark, cause })
+    };
     SCB::sys_reset()
 }
 
 /// The cause is the source line; none is reachable in the release image, which `cargo xtask firmware` checks.
 #[panic_handler]
 fn on_panic(info: &PanicInfo<'_>) -> ! {
-    fall_safe(info.location().map_or(1, |location| location.line()))
+    fall_safe(PANIC, info.location().map_or(1, |location| location.line()))
 }
 
 /// The cause is the address of the instruction.
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    fall_safe(frame.pc())
+    fall_safe(PANIC, frame.pc())
+}
+
+/// The watchdog was not fed. Nothing masks this interrupt, and it comes before all others.
+#[exception]
+unsafe fn NonMaskableInt() -> ! {
+    fall_safe(WATCHDOG, 0)
 }

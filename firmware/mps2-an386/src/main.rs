@@ -12,6 +12,7 @@
 #![no_main]
 
 mod clock;
+mod drill;
 mod failsafe;
 mod level;
 mod pin_wire;
@@ -19,13 +20,17 @@ mod pins;
 mod registers;
 mod stack;
 mod uart;
+mod watchdog;
 
 use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
 use flankscope_controller::press::PinPress;
 use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Optics, Sequence, link, sequence, stage};
+use flankscope_controller::vitals::Task;
+use flankscope_controller::{
+    Desk, Mailboxes, Optics, Sequence, link, sequence, stage, supervise,
+};
 use flankscope_protocol::Microseconds;
 
 use crate::level::Level;
@@ -36,7 +41,7 @@ use crate::uart::{Port, Uart};
 
 static HOST: Uart = Uart::new(Block::UART0, Irq::Uart0Rx);
 static STAGE: Uart = Uart::new(Block::UART2, Irq::Uart2Rx);
-static MAIL: Mailboxes = Mailboxes::new();
+static MAIL: Mailboxes = Mailboxes::supervised();
 
 static URGENT: Level = Level::new(Irq::Sequencer);
 static BACKGROUND: Level = Level::new(Irq::Background);
@@ -74,22 +79,29 @@ type PinOptics = Optics<
 
 #[embassy_executor::task]
 async fn receive() {
-    link::receive(Port(&HOST), &MAIL).await;
+    drill::exposed(Task::Receive, link::receive(Port(&HOST), &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn transmit() {
-    link::transmit(Port(&HOST), &MAIL).await;
+    drill::exposed(Task::Transmit, link::transmit(Port(&HOST), &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn stages() {
-    stage::run(Esp301::new(Port(&STAGE), Axes::DEFAULT), &MAIL).await;
+    let driver = Esp301::new(Port(&STAGE), Axes::DEFAULT);
+    drill::exposed(Task::Stage, stage::run(driver, &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn capture(desk: Desk, optics: PinOptics, press: PinPress<InputPin, Output>) {
-    press_sequencer(desk, optics, press, &MAIL).await;
+    let work = press_sequencer(desk, optics, press, &MAIL);
+    drill::exposed(Task::Sequencer, work).await;
+}
+
+#[embassy_executor::task]
+async fn feeding(watchdog: watchdog::Cmsdk) {
+    supervise(watchdog, &MAIL).await;
 }
 
 #[entry]
@@ -139,11 +151,13 @@ fn main() -> ! {
         beat: Output::new(Subject::VerdictBeat),
     };
     let desk = Desk::new(Sequence::new(CONFIG), boot);
+    let watchdog = watchdog::Cmsdk::start();
     URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics, press)));
     BACKGROUND.start(|spawner| {
         spawner.spawn_if(stages());
         spawner.spawn_if(receive());
         spawner.spawn_if(transmit());
+        spawner.spawn_if(feeding(watchdog));
     });
     loop {
         clock::sleep();

@@ -52,10 +52,12 @@ pub enum Subject {
     AlarmLatency = 33,
     /// Asked by the image, answered by the bench: are you there?
     Tick = 34,
+    /// Order to hang, panic or fault; only an image built for it obeys.
+    Drill = 35,
 }
 
 impl Subject {
-    const ALL: [Self; 25] = [
+    const ALL: [Self; 26] = [
         Self::LedEnable,
         Self::LedCurrent,
         Self::DmdTrigger,
@@ -81,6 +83,7 @@ impl Subject {
         Self::StackUsed,
         Self::AlarmLatency,
         Self::Tick,
+        Self::Drill,
     ];
 
     fn from_number(number: u8) -> Option<Self> {

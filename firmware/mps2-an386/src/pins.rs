@@ -80,6 +80,10 @@ fn hear(subject: Subject, value: u16) {
                 u16::try_from(clock::latest_alarm_us()).unwrap_or(u16::MAX),
             );
         }
+        #[cfg(feature = "drill")]
+        Subject::Drill => return crate::drill::order(value as u8),
+        #[cfg(not(feature = "drill"))]
+        Subject::Drill => return,
         Subject::LedEnable
         | Subject::LedCurrent
         | Subject::DmdTrigger

@@ -41,6 +41,8 @@ impl Block {
     pub const UART0: Self = Self(0x4000_4000);
     pub const UART1: Self = Self(0x4000_5000);
     pub const UART2: Self = Self(0x4000_6000);
+    /// CMSDK APB watchdog.
+    pub const WATCHDOG: Self = Self(0x4000_8000);
 
     pub fn read(self, offset: usize) -> u32 {
         // SAFETY: blocks exist only for the peripherals above, and every offset used lies within them.

@@ -3,19 +3,26 @@
 use embassy_stm32::dac::{DacChannel, Value};
 use embassy_stm32::exti::{self, ExtiInput};
 use embassy_stm32::gpio::{Level, Output, Pull, Speed};
+use embassy_stm32::i2c::{self, I2c, Master};
 use embassy_stm32::mode::{Async, Blocking};
-use embassy_stm32::peripherals::{USART2, USART3};
+use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH1, I2C1, IWDG1, USART2, USART3};
+use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart};
-use embassy_stm32::{Config, bind_interrupts, interrupt, rcc};
-use flankscope_controller::Optics;
-use flankscope_controller::devices::{
-    CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
-};
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Config, bind_interrupts, dma, interrupt, rcc};
+use embassy_time::Duration;
+use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
+use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
+use flankscope_controller::{Optics, Watchdog};
 use flankscope_controller::press::PinPress;
-use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Milliamps};
+use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Microseconds, Milliamps};
 use static_cell::StaticCell;
 
 bind_interrupts!(struct Irqs {
+    I2C1_EV => i2c::EventInterruptHandler<I2C1>;
+    I2C1_ER => i2c::ErrorInterruptHandler<I2C1>;
+    DMA1_STREAM0 => dma::InterruptHandler<DMA1_CH0>;
+    DMA1_STREAM1 => dma::InterruptHandler<DMA1_CH1>;
     USART2 => usart::BufferedInterruptHandler<USART2>;
     USART3 => usart::BufferedInterruptHandler<USART3>;
     EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
@@ -30,11 +37,28 @@ bind_interrupts!(struct Irqs {
 /// Both UARTs, baud.
 const BAUD: u32 = 115_200;
 
+/// The fastest that the DMD controller's bus goes.
+const PATTERN_BUS_HZ: u32 = 400_000;
+/// Patience with one transaction: the longest has 10 bytes, a quarter of a millisecond.
+const PATTERN_BUS_TIMEOUT: Duration = Duration::from_millis(2);
+
+/// The patterns in the DMD controller's flash. One stands for as long as any camera exposure, and as long again.
+const PATTERNS: Settings = Settings {
+    depth: BitDepth::Eight,
+    exposure: Microseconds(2 * Limits::DEFAULT.exposure_max.get()),
+    patterns: Limits::DEFAULT.patterns_max,
+};
+
+/// Four beats of the tasks.
+const WATCHDOG_US: u32 = 200_000;
+
 type In = ExtiInput<'static, Async>;
 type Out = Output<'static>;
 /// The devices that work with light.
 pub type BoardOptics =
-    Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, NoPatternBus>, PinCamera<Out, In, In>>;
+    Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, PatternBus>, PinCamera<Out, In, In>>;
+/// The DMD controller.
+type PatternBus = Dlpc350<I2c<'static, Async, Master>>;
 
 /// The press's signals.
 pub type BoardPress = PinPress<In, Out>;
@@ -49,12 +73,18 @@ pub struct Board {
     pub host: BufferedUart<'static>,
     /// Stage controller.
     pub stage: BufferedUart<'static>,
+    /// Not started yet.
+    pub watchdog: BoardWatchdog,
 }
 
 impl Board {
     /// Sets clocks and pins: every output low. `None` if a UART refuses its settings, which are fixed.
     pub fn take() -> Option<Self> {
         let p = embassy_stm32::init(clocks());
+        let mut bus = i2c::Config::default();
+        bus.frequency = Hertz(PATTERN_BUS_HZ);
+        bus.timeout = PATTERN_BUS_TIMEOUT;
+        let bus = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH0, p.DMA1_CH1, Irqs, bus);
         let optics = Optics {
             led: PinLed {
                 enable: Output::new(p.PE2, Level::Low, Speed::Low),
@@ -64,7 +94,7 @@ impl Board {
             dmd: PinDmd {
                 trigger: Output::new(p.PE6, Level::Low, Speed::Low),
                 ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
-                port: NoPatternBus,
+                port: Dlpc350::new(bus, PATTERNS),
             },
             camera: PinCamera {
                 trigger: Output::new(p.PE7, Level::Low, Speed::Low),
@@ -104,6 +134,7 @@ impl Board {
             optics,
             host,
             stage,
+            watchdog: BoardWatchdog(IndependentWatchdog::new(p.IWDG1, WATCHDOG_US)),
         })
     }
 }
@@ -142,13 +173,29 @@ impl CurrentSetting for LedCurrent {
     }
 }
 
-/// No DMD controller is connected yet: every selection is refused, so a capture ends in a fault before its first frame.
-pub struct NoPatternBus;
+/// The independent watchdog: its clock is its own, and once started nothing but a reset stops it. The reset makes every
+/// pin an input, so that the outside's pull-downs drop the outputs.
+pub struct BoardWatchdog(IndependentWatchdog<'static, IWDG1>);
 
-impl PatternPort for NoPatternBus {
-    async fn select(&mut self, _pattern: u16) -> Result<(), NotSelected> {
-        Err(NotSelected)
+impl BoardWatchdog {
+    /// From here on it must be fed.
+    pub fn start(&mut self) {
+        self.0.unleash();
     }
+}
+
+impl Watchdog for BoardWatchdog {
+    fn feed(&mut self) {
+        self.0.pet();
+    }
+}
+
+/// The watchdog made the reset before this start. Forgets it.
+pub fn watchdog_reset() -> bool {
+    let causes = embassy_stm32::pac::RCC.rsr();
+    let bitten = causes.read().iwdg1rstf();
+    causes.modify(|bits| bits.set_rmvf(true));
+    bitten
 }
 
 /// LED enable, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.

@@ -27,6 +27,9 @@ pub fn boot() -> Boot {
     let kept = addr_of_mut!(KEPT).cast::<Kept>();
     // SAFETY: called once, before interrupts are on; any content is a valid `Kept`.
     let mark = unsafe { (*kept).mark };
+    if crate::board::watchdog_reset() {
+        return Boot::Watchdog;
+    }
     if mark != MARK {
         return Boot::PowerUp;
     }

@@ -15,12 +15,12 @@ use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
 use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, stage};
+use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, stage, supervise};
 use static_cell::StaticCell;
 
-use crate::board::{Board, BoardOptics, BoardPress};
+use crate::board::{Board, BoardOptics, BoardPress, BoardWatchdog};
 
-static MAIL: Mailboxes = Mailboxes::new();
+static MAIL: Mailboxes = Mailboxes::supervised();
 static URGENT: InterruptExecutor = InterruptExecutor::new();
 static BACKGROUND: StaticCell<Executor> = StaticCell::new();
 
@@ -44,6 +44,11 @@ async fn capture(desk: Desk, optics: BoardOptics, press: BoardPress) {
     press_sequencer(desk, optics, press, &MAIL).await;
 }
 
+#[embassy_executor::task]
+async fn feeding(watchdog: BoardWatchdog) {
+    supervise(watchdog, &MAIL).await;
+}
+
 /// Nothing on this board raises it: pended by software.
 #[interrupt]
 unsafe fn SAI4() {
@@ -59,10 +64,12 @@ fn main() -> ! {
         press,
         host,
         stage,
+        mut watchdog,
     }) = Board::take()
     else {
         failsafe::fall_safe(line!())
     };
+    watchdog.start();
     let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
     interrupt::SAI4.set_priority(Priority::P6);
     let urgent = URGENT.start(interrupt::SAI4);
@@ -81,6 +88,9 @@ fn main() -> ! {
             spawner.spawn(task);
         }
         if let Ok(task) = stages(stage) {
+            spawner.spawn(task);
+        }
+        if let Ok(task) = feeding(watchdog) {
             spawner.spawn(task);
         }
     })

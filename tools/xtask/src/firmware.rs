@@ -19,11 +19,15 @@ const RAM_START: u32 = 0x2000_0000;
 /// The image that the emulator runs, below the repository.
 pub const EMULATED_IMAGE: &str =
     "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
+/// Beside it, the one that the bench can make go wrong.
+const DRILL_IMAGE: &str = "flankscope-mps2-an386-drill";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
 struct Board {
     folder: &'static str,
+    /// Also built so that the bench can make it go wrong.
+    drills: bool,
     /// Its hardware library has panicking paths of its own: where `core` is compiled anyway, they become traps.
     traps: bool,
 }
@@ -31,10 +35,12 @@ struct Board {
 const BOARDS: [Board; 2] = [
     Board {
         folder: "mps2-an386",
+        drills: true,
         traps: false,
     },
     Board {
         folder: "nucleo-h743zi",
+        drills: false,
         traps: true,
     },
 ];
@@ -51,7 +57,12 @@ pub fn build(root: &Path) -> Result<(), String> {
     let toolchain = toolchain()?;
     let mut broken = Vec::new();
     for board in &BOARDS {
-        let path = compile(root, board, &toolchain)?;
+        if board.drills {
+            let path = compile(root, board, &toolchain, &["--features", "drill"])?;
+            let kept = path.with_file_name(DRILL_IMAGE);
+            std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+        }
+        let path = compile(root, board, &toolchain, &[])?;
         let strict = !board.traps || matches!(toolchain, Toolchain::Debian);
         broken.extend(judge(board, &path, strict)?);
     }
@@ -220,12 +231,18 @@ fn image_path(root: &Path, board: &Board) -> PathBuf {
         .join(format!("flankscope-{}", board.folder))
 }
 
-fn compile(root: &Path, board: &Board, toolchain: &Toolchain) -> Result<PathBuf, String> {
+fn compile(
+    root: &Path,
+    board: &Board,
+    toolchain: &Toolchain,
+    features: &[&str],
+) -> Result<PathBuf, String> {
     let mut cargo = match toolchain {
         Toolchain::Rustup => crate::cargo(&[]),
         Toolchain::Debian => Command::new("/usr/bin/cargo"),
     };
     cargo.args(["build", "--release", "--locked", "--target", TARGET]);
+    cargo.args(features);
     cargo.current_dir(root.join("firmware").join(board.folder));
     // The image's own folder says where and how, not what this build was called with.
     for name in [

@@ -157,16 +157,16 @@ pub fn run_with(
             sink.attach(sim.remote());
             spawn_all(&sim, &wiring, &config.devices, sink);
             let begun = Pty::open(&sim, wiring.host.clone()).and_then(|pty| {
-                let trace = match &controller {
+                let emulated = match &controller {
                     Controller::InProcess => {
                         spawn_controller(&sim, &wiring, config.controller, config.axes);
                         None
                     }
                     Controller::Emulated(machine) => Some(qemu::join(&sim, &wiring, machine)?),
                 };
-                Ok((pty, trace))
+                Ok((pty, emulated))
             });
-            let (pty, trace) = match begun {
+            let (pty, emulated) = match begun {
                 Ok(begun) => begun,
                 Err(error) => {
                     let _starter = opened.send(Err(error));
@@ -184,7 +184,7 @@ pub fn run_with(
             Outcome {
                 pace: sim.pace(),
                 edges: sim.edges(),
-                figures: trace.map(|trace| Figures::of(&trace.borrow())),
+                figures: emulated.map(|emulated| Figures::of(&emulated.trace())),
             }
         })?;
     let (port, remote) = opening

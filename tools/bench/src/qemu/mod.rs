@@ -20,7 +20,7 @@ pub mod pin_wire;
 
 pub use figures::Figures;
 pub use machine::{EmulatorError, Machine, find_image};
-pub(crate) use pins::join;
+pub use pins::{Drill, Emulated, join};
 
 #[cfg(test)]
 mod tests {

@@ -11,6 +11,7 @@ use embassy_sync::channel::Channel;
 use embedded_hal_async::digital::Wait;
 use embedded_io_async::Read;
 use flankscope_controller::devices::{CurrentSetting, PatternPort};
+use flankscope_controller::vitals::Task;
 use flankscope_protocol::Milliamps;
 use flankscope_sim::{Board, Line, Port, Remote, Sim, Wiring};
 
@@ -18,10 +19,56 @@ use super::machine::Machine;
 use super::pin_wire::{PinDecoder, PinMessage, Subject, input_bytes};
 
 /// Every message that came from the image, in order.
-pub(crate) type Trace = Rc<RefCell<Vec<PinMessage>>>;
+type Trace = Rc<RefCell<Vec<PinMessage>>>;
+
+/// An emulated controller on its side of the wiring.
+pub struct Emulated {
+    trace: Trace,
+    pins: Port,
+}
+
+impl Emulated {
+    /// Every message that came from the image so far, in order.
+    #[must_use]
+    pub fn trace(&self) -> Vec<PinMessage> {
+        self.trace.borrow().clone()
+    }
+
+    /// Orders the image to go wrong; only one that was built for it obeys.
+    pub fn drill(&self, order: Drill) {
+        self.pins.send(&input_bytes(Subject::Drill, order.number()));
+    }
+}
+
+/// How the image shall go wrong. The numbers are those of `firmware/mps2-an386/src/drill.rs`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Drill {
+    /// This task is never polled again.
+    Hang(Task),
+    /// This task loops without end.
+    Spin(Task),
+    /// The program panics.
+    Panic,
+    /// The processor meets an instruction that it does not have.
+    Fault,
+}
+
+impl Drill {
+    fn number(self) -> u8 {
+        match self {
+            Self::Hang(task) => 0x10 | task as u8,
+            Self::Spin(task) => 0x20 | task as u8,
+            Self::Panic => 0x30,
+            Self::Fault => 0x31,
+        }
+    }
+}
 
 /// Puts an emulated controller on its side of the wiring. The machine must be kept as long as the simulation runs.
-pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Trace> {
+///
+/// # Errors
+/// The system has no thread or no file descriptor left.
+pub fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Emulated> {
     bridge(sim, "link", &machine.link, wiring.controller_link.clone())?;
     bridge(
         sim,
@@ -67,7 +114,7 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
         }
     });
     let trace = Trace::default();
-    let told = Rc::clone(&trace);
+    let (told, orders) = (Rc::clone(&trace), pins.clone());
     sim.spawn(async move {
         let (mut port, mut decoder, mut buffer) = (pins.clone(), PinDecoder::new(), [0u8; 256]);
         loop {
@@ -89,7 +136,10 @@ pub(crate) fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<
             }
         }
     });
-    Ok(trace)
+    Ok(Emulated {
+        trace,
+        pins: orders,
+    })
 }
 
 /// Does what the image drives.
@@ -137,7 +187,8 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         | Subject::RetractSwitch
         | Subject::StackUsed
         | Subject::AlarmLatency
-        | Subject::Tick => {}
+        | Subject::Tick
+        | Subject::Drill => {}
     }
 }
 
