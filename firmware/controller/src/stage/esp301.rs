@@ -28,6 +28,8 @@ const VERTICAL: char = '2';
 const REPLY_TIMEOUT: Duration = Duration::from_millis(200);
 /// Longer than the controller ever pauses within or before an answer it is late with.
 const QUIET: Duration = Duration::from_millis(150);
+/// The controller's error buffer holds ten.
+const ERRORS_HELD: usize = 10;
 /// 180/pi in millionths: a micro-radian is 57.295780 millionths of a degree.
 const DEGREES_PER_RADIAN_MILLIONTHS: i64 = 57_295_780;
 
@@ -86,6 +88,11 @@ impl<P: Read + Write> Esp301<P> {
     /// Sends one line and reads the error buffer.
     async fn order(&mut self, line: &Line) -> Result<(), StageFault> {
         self.send(line).await?;
+        self.oldest_error().await
+    }
+
+    /// Fails with the oldest error in the buffer.
+    async fn oldest_error(&mut self) -> Result<(), StageFault> {
         let mut answer = Line::new();
         self.ask("TB?", &mut answer).await?;
         let code = answer.split(',').next().unwrap_or_default().trim();
@@ -163,11 +170,23 @@ impl<P: Read + Write> Esp301<P> {
         decimal::read(answer.trim().as_bytes()).ok_or_else(nonsense)
     }
 
+    /// Empties the error buffer: what is left from before is not the error of what comes next.
+    async fn forget_errors(&mut self) -> Result<(), StageFault> {
+        for _ in 0..ERRORS_HELD {
+            match self.oldest_error().await {
+                Err(StageFault {
+                    fault: Fault::StageError,
+                    ..
+                }) => {}
+                other => return other,
+            }
+        }
+        Ok(())
+    }
+
     /// Motors on, velocities, meaning of the home switch.
     async fn prepare(&mut self) -> Result<(), StageFault> {
-        // Errors left from before are not ours.
-        let mut stale = Line::new();
-        self.ask("TB?", &mut stale).await?;
+        self.forget_errors().await?;
         let mut line = Line::new();
         for (axis, speed) in [
             (ROTATION, i64::from(self.axes.rotation_mdeg_per_s) * 1_000),
@@ -230,14 +249,22 @@ impl<P: Read + Write> Stage for Esp301<P> {
                     Part::Number(vertical_mm(view.vertical)),
                 ],
             )?,
-            StageRequest::Retract { vertical, .. } => build(
-                &mut line,
-                &[
-                    Part::Axis(VERTICAL),
-                    Part::Text("PA"),
-                    Part::Number(vertical_mm(vertical)),
-                ],
-            )?,
+            StageRequest::Retract { vertical, .. } => {
+                // Whatever went wrong before may have switched the motor off, a limit switch does. And it left its
+                // error: whether this order is obeyed shows in where the head stands.
+                build(
+                    &mut line,
+                    &[
+                        Part::Axis(VERTICAL),
+                        Part::Text("MO;"),
+                        Part::Axis(VERTICAL),
+                        Part::Text("PA"),
+                        Part::Number(vertical_mm(vertical)),
+                    ],
+                )?;
+                self.send(&line).await?;
+                return self.forget_errors().await;
+            }
             StageRequest::Stop => build(
                 &mut line,
                 &[
@@ -269,6 +296,8 @@ impl<P: Read + Write> Stage for Esp301<P> {
             Homing::Rotation => self.homing = Homing::No,
             Homing::No => {}
         }
+        // A stand that is none: a limit switch, a following error.
+        self.oldest_error().await?;
         let rotation = self.axis_question(ROTATION, "TP?").await?;
         let vertical = self.axis_question(VERTICAL, "TP?").await?;
         let pose = rotation_from_deg(rotation).zip(vertical_from_mm(vertical));

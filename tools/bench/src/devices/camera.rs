@@ -147,6 +147,30 @@ pub(super) async fn run<S: ExposureSink>(
             reading.push_back((counter, readout_done_us));
         }
         counter += 1;
+        if world.faults.spoils(DeviceFault::CameraExtraTrigger) {
+            // Long enough that the frame before is read out.
+            exposing.set(true);
+            let readout = Duration::from_micros(timing.readout_us);
+            Timer::after(readout).await;
+            exposing.set(false);
+            for (counter, _) in reading.drain(..) {
+                sink.borrow_mut().read_out(counter);
+            }
+            let pose = world.stage.borrow().true_pose(now_us());
+            read_out_us = closed_us + 2 * timing.readout_us;
+            sink.borrow_mut().exposed(Exposure {
+                counter,
+                start_us: closed_us,
+                end_us: closed_us + timing.readout_us,
+                pattern,
+                led_on: lit && world.lit.get(),
+                rotation_rad: pose.rotation_rad,
+                vertical_mm: pose.vertical_mm,
+                readout_done_us: now_us() + timing.readout_us,
+            });
+            reading.push_back((counter, now_us() + timing.readout_us));
+            counter += 1;
+        }
         if world.faults.spoils(DeviceFault::CameraNotReady) {
             return core::future::pending().await;
         }

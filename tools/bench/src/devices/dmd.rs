@@ -51,6 +51,7 @@ pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
                 }
                 bus.answer(taken);
             }
+            Either::Second(_) if world.faults.spoils(DeviceFault::DmdMissesTrigger) => {}
             Either::Second(_) => {
                 let dead = timing
                     .dead_from_trigger
@@ -58,6 +59,12 @@ pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
                 triggers += 1;
                 Timer::after(Duration::from_micros(timing.switch_us)).await;
                 if !dead && !world.faults.spoils(DeviceFault::DmdNotReady) {
+                    world.displayed.set(selected);
+                    ready.set(true);
+                }
+                if world.faults.spoils(DeviceFault::DmdExtraTrigger) {
+                    // The same once more: a sequence of one shows what it shows.
+                    Timer::after(Duration::from_micros(timing.switch_us)).await;
                     world.displayed.set(selected);
                     ready.set(true);
                 }

@@ -10,18 +10,26 @@ pub enum DeviceFault {
     LedOpen,
     /// The LED keeps its current when it is disabled.
     LedStuckOn,
+    /// The LED driver is too hot: it cuts the current a while after it was enabled, and gives none any more.
+    LedOverheats,
     /// The DMD never says that a pattern stands.
     DmdNotReady,
     /// The DMD refuses a selection.
     DmdRefuses,
     /// The DMD does not answer a selection.
     DmdSilent,
+    /// The DMD misses one trigger.
+    DmdMissesTrigger,
+    /// The DMD sees one trigger twice.
+    DmdExtraTrigger,
     /// The camera does not become ready again after a frame.
     CameraNotReady,
     /// The camera does not obey a trigger.
     CameraDeaf,
     /// The camera goes on exposing when the trigger falls.
     CameraStuck,
+    /// The camera exposes once without having been triggered, right after a frame.
+    CameraExtraTrigger,
     /// The rotary stage never comes to a stand.
     RotationStalls,
     /// The vertical stage never comes to a stand.
@@ -36,6 +44,10 @@ pub enum DeviceFault {
     StageError,
     /// The vertical stage reads 1 mm beside its target, once.
     StageBeside,
+    /// The vertical stage comes to stand 0.5 mm beyond its target, once.
+    StageOvershoots,
+    /// The vertical stage meets a limit switch halfway, once: its controller stops it and switches its motor off.
+    StageLimit,
 }
 
 impl DeviceFault {
@@ -44,7 +56,15 @@ impl DeviceFault {
     pub fn once(self) -> bool {
         matches!(
             self,
-            Self::StageGarbage | Self::StageLate | Self::StageError | Self::StageBeside
+            Self::DmdMissesTrigger
+                | Self::DmdExtraTrigger
+                | Self::CameraExtraTrigger
+                | Self::StageGarbage
+                | Self::StageLate
+                | Self::StageError
+                | Self::StageBeside
+                | Self::StageOvershoots
+                | Self::StageLimit
         )
     }
 }

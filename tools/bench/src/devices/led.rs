@@ -1,7 +1,7 @@
 //! LED driver: enable in, current sense out.
 
 use super::{DeviceFault, World};
-use embassy_futures::select::select;
+use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::digital::Wait;
 use flankscope_sim::Board;
@@ -18,6 +18,9 @@ pub struct LedTiming {
     pub open: bool,
 }
 
+/// A driver that is too hot cuts the current after this time.
+const OVERHEATS_US: u64 = 20_000;
+
 impl Default for LedTiming {
     fn default() -> Self {
         Self {
@@ -30,6 +33,7 @@ impl Default for LedTiming {
 
 pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
     let (mut enable, sense) = (board.led_enable, board.led_sense);
+    let mut hot = false;
     loop {
         let Ok(()) = enable.wait_for_high().await;
         let mut abandoned = enable.clone();
@@ -39,9 +43,17 @@ pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
             abandoned.wait_for_low(),
         )
         .await;
-        if enable.level() && !timing.open && !world.faults.spoils(DeviceFault::LedOpen) {
+        if enable.level() && !timing.open && !hot && !world.faults.spoils(DeviceFault::LedOpen) {
             world.lit.set(true);
             sense.set(true);
+            let warming = Timer::after(Duration::from_micros(OVERHEATS_US));
+            let lit_on = select(warming, abandoned.wait_for_low()).await;
+            if matches!(lit_on, Either::First(())) && world.faults.spoils(DeviceFault::LedOverheats)
+            {
+                hot = true;
+                world.lit.set(false);
+                sense.set(false);
+            }
         }
         let Ok(()) = enable.wait_for_low().await;
         Timer::after(Duration::from_micros(timing.fall_us)).await;

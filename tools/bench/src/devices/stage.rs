@@ -94,6 +94,12 @@ struct Axis {
     stalls: bool,
     /// Added to the next reading of the position, and to no other.
     reads_beside_mm: f64,
+    /// Added to the next target, and to no other.
+    overshoots_mm: f64,
+    /// The next move ends halfway, at a limit switch.
+    meets_limit: bool,
+    /// When it trips the limit switch that it is under way to, and the error that the controller then has.
+    trips: Option<(f64, (u32, &'static str))>,
     /// Where the client counts from, moved by `DH`.
     zero: f64,
 }
@@ -110,6 +116,9 @@ impl Axis {
             stalled: false,
             stalls: false,
             reads_beside_mm: 0.0,
+            overshoots_mm: 0.0,
+            meets_limit: false,
+            trips: None,
             zero: 0.0,
         }
     }
@@ -131,7 +140,22 @@ impl Axis {
     }
 
     fn send(&mut self, now_s: f64, target: f64) {
+        let here = self.profile.position(now_s);
+        let mut target = target + core::mem::take(&mut self.overshoots_mm);
+        let up = target > here;
+        let limit = core::mem::take(&mut self.meets_limit);
+        if limit {
+            target = 0.5 * (here + target);
+        }
         self.profile = self.profile.redirect(now_s, target, self.dynamics);
+        self.trips = limit.then(|| {
+            let error = if up {
+                (4, "POSITIVE HARDWARE LIMIT DETECTED")
+            } else {
+                (5, "NEGATIVE HARDWARE LIMIT DETECTED")
+            };
+            (self.profile.end_s(), error)
+        });
         self.stalled |= self
             .model
             .stalls_at_move
@@ -188,6 +212,15 @@ impl StageModel {
             .find(|&at_us| above(at_us) != level)
     }
 
+    /// The line sends the vertical axis to a place at least a millimetre away.
+    fn moves_vertically(&self, line: &str) -> bool {
+        let axis = &self.axes[1];
+        let mut commands = line.split(';');
+        let target: Option<f64> =
+            commands.find_map(|command| command.trim().strip_prefix("2PA")?.parse().ok());
+        target.is_some_and(|target| (target + axis.zero - axis.profile.target()).abs() >= 1.0)
+    }
+
     fn pose_of(&self, position: impl Fn(&Axis) -> f64) -> TruePose {
         let [rotation, vertical] = [0, 1].map(|n| {
             let axis = &self.axes[n];
@@ -214,6 +247,13 @@ impl StageModel {
     /// Carries out one line of commands at `now_us` and returns the answer, if any. `true`: something set off.
     fn line(&mut self, now_us: u64, line: &str) -> (String, bool) {
         let now_s = now_us as f64 * 1e-6;
+        for (n, axis) in self.axes.iter_mut().enumerate() {
+            if let Some((_, (code, message))) = axis.trips.take_if(|(at_s, _)| now_s >= *at_s) {
+                axis.motor_on = false;
+                self.errors
+                    .push_back(((n as u32 + 1) * 100 + code, message));
+            }
+        }
         let (mut answers, mut set_off) = (String::new(), false);
         for command in line
             .split(';')
@@ -450,6 +490,12 @@ fn spoil(stage: &RefCell<StageModel>, faults: &Faults, line: &str) {
     }
     if line == "TB?" && faults.spoils(DeviceFault::StageError) {
         stage.errors.push_front((7, "PARAMETER OUT OF RANGE"));
+    }
+    if stage.moves_vertically(line) && faults.spoils(DeviceFault::StageOvershoots) {
+        stage.axes[1].overshoots_mm = 0.5;
+    }
+    if stage.moves_vertically(line) && faults.spoils(DeviceFault::StageLimit) {
+        stage.axes[1].meets_limit = true;
     }
     if line == "2TP?" && faults.spoils(DeviceFault::StageBeside) {
         let reading_mm = 1.0;

@@ -97,21 +97,19 @@ impl Host {
 
     /// Sends a frame as it is.
     pub async fn send(&mut self, session: u32, sequence: u16, command: &Command) {
+        let wire = Self::wire(session, sequence, command);
+        self.port.write_all(&wire).await.expect("in memory");
+    }
+
+    fn wire(session: u32, sequence: u16, command: &Command) -> Vec<u8> {
+        let header = Header {
+            session,
+            sequence,
+            ack: 0,
+        };
         let mut wire = [0; MAX_FRAME_BYTES];
-        let length = encode(
-            Header {
-                session,
-                sequence,
-                ack: 0,
-            },
-            command,
-            &mut wire,
-        )
-        .expect("fits");
-        self.port
-            .write_all(&wire[..length])
-            .await
-            .expect("in memory");
+        let length = encode(header, command, &mut wire).expect("fits");
+        wire[..length].to_vec()
     }
 
     /// Sends a new command and waits for its reply.
@@ -180,6 +178,13 @@ impl Host {
     pub async fn tell(&mut self, command: &Command) {
         self.sequence = self.sequence.wrapping_add(1);
         self.send(SESSION, self.sequence, command).await;
+    }
+
+    /// Sends the first half of a command's frame.
+    pub async fn tell_in_part(&mut self, command: &Command) {
+        self.sequence = self.sequence.wrapping_add(1);
+        let wire = Self::wire(SESSION, self.sequence, command);
+        self.scribble(&wire[..wire.len() / 2]);
     }
 
     /// Sends the last command again, under the same number.
