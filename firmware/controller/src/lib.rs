@@ -28,6 +28,8 @@ pub mod budget;
 pub mod desk;
 pub mod devices;
 pub mod dlpc350;
+#[cfg(test)]
+mod drawings;
 pub mod interlock;
 pub mod lamp;
 pub mod link;

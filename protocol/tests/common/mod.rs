@@ -4,6 +4,8 @@
 //! golden bytes.
 #![allow(dead_code, missing_docs)] // each test binary uses its part
 
+pub mod feed;
+
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::plan::Wait;
 use flankscope_protocol::*;

@@ -109,6 +109,10 @@ pub fn qemu(root: &Path) -> Result<(), String> {
         spread("pulse_excess")
     );
     println!(
+        "  DMD ready to camera trigger      {}: the plan's settle, and lateness",
+        spread("ready_to_camera")
+    );
+    println!(
         "  DMD trigger to camera trigger    {}, the bench's answers in real time included",
         spread("dmd_to_camera")
     );

@@ -5,6 +5,7 @@
 extern crate std;
 
 use super::rules::{Expired, Inputs, Orders, Phase, Position, Rule, State, decide, outputs};
+use crate::drawings;
 use flankscope_protocol::Fault;
 use std::{collections::BTreeMap, println, vec::Vec};
 
@@ -311,4 +312,49 @@ fn every_rule_is_missed_when_it_is_switched_off() {
         );
         assert!(!found.is_empty(), "nobody misses {rule:?}");
     }
+}
+
+/// What a change of phase stands for; the model says which changes there are.
+fn meaning(from: &str, to: &str) -> &'static str {
+    match (from, to) {
+        ("Locked", "Armed") => "home, acknowledge",
+        ("Armed", "Clear") => "switch made and retracted",
+        ("Clear", "Armed") => "home",
+        ("Clear", "Claiming") => "start",
+        ("Claiming", "Entered") => "the press had its time to obey",
+        ("Claiming", "Withdrawing") => "retract, any loss, held too long",
+        ("Entered", "Withdrawing") => "retract, any loss, held too long",
+        ("Clear", "Withdrawing") => "the head is not proven out any more",
+        ("Withdrawing", "Clear") => "out, without a fault",
+        ("Withdrawing", "Locked") => "out after a fault, or not out in time",
+        (_, "Locked") => "signals dead for too long",
+        _ => "?",
+    }
+}
+
+#[test]
+fn every_change_of_phase_is_drawn_in_the_readme_and_no_other() {
+    let name = |phase: Phase| match phase {
+        Phase::Locked(_) => "Locked",
+        Phase::Armed => "Armed",
+        Phase::Clear => "Clear",
+        Phase::Claiming => "Claiming",
+        Phase::Entered => "Entered",
+        Phase::Withdrawing(_) => "Withdrawing",
+    };
+    let vectors: Vec<Inputs> = inputs().collect();
+    let mut changes = drawings::Changes::new();
+    for before in states() {
+        for input in &vectors {
+            let (from, to) = (name(before.phase), name(decide::<0>(before, input).phase));
+            if from != to {
+                let causes = changes.entry((from.into(), to.into())).or_default();
+                causes.insert(meaning(from, to).into());
+            }
+        }
+    }
+    drawings::assert_drawn(
+        "interlock",
+        &drawings::mermaid("Locked", ("", &[]), &changes),
+    );
 }

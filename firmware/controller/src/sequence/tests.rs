@@ -3,6 +3,7 @@
 extern crate std;
 
 use super::*;
+use crate::drawings;
 use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
 
 use flankscope_protocol::{FringeSet, Timeouts};
@@ -805,4 +806,101 @@ fn an_unsafe_press_darkens_and_retracts_in_the_same_step_at_every_step() {
         assert_eq!(retract.expect("a retract").0, at);
         assert_eq!(rig.sequence.fault(), Some(Fault::PressNotOpen));
     }
+}
+
+/// Every change of state in captures that are disturbed in every way at every step, with what causes it.
+fn every_change() -> drawings::Changes {
+    let orders: [fn(&mut Sequence, Timestamp, &mut Actions); 4] = [
+        Sequence::abort,
+        Sequence::retract,
+        Sequence::home,
+        Sequence::acknowledge,
+    ];
+    let hot = Limits {
+        led_on_max: Microseconds(900_000),
+        led_duty_permille: 200,
+        ..Limits::DEFAULT
+    };
+    let mut rigs = Vec::new();
+    for limits in [Limits::DEFAULT, hot] {
+        let mut rig = Rig::new(Config { limits, ..config() });
+        rig.sequence.store(plan());
+        rigs.push(rig.clone());
+        rig.order(|sequence, now, out| sequence.home(now, out));
+        rigs.push(rig.clone());
+        while rig.advance() {
+            rigs.push(rig.clone());
+        }
+        rig.order(|sequence, now, out| sequence.start(now, out));
+        rigs.push(rig.clone());
+        while rig.advance() {
+            rigs.push(rig.clone());
+        }
+    }
+    let mut changes = drawings::Changes::new();
+    let mut note = |rig: &Rig| {
+        for event in rig.events() {
+            if let Event::StateChanged {
+                prev, next, why, ..
+            } = event
+            {
+                let cause = match why {
+                    Why::Sequence => "".into(),
+                    Why::Fault(code) if code == Fault::LedCooling.code() => "LED too hot".into(),
+                    Why::Fault(_) => "fault".into(),
+                    other => std::format!("{other:?}").to_lowercase(),
+                };
+                let change = (std::format!("{prev:?}"), std::format!("{next:?}"));
+                changes.entry(change).or_default().insert(cause);
+            }
+        }
+    };
+    let mut disturbed = Vec::new();
+    for rig in &rigs {
+        note(rig);
+        for order in orders {
+            // The desk judges an order before it comes here: homing only at rest.
+            let busy = !matches!(
+                rig.sequence.state(),
+                State::Unhomed | State::Ready | State::Faulted
+            );
+            if busy && order as usize == Sequence::home as fn(_, _, _) as usize {
+                continue;
+            }
+            let mut rig = rig.clone();
+            rig.order(order);
+            disturbed.push(rig);
+        }
+        let (mut lost, mut frozen) = (rig.clone(), rig.clone());
+        lost.input(Input::EventsLost);
+        frozen.world.frozen = true;
+        disturbed.extend([lost, frozen]);
+    }
+    for mut rig in disturbed {
+        rig.run();
+        if rig.sequence.state() == State::Faulted {
+            let mut retracted = rig.clone();
+            retracted.order(|sequence, now, out| sequence.retract(now, out));
+            retracted.run();
+            note(&retracted);
+            rig.order(|sequence, now, out| sequence.acknowledge(now, out));
+        }
+        note(&rig);
+    }
+    changes
+}
+
+#[test]
+fn every_change_of_state_is_drawn_in_the_readme_and_no_other() {
+    let capture = [
+        "Claiming",
+        "Moving",
+        "Settling",
+        "Cooling",
+        "Lighting",
+        "Capturing",
+        "Darkening",
+    ];
+    let diagram = drawings::mermaid("Unhomed", ("Capture", &capture), &every_change());
+    drawings::assert_drawn("sequence", &diagram);
 }

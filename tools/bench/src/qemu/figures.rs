@@ -57,12 +57,17 @@ pub struct Figures {
     pub pulse_excess: Option<Spread>,
     /// DMD trigger -> camera trigger of the same frame: switching time and settling, and the bench's answers on the way.
     pub dmd_to_camera: Option<Spread>,
+    /// DMD ready seen -> camera trigger, of exposures longer than a readout: their start waits for the settle alone, so
+    /// the shortest is the settle, and the rest is lateness.
+    pub ready_to_camera: Option<Spread>,
     /// Trigger to trigger between frames of one exposure, jitter as (longest - shortest), the worst of all exposures, us.
     pub period_jitter_us: Option<u64>,
 }
 
 /// Exposures are commanded in multiples of this.
 const EXPOSURE_STEP_US: u64 = 100;
+/// The camera's readout takes 12.5 ms.
+const LONGER_THAN_READOUT_US: u64 = 13_000;
 /// Frames further apart than this belong to different views.
 const SAME_VIEW_US: u64 = 200_000;
 
@@ -113,6 +118,7 @@ impl Figures {
                     .map(|(_, width)| width.saturating_sub(nominal(*width))),
             ),
             dmd_to_camera: Spread::of(between(trace, Subject::DmdTrigger, Subject::CameraTrigger)),
+            ready_to_camera: Spread::of(settled(trace, &pulses)),
             period_jitter_us,
         }
     }
@@ -151,6 +157,26 @@ fn between(trace: &[PinMessage], first: Subject, second: Subject) -> Vec<u64> {
             && let Some(since) = since.take()
         {
             intervals.push(message.at_us - since);
+        }
+    }
+    intervals
+}
+
+/// From DMD ready seen to the camera trigger, where that waits for no readout.
+fn settled(trace: &[PinMessage], pulses: &[(u64, u64)]) -> Vec<u64> {
+    let long = |start: &u64| {
+        let mut of_start = pulses.iter().filter(|(at, _)| at == start);
+        of_start.any(|(_, width)| *width > LONGER_THAN_READOUT_US)
+    };
+    let mut ready = None;
+    let mut intervals = Vec::new();
+    for message in trace.iter().filter(|message| message.value == 1) {
+        match message.subject {
+            Subject::DmdReady => ready = Some(message.at_us),
+            Subject::CameraTrigger if long(&message.at_us) => {
+                intervals.extend(ready.take().map(|ready| message.at_us - ready));
+            }
+            _ => {}
         }
     }
     intervals
