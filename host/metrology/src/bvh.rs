@@ -4,12 +4,15 @@
 //! by side in f32, rounded outwards: one node test is twelve vector operations on any processor. Boxes only decide what
 //! is visited, so they may be coarse; triangles are f64 and decide the answer.
 
+mod packet;
+
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use wide::f32x4;
 
 use crate::leaf::{ERROR_RATIO, LANES, Leaf};
 use crate::triangle::{Nearest, Prepared};
+pub(crate) use packet::{Each, PacketScratch, QUERIES, larger, smaller};
 
 /// Axis-aligned box in f64, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -225,6 +228,12 @@ impl Bvh {
             ids,
             extent: extent.fold(0.0, f64::max) as f32,
         }
+    }
+
+    /// Unit normal of the triangle at `place`; zero when it has no area.
+    #[inline(always)]
+    pub fn normal(&self, place: u32) -> Vector3<f64> {
+        self.triangles[place as usize].normal()
     }
 
     /// The caller's number of the triangle at `place`.

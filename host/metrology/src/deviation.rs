@@ -11,9 +11,9 @@ const BLOCK: usize = 1 << 23;
 
 /// Signed distances of `points` (finite, mm) to the surface, mm, in order: positive where material stands proud.
 pub fn deviations(surface: &Surface, points: &[[f64; 3]]) -> Vec<f64> {
-    let mut deviations_mm = Vec::with_capacity(points.len());
-    for block in points.chunks(BLOCK) {
-        deviations_mm.extend(surface.map_closest(block, |closest| closest.signed_distance_mm));
+    let mut deviations_mm = vec![0.0; points.len()];
+    for (points, deviations_mm) in points.chunks(BLOCK).zip(deviations_mm.chunks_mut(BLOCK)) {
+        surface.signed_distances(points, deviations_mm);
     }
     deviations_mm
 }

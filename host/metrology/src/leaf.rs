@@ -8,6 +8,7 @@
 use nalgebra::Vector3;
 use wide::f32x4;
 
+use crate::bvh::{Each, QUERIES, larger, smaller};
 use crate::triangle::unit_normal;
 
 /// Triangles per leaf.
@@ -120,6 +121,47 @@ impl Leaf {
             .fast_min(across[2])
             .simd_ge(zero);
         h * h + inside.bitselect(zero, outline)
+    }
+}
+
+impl Leaf {
+    /// As [`Leaf::distances2`], of one triangle from several queries.
+    #[inline(always)]
+    pub fn distances2_of(&self, lane: usize, q: &[Each; 3]) -> Each {
+        let at = |lanes: &[Lanes; 3]| [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
+        let (origin, along, across, normal) = (
+            at(&self.origin),
+            at(&self.along),
+            at(&self.across),
+            at(&self.normal),
+        );
+        let first = self.first[lane];
+        let [second_u, second_v, second] = at(&self.second);
+        let [third_u, third_v, third] = at(&self.third);
+        let beyond = |s: f32, length: f32| s - smaller(larger(s, 0.0), length);
+        let mut distances2 = [0.0; QUERIES];
+        for i in 0..QUERIES {
+            let (dx, dy, dz) = (
+                q[0][i] - origin[0],
+                q[1][i] - origin[1],
+                q[2][i] - origin[2],
+            );
+            let dot = |axis: [f32; 3]| axis[0] * dx + axis[1] * dy + axis[2] * dz;
+            let (u, v, h) = (dot(along), dot(across), dot(normal));
+            let ub = u - first;
+            let (across_2, across_3) = (second_u * v - second_v * ub, third_v * u - third_u * v);
+            let edge = |across: f32, beyond: f32| across * across + beyond * beyond;
+            let outline = smaller(
+                smaller(
+                    edge(v, beyond(u, first)),
+                    edge(across_2, beyond(second_u * ub + second_v * v, second)),
+                ),
+                edge(across_3, beyond(third_u * u + third_v * v, third)),
+            );
+            let inside = smaller(smaller(v, across_2), across_3) >= 0.0;
+            distances2[i] = h * h + if inside { 0.0 } else { outline };
+        }
+        distances2
     }
 }
 

@@ -9,19 +9,31 @@ const AXIS_BITS: u32 = 10;
 /// The curve's upper bits number the cells that are worked on one by one.
 const CELL_BITS: u32 = 12;
 const CELLS: usize = 1 << CELL_BITS;
+/// The bits below them order the points inside a cell: 8 bits per axis in all.
+const PART_BITS: u32 = 12;
+const PARTS: usize = 1 << PART_BITS;
 /// Points per parallel task.
 const CHUNK: usize = 1 << 16;
-/// Mean step over the box's diagonal below which an order is as good as it needs to be.
-const SHORT_STEP: f64 = 0.02;
+/// Neighbours are asked about together, so many at a time.
+const TOGETHER: usize = crate::bvh::QUERIES;
+/// Points that fill a surface as large as the square of their box's diagonal are diagonal / sqrt(points) apart, and a patch
+/// of [`TOGETHER`] of them is some three of that wide. Up to four times as wide, an order is as good as it needs to be.
+const WIDE: f64 = 12.0;
+/// Every so many patches are looked at.
+const LOOK_AT: usize = 8;
 
-/// Applies `map` to the points in the order of a Z curve, piece by piece, and returns its results in the points' own order;
-/// none when the points already follow each other closely (sorted, or as scanned), so that there is nothing to win.
-/// `points` are finite. The pieces do not depend on the number of threads.
+/// Has `map` fill `results`, as long as the points, from the points in the order of a Z curve, piece by piece; each result
+/// ends up at its point's own place. False, and nothing done, when the points already follow each other closely, so that
+/// there is nothing to win. `points` are finite. The pieces do not depend on the number of threads.
 pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
     points: &[[f64; 3]],
-    map: impl Fn(&[[f64; 3]]) -> Vec<T> + Sync,
-) -> Option<Vec<T>> {
-    let bounds = scattered(points)?;
+    results: &mut [T],
+    empty: T,
+    map: impl Fn(&[[f64; 3]], &mut [T]) + Sync,
+) -> bool {
+    let Some(bounds) = scattered(points) else {
+        return false;
+    };
     let extent = (0..3)
         .map(|k| bounds.high[k] - bounds.low[k])
         .fold(0.0, f64::max);
@@ -39,21 +51,16 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
     let cells: Vec<Vec<T>> = (0..CELLS)
         .into_par_iter()
         .map(|cell| {
-            let runs = chunks.iter().map(|chunk| chunk.run(cell));
-            let own: Vec<(u32, [f64; 3])> = runs.flatten().copied().collect();
-            let mut order: Vec<u64> = (0u64..)
-                .zip(&own)
-                .map(|(at, (key, _))| u64::from(*key) << 32 | at)
-                .collect();
-            order.sort_unstable();
-            let at = |item: &u64| *item as u32 as usize;
-            let along: Vec<[f64; 3]> = order.iter().map(|item| own[at(item)].1).collect();
-            let found = map(&along);
-            let mut results = found.clone();
-            for (item, result) in order.iter().zip(found) {
-                results[at(item)] = result;
+            let count = chunks.iter().map(|chunk| chunk.run(cell).len()).sum();
+            let places = places_along(&chunks, cell);
+            let own = || chunks.iter().flat_map(|chunk| chunk.run(cell));
+            let mut along = vec![[0.0; 3]; count];
+            for ((_, point), &place) in own().zip(&places) {
+                along[place as usize] = *point;
             }
-            results
+            let mut found = vec![empty; count];
+            map(&along, &mut found);
+            places.iter().map(|&place| found[place as usize]).collect()
         })
         .collect();
     // Where each chunk's run begins in each cell.
@@ -68,18 +75,42 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
             begin
         })
         .collect();
-    let back: Vec<Vec<T>> = chunks
+    chunks
         .par_iter()
         .zip(begins)
-        .map(|(chunk, begins)| {
+        .zip(results.par_chunks_mut(CHUNK))
+        .for_each(|((chunk, begins), results)| {
             let sorted: Vec<T> = (0..CELLS)
                 .flat_map(|cell| &cells[cell][begins[cell]..begins[cell] + chunk.run(cell).len()])
                 .copied()
                 .collect();
-            chunk.place.iter().map(|&at| sorted[at as usize]).collect()
+            for (result, &at) in results.iter_mut().zip(&chunk.place) {
+                *result = sorted[at as usize];
+            }
+        });
+    true
+}
+
+/// Where each of the cell's points stands along the curve inside the cell, by counting on the next bits of their keys:
+/// those of one place keep their order.
+fn places_along(chunks: &[Chunk], cell: usize) -> Vec<u32> {
+    let own = || chunks.iter().flat_map(|chunk| chunk.run(cell));
+    let part = |key: u32| (key >> (3 * AXIS_BITS - CELL_BITS - PART_BITS)) as usize % PARTS;
+    let mut next = vec![0u32; PARTS];
+    for (key, _) in own() {
+        next[part(*key)] += 1;
+    }
+    let mut begin = 0;
+    for next in &mut next {
+        (*next, begin) = (begin, begin + *next);
+    }
+    own()
+        .map(|(key, _)| {
+            let next = &mut next[part(*key)];
+            *next += 1;
+            *next - 1
         })
-        .collect();
-    Some(back.concat())
+        .collect()
 }
 
 /// The points' box, unless they already follow each other closely.
@@ -87,16 +118,22 @@ fn scattered(points: &[[f64; 3]]) -> Option<Aabb> {
     let boxes: Vec<Aabb> = points.par_chunks(CHUNK).map(Aabb::around).collect();
     let mut bounds = Aabb::EMPTY;
     boxes.iter().for_each(|aabb| bounds.grow(aabb));
-    let step = |pair: &[[f64; 3]]| {
-        let along = |k: usize| (pair[1][k] - pair[0][k]).abs();
-        along(0).max(along(1)).max(along(2))
-    };
-    let steps: Vec<f64> = points
+    let widths: Vec<(f64, f64)> = points
         .par_chunks(CHUNK)
-        .map(|points| points.windows(2).map(step).sum())
+        .map(|points| {
+            let patches = points.chunks_exact(TOGETHER).step_by(LOOK_AT);
+            let width = |patch| Aabb::around(patch).diagonal2().sqrt();
+            patches.fold((0.0, 0.0), |(sum, count), patch| {
+                (sum + width(patch), count + 1.0)
+            })
+        })
         .collect();
-    let limit = SHORT_STEP * bounds.diagonal2().sqrt() * points.len() as f64;
-    (steps.iter().sum::<f64>() > limit).then_some(bounds)
+    let (sum, count) = widths
+        .iter()
+        .fold((0.0, 0.0), |(sum, count), of| (sum + of.0, count + of.1));
+    let mean = if count > 0.0 { sum / count } else { 0.0 };
+    let spacing = bounds.diagonal2().sqrt() / (points.len() as f64).sqrt();
+    (mean > WIDE * spacing).then_some(bounds)
 }
 
 /// A run of the points, sorted by cell.
@@ -164,19 +201,23 @@ mod tests {
             points.windows(2).map(step).sum()
         };
         let walked = std::sync::Mutex::new(0.0);
-        let same = map_along_curve(&points, |piece| {
+        let mut same = vec![[0.0; 3]; points.len()];
+        let done = map_along_curve(&points, &mut same, [0.0; 3], |piece, results| {
             *walked.lock().unwrap() += length(piece);
-            piece.to_vec()
+            results.copy_from_slice(piece);
         });
-        assert_eq!(same.as_deref(), Some(&points[..]));
+        assert!(done);
+        assert_eq!(same, points);
         assert!(walked.into_inner().unwrap() < 0.1 * length(&points));
     }
 
     #[test]
     fn ordered_and_coinciding_points_are_left_alone() {
         let line: Vec<[f64; 3]> = (0..5_000).map(|i| [f64::from(i), 0.0, 0.0]).collect();
-        assert_eq!(map_along_curve(&line, <[_]>::to_vec), None);
-        assert_eq!(map_along_curve(&[[1.0; 3]; 10], <[_]>::to_vec), None);
-        assert_eq!(map_along_curve(&[], <[[f64; 3]]>::to_vec), None);
+        for points in [&line[..], &[[1.0; 3]; 10], &[]] {
+            let mut untouched = vec![0; points.len()];
+            let done = map_along_curve(points, &mut untouched, 0, |_, _| panic!("asked"));
+            assert!(!done);
+        }
     }
 }

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 pub use crate::bvh::Aabb;
-use crate::bvh::{Bvh, Found, Scratch};
+use crate::bvh::{Bvh, Found, PacketScratch, QUERIES, Scratch};
 use crate::mesh::{MeshError, TriMesh, weld};
 use crate::order::map_along_curve;
 use crate::simd;
@@ -116,13 +116,25 @@ impl Surface {
     /// As [`Surface::closest`], faster when `place` is that of a point near by. The hint never changes the distance.
     #[inline(always)]
     pub(crate) fn closest_near(&self, p: [f64; 3], place: u32, scratch: &mut Scratch) -> Closest {
-        let Found { place, nearest } = self.bvh.closest(p, place, scratch);
-        let facet = &self.facets[self.bvh.id(place) as usize];
-        let normal = match nearest.feature {
+        self.describe(p, &self.bvh.closest(p, place, scratch))
+    }
+
+    /// Unit outward normal at a closest point; at edges and corners the pseudo-normal.
+    #[inline(always)]
+    fn normal(&self, found: &Found) -> [f64; 3] {
+        let facet = &self.facets[self.bvh.id(found.place) as usize];
+        match found.nearest.feature {
             Feature::Face => facet.normal,
             Feature::Edge(k) => facet.edge_normals[usize::from(k)],
             Feature::Corner(k) => facet.corner_normals[usize::from(k)],
-        };
+        }
+    }
+
+    #[inline(always)]
+    fn describe(&self, p: [f64; 3], found: &Found) -> Closest {
+        let Found { place, nearest } = *found;
+        let facet = &self.facets[self.bvh.id(place) as usize];
+        let normal = self.normal(found);
         let normal_vector = Vector3::from(normal);
         let outside = normal_vector.dot(&(Vector3::from(p) - nearest.point));
         let distance = nearest.distance2_mm2.sqrt();
@@ -138,42 +150,79 @@ impl Surface {
     }
 
     /// Closest points of many finite points, in order, on all threads; the same bytes for any thread count.
-    pub fn closest_many(&self, points: &[[f64; 3]]) -> Vec<Closest> {
-        self.map_closest(points, |closest| *closest)
-    }
-
-    /// As [`Surface::closest_many`], keeping only what `pick` takes.
     ///
     /// Scattered points are asked in an order of their own, so that each finds the surface where its
     /// predecessor left it; the results come in the order of `points`.
-    pub fn map_closest<T: Copy + Send + Sync>(
-        &self,
-        points: &[[f64; 3]],
-        pick: impl Fn(&Closest) -> T + Sync,
-    ) -> Vec<T> {
-        map_along_curve(points, |piece| self.map_block(piece, &pick)).unwrap_or_else(|| {
-            let blocks: Vec<Vec<T>> = points
-                .par_chunks(CHUNK)
-                .map(|block| self.map_block(block, &pick))
-                .collect();
-            blocks.concat()
-        })
+    pub fn closest_many(&self, points: &[[f64; 3]]) -> Vec<Closest> {
+        let empty = Closest {
+            point: [0.0; 3],
+            signed_distance_mm: 0.0,
+            normal: [0.0; 3],
+            triangle: 0,
+            feature: Feature::Face,
+            smoothness: 0.0,
+            place: 0,
+        };
+        let mut closest = vec![empty; points.len()];
+        self.map(points, &mut closest, empty, |p, found| {
+            self.describe(p, found)
+        });
+        closest
     }
 
-    fn map_block<T>(&self, points: &[[f64; 3]], pick: impl Fn(&Closest) -> T) -> Vec<T> {
+    /// Signed distances of many finite points, mm, in order, as [`Surface::closest_many`] finds them. `results_mm` is as
+    /// long as `points`.
+    pub fn signed_distances(&self, points: &[[f64; 3]], results_mm: &mut [f64]) {
+        self.map(points, results_mm, 0.0, |p, found| {
+            let Found { place, nearest } = *found;
+            // On a face the triangle's own normal decides, and nothing else need be looked up.
+            let normal = match nearest.feature {
+                Feature::Face => self.bvh.normal(place),
+                _ => self.normal(found).into(),
+            };
+            let outside = normal.dot(&(Vector3::from(p) - nearest.point));
+            let distance = nearest.distance2_mm2.sqrt();
+            if outside < 0.0 { -distance } else { distance }
+        });
+    }
+
+    /// As [`Surface::closest_many`], keeping only what `pick` takes.
+    fn map<T: Copy + Send + Sync>(
+        &self,
+        points: &[[f64; 3]],
+        results: &mut [T],
+        empty: T,
+        pick: impl Fn([f64; 3], &Found) -> T + Sync,
+    ) {
+        let map = |points: &[[f64; 3]], results: &mut [T]| self.map_block(points, results, &pick);
+        if !map_along_curve(points, results, empty, map) {
+            results
+                .par_chunks_mut(CHUNK)
+                .zip(points.par_chunks(CHUNK))
+                .for_each(|(results, points)| map(points, results));
+        }
+    }
+
+    fn map_block<T>(
+        &self,
+        points: &[[f64; 3]],
+        results: &mut [T],
+        pick: impl Fn([f64; 3], &Found) -> T,
+    ) {
         simd::with_widest(
             #[inline(always)]
             || {
-                let (mut place, mut scratch) = (0, Scratch::new());
-                let mut results = Vec::with_capacity(points.len());
-                for &point in points {
-                    let closest = self.closest_near(point, place, &mut scratch);
-                    place = closest.place;
-                    results.push(pick(&closest));
+                let mut scratch = PacketScratch::new();
+                for (points, results) in points.chunks(QUERIES).zip(results.chunks_mut(QUERIES)) {
+                    // The last packet is filled with its last point.
+                    let packet = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
+                    let found = self.bvh.closest_packet(&packet, &mut scratch);
+                    for ((&point, found), result) in points.iter().zip(&found).zip(results) {
+                        *result = pick(point, found);
+                    }
                 }
-                results
             },
-        )
+        );
     }
 }
 

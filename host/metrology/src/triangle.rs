@@ -70,6 +70,12 @@ impl Prepared {
         }
     }
 
+    /// Unit normal; zero when the triangle has no area.
+    #[inline(always)]
+    pub fn normal(&self) -> Vector3<f64> {
+        self.normal
+    }
+
     /// The closest point to `p`: Voronoi regions after Ericson, Real-Time Collision Detection (2005), section 5.1.5, with
     /// two changes: the dot products at b and c follow from those at a, and inside the face the distance is taken along
     /// the normal, which keeps long thin triangles exact where barycentric weights lose digits.
