@@ -145,21 +145,11 @@ pub(crate) struct Bvh {
     extent: f32,
 }
 
-/// A closest triangle: place in the hierarchy (a good hint for the next query near by) and the closest point.
+/// A closest triangle: place in the hierarchy, and the closest point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Found {
     pub place: u32,
     pub nearest: Nearest,
-}
-
-/// The stack of a query: (squared distance, child, count). Reused, because clearing it would cost as much as a query.
-/// Depth is bounded by the build, with three siblings left behind per level.
-pub(crate) struct Scratch([(f32, u32, u32); 3 * MAX_DEPTH + WIDTH]);
-
-impl Scratch {
-    pub fn new() -> Self {
-        Self([(0.0, 0, 0); 3 * MAX_DEPTH + WIDTH])
-    }
 }
 
 enum Tree {
@@ -241,9 +231,8 @@ impl Bvh {
         self.ids[place as usize]
     }
 
-    /// The closest triangle to `p`, which must be finite. `hint` is any place; a near one makes the query faster.
-    #[inline(always)]
-    pub fn closest(&self, p: [f64; 3], hint: u32, scratch: &mut Scratch) -> Found {
+    /// The closest triangle to `p`, which must be finite. The plain version of [`Bvh::closest_packet`].
+    pub fn closest(&self, p: [f64; 3]) -> Found {
         let p64 = Vector3::from(p);
         let q = p.map(|c| c as f32);
         // What f32 may lose in the tests of boxes and leaves.
@@ -253,14 +242,13 @@ impl Bvh {
             reach * reach * (1.0 + 4e-7)
         };
         let q = q.map(f32x4::splat);
-        let hint = (hint as usize).min(self.triangles.len() - 1) as u32;
         let mut best = Found {
-            place: hint,
-            nearest: self.triangles[hint as usize].nearest(p64),
+            place: 0,
+            nearest: self.triangles[0].nearest(p64),
         };
         let mut limit = limit_of(best.nearest.distance2_mm2);
-        let stack = &mut scratch.0;
-        stack[0] = (0.0, 0, 0);
+        // (squared distance, child, count); depth is bounded by the build, with three siblings left behind per level.
+        let mut stack = [(0.0, 0, 0); 3 * MAX_DEPTH + WIDTH];
         let mut top = 1;
         while top > 0 {
             top -= 1;

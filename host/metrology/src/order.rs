@@ -34,19 +34,12 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
     let Some(bounds) = scattered(points) else {
         return false;
     };
-    let extent = (0..3)
-        .map(|k| bounds.high[k] - bounds.low[k])
-        .fold(0.0, f64::max);
-    let scale = f64::from((1u32 << AXIS_BITS) - 1) / extent;
-    let key = |point: &[f64; 3]| {
-        let cell = |k: usize| spread(((point[k] - bounds.low[k]) * scale) as u32);
-        cell(0) | cell(1) << 1 | cell(2) << 2
-    };
+    let key = keys(bounds);
     // Each chunk of points by cell; then each cell's points, collected from all chunks, along the curve inside it. The
     // results go back the same way, so that memory is only ever read and written in runs.
     let chunks: Vec<Chunk> = points
         .par_chunks(CHUNK)
-        .map(|points| Chunk::new(points, key))
+        .map(|points| Chunk::new(points, &key))
         .collect();
     let cells: Vec<Vec<T>> = (0..CELLS)
         .into_par_iter()
@@ -89,6 +82,46 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
             }
         });
     true
+}
+
+/// Numbers of the points in the order of a Z curve; none when they already follow each other closely.
+pub(crate) fn along_curve(points: &[[f64; 3]]) -> Option<Vec<u32>> {
+    let key = keys(scattered(points)?);
+    let keys: Vec<u32> = points.iter().map(key).collect();
+    let mut order: Vec<u32> = (0..points.len() as u32).collect();
+    // By the lower digits first: each pass keeps the order of the one before.
+    for shift in [
+        3 * AXIS_BITS - CELL_BITS - PART_BITS,
+        3 * AXIS_BITS - CELL_BITS,
+    ] {
+        let digit = |at: u32| (keys[at as usize] >> shift) as usize % PARTS;
+        let mut next = vec![0u32; PARTS];
+        for &at in &order {
+            next[digit(at)] += 1;
+        }
+        let mut begin = 0;
+        for next in &mut next {
+            (*next, begin) = (begin, begin + *next);
+        }
+        let before = order.clone();
+        for at in before {
+            let next = &mut next[digit(at)];
+            order[*next as usize] = at;
+            *next += 1;
+        }
+    }
+    Some(order)
+}
+
+/// Places of points in a box on the curve.
+fn keys(bounds: Aabb) -> impl Fn(&[f64; 3]) -> u32 + Sync {
+    let low = bounds.low;
+    let extent = (0..3).map(|k| bounds.high[k] - low[k]).fold(0.0, f64::max);
+    let scale = f64::from((1u32 << AXIS_BITS) - 1) / extent;
+    move |point| {
+        let cell = |k: usize| spread(((point[k] - low[k]) * scale) as u32);
+        cell(0) | cell(1) << 1 | cell(2) << 2
+    }
 }
 
 /// Where each of the cell's points stands along the curve inside the cell, by counting on the next bits of their keys:

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 pub use crate::bvh::Aabb;
-use crate::bvh::{Bvh, Found, PacketScratch, QUERIES, Scratch};
+use crate::bvh::{Bvh, Found, PacketScratch, QUERIES};
 use crate::mesh::{MeshError, TriMesh, weld};
 use crate::order::map_along_curve;
 use crate::simd;
@@ -55,8 +55,6 @@ pub struct Closest {
     pub feature: Feature,
     /// Cosine of the angle between `normal` and the triangle's own normal: 1 on faces and smooth edges, clearly less on sharp edges.
     pub smoothness: f64,
-    /// Where the search ended: a hint for a query near by.
-    pub(crate) place: u32,
 }
 
 impl Surface {
@@ -110,13 +108,7 @@ impl Surface {
 
     /// The closest point to a finite `p`, mm.
     pub fn closest(&self, p: [f64; 3]) -> Closest {
-        self.closest_near(p, 0, &mut Scratch::new())
-    }
-
-    /// As [`Surface::closest`], faster when `place` is that of a point near by. The hint never changes the distance.
-    #[inline(always)]
-    pub(crate) fn closest_near(&self, p: [f64; 3], place: u32, scratch: &mut Scratch) -> Closest {
-        self.describe(p, &self.bvh.closest(p, place, scratch))
+        self.describe(p, &self.bvh.closest(p))
     }
 
     /// Unit outward normal at a closest point; at edges and corners the pseudo-normal.
@@ -145,7 +137,6 @@ impl Surface {
             triangle: facet.triangle,
             feature: nearest.feature,
             smoothness: normal_vector.dot(&Vector3::from(facet.normal)),
-            place,
         }
     }
 
@@ -161,7 +152,6 @@ impl Surface {
             triangle: 0,
             feature: Feature::Face,
             smoothness: 0.0,
-            place: 0,
         };
         let mut closest = vec![empty; points.len()];
         self.map(points, &mut closest, empty, |p, found| {
@@ -194,7 +184,9 @@ impl Surface {
         empty: T,
         pick: impl Fn([f64; 3], &Found) -> T + Sync,
     ) {
-        let map = |points: &[[f64; 3]], results: &mut [T]| self.map_block(points, results, &pick);
+        let map = |points: &[[f64; 3]], results: &mut [T]| {
+            self.each_found(points, results, |p, found, result| *result = pick(p, found));
+        };
         if !map_along_curve(points, results, empty, map) {
             results
                 .par_chunks_mut(CHUNK)
@@ -203,22 +195,34 @@ impl Surface {
         }
     }
 
-    fn map_block<T>(
+    /// Shows `visit` each point's closest point, with what belongs to the point, on this thread.
+    pub(crate) fn each_closest<T>(
         &self,
         points: &[[f64; 3]],
-        results: &mut [T],
-        pick: impl Fn([f64; 3], &Found) -> T,
+        with: &mut [T],
+        visit: impl Fn(&Closest, &mut T),
+    ) {
+        self.each_found(points, with, |p, found, own| {
+            visit(&self.describe(p, found), own)
+        });
+    }
+
+    fn each_found<T>(
+        &self,
+        points: &[[f64; 3]],
+        with: &mut [T],
+        visit: impl Fn([f64; 3], &Found, &mut T),
     ) {
         simd::with_widest(
             #[inline(always)]
             || {
                 let mut scratch = PacketScratch::new();
-                for (points, results) in points.chunks(QUERIES).zip(results.chunks_mut(QUERIES)) {
+                for (points, with) in points.chunks(QUERIES).zip(with.chunks_mut(QUERIES)) {
                     // The last packet is filled with its last point.
                     let packet = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
                     let found = self.bvh.closest_packet(&packet, &mut scratch);
-                    for ((&point, found), result) in points.iter().zip(&found).zip(results) {
-                        *result = pick(point, found);
+                    for ((&point, found), own) in points.iter().zip(&found).zip(with) {
+                        visit(point, found, own);
                     }
                 }
             },

@@ -1,5 +1,7 @@
 //! Point-to-triangle registration: Levenberg-Marquardt on rigid motions with Welsch weights, from coarse to fine.
 
+use std::borrow::Cow;
+
 use nalgebra::{
     Isometry3, Matrix6, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -8,8 +10,8 @@ use rayon::prelude::*;
 use super::observe::Observability;
 use super::prior::ScaledPrior;
 use super::{Options, Reason, Registration, Status};
-use crate::bvh::Scratch;
 use crate::frames::Rigid;
+use crate::order::along_curve;
 use crate::random::uniform;
 use crate::surface::{CHUNK, Surface};
 
@@ -52,8 +54,9 @@ pub fn register(
 
 struct Problem<'a> {
     surface: &'a Surface,
-    points: &'a [[f64; 3]],
-    sigma_mm: Option<&'a [f32]>,
+    /// Neighbours follow each other.
+    points: Cow<'a, [[f64; 3]]>,
+    sigma_mm: Option<Cow<'a, [f32]>>,
     options: &'a Options,
     centre: Vector3<f64>,
     arm: f64,
@@ -70,7 +73,6 @@ struct Sample {
     distance: f64,
     /// Inverse variance relative to the common noise; 0 for points that take no part.
     weight: f64,
-    place: u32,
 }
 
 impl Sample {
@@ -79,7 +81,6 @@ impl Sample {
         normal: Vector3::new(0.0, 0.0, 0.0),
         distance: 0.0,
         weight: 0.0,
-        place: 0,
     };
 }
 
@@ -138,6 +139,15 @@ impl<'a> Problem<'a> {
         let mean_weight = sigma_mm.map_or(1.0, |sigmas| {
             sigmas.iter().map(|s| f64::from(*s).powi(-2)).sum::<f64>() / n
         });
+        let (points, sigma_mm) = match along_curve(points) {
+            None => (points.into(), sigma_mm.map(Cow::from)),
+            Some(order) => {
+                let along = order.iter().map(|&i| points[i as usize]);
+                let sigmas =
+                    sigma_mm.map(|sigmas| order.iter().map(|&i| sigmas[i as usize]).collect());
+                (along.collect(), sigmas)
+            }
+        };
         Ok(Self {
             surface,
             points,
@@ -163,7 +173,7 @@ impl<'a> Problem<'a> {
         let mut fit = None;
         for size in sizes {
             let subset = self.subset(size);
-            let mut current = self.lay(&subset, pose, &[]);
+            let mut current = self.lay(&subset, pose);
             if fit.is_none()
                 && let Some(reason) = self.disjoint(&current.samples)
             {
@@ -187,7 +197,7 @@ impl<'a> Problem<'a> {
                     self.advanced(&current, &step)
                 } else {
                     let pose = self.moved(&current.pose, &step);
-                    self.lay(&subset, pose, &current.samples)
+                    self.lay(&subset, pose)
                 };
                 iterations += 1;
                 last_step = size_mm;
@@ -235,39 +245,32 @@ impl<'a> Problem<'a> {
             .collect()
     }
 
-    /// Lays the subset on the surface under `pose`; `before` holds the same points' last places.
-    fn lay(&self, subset: &[u32], pose: Isometry3<f64>, before: &[Sample]) -> Fit {
+    /// Lays the subset on the surface under `pose`.
+    fn lay(&self, subset: &[u32], pose: Isometry3<f64>) -> Fit {
         let rotation: Rotation3<f64> = pose.rotation.to_rotation_matrix();
         let shift = pose.translation.vector - self.centre;
         let mut samples = vec![Sample::UNSET; subset.len()];
         samples
             .par_chunks_mut(CHUNK)
             .zip(subset.par_chunks(CHUNK))
-            .enumerate()
-            .for_each(|(chunk, (samples, indices))| {
-                let mut scratch = Scratch::new();
-                let mut place = 0;
-                for (i, (sample, &index)) in samples.iter_mut().zip(indices).enumerate() {
-                    let arm = rotation * Vector3::from(self.points[index as usize]) + shift;
-                    let hint = before.get(chunk * CHUNK + i).map_or(place, |s| s.place);
-                    let p = (arm + self.centre).into();
-                    let closest = self.surface.closest_near(p, hint, &mut scratch);
-                    place = closest.place;
-                    let distance = closest.signed_distance_mm;
-                    let takes_part = closest.smoothness >= LEAST_SMOOTHNESS
-                        && distance.abs() <= self.options.capture_mm;
-                    *sample = Sample {
-                        arm,
-                        normal: Vector3::from(closest.normal),
-                        distance,
-                        weight: if takes_part {
-                            self.weight(index) / self.mean_weight
-                        } else {
-                            0.0
-                        },
-                        place,
-                    };
+            .for_each(|(samples, indices)| {
+                let mut there = [[0.0; 3]; CHUNK];
+                let there = &mut there[..indices.len()];
+                for ((sample, there), &index) in samples.iter_mut().zip(&mut *there).zip(indices) {
+                    sample.weight = self.weight(index) / self.mean_weight;
+                    sample.arm = rotation * Vector3::from(self.points[index as usize]) + shift;
+                    *there = (sample.arm + self.centre).into();
                 }
+                self.surface
+                    .each_closest(there, samples, |closest, sample| {
+                        sample.normal = Vector3::from(closest.normal);
+                        sample.distance = closest.signed_distance_mm;
+                        let takes_part = closest.smoothness >= LEAST_SMOOTHNESS
+                            && sample.distance.abs() <= self.options.capture_mm;
+                        if !takes_part {
+                            sample.weight = 0.0;
+                        }
+                    });
             });
         let noise = robust_noise(&samples);
         Fit {
@@ -300,6 +303,7 @@ impl<'a> Problem<'a> {
 
     fn weight(&self, index: u32) -> f64 {
         self.sigma_mm
+            .as_ref()
             .map_or(1.0, |sigmas| f64::from(sigmas[index as usize]).powi(-2))
     }
 
@@ -431,7 +435,7 @@ impl<'a> Problem<'a> {
             .sum();
         let rms_mm = (sum / inliers.max(1) as f64).sqrt();
 
-        let stated = self.sigma_mm.map(|_| self.mean_weight.powf(-0.5));
+        let stated = self.sigma_mm.as_ref().map(|_| self.mean_weight.powf(-0.5));
         // Stated uncertainties are believed unless the residuals are larger.
         let noise = stated.map_or(fit.noise, |stated| stated.max(fit.noise));
         let (information, _) = self.normal_equations(&fit, 3.0 * fit.noise, noise);
