@@ -16,12 +16,15 @@
 //! | `0xF8`    |      | mailbox data                       | image index, or a 3 byte pattern definition            |
 //! | `0xFD`    | `0x7D` | validation                       | bit 7 busy; bits 0..=4 what is wrong                   |
 //!
-//! **What this rests on.** Codes `0x65`, `0x66`, `0x75` to `0x78`, `0x7D`, the meaning of their bytes, the layout of a
-//! pattern definition and the order of the steps were compared with the comments of TI's own host library for the
-//! DLPC350 and with excerpts of its programmer's guide (DLPU010). That a write is the read code with bit 7 set is
-//! stated for the sister chip DLPC900 (DLPU018), whose code for the display mode is `0x69` too. The codes of data source
-//! and trigger mode (`0x6F`, `0x70`), the slave address and the status byte before read data could *not* be compared
-//! with a document here, and nothing has been tried on a chip: check them on the first real board.
+//! An answer begins with a status byte, bit 0 of which says that the rest is one; until then it is read again, not asked
+//! again, since a question replaces the answer to the one before.
+//!
+//! **What this rests on.** Codes, meaning of their bytes, layout of a pattern definition and order of the steps were
+//! compared with the comments of TI's own host library for the DLPC350, with excerpts of its programmer's guide
+//! (DLPU010) and, for every code in the table, the slave address, the write bit and the status byte, with the published
+//! firmware of a 3D printer that drives this chip over I2C (Autodesk's Ember, `Hardware.h`, `Projector.cpp`). That
+//! firmware shows patterns of the video input, not of the flash, and waits 100 ms between commands, for which neither it
+//! nor the guide gives a reason. Nothing has been tried on a chip here: check the times on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
 use embassy_time::{Duration, Timer};
@@ -46,6 +49,8 @@ mod register {
 }
 
 const WRITE: u8 = 0x80;
+/// Of the status byte before an answer.
+const READY: u8 = 1 << 0;
 /// How often a validation is asked about, and how many times: it takes a few milliseconds.
 const POLL: Duration = Duration::from_millis(1);
 const POLLS: u32 = 15;
@@ -224,16 +229,20 @@ impl<B: I2c> Dlpc350<B> {
 
     async fn validate(&mut self) -> Result<(), PatternError> {
         self.write(register::VALIDATE, []).await?;
+        let mut asked = false;
         for _ in 0..POLLS {
+            if !asked {
+                let asking = self.bus.write(ADDRESS, &[register::VALIDATE]);
+                asking.await.map_err(|_| PatternError::Bus)?;
+            }
             Timer::after(POLL).await;
-            // A status byte comes before the data.
             let mut answer = [0u8; 2];
-            self.bus
-                .write_read(ADDRESS, &[register::VALIDATE], &mut answer)
-                .await
-                .map_err(|_| PatternError::Bus)?;
-            let [_status, flaws] = answer;
+            let reading = self.bus.read(ADDRESS, &mut answer);
+            reading.await.map_err(|_| PatternError::Bus)?;
+            let [status, flaws] = answer;
+            asked = status & READY == 0;
             match flaws {
+                _ if asked => {}
                 0 => return Ok(()),
                 busy if busy & Flaws::BUSY != 0 => {}
                 flaws => return Err(PatternError::Invalid(Flaws(flaws))),

@@ -39,6 +39,10 @@ struct Chip {
     /// This many transactions are acknowledged, then none.
     dies_after: Option<usize>,
     never_ready: bool,
+    /// The validation was asked about; its answer is still read too early this many times.
+    asked: Option<u32>,
+    /// So often each.
+    early_reads: u32,
 }
 
 impl Chip {
@@ -77,12 +81,24 @@ impl Chip {
                 assert_eq!(self.mailbox, 0, "validated with an open mailbox");
                 (self.validated, self.busy_polls) = (true, 3);
             }
+            // A question replaces the one before.
+            (0x7D, []) => self.asked = Some(self.early_reads),
             other => panic!("no such command: {other:02x?}"),
         }
     }
 
-    fn read(&mut self, code: u8, answer: &mut [u8]) {
-        assert_eq!((code, answer.len()), (0x7D, 2));
+    fn read(&mut self, answer: &mut [u8]) {
+        assert_eq!(answer.len(), 2);
+        match &mut self.asked {
+            None => panic!("read without a question"),
+            // Not ready: what follows the status byte is no answer, though it reads like a good one.
+            Some(early @ 1..) => {
+                *early -= 1;
+                answer.fill(0);
+                return;
+            }
+            Some(0) => self.asked = None,
+        }
         answer[0] = 1;
         if self.busy_polls > 0 || self.never_ready {
             self.busy_polls = self.busy_polls.saturating_sub(1);
@@ -144,9 +160,9 @@ impl I2c for Bus {
                 chip.log.push(bytes.to_vec());
                 chip.write(bytes);
             }
-            [Operation::Write([code]), Operation::Read(answer)] => {
-                chip.log.push(vec![*code]);
-                chip.read(*code, answer);
+            [Operation::Read(answer)] => {
+                chip.log.push(Vec::new());
+                chip.read(answer);
             }
             other => panic!("{other:?}"),
         }
@@ -257,12 +273,39 @@ fn what_the_chip_refuses_is_not_started() {
     assert_eq!(results, [Err(PatternError::Validating { limit_ms: 15 })]);
     assert!(!chip.borrow().running);
 
+    let mute = Chip {
+        early_reads: u32::MAX,
+        ..Chip::default()
+    };
+    let (chip, results) = arm(mute, SETTINGS, &[1]);
+    assert_eq!(results, [Err(PatternError::Validating { limit_ms: 15 })]);
+    assert!(!chip.borrow().running);
+
     let (chip, results) = arm(Chip::default(), SETTINGS, &[13]);
     assert_eq!(
         results,
         [Err(PatternError::NoSuchPattern { got: 13, limit: 12 })]
     );
     assert!(chip.borrow().log.is_empty());
+}
+
+#[test]
+fn an_answer_that_is_not_ready_is_waited_for() {
+    let short = Settings {
+        exposure: Microseconds(1_000),
+        ..SETTINGS
+    };
+    for early_reads in 1..=2 {
+        let chip = || Chip {
+            early_reads,
+            ..Chip::default()
+        };
+        let (_, results) = arm(chip(), SETTINGS, &[1]);
+        assert_eq!(results, [Ok(())], "{early_reads} times");
+        let (chip, results) = arm(chip(), short, &[1]);
+        assert_eq!(results, [Err(PatternError::Invalid(Flaws(Flaws::PERIOD)))]);
+        assert!(!chip.borrow().running);
+    }
 }
 
 #[test]

@@ -131,10 +131,10 @@ impl Axis {
     fn within_travel(&self, target: f64) -> Result<(), (u32, &'static str)> {
         let (lowest, highest) = self.model.travel;
         if target < lowest {
-            return Err((7, "NEGATIVE SOFTWARE LIMIT"));
+            return Err((7, "NEGATIVE SOFTWARE LIMIT DETECTED"));
         }
         if target > highest {
-            return Err((6, "POSITIVE SOFTWARE LIMIT"));
+            return Err((6, "POSITIVE SOFTWARE LIMIT DETECTED"));
         }
         Ok(())
     }
@@ -411,6 +411,8 @@ enum Answer {
     Text(String),
 }
 
+// Numbers and texts of the manual's list of errors, compared with the tables that two clients of others carry
+// (InstrumentKit, golab). Errors of an axis have its number in front: 205 is the lower limit switch of axis 2.
 const UNKNOWN: (u32, &str) = (6, "COMMAND DOES NOT EXIST");
 const NO_SUCH_AXIS: (u32, &str) = (9, "AXIS NUMBER OUT OF RANGE");
 const MISSING_AXIS: (u32, &str) = (37, "AXIS NUMBER MISSING");
