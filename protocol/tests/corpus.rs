@@ -1,8 +1,9 @@
 //! Bytes of any kind into the decoder: it never panics, and accepts nothing but what it would send itself.
 //!
-//! `corpus/` holds hexadecimal inputs worth keeping, one file each, `#` begins a comment; all are replayed.
+//! The inputs are the fuzzer's own corpus, `fuzz/corpus/decode`, one file each. Those with a name say with it how they
+//! end: `whole-` accepted and nothing refused, `bad-` the reverse, `mixed-` both. What the fuzzer adds is named by it.
 //! `DECODE_ROUNDS=1000000 cargo test -p flankscope-protocol --test corpus` tries more random ones. An input that fails
-//! is printed in the corpus's format. `protocol/fuzz` is the same for a fuzzer.
+//! is printed in hexadecimal: keep it with `xxd -r -p`.
 
 mod common;
 
@@ -10,6 +11,7 @@ use common::feed::feed;
 use common::{commands, events, frame, replies};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -26,59 +28,40 @@ struct Shown<'a>(&'a [u8]);
 impl Drop for Shown<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            println!("keep this in corpus/: {}", hex(self.0));
+            println!("keep this in the corpus: {}", hex(self.0));
         }
     }
 }
 
-fn read(path: &Path) -> Vec<u8> {
-    let text = std::fs::read_to_string(path).expect("a readable file");
-    let digits: String = text
-        .lines()
-        .map(|line| line.split('#').next().unwrap_or_default())
-        .flat_map(str::chars)
-        .filter(|c| !c.is_whitespace())
-        .collect();
-    assert!(
-        digits.len().is_multiple_of(2),
-        "{}: half a byte",
-        path.display()
-    );
-    (0..digits.len() / 2)
-        .map(|n| u8::from_str_radix(&digits[2 * n..2 * n + 2], 16).expect("hexadecimal"))
-        .collect()
-}
-
 #[test]
 fn the_corpus_is_replayed() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/decode");
     let mut files: Vec<_> = std::fs::read_dir(folder)
         .expect("the corpus")
         .map(|entry| entry.expect("an entry").path())
         .collect();
     files.sort();
-    assert!(files.len() >= 8, "{} files", files.len());
+    let (mut named, mut endings) = (0, BTreeSet::new());
     for file in files {
-        let bytes = read(&file);
+        let bytes = std::fs::read(&file).expect("a readable file");
+        let shown = Shown(&bytes);
         let (accepted, refused) = feed(&bytes);
-        let name = file
-            .file_stem()
-            .and_then(|name| name.to_str())
-            .unwrap_or_default();
-        // The name says how it ends.
-        match name.split('-').next() {
-            Some("whole") => assert!(
-                accepted > 0 && refused == 0,
-                "{name}: {accepted}, {refused}"
-            ),
-            Some("bad") => assert!(
-                accepted == 0 && refused > 0,
-                "{name}: {accepted}, {refused}"
-            ),
-            Some("mixed") => assert!(accepted > 0 && refused > 0, "{name}: {accepted}, {refused}"),
-            other => panic!("{other:?} is no ending: whole, bad, mixed"),
-        }
+        drop(shown);
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        let Some((ending, _)) = name.split_once('-') else {
+            continue;
+        };
+        let as_named = match ending {
+            "whole" => accepted > 0 && refused == 0,
+            "bad" => accepted == 0 && refused > 0,
+            "mixed" => accepted > 0 && refused > 0,
+            other => panic!("{other} is no ending: whole, bad, mixed"),
+        };
+        assert!(as_named, "{name}: {accepted} accepted, {refused} refused");
+        named += 1;
+        endings.insert(ending.to_string());
     }
+    assert!(named >= 8 && endings.len() == 3, "{named} of {endings:?}");
 }
 
 /// Random bytes, and real frames with a few bytes replaced, inserted or cut out: the mutations of a fuzzer.

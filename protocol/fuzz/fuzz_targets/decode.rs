@@ -1,6 +1,7 @@
 //! Any bytes into the decoder: `cargo install cargo-fuzz`, then in `protocol`: `cargo +nightly fuzz run decode`.
 //!
-//! What it finds belongs into `protocol/tests/corpus` in hexadecimal (`xxd -p`), where every test run replays it.
+//! It begins with `fuzz/corpus/decode` and adds to it; `protocol/tests/corpus.rs` replays that folder in every test run.
+//! Before committing what it added: `cargo +nightly fuzz cmin decode`.
 #![no_main]
 
 #[path = "../../tests/common/feed.rs"]
