@@ -6,7 +6,7 @@
 //!       ◄───────────────────────────── channel ◄─────────────────────────────────────────────┘
 //! channel: flips, drops, repeats, swaps, cuts and joins frames, adds junk
 //! ```
-//! `LINK_FRAMES=10000000 cargo test --release -p flankscope-controller --test link -- --nocapture` runs the long one.
+//! Ten million frames, or `LINK_FRAMES`; `-- --nocapture` prints the counts.
 
 use flankscope_controller::desk::LinkCounts;
 use flankscope_controller::sequence::{Actions, Config};
@@ -280,16 +280,16 @@ fn campaign(frames: u64, seed: u64) -> Counts {
     counts
 }
 
-fn long() -> u64 {
+fn frames() -> u64 {
     std::env::var("LINK_FRAMES")
         .ok()
         .and_then(|text| text.parse().ok())
-        .unwrap_or(1_000_000)
+        .unwrap_or(10_000_000)
 }
 
 #[test]
 fn no_wrong_command_is_carried_out_and_none_twice() {
-    let counts = campaign(long(), 31);
+    let counts = campaign(frames(), 31);
     println!("{counts:#?}");
     // The decoder opens with a delimiter: at most the frame that is joined to a damaged one is lost.
     assert!(counts.longest_resync_frames <= 1);

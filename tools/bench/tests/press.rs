@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Host, Notebook, plan};
-use flankscope_bench::devices::{DeviceConfig, PressModel, World, spawn_all};
+use flankscope_bench::devices::{DeviceConfig, DeviceFault, PressModel, World, spawn_all};
 use flankscope_controller::sequence::Config;
 use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::*;
@@ -238,6 +238,74 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
             });
             assert!(retract_us.expect("retracts") - lost_us <= 250_000 + allowed_us);
             assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
+        }
+    }
+}
+
+/// Likewise with the head's position and with the host, from the moment that they are lost, not that it is noticed.
+#[test]
+fn losing_the_position_or_the_host_darkens_and_retracts_in_time() {
+    for (lost, fault) in [
+        (Some(DeviceFault::StageSilent), Fault::StageSilent),
+        (Some(DeviceFault::StageBeside), Fault::OffPosition),
+        (None, Fault::HostSilent),
+    ] {
+        for frame in [0u16, 1, 7, 19, 24] {
+            let lost_at = Rc::new(RefCell::new(0));
+            let note = Rc::clone(&lost_at);
+            let record = run(PressModel::default(), |mut host, _, world| async move {
+                host.prepare(plan()).await;
+                host.order(Command::Start { session: 5 }).await;
+                host.until(|event| matches!(event, Event::Triggered(t) if t.frame == frame))
+                    .await;
+                *note.borrow_mut() = now_us();
+                match lost {
+                    Some(fault) => {
+                        world.faults.give(fault);
+                        host.keep_company(400).await;
+                    }
+                    None => host.listen(400).await,
+                }
+                host
+            });
+            let lost_us = *lost_at.borrow();
+            let first = record.events.iter().find_map(|event| match event {
+                Event::Fault { fault, at, .. } => fault.known().zip(Some(at.get())),
+                _ => None,
+            });
+            let what = format!("{fault} at frame {frame}");
+            assert_eq!(first.map(|(fault, _)| fault), Some(fault), "{what}");
+            // Behind the last frame of a view it is dark by itself.
+            let lit = |at_us: u64| {
+                let mut edges = record.edges.iter();
+                let last = edges.rfind(|edge| edge.line == "led_enable" && edge.at_us <= at_us);
+                last.is_some_and(|edge| edge.level)
+            };
+            assert!(lit(lost_us), "{what}");
+            let dark_us = times(&record, "led_enable", false);
+            let dark_us = dark_us.into_iter().find(|&at| at >= lost_us);
+            assert!(
+                dark_us.expect("dark") - lost_us <= 100_000,
+                "{what}: {dark_us:?}"
+            );
+            assert!(!lit(lost_us + 100_000), "{what}: lit again");
+            let retract_us = record.events.iter().find_map(|event| match event {
+                Event::StateChanged {
+                    next: State::Retracting,
+                    at,
+                    ..
+                } => Some(at.get()),
+                _ => None,
+            });
+            let retract_us = retract_us.expect("retracts") - lost_us;
+            assert!(
+                retract_us <= 250_000,
+                "{what}: retracts after {retract_us} us"
+            );
+            println!(
+                "{what}: dark after {} us, retract after {retract_us} us",
+                dark_us.unwrap_or(0) - lost_us
+            );
         }
     }
 }

@@ -429,8 +429,27 @@ impl Sequence {
                 self.parked = true;
                 self.retracted(now, then, out);
             }
+            // Not as it was when it arrived.
+            _ if self.at_view() => {
+                let target = self.target();
+                if !target.is_some_and(|(view, _)| self.stands_at(view)) {
+                    self.fail(now, Fault::OffPosition, 0, out);
+                }
+            }
             _ => {}
         }
+    }
+
+    /// The head stands at a view and must not leave it.
+    fn at_view(&self) -> bool {
+        matches!(
+            self.state(),
+            State::Settling
+                | State::Cooling
+                | State::Lighting
+                | State::Capturing
+                | State::Darkening
+        )
     }
 
     fn retracted(&mut self, now: Timestamp, then: Then, out: &mut Actions) {

@@ -107,7 +107,6 @@ impl<P: Read + Write> Esp301<P> {
     }
 
     async fn send(&mut self, line: &str) -> Result<(), StageFault> {
-        self.fall_in().await;
         let sent = async {
             self.port
                 .write_all(line.as_bytes())
@@ -121,8 +120,9 @@ impl<P: Read + Write> Esp301<P> {
             .map_err(|_| silent())?
     }
 
-    /// Sends a question and reads one line of answer.
+    /// Sends a question and reads one line of answer. Orders have none, and need not wait until the line is quiet.
     async fn ask(&mut self, question: &str, answer: &mut Line) -> Result<(), StageFault> {
+        self.fall_in().await;
         self.send(question).await?;
         self.out_of_step = true;
         let answered = with_timeout(REPLY_TIMEOUT, self.line(answer))
@@ -235,6 +235,7 @@ impl<P: Read + Write> Stage for Esp301<P> {
         match request {
             StageRequest::Home { .. } => {
                 self.homing = Homing::Vertical;
+                self.forget_errors().await?;
                 return self.order_axis(VERTICAL, "OR").await;
             }
             StageRequest::Move { view, .. } => build(
@@ -265,15 +266,19 @@ impl<P: Read + Write> Stage for Esp301<P> {
                 self.send(&line).await?;
                 return self.forget_errors().await;
             }
-            StageRequest::Stop => build(
-                &mut line,
-                &[
-                    Part::Axis(ROTATION),
-                    Part::Text("ST;"),
-                    Part::Axis(VERTICAL),
-                    Part::Text("ST"),
-                ],
-            )?,
+            StageRequest::Stop => {
+                build(
+                    &mut line,
+                    &[
+                        Part::Axis(ROTATION),
+                        Part::Text("ST;"),
+                        Part::Axis(VERTICAL),
+                        Part::Text("ST"),
+                    ],
+                )?;
+                // The retract is next, and must not wait for what a controller in trouble may answer.
+                return self.send(&line).await;
+            }
         }
         self.order(&line).await
     }

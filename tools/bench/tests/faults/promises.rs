@@ -202,7 +202,7 @@ pub fn promises() -> Vec<Promise> {
         held(
             Device(DeviceFault::StageSilent),
             &[Fault::StageSilent, Fault::RetractFailed, Fault::HeadSwitch],
-            250,
+            100,
             6_000,
         ),
         once(Device(DeviceFault::StageGarbage), &[Fault::StageReply], 250),
