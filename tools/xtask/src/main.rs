@@ -123,7 +123,8 @@ fn ci() -> Result<(), String> {
     lint()?;
     doc()?;
     deps::check(&root())?;
-    demo()
+    demo()?;
+    firmware::qemu(&root())
 }
 
 fn cargo(arguments: &[&str]) -> Command {
