@@ -9,7 +9,9 @@ use crate::grid::CellGrid;
 pub(crate) struct CellRow {
     /// Counts per cell; infinite where a pixel is saturated, so that every sum it enters is marked.
     pub values: Vec<f32>,
-    /// Per pixel column of the cell row: sum, and non-zero where a pixel exceeds the limit.
+    /// Per pixel column of the cell row: the sum, or all ones where a pixel exceeds the limit. Small sums fit the short
+    /// ones, of which a vector holds twice as many.
+    short: Vec<u16>,
     columns: Vec<u32>,
     excess: Vec<u16>,
 }
@@ -23,6 +25,7 @@ impl CellRow {
         };
         Self {
             values: vec![0.0; grid.columns],
+            short: vec![0; pixels],
             columns: vec![0; pixels],
             excess: vec![0; pixels],
         }
@@ -73,6 +76,9 @@ impl CellRow {
         let count = pixels.len();
         let rows: [&[u16]; B] =
             std::array::from_fn(|y| &frame.row(row * B + y)[pixels.clone()][..count]);
+        if (u64::from(limit) + 1) * ((B * B) as u64) < u64::from(u16::MAX) {
+            return self.read_short_blocks(limit, rows);
+        }
         let columns = &mut self.columns[..count];
         let excess = &mut self.excess[..count];
         for x in 0..count {
@@ -97,6 +103,36 @@ impl CellRow {
             *value = if over > 0 { f32::INFINITY } else { sum as f32 };
         }
         total
+    }
+
+    /// As above where the sum of a whole cell fits 16 bits, as it does for 12-bit counts and cells of up to 4 x 4 pixels.
+    /// Counts beyond the limit enter the brightness as the limit and one.
+    #[inline(always)]
+    fn read_short_blocks<const B: usize>(&mut self, limit: u16, rows: [&[u16]; B]) -> u64 {
+        let count = rows[0].len();
+        let short = &mut self.short[..count];
+        let mut total = 0u32;
+        for x in 0..count {
+            let (mut sum, mut largest) = (0u16, 0u16);
+            for row in &rows {
+                let pixel = row[x].min(limit + 1);
+                sum += pixel;
+                largest = largest.max(pixel);
+            }
+            total += u32::from(sum);
+            short[x] = if largest > limit { u16::MAX } else { sum };
+        }
+        for (columns, value) in short.as_chunks::<B>().0.iter().zip(&mut self.values) {
+            let sum = columns
+                .iter()
+                .fold(0u16, |sum, &column| sum.saturating_add(column));
+            *value = if sum == u16::MAX {
+                f32::INFINITY
+            } else {
+                f32::from(sum)
+            };
+        }
+        u64::from(total)
     }
 
     fn read_large_blocks(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
