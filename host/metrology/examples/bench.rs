@@ -89,7 +89,8 @@ fn main() -> Outcome<()> {
     registration(&bench)?;
     clouds(&bench)?;
     loading(&bench);
-    distance(&bench)
+    distance(&bench)?;
+    growth(&bench)
 }
 
 fn registration(bench: &Bench) -> Outcome<()> {
@@ -188,6 +189,54 @@ fn distance(bench: &Bench) -> Outcome<()> {
                 Some(format!("rms {rms_um:.4} µm"))
             });
         }
+    }
+    Ok(())
+}
+
+/// How cost grows: with the points, with the triangles, with the views that are merged.
+fn growth(bench: &Bench) -> Outcome<()> {
+    if !bench.wants("growth") {
+        return Ok(());
+    }
+    let ring = bench.cloud("random.f64")?;
+    let coarse = Surface::new(&bench.mesh("coarse.ply")?)?;
+    for n in [10_000, 30_000, 100_000, 300_000, 1_000_000, ring.len()] {
+        let points = &ring[..n];
+        let work = || deviations(&coarse, points);
+        bench.time(&format!("growth/distance/points/{n}"), 5, work, |_| None);
+    }
+    for n in [10_000, 100_000, 1_000_000, ring.len()] {
+        let work = || voxel_centroids(&ring[..n], 0.05);
+        bench.time(&format!("growth/merge/points/{n}"), 3, work, |_| None);
+    }
+    // Views of as many points as the head sees cores.
+    for views in [1, 3, 10, 43] {
+        let points = &ring[..(views * 97_000).min(ring.len())];
+        let work = || voxel_centroids(points, 0.05);
+        bench.time(&format!("growth/merge/views/{views}"), 3, work, |_| None);
+    }
+    let feature = Surface::new(&bench.mesh("feature.ply")?)?;
+    let cloud = bench.cloud("feature.f64")?;
+    for n in [1_000, 3_000, 10_000, 30_000, cloud.len()] {
+        let work = || register(&feature, &cloud[..n], None, &Options::default());
+        bench.time(&format!("growth/register/points/{n}"), 9, work, |_| None);
+        let work = || outlier::statistical(&cloud[..n], 20, 2.0);
+        bench.time(&format!("growth/outliers/points/{n}"), 9, work, |_| None);
+    }
+    let mut meshes = vec![bench.mesh("coarse.ply")?, bench.mesh("fine.ply")?];
+    for entry in std::fs::read_dir(&bench.folder)? {
+        let name = entry?.file_name().to_string_lossy().into_owned();
+        if name.starts_with("between-") {
+            meshes.push(bench.mesh(&name)?);
+        }
+    }
+    for mesh in &meshes {
+        let n = mesh.triangles.len();
+        let name = format!("growth/prepare/triangles/{n}");
+        bench.time(&name, 3, || Surface::new(mesh), |_| None);
+        let surface = Surface::new(mesh)?;
+        let work = || deviations(&surface, &ring[..1_000_000]);
+        bench.time(&format!("growth/distance/triangles/{n}"), 3, work, |_| None);
     }
     Ok(())
 }

@@ -1,6 +1,11 @@
 //! `cargo xtask bench`: our figures beside those of the tools people use today, on the same files in one run.
 
+mod checks;
 mod data;
+mod instructions;
+mod plot;
+
+pub use checks::run as checks;
 
 use std::path::Path;
 use std::process::Command;
@@ -76,7 +81,85 @@ pub fn run(root: &Path, peers: Option<&str>) -> Result<(), String> {
         }
         None => eprintln!("no peers: give --peers VENV (see tools/peers/README.md)"),
     }
+    let mut capture = super::cargo(&[
+        "run",
+        "--release",
+        "-q",
+        "-p",
+        "flankscope-bench",
+        "--example",
+        "capture",
+    ]);
+    capture.env("RAYON_NUM_THREADS", "2");
+    let capture = lines(capture)?;
     println!("{}", table(&figures));
+    for figure in capture {
+        println!("{figure}");
+    }
+    plots(root, &figures)
+}
+
+/// Instructions of the hot kernels; fails where one became dearer.
+pub fn instructions(root: &Path) -> Result<(), String> {
+    let folder = root.join("target/bench-data");
+    data::make(&folder)?;
+    instructions::check(root, &folder)
+}
+
+/// How cost grows, as pictures in `docs/bench`.
+fn plots(root: &Path, figures: &[Value]) -> Result<(), String> {
+    let curve = |name: &'static str, work: &str, of: &str| plot::Curve {
+        name,
+        points: {
+            let prefix = format!("growth/{work}/{of}/");
+            let mut points: Vec<(f64, f64)> = figures
+                .iter()
+                .filter_map(|figure| {
+                    let size = figure["name"].as_str()?.strip_prefix(&prefix)?;
+                    Some((size.parse().ok()?, figure["ms"].as_f64()?))
+                })
+                .collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            points
+        },
+    };
+    let pictures = [
+        (
+            "points",
+            "growth with the points",
+            "points",
+            vec![
+                curve("distance, 6 720 triangles", "distance", "points"),
+                curve("voxel merge", "merge", "points"),
+                curve("registration", "register", "points"),
+                curve("outliers, k = 20", "outliers", "points"),
+            ],
+        ),
+        (
+            "triangles",
+            "growth with the triangles",
+            "triangles",
+            vec![
+                curve("preparing the surface", "prepare", "triangles"),
+                curve("distance, a million points", "distance", "triangles"),
+            ],
+        ),
+        (
+            "views",
+            "growth with the views merged, 97 000 points each",
+            "views",
+            vec![curve("voxel merge", "merge", "views")],
+        ),
+    ];
+    let folder = root.join("docs/bench");
+    for (file, title, size, curves) in pictures {
+        if let Some(svg) = plot::svg(title, size, &curves) {
+            let path = folder.join(format!("{file}.svg"));
+            std::fs::create_dir_all(&folder)
+                .and_then(|()| std::fs::write(&path, svg))
+                .map_err(|error| format!("{}: {error}", path.display()))?;
+        }
+    }
     Ok(())
 }
 
@@ -103,7 +186,8 @@ fn table(figures: &[Value]) -> String {
         found["ms"].as_f64()
     };
     let mut text = String::from(
-        "| work | ours, ms | ours, M points/s | peer | peer, ms | ratio | wanted |\n|---|---|---|---|---|---|---|\n",
+        "| work | ours, ms | ours, processor ms | ours, M points/s | peer | peer, ms | ratio | wanted |\n\
+         |---|---|---|---|---|---|---|---|\n",
     );
     for row in ROWS {
         let Some(own) = ms(row.ours) else { continue };
@@ -115,6 +199,10 @@ fn table(figures: &[Value]) -> String {
             0.0 => String::new(),
             target => format!("{target}x"),
         };
+        let processor = figures.iter().find(|f| f["name"] == row.ours);
+        let cpu = processor
+            .and_then(|f| f["cpu_ms"].as_f64())
+            .unwrap_or(f64::NAN);
         let mut shown = false;
         for (peer, names) in row.peers {
             let Some(theirs) = names.iter().map(|name| ms(name)).sum::<Option<f64>>() else {
@@ -122,13 +210,16 @@ fn table(figures: &[Value]) -> String {
             };
             shown = true;
             text += &format!(
-                "| {} | {own:.1} | {rate} | {peer} | {theirs:.1} | {:.1}x | {wanted} |\n",
+                "| {} | {own:.1} | {cpu:.1} | {rate} | {peer} | {theirs:.1} | {:.1}x | {wanted} |\n",
                 row.work,
                 theirs / own
             );
         }
         if !shown {
-            text += &format!("| {} | {own:.1} | {rate} | | | | {wanted} |\n", row.work);
+            text += &format!(
+                "| {} | {own:.1} | {cpu:.1} | {rate} | | | | {wanted} |\n",
+                row.work
+            );
         }
     }
     for figure in figures.iter().filter(|f| f["note"].is_string()) {

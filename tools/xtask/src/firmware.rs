@@ -155,7 +155,8 @@ fn untimed(value: &Value) -> Value {
     }
 }
 
-fn inspect(root: &Path, arguments: &[&str]) -> Result<Value, String> {
+/// What a check says, as JSON; fails unless it said go.
+pub fn inspect(root: &Path, arguments: &[&str]) -> Result<Value, String> {
     let mut command = crate::cargo(&[
         "run",
         "--release",

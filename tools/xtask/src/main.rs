@@ -9,6 +9,8 @@
 //! | `firmware` | both board images, with their budgets |
 //! | `qemu` | the check through the emulated image: same verdict as in-process, and its timing |
 //! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
+//! | `bench --instructions` | instructions of the hot kernels, counted by valgrind; fails where one became dearer |
+//! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
@@ -33,11 +35,16 @@ fn main() -> ExitCode {
         ["firmware"] => firmware::build(&root()),
         ["qemu"] => firmware::qemu(&root()),
         ["bench"] => bench::run(&root(), None),
+        ["bench", "--instructions"] => bench::instructions(&root()),
+        ["bench", "--checks", count] => match count.parse() {
+            Ok(count) => bench::checks(&root(), count),
+            Err(_) => Err(format!("--checks {count}: a number is needed")),
+        },
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
         ["demo"] => demo(),
         ["ci"] => ci(),
-        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV] | \
-                  demo | ci"
+        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
+             --instructions | --checks N] | demo | ci"
             .into()),
     };
     match result {

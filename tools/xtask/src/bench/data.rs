@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `coarse.ply` | toothed surface of a ring gear, 84 teeth x 40 chords x 2 = 6 720 triangles, each 66 mm long |
 //! | `fine.ply`, `fine.stl` | the same surface with 56 chords and 66 layers: 620 928 triangles |
+//! | `between-N.ply` | the same surface with N triangles, between coarse and fine |
 //! | `random.f64`, `sorted.f64`, `scan.f64` | 4.21 million points on it with 20 µm of noise, in three orders |
 //! | `feature.ply` | CAD of one feature: the upper 10 mm of three teeth with their end face |
 //! | `feature.f64`, `truth.f64` | 100 000 points on it with 5 µm of noise, moved by 0.4° and 0.1 mm; the way back |
@@ -20,7 +21,9 @@ use flankscope_gear_cad::{GearKind, GearSpec, Mesh, Meshing, write_ply, write_st
 pub const RING_POINTS: usize = 4_210_000;
 pub const FEATURE_POINTS: usize = 100_000;
 /// Written last: a folder without it is made again.
-const DONE: &str = "done-1";
+const DONE: &str = "done-2";
+/// Meshes between coarse and fine, as chords per pitch and layers: how cost grows with triangles.
+const BETWEEN: [(usize, u32); 3] = [(40, 4), (48, 12), (56, 24)];
 
 type P = [f64; 3];
 
@@ -36,6 +39,11 @@ pub fn make(folder: &Path) -> Result<(), String> {
     save(folder, "coarse.ply", |out| write_ply(&coarse, out))?;
     save(folder, "fine.ply", |out| write_ply(&fine, out))?;
     save(folder, "fine.stl", |out| write_stl(&fine, "gear", out))?;
+    for (chords, slices) in BETWEEN {
+        let mesh = toothed(chords, slices)?;
+        let name = format!("between-{}.ply", mesh.triangles.len());
+        save(folder, &name, |out| write_ply(&mesh, out))?;
+    }
     ring(folder, &fine)?;
     feature(folder)?;
     cloud(folder, "view.f64", &view())?;
