@@ -6,6 +6,7 @@
 mod bench_link;
 mod decode;
 mod deviation;
+mod gear;
 mod geometry;
 mod inspect;
 mod instrument;
@@ -39,6 +40,7 @@ enum Command {
     Register(register::Args),
     Deviation(deviation::Args),
     Merge(merge::Args),
+    Gear(gear::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true)]
@@ -74,6 +76,7 @@ fn main() -> ExitCode {
         Command::Register(args) => register::run(&args),
         Command::Deviation(args) => deviation::run(&args),
         Command::Merge(args) => merge::run(&args),
+        Command::Gear(args) => gear::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
     };

@@ -271,6 +271,16 @@ impl GearData {
         })
     }
 
+    /// Radii between which the flank works, mm: from a tenth of a module behind the tip to three quarters of a module
+    /// beyond the pitch circle; the smaller first.
+    pub fn active_flank_mm(&self) -> [f64; 2] {
+        let (tip, pitch, module) = (self.tip_radius_mm, self.pitch_radius_mm(), self.module_mm);
+        match self.kind {
+            Kind::Internal => [tip + 0.1 * module, pitch + 0.75 * module],
+            Kind::External => [pitch - 0.75 * module, tip - 0.1 * module],
+        }
+    }
+
     /// Length of the involute from the base circle to a radius, mm.
     pub fn profile_mm(&self, radius_mm: f64) -> f64 {
         let base = self.base_radius_mm();

@@ -29,6 +29,7 @@ pub mod cloud;
 pub mod deviation;
 pub mod frames;
 pub mod gear;
+pub mod gear_evaluation;
 mod leaf;
 pub mod merge;
 pub mod mesh;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::gear::{Flank, GearData, GearError, Kind};
+use crate::gear::{Flank, GearData, GearError};
 use crate::mesh::{self, MeshError, TriMesh, Unit};
 use crate::registration::detect_teeth;
 use crate::surface::Surface;
@@ -228,7 +228,9 @@ impl Tool {
         let (gear, inspect) = (self.gear.as_ref()?, self.inspect.as_ref()?);
         let [down, up] = inspect.zone_height_mm;
         Some(Zone {
-            radius_mm: inspect.zone_radius_mm.unwrap_or_else(|| active_flank(gear)),
+            radius_mm: inspect
+                .zone_radius_mm
+                .unwrap_or_else(|| gear.active_flank_mm()),
             height_mm: [inspect.height_mm + down, inspect.height_mm + up],
         })
     }
@@ -245,15 +247,6 @@ impl Tool {
             cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
             ..Settings::default()
         }
-    }
-}
-
-/// From a tenth of a module behind the tip to three quarters of a module beyond the pitch circle.
-fn active_flank(gear: &GearData) -> [f64; 2] {
-    let (tip, pitch, module) = (gear.tip_radius_mm, gear.pitch_radius_mm(), gear.module_mm);
-    match gear.kind {
-        Kind::Internal => [tip + 0.1 * module, pitch + 0.75 * module],
-        Kind::External => [pitch - 0.75 * module, tip - 0.1 * module],
     }
 }
 
@@ -378,7 +371,7 @@ fn check_against_mesh(
         });
     }
     let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
-    let [from, to] = active_flank(gear);
+    let [from, to] = gear.active_flank_mm();
     let step = (gear.teeth / 7).max(1);
     for tooth in (1..=gear.teeth).step_by(step as usize) {
         for flank in Flank::BOTH {

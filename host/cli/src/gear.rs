@@ -1,0 +1,221 @@
+//! `flankscope gear`: ISO 1328 evaluation of a cloud.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::gear_evaluation::{CLASSES, GearEvaluation, Settings, evaluate};
+use flankscope_metrology::tool::Tool;
+use serde::Serialize;
+
+use crate::geometry::load_cloud;
+use crate::output::{Common, Outcome};
+
+/// Profile, helix, pitch and runout deviations of every tooth in a cloud, in the sense of ISO 1328-1.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope gear --tool die --cloud merged.ply --class 9 --json gear.json\n\n\
+    Deviations are along the normal, positive where material stands proud. The standard covers gears; for a die it is\n\
+    used by analogy. A class is only stated where the uncertainty is at most 0.3 of its tolerance.\n\n\
+    Exit code: 0 evaluated (with --class: held), 1 --class not held, 2 --class not decidable, 3 could not run"
+)]
+pub struct Args {
+    /// Folder with tool.toml, or the file itself; its [gear] section is what counts.
+    #[arg(long, value_name = "DIR")]
+    tool: PathBuf,
+    /// Cloud in tool coordinates, mm: PLY or text with `x y z` per line.
+    #[arg(long, value_name = "CLOUD")]
+    cloud: PathBuf,
+    /// The axis that deviations are stated about.
+    #[arg(long, value_enum, default_value_t = Axis::Tool)]
+    axis: Axis,
+    /// Radii between which the flank is used [default: the active flank].
+    #[arg(long, value_name = "A,B", value_parser = two_radii)]
+    usable_mm: Option<[f64; 2]>,
+    /// Points up to this far from mid face enter a profile.
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    band_mm: f64,
+    /// Expanded uncertainty (95 %) of a deviation.
+    #[arg(long, value_name = "UM", default_value_t = 5.0)]
+    u95_um: f64,
+    /// Class that every quantity must hold, 1 to 11.
+    #[arg(long, value_name = "CLASS", value_parser = clap::value_parser!(u32).range(1..=11))]
+    class: Option<u32>,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// What deviations are stated about.
+#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
+enum Axis {
+    /// The tool's own axis.
+    Tool,
+    /// The axis that fits the flanks best.
+    Fit,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<String>,
+    u95_um: f64,
+    #[serde(flatten)]
+    evaluation: &'a GearEvaluation,
+}
+
+fn two_radii(text: &str) -> Result<[f64; 2], String> {
+    let radii: Vec<f64> = text
+        .split(',')
+        .map(|radius| {
+            radius
+                .trim()
+                .parse()
+                .map_err(|_| format!("{radius:?} is no radius"))
+        })
+        .collect::<Result<_, _>>()?;
+    <[f64; 2]>::try_from(radii).map_err(|got| format!("two radii are needed, not {}", got.len()))
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let tool = Tool::load(&args.tool)?;
+    let gear = tool.gear.as_ref().with_context(|| {
+        format!(
+            "{} has no [gear] section (see docs/formats.md)",
+            tool.path.display()
+        )
+    })?;
+    let cloud = load_cloud(&args.cloud)?;
+    let mut settings = Settings {
+        band_mm: args.band_mm,
+        best_fit_axis: args.axis == Axis::Fit,
+        u95_um: args.u95_um,
+        ..Settings::of(gear)
+    };
+    if let Some(usable_mm) = args.usable_mm {
+        settings.usable_mm = usable_mm;
+    }
+    let evaluation = evaluate(gear, &cloud.points, &settings)
+        .with_context(|| format!("cannot evaluate {}", args.cloud.display()))?;
+    let judged = args
+        .class
+        .map(|class| judge(gear, &evaluation, class, args.u95_um));
+    let (outcome, verdict, reason) = match judged {
+        None => (Outcome::Go, None, None),
+        Some((outcome, reason)) => {
+            let verdict = match outcome {
+                Outcome::Go => "go",
+                Outcome::NoGo => "no-go",
+                _ => "indeterminate",
+            };
+            (outcome, Some(verdict), Some(reason))
+        }
+    };
+    args.common.write_json(&Report {
+        verdict,
+        reason: reason.clone(),
+        u95_um: args.u95_um,
+        evaluation: &evaluation,
+    })?;
+    if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+        print_table(&evaluation, verdict.zip(reason))?;
+    }
+    Ok(outcome)
+}
+
+/// Whether every quantity holds a class, and why.
+fn judge(
+    gear: &GearData,
+    evaluation: &GearEvaluation,
+    class: u32,
+    u95_um: f64,
+) -> (Outcome, String) {
+    let mut open = Vec::new();
+    let mut broken = Vec::new();
+    for rating in &evaluation.ratings {
+        let tolerance = rating.quantity.tolerance_um(gear, class);
+        match rating.value_um {
+            None => open.push(format!("{} was not seen whole", rating.symbol)),
+            // Only clearly beyond the tolerance is it broken, only clearly within is it held.
+            Some(value) if value - u95_um > tolerance => {
+                broken.push(format!(
+                    "{} = {value:.1} um, tolerance {tolerance} um",
+                    rating.symbol
+                ));
+            }
+            Some(_)
+                if rating
+                    .best_stateable_class
+                    .is_none_or(|least| class < least) =>
+            {
+                open.push(format!(
+                    "{}: not capable for class {class}, U/T = {:.2}",
+                    rating.symbol,
+                    u95_um / tolerance
+                ));
+            }
+            Some(value) if value + u95_um > tolerance => open.push(format!(
+                "{} = {value:.1} um is within {u95_um} um of its tolerance {tolerance} um",
+                rating.symbol
+            )),
+            Some(_) => {}
+        }
+    }
+    if !broken.is_empty() {
+        (Outcome::NoGo, broken.join("; "))
+    } else if !open.is_empty() {
+        (Outcome::Indeterminate, open.join("; "))
+    } else {
+        (Outcome::Go, format!("every quantity holds class {class}"))
+    }
+}
+
+fn print_table(
+    evaluation: &GearEvaluation,
+    judged: Option<(&'static str, String)>,
+) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(
+        out,
+        "{} points on {} flanks, about {}",
+        evaluation.points,
+        evaluation.flanks.len(),
+        if evaluation.about_best_fit_axis {
+            "the axis that fits best"
+        } else {
+            "the tool's axis"
+        }
+    )?;
+    if let Some(axis) = evaluation.axis {
+        let [x, y] = axis.offset_um;
+        writeln!(
+            out,
+            "the axis that fits best lies {x:+.1}, {y:+.1} um beside the tool's, tilted by {:+.3}, {:+.3} mrad",
+            axis.tilt_mrad[0], axis.tilt_mrad[1]
+        )?;
+    }
+    writeln!(out, "\nquantity     value/um  class  tolerance/um")?;
+    for rating in &evaluation.ratings {
+        let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
+        let class = match (rating.value_um, rating.class) {
+            (Some(_), None) => format!(">{}", CLASSES.end()),
+            (_, class) => class.map_or("-".into(), |class| class.to_string()),
+        };
+        writeln!(
+            out,
+            "{:<12} {:>8} {:>6} {:>13}  {}",
+            rating.symbol,
+            number(rating.value_um),
+            class,
+            number(rating.tolerance_um),
+            rating.note.as_deref().unwrap_or_default()
+        )?;
+    }
+    if let Some((verdict, reason)) = judged {
+        writeln!(out, "\n{}: {reason}", verdict.to_uppercase())?;
+    }
+    Ok(())
+}

@@ -1,0 +1,141 @@
+//! Scattered deviations along one coordinate, smoothed as the standard asks, and what is read from them.
+
+use serde::Serialize;
+
+/// Where the Gaussian weighting function passes half of a wave: sqrt(ln 2 / pi) (ISO 16610-21).
+const ALPHA: f64 = 0.469_718_639_349_825_8;
+/// Positions at which a trace is evaluated.
+const POSITIONS: usize = 151;
+/// Fewer points than this under the weighting function leave a gap.
+const LEAST_POINTS: usize = 4;
+
+/// What is read from one trace, um.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TraceFigures {
+    /// Range of the smoothed trace.
+    pub total_um: f64,
+    /// Range of what is left when the mean line is taken away.
+    pub form_um: f64,
+    /// Rise of the mean line over the whole length; positive towards the far end.
+    pub slope_um: f64,
+    /// Points that went in.
+    pub points: usize,
+}
+
+/// Figures of `points` (position, deviation in mm) over `range`, with the mean line extrapolated over `whole_mm`; none where
+/// the trace has a gap.
+///
+/// The smoothing is the Gaussian with linear regression (ISO 16610-31, first order), whose ends are as good as its middle.
+pub fn figures(
+    points: &mut [(f64, f64)],
+    range: [f64; 2],
+    whole_mm: f64,
+    cutoff_mm: f64,
+) -> Option<TraceFigures> {
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let reach = ALPHA * cutoff_mm;
+    let trace: Vec<(f64, f64)> = (0..POSITIONS)
+        .map(|i| {
+            let at = range[0] + (range[1] - range[0]) * i as f64 / (POSITIONS - 1) as f64;
+            Some((at, smoothed(points, at, reach)?))
+        })
+        .collect::<Option<_>>()?;
+    let (mean_at, mean) = mean_of(&trace);
+    let (mut along, mut rise) = (0.0, 0.0);
+    for (at, deviation) in &trace {
+        along += (at - mean_at).powi(2);
+        rise += (at - mean_at) * (deviation - mean);
+    }
+    let slope = rise / along;
+    let range_of = |of: &dyn Fn(&(f64, f64)) -> f64| {
+        let values = || trace.iter().map(of);
+        values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+    };
+    let used = points
+        .iter()
+        .filter(|(at, _)| (range[0]..=range[1]).contains(at));
+    Some(TraceFigures {
+        total_um: 1e3 * range_of(&|point| point.1),
+        form_um: 1e3 * range_of(&|point| point.1 - slope * (point.0 - mean_at)),
+        slope_um: 1e3 * slope * whole_mm,
+        points: used.count(),
+    })
+}
+
+/// Value at `at` of the line fitted to the points about it, weighted by the Gaussian.
+fn smoothed(points: &[(f64, f64)], at: f64, reach: f64) -> Option<f64> {
+    let begin = points.partition_point(|point| point.0 < at - reach);
+    let end = points.partition_point(|point| point.0 <= at + reach);
+    let near = &points[begin..end];
+    if near.len() < LEAST_POINTS {
+        return None;
+    }
+    let (mut s0, mut s1, mut s2, mut t0, mut t1) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (position, deviation) in near {
+        let x = (position - at) / reach;
+        let weight = (-std::f64::consts::PI * x * x).exp();
+        s0 += weight;
+        s1 += weight * x;
+        s2 += weight * x * x;
+        t0 += weight * deviation;
+        t1 += weight * deviation * x;
+    }
+    let determinant = s0 * s2 - s1 * s1;
+    // All points at one position: no line.
+    (determinant > 1e-9 * s0 * s0).then(|| (t0 * s2 - t1 * s1) / determinant)
+}
+
+fn mean_of(trace: &[(f64, f64)]) -> (f64, f64) {
+    let n = trace.len() as f64;
+    let (at, deviation) = trace
+        .iter()
+        .fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
+    (at / n, deviation / n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    #[test]
+    fn a_line_and_a_wave_are_read_back() {
+        // 10 um of slope over 6 mm and a wave of 3 um amplitude, 2 mm long.
+        let deviation = |x: f64| 1e-3 * (10.0 * x / 6.0 + 3.0 * (TAU * x / 2.0).cos());
+        let mut points: Vec<(f64, f64)> = (0..6_001)
+            .map(|i| (1e-3 * f64::from(i), deviation(1e-3 * f64::from(i))))
+            .collect();
+        let cutoff = 0.2;
+        let got = figures(&mut points, [0.0, 6.0], 6.3, cutoff).unwrap();
+        // What the filter leaves of the wave (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
+        let left = (-std::f64::consts::PI * (ALPHA * cutoff / 2.0_f64).powi(2)).exp();
+        assert!((got.slope_um - 10.0 / 6.0 * 6.3).abs() < 0.02, "{got:?}");
+        assert!((got.form_um - 6.0 * left).abs() < 0.05, "{got:?}");
+        assert_eq!(got.points, 6_001);
+    }
+
+    #[test]
+    fn the_filter_halves_a_wave_of_its_cutoff() {
+        let mut points: Vec<(f64, f64)> = (0..20_000)
+            .map(|i| {
+                (
+                    1e-3 * f64::from(i),
+                    1e-3 * (TAU * 1e-3 * f64::from(i)).sin(),
+                )
+            })
+            .collect();
+        // Truncated at one reach either side, where the weight is 4 %: a few percent off half.
+        let got = figures(&mut points, [5.0, 15.0], 10.0, 1.0).unwrap();
+        assert!((got.total_um - 1.0).abs() < 0.12, "{got:?}");
+    }
+
+    #[test]
+    fn a_gap_is_no_trace() {
+        let mut points: Vec<(f64, f64)> = (0..1000)
+            .map(|i| 1e-3 * f64::from(i))
+            .filter(|x| !(0.4..0.6).contains(x))
+            .map(|x| (x, 0.0))
+            .collect();
+        assert_eq!(figures(&mut points, [0.0, 1.0], 1.0, 0.05), None);
+    }
+}
