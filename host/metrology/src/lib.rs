@@ -31,6 +31,7 @@ pub mod frames;
 pub mod gear;
 pub mod gear_evaluation;
 mod leaf;
+pub mod leakage;
 pub mod merge;
 pub mod mesh;
 mod neighbours;

@@ -6,6 +6,7 @@ use crate::gear::{Flank, GearData, GearError};
 use crate::mesh::{self, MeshError, TriMesh, Unit};
 use crate::registration::detect_teeth;
 use crate::surface::Surface;
+use crate::verdict::{Reason, Rule, Undecided};
 use crate::wear::{Settings, Zone};
 
 /// Name of the file inside a tool folder.
@@ -30,6 +31,8 @@ pub struct Tool {
     pub gear: Option<GearData>,
     /// What to inspect.
     pub inspect: Option<Inspect>,
+    /// How it grows with temperature; without it, it is taken to be measured at the temperature of its CAD.
+    pub temperature: Option<Temperature>,
 }
 
 /// The `[cad]` table.
@@ -70,6 +73,90 @@ pub struct Inspect {
     /// Standard uncertainty of the calibration, micrometres.
     #[serde(default = "default_calibration")]
     pub calibration_um: f64,
+    /// Surfaces that the pose may rest on.
+    #[serde(default)]
+    pub datum: Datum,
+    /// Probability with which a limit must be kept or exceeded.
+    #[serde(default = "default_probability")]
+    pub probability: f64,
+    /// What a figure too near to a limit ends in.
+    #[serde(default)]
+    pub undecided: Undecided,
+}
+
+impl Inspect {
+    /// How figures are judged.
+    pub fn rule(&self) -> Rule {
+        Rule {
+            warn_um: self.warn_um,
+            limit_um: self.limit_um,
+            probability: self.probability,
+            undecided: self.undecided,
+        }
+    }
+}
+
+/// Surfaces that a view's pose rests on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Datum {
+    /// All but the judged tooth's flanks: sharp, but blind to wear that all teeth in view share.
+    #[default]
+    Neighbours,
+    /// Tip and root lands only: no wear on any flank moves the pose, the stages hold it about the axis.
+    Lands,
+    /// Everything, the judged flanks included.
+    All,
+}
+
+/// The `[temperature]` table: the tool is measured at any temperature in its range and judged at the reference.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Temperature {
+    /// Temperature at which the CAD holds, degrees C.
+    #[serde(default = "default_reference")]
+    pub reference_degc: f64,
+    /// Lowest and highest temperature at which the tool may be judged, degrees C.
+    pub range_degc: [f64; 2],
+    /// Thermal expansion, 1/K.
+    #[serde(default = "default_expansion")]
+    pub expansion_per_k: f64,
+    /// Standard uncertainty of the measured temperature, K.
+    #[serde(default = "default_u_k")]
+    pub u_k: f64,
+}
+
+impl Temperature {
+    /// Size of the tool at a temperature relative to its CAD.
+    ///
+    /// # Errors
+    /// The temperature is missing or out of range: the tool cannot be judged.
+    pub fn scale(&self, measured_degc: Option<f64>) -> Result<f64, Reason> {
+        let degc = measured_degc.ok_or(Reason::TemperatureMissing)?;
+        let [low, high] = self.range_degc;
+        if (low..=high).contains(&degc) {
+            Ok(1.0 + self.expansion_per_k * (degc - self.reference_degc))
+        } else {
+            Err(Reason::TemperatureRange { degc, low, high })
+        }
+    }
+}
+
+fn default_probability() -> f64 {
+    crate::verdict::PROBABILITY
+}
+
+fn default_reference() -> f64 {
+    20.0
+}
+
+/// Steel.
+fn default_expansion() -> f64 {
+    11.5e-6
+}
+
+fn default_u_k() -> f64 {
+    1.0
 }
 
 fn default_zone_height() -> [f64; 2] {
@@ -91,6 +178,7 @@ struct File {
     cad: Cad,
     gear: Option<GearData>,
     inspect: Option<Inspect>,
+    temperature: Option<Temperature>,
 }
 
 /// Why a tool cannot be used.
@@ -212,6 +300,7 @@ impl Tool {
             surface,
             gear: file.gear,
             inspect: file.inspect,
+            temperature: file.temperature,
         })
     }
 
@@ -286,9 +375,30 @@ impl File {
                 source,
             })?;
         }
+        if let Some(temperature) = &self.temperature {
+            let [low, high] = temperature.range_degc;
+            if !(-50.0..=high).contains(&low) || !(high <= 1000.0) {
+                let expected = "increasing, from -50 to 1000";
+                return refuse("temperature.range_degc[0]", low, expected);
+            }
+            if !(-50.0..=1000.0).contains(&temperature.reference_degc) {
+                let value = temperature.reference_degc;
+                return refuse("temperature.reference_degc", value, "-50 to 1000");
+            }
+            if !(0.0..=1e-3).contains(&temperature.expansion_per_k) {
+                let value = temperature.expansion_per_k;
+                return refuse("temperature.expansion_per_k", value, "0 to 0.001");
+            }
+            if !(0.0..=100.0).contains(&temperature.u_k) {
+                return refuse("temperature.u_k", temperature.u_k, "0 to 100");
+            }
+        }
         let Some(inspect) = &self.inspect else {
             return Ok(());
         };
+        if !(0.5..1.0).contains(&inspect.probability) {
+            return refuse("inspect.probability", inspect.probability, "0.5 to below 1");
+        }
         if inspect.teeth.is_empty() {
             return refuse("inspect.teeth (count)", 0.0, "at least one tooth");
         }

@@ -3,8 +3,64 @@
 //! Decision with a guard band (ISO 14253-1, JCGM 106): a limit counts as kept or exceeded only when that holds with 95 %
 //! probability. Whatever is missing, late, partial, unsure or not finite is *indeterminate*, never *go*.
 
-/// 95 % quantile of the normal distribution, one-sided.
-pub const GUARD_FACTOR: f64 = 1.645;
+/// Probability with which a limit must be kept or exceeded, unless the tool file says otherwise.
+pub const PROBABILITY: f64 = 0.95;
+
+/// What an undecidable figure ends in.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Undecided {
+    /// Nothing is said.
+    #[default]
+    Indeterminate,
+    /// What cannot be shown to be good counts as bad.
+    NoGo,
+}
+
+/// How one figure is judged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rule {
+    /// Warning limit, micrometres.
+    pub warn_um: f64,
+    /// Stop limit, micrometres.
+    pub limit_um: f64,
+    /// Probability with which a limit must be kept or exceeded.
+    pub probability: f64,
+    /// What an undecidable figure ends in.
+    pub undecided: Undecided,
+}
+
+impl Rule {
+    /// The rule with 95 % probability that leaves undecidable figures open.
+    pub fn new(warn_um: f64, limit_um: f64) -> Self {
+        Self {
+            warn_um,
+            limit_um,
+            probability: PROBABILITY,
+            undecided: Undecided::Indeterminate,
+        }
+    }
+}
+
+/// Probability that a normal figure lies at or below a limit: of conformity when the limit is an upper one.
+pub fn probability_below(limit: f64, value: f64, u: f64) -> f64 {
+    0.5 * libm::erfc((value - limit) / (u * std::f64::consts::SQRT_2))
+}
+
+/// How many standard uncertainties a figure must keep from a limit for a probability of at least one half.
+fn guard_factor(probability: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 10.0);
+    // 50 halvings of 10 end below 1e-14.
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if probability_below(middle, 0.0, 1.0) < probability {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
 
 /// What the instrument says.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -68,6 +124,32 @@ pub enum Reason {
         /// Least share.
         least: f64,
     },
+    /// The pose hides too much of the wear.
+    #[error(
+        "the pose hides {:.0} % of the wear, at most {:.0} % can be corrected; fit to other surfaces (inspect.datum) or bring in a better stage",
+        100.0 * leakage, 100.0 * limit
+    )]
+    Leakage {
+        /// Worst leakage of the flank.
+        leakage: f64,
+        /// Largest that can be corrected.
+        limit: f64,
+    },
+    /// The tool's temperature is needed and not known.
+    #[error(
+        "the tool's temperature is not known, but its file asks for it; give --tool-temperature"
+    )]
+    TemperatureMissing,
+    /// The tool's temperature is outside its range.
+    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}")]
+    TemperatureRange {
+        /// Temperature.
+        degc: f64,
+        /// Lowest.
+        low: f64,
+        /// Highest.
+        high: f64,
+    },
     /// The cloud could not be laid on CAD.
     #[error("registration: {0}")]
     Registration(crate::registration::Reason),
@@ -88,6 +170,9 @@ impl Reason {
             Self::Limits { .. } => "limits",
             Self::Undecidable { .. } => "undecidable",
             Self::Coverage { .. } => "coverage",
+            Self::Leakage { .. } => "leakage",
+            Self::TemperatureMissing => "temperature_missing",
+            Self::TemperatureRange { .. } => "temperature_range",
             Self::Registration(reason) => reason.code(),
             Self::Instrument { code } => code,
         }
@@ -129,7 +214,13 @@ impl std::fmt::Display for Verdict {
 }
 
 /// Decides one feature: `wear_um` with standard uncertainty `u_um` against a warning and a stop limit.
-pub fn decide(wear_um: f64, u_um: f64, warn_um: f64, limit_um: f64) -> Verdict {
+pub fn decide(wear_um: f64, u_um: f64, rule: &Rule) -> Verdict {
+    let Rule {
+        warn_um,
+        limit_um,
+        probability,
+        undecided,
+    } = *rule;
     let indeterminate = |reason| Verdict::Indeterminate { reason };
     for (what, value) in [
         ("wear", wear_um),
@@ -144,12 +235,19 @@ pub fn decide(wear_um: f64, u_um: f64, warn_um: f64, limit_um: f64) -> Verdict {
     if !(0.0 < warn_um && warn_um <= limit_um) {
         return indeterminate(Reason::Limits { warn_um, limit_um });
     }
-    let guard_um = GUARD_FACTOR * u_um.abs();
+    if !(0.5..1.0).contains(&probability) {
+        let what = "probability of conformity";
+        return indeterminate(Reason::NotFinite {
+            what,
+            value: probability,
+        });
+    }
+    let guard_um = guard_factor(probability) * u_um.abs();
     if wear_um + guard_um <= warn_um {
         Verdict::Go
     } else if wear_um + guard_um <= limit_um {
         Verdict::Warn
-    } else if wear_um - guard_um > limit_um {
+    } else if wear_um - guard_um > limit_um || undecided == Undecided::NoGo {
         Verdict::NoGo
     } else {
         indeterminate(Reason::Undecidable {
@@ -199,7 +297,11 @@ mod tests {
             (56.5, "indeterminate"),
             (56.6, "no-go"),
         ] {
-            assert_eq!(decide(wear, 4.0, 30.0, 50.0).word(), expected, "{wear}");
+            assert_eq!(
+                decide(wear, 4.0, &Rule::new(30.0, 50.0)).word(),
+                expected,
+                "{wear}"
+            );
         }
     }
 
@@ -210,7 +312,7 @@ mod tests {
             for at in 0..4 {
                 let mut x = [0.0, 1.0, 30.0, 50.0];
                 x[at] = bad;
-                let verdict = decide(x[0], x[1], x[2], x[3]);
+                let verdict = decide(x[0], x[1], &Rule::new(x[2], x[3]));
                 assert!(
                     matches!(verdict, Verdict::Indeterminate { .. }),
                     "{x:?}: {verdict}"
@@ -218,12 +320,44 @@ mod tests {
             }
         }
         assert!(matches!(
-            decide(0.0, 1.0, 60.0, 50.0),
+            decide(0.0, 1.0, &Rule::new(60.0, 50.0)),
             Verdict::Indeterminate { .. }
         ));
         // A huge uncertainty cannot say go either.
         assert!(matches!(
-            decide(0.0, 100.0, 30.0, 50.0),
+            decide(0.0, 100.0, &Rule::new(30.0, 50.0)),
+            Verdict::Indeterminate { .. }
+        ));
+    }
+
+    #[test]
+    fn the_guard_is_the_normal_quantile_and_the_policy_closes_what_stays_open() {
+        // Quantiles of the standard normal distribution, from tables.
+        for (probability, quantile) in [
+            (0.5, 0.0),
+            (0.95, 1.644_854),
+            (0.975, 1.959_964),
+            (0.999, 3.090_232),
+        ] {
+            assert!((guard_factor(probability) - quantile).abs() < 1e-6);
+        }
+        let rule = Rule {
+            undecided: Undecided::NoGo,
+            ..Rule::new(30.0, 50.0)
+        };
+        assert_eq!(decide(49.0, 4.0, &rule), Verdict::NoGo);
+        assert_eq!(decide(10.0, 4.0, &rule), Verdict::Go);
+        let strict = Rule {
+            probability: 0.999,
+            ..rule
+        };
+        assert_eq!(decide(20.0, 4.0, &strict), Verdict::Warn);
+        let absurd = Rule {
+            probability: f64::NAN,
+            ..rule
+        };
+        assert!(matches!(
+            decide(10.0, 4.0, &absurd),
             Verdict::Indeterminate { .. }
         ));
     }

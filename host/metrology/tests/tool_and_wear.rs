@@ -6,10 +6,11 @@ use std::path::Path;
 
 use flankscope_metrology::alpha;
 use flankscope_metrology::gear::Flank;
-use flankscope_metrology::registration::{Options, register};
+use flankscope_metrology::leakage;
+use flankscope_metrology::registration::{Contact, Options, Response, register};
 use flankscope_metrology::tool::{Tool, ToolError};
 use flankscope_metrology::verdict::{Verdict, combine, decide};
-use flankscope_metrology::wear::{FlankWear, Measured, evaluate};
+use flankscope_metrology::wear::{self, FlankWear, Measured, evaluate};
 use support::{Random, ring84_path};
 
 const FILE: &str = r#"
@@ -99,12 +100,7 @@ fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
 
 fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
     let inspect = tool.inspect.as_ref().unwrap();
-    decide(
-        1e3 * wear.wear_mm,
-        1e3 * wear.u_mm,
-        inspect.warn_um,
-        inspect.limit_um,
-    )
+    decide(1e3 * wear.wear_mm, 1e3 * wear.u_mm, &inspect.rule())
 }
 
 #[test]
@@ -125,7 +121,9 @@ fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
             wear.wear_mm.abs() < 3.0 * wear.u_mm && wear.u_mm < 6e-3,
             "{wear:?}"
         );
-        assert_eq!(wear.worn_cells, 0);
+        let figures = wear.figures.unwrap();
+        assert_eq!(figures.worn_area_mm2.value, 0.0);
+        assert_eq!(figures.lost_volume_mm3.value, 0.0);
     }
 
     // 80 um off one flank.
@@ -174,7 +172,18 @@ fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
         println!("{wear:?}");
         if (wear.tooth, wear.flank) == (84, Flank::Left) {
             assert!((wear.wear_mm - 0.080).abs() < 0.012, "{wear:?}");
-            assert!(wear.mean_mm < 0.02 && wear.worn_cells >= 6, "{wear:?}");
+            assert!(wear.mean_mm < 0.02, "{wear:?}");
+            // About 0.95 x 1.1 mm, 80 um deep; cells of the rim count half or not at all.
+            let figures = wear.figures.unwrap();
+            assert!(
+                (figures.worn_area_mm2.value - 1.05).abs() < 0.45,
+                "{figures:?}"
+            );
+            let u = figures.lost_volume_mm3.u;
+            assert!(
+                (figures.lost_volume_mm3.value - 0.084).abs() < 0.008 + 2.0 * u,
+                "{figures:?}"
+            );
             assert_eq!(verdict(&tool, &wear), Verdict::NoGo);
         } else {
             assert_eq!(verdict(&tool, &wear), Verdict::Go);
@@ -280,4 +289,88 @@ fn wrong_tool_files_are_named() {
     assert!(error.to_string().contains("missing.stl"), "{error}");
     let error = Tool::load(&folder.path().join("nowhere")).unwrap_err();
     assert!(matches!(error, ToolError::Read { .. }), "{error}");
+}
+
+/// The predicted leakage against what the fit really hides: the same noisy points laid on CAD without and with wear.
+#[test]
+fn leakage_is_what_the_fit_takes_away() {
+    let Some(cad) = ring84_path("leakage_is_what_the_fit_takes_away") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let tool = load(folder.path(), FILE, &cad).unwrap();
+    let (gear, zone) = (tool.gear.as_ref().unwrap(), tool.zone().unwrap());
+    let depth_mm = 0.004;
+    let judged = (1, Flank::Right);
+    let worn = |tooth, flank, _: f64, _: f64| {
+        if (tooth, flank) == judged {
+            depth_mm
+        } else {
+            0.0
+        }
+    };
+    let (fresh, worn) = (view(&tool, 5, |_, _, _, _| 0.0), view(&tool, 5, worn));
+    let options = Options {
+        teeth: Some(84),
+        ..Options::default()
+    };
+    // Of the judged tooth nothing is used by the first fit, everything by the second.
+    for use_judged in [false, true] {
+        let near = |p: &[f64; 3]| gear.tooth_at(p[1].atan2(p[0])) == judged.0;
+        let fit = |points: &[[f64; 3]]| {
+            // Chosen by the fresh points: wear must not change who takes part.
+            let used: Vec<[f64; 3]> = points
+                .iter()
+                .zip(&fresh)
+                .filter(|(_, f)| use_judged || !near(f))
+                .map(|(p, _)| *p)
+                .collect();
+            register(&tool.surface, &used, None, &options)
+        };
+        let (before, after) = (fit(&fresh), fit(&worn));
+        let laid: Vec<[f64; 3]> = worn
+            .iter()
+            .map(|&p| after.tool_from_cloud.apply(p))
+            .collect();
+        let closest = tool.surface.closest_many(&laid);
+        let contacts: Vec<Contact> = closest
+            .iter()
+            .zip(&fresh)
+            .map(|(c, f)| Contact::of(c, &after, use_judged || !near(f)))
+            .collect();
+        let places = wear::places(gear, &closest);
+        let response = Response::new(&contacts, &after, None, &options);
+        let leakage = leakage::of_flank(gear, &zone, judged, &response, &contacts, &places);
+        // How far the second pose moved each judged point along its normal, against the first.
+        let (mut hidden, mut count) = (0.0, 0.0);
+        for ((point, closest), place) in worn.iter().zip(&closest).zip(&places) {
+            let inside = place.is_some_and(|p| {
+                (p.tooth, p.flank) == judged
+                    && (zone.radius_mm[0]..zone.radius_mm[1]).contains(&p.radius_mm)
+                    && (zone.height_mm[0]..zone.height_mm[1]).contains(&p.height_mm)
+            });
+            if inside {
+                let (a, b) = (
+                    before.tool_from_cloud.apply(*point),
+                    after.tool_from_cloud.apply(*point),
+                );
+                let moved: f64 = (0..3).map(|k| (b[k] - a[k]) * closest.normal[k]).sum();
+                hidden += moved * moved;
+                count += 1.0;
+            }
+        }
+        let seen = (hidden / count as f64).sqrt() / depth_mm;
+        println!("{use_judged}: predicted {leakage:?}, seen {seen}");
+        // Welsch weights answer to the wear itself, a second-order effect: (4 um / 30 um)2.
+        assert!(
+            (leakage.uniform - seen).abs() < 0.02 + 0.05 * seen,
+            "{leakage:?} against {seen}"
+        );
+        if use_judged {
+            assert!(leakage.uniform > leakage::ACCEPTED, "{leakage:?}");
+        } else {
+            assert!(leakage.worst() < 0.02, "{leakage:?}");
+        }
+        assert!(leakage.common > 0.3, "{leakage:?}");
+    }
 }

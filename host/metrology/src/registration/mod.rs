@@ -9,12 +9,14 @@ mod pairs;
 mod paper;
 mod periodicity;
 mod prior;
+mod response;
 mod solve;
 
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use paper::{PaperOptions, register_paper};
 pub use periodicity::detect_teeth;
 pub use prior::Prior;
+pub use response::{Answer, Contact, Response};
 pub use solve::register;
 
 use nalgebra::Matrix6;

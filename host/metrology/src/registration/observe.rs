@@ -8,6 +8,7 @@ use nalgebra::{Matrix6, SymmetricEigen, Vector6};
 use super::WeakDirection;
 
 /// Information (inverse covariance) of the points in its own directions.
+#[derive(Debug, Clone)]
 pub(super) struct Observability {
     vectors: Matrix6<f64>,
     values: Vector6<f64>,

@@ -23,7 +23,7 @@ const STEP_LIMIT_MM: f64 = 0.02e-3;
 /// by that, whose plane differs by a degree or so: less than 1 nm in the mean.
 const LINEAR_MM: f64 = 2e-3;
 /// Normals at sharp edges (more than 20 degrees between the faces) belong to neither face: such hits take no part.
-const LEAST_SMOOTHNESS: f64 = 0.985;
+pub(super) const LEAST_SMOOTHNESS: f64 = 0.985;
 /// Median of |x| to standard deviation for a normal distribution.
 const SIGMA_PER_MAD: f64 = 1.4826;
 /// Noise is not taken for less than this, so that perfect data do not divide by zero.

@@ -1,0 +1,159 @@
+//! Wear over one flank's zone, cell by cell.
+
+use serde::{Deserialize, Serialize};
+
+/// Cells of profile length by height, row by row from the lowest; NaN where nothing was measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Field {
+    /// Cells along the profile.
+    pub columns: usize,
+    /// Cells along the height.
+    pub rows: usize,
+    /// Size of a cell along profile and height, mm.
+    pub cell_mm: [f64; 2],
+    /// Mean wear of each cell, mm, positive for loss.
+    #[serde(with = "nan_as_null")]
+    pub wear_mm: Vec<f64>,
+    /// Variance of each mean from noise alone, mm2.
+    #[serde(with = "nan_as_null")]
+    pub variance_mm2: Vec<f64>,
+}
+
+/// Two fields that cannot be compared.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "the reference has {}x{} cells of {:.4} x {:.4} mm, this zone {}x{} of {:.4} x {:.4} mm; record the baseline again with the same zone",
+    theirs.0, theirs.1, theirs.2[0], theirs.2[1], ours.0, ours.1, ours.2[0], ours.2[1]
+)]
+pub struct Mismatch {
+    ours: (usize, usize, [f64; 2]),
+    theirs: (usize, usize, [f64; 2]),
+}
+
+impl Field {
+    /// Area of a cell, mm2.
+    pub fn cell_area_mm2(&self) -> f64 {
+        self.cell_mm[0] * self.cell_mm[1]
+    }
+
+    /// Measured cells.
+    pub fn measured(&self) -> impl Iterator<Item = usize> {
+        (0..self.wear_mm.len()).filter(|&i| self.wear_mm[i].is_finite())
+    }
+
+    /// Measured share of the zone.
+    pub fn coverage(&self) -> f64 {
+        self.measured().count() as f64 / self.wear_mm.len().max(1) as f64
+    }
+
+    /// What was lost since `reference`: cells that either lacks are not measured.
+    ///
+    /// # Errors
+    /// The grids differ.
+    pub fn since(&self, reference: &Self) -> Result<Self, Mismatch> {
+        let shape = |f: &Self| (f.columns, f.rows, f.cell_mm);
+        let near = (0..2).all(|k| (self.cell_mm[k] - reference.cell_mm[k]).abs() < 1e-9);
+        if !near || (self.columns, self.rows) != (reference.columns, reference.rows) {
+            return Err(Mismatch {
+                ours: shape(self),
+                theirs: shape(reference),
+            });
+        }
+        let pairs = |a: &[f64], b: &[f64], f: fn(f64, f64) -> f64| {
+            a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect()
+        };
+        Ok(Self {
+            wear_mm: pairs(&self.wear_mm, &reference.wear_mm, |a, b| a - b),
+            variance_mm2: pairs(&self.variance_mm2, &reference.variance_mm2, |a, b| a + b),
+            ..*self
+        })
+    }
+
+    /// The mean of two captures of the same zone; a cell that one lacks is taken from the other.
+    pub fn joined(&self, other: &Self) -> Self {
+        let mut joined = self.clone();
+        for i in 0..joined.wear_mm.len().min(other.wear_mm.len()) {
+            let (a, b) = (self.wear_mm[i], other.wear_mm[i]);
+            if a.is_finite() && b.is_finite() {
+                joined.wear_mm[i] = 0.5 * (a + b);
+                joined.variance_mm2[i] = 0.25 * (self.variance_mm2[i] + other.variance_mm2[i]);
+            } else if b.is_finite() {
+                joined.wear_mm[i] = b;
+                joined.variance_mm2[i] = other.variance_mm2[i];
+            }
+        }
+        joined
+    }
+
+    /// Standard deviation of a cell, as the cells themselves show it: from their stated variances, or from the differences
+    /// between neighbours in height when those are larger. Flanks wear evenly along the height but for a few cells, which
+    /// the median passes over.
+    pub(super) fn noise_mm(&self) -> f64 {
+        let measured: Vec<usize> = self.measured().collect();
+        let stated = measured.iter().map(|&i| self.variance_mm2[i]).sum::<f64>();
+        let stated = (stated / measured.len().max(1) as f64).sqrt();
+        let mut steps: Vec<f64> = measured
+            .iter()
+            .filter_map(|&i| Some((self.wear_mm[i] - self.wear_mm.get(i + self.columns)?).abs()))
+            .filter(|step| step.is_finite())
+            .collect();
+        if steps.len() < 8 {
+            return stated;
+        }
+        let middle = steps.len() / 2;
+        let (_, median, _) = steps.select_nth_unstable_by(middle, f64::total_cmp);
+        // Median of |x| to standard deviation, and the difference of two cells has twice the variance of one.
+        stated.max(1.4826 * *median / std::f64::consts::SQRT_2)
+    }
+
+    /// Groups of neighbouring measured cells that pass `member`, of at least `least` cells each.
+    pub(super) fn clusters(&self, member: impl Fn(usize) -> bool, least: usize) -> Vec<Vec<usize>> {
+        let mut open: Vec<bool> = (0..self.wear_mm.len())
+            .map(|i| self.wear_mm[i].is_finite() && member(i))
+            .collect();
+        let mut clusters = Vec::new();
+        for start in 0..open.len() {
+            if !open[start] {
+                continue;
+            }
+            open[start] = false;
+            let mut cluster = vec![start];
+            let mut next = 0;
+            while let Some(&i) = cluster.get(next) {
+                next += 1;
+                let (column, row) = (i % self.columns, i / self.columns);
+                let around = [
+                    (column > 0).then(|| i - 1),
+                    (column + 1 < self.columns).then_some(i + 1),
+                    (row > 0).then(|| i - self.columns),
+                    (row + 1 < self.rows).then_some(i + self.columns),
+                ];
+                for other in around.into_iter().flatten() {
+                    if std::mem::take(&mut open[other]) {
+                        cluster.push(other);
+                    }
+                }
+            }
+            if cluster.len() >= least {
+                clusters.push(cluster);
+            }
+        }
+        clusters
+    }
+}
+
+/// JSON has no NaN: an unmeasured cell is null there.
+mod nan_as_null {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub fn serialize<S: Serializer>(values: &[f64], serializer: S) -> Result<S::Ok, S::Error> {
+        let options: Vec<Option<f64>> =
+            values.iter().map(|v| v.is_finite().then_some(*v)).collect();
+        options.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+        let options = Vec::<Option<f64>>::deserialize(deserializer)?;
+        Ok(options.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect())
+    }
+}
