@@ -131,16 +131,23 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
     let mut out = std::io::stdout().lock();
     writeln!(
         out,
-        "\ntooth  flank   wear/um   ±U95  warn  stop  seen  verdict"
+        "\ntooth  flank   wear/um   ±U95  mean/um  worn/mm2  lost/mm3  proud/um  detects/um  warn  stop  seen  verdict"
     )?;
     for f in &inspection.features {
         writeln!(
             out,
-            "{:>5}  {:<6} {:>8} {:>6} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
+            "{:>5}  {:<6} {:>8} {:>6} {:>8} {:>9} {:>9} {:>9} {:>11} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
             f.tooth,
             f.flank,
             figure(f.wear_um),
             figure(f.u95_um),
+            figure(f.mean_um),
+            figure(f.detail.as_ref().map(|d| d.worn_area_mm2.value)),
+            f.detail
+                .as_ref()
+                .map_or_else(|| "–".into(), |d| format!("{:.3}", d.lost_volume_mm3.value)),
+            figure(f.detail.as_ref().map(|d| d.buildup_um.value)),
+            figure(f.detail.as_ref().map(|d| d.detection_limit_um)),
             f.warn_um,
             f.limit_um,
             100.0 * f.coverage_ratio,

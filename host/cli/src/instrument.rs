@@ -26,6 +26,9 @@ pub struct Source {
     /// Teeth to check instead of the tool file's, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     pub teeth: Option<Vec<u32>>,
+    /// Temperature of the tool in degrees C; a tool file with [temperature] needs it
+    #[arg(long, value_name = "DEGC", allow_negative_numbers = true)]
+    pub tool_temperature: Option<f64>,
 }
 
 /// What only the simulated bench knows.
@@ -73,7 +76,8 @@ impl Instrument {
             Some(folder) => folder.clone(),
             None => demo_tool(scratch.path())?,
         };
-        let subject = load(&folder, scratch.path())?;
+        let mut subject = load(&folder, scratch.path())?;
+        subject.temperature_degc = source.tool_temperature;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
@@ -165,6 +169,7 @@ fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
     Ok(Subject {
         tool: Arc::new(tool),
         head: Arc::new(head),
+        temperature_degc: None,
         hashes,
     })
 }

@@ -104,9 +104,7 @@ pub fn of_flank(
             let Some(place) = place.as_ref().filter(own) else {
                 continue;
             };
-            if !(from..to).contains(&place.profile_mm)
-                || !(zone.height_mm[0]..zone.height_mm[1]).contains(&place.height_mm)
-            {
+            if !zone.holds(place.radius_mm, place.height_mm) {
                 continue;
             }
             let wear = shape(place);

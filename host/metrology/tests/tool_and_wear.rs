@@ -345,9 +345,7 @@ fn leakage_is_what_the_fit_takes_away() {
         let (mut hidden, mut count) = (0.0, 0.0);
         for ((point, closest), place) in worn.iter().zip(&closest).zip(&places) {
             let inside = place.is_some_and(|p| {
-                (p.tooth, p.flank) == judged
-                    && (zone.radius_mm[0]..zone.radius_mm[1]).contains(&p.radius_mm)
-                    && (zone.height_mm[0]..zone.height_mm[1]).contains(&p.height_mm)
+                (p.tooth, p.flank) == judged && zone.holds(p.radius_mm, p.height_mm)
             });
             if inside {
                 let (a, b) = (

@@ -33,6 +33,14 @@ pub struct Zone {
     pub height_mm: [f64; 2],
 }
 
+impl Zone {
+    /// Whether a place on a flank lies in it.
+    pub fn holds(&self, radius_mm: f64, height_mm: f64) -> bool {
+        (self.radius_mm[0]..self.radius_mm[1]).contains(&radius_mm)
+            && (self.height_mm[0]..self.height_mm[1]).contains(&height_mm)
+    }
+}
+
 /// How wear is computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {

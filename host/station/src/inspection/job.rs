@@ -48,6 +48,8 @@ pub struct Subject {
     pub tool: Arc<flankscope_metrology::tool::Tool>,
     /// The head.
     pub head: Arc<flankscope_profilometry::HeadModel>,
+    /// Temperature of the tool, degrees C, where it is known.
+    pub temperature_degc: Option<f64>,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
 }
@@ -532,6 +534,7 @@ impl Station {
             peak_memory_mb: peak_memory_mb(),
             registration,
             tool: self.subject.tool.name.clone(),
+            temperature_degc: self.subject.temperature_degc,
             versions,
             hashes: self.subject.hashes.clone(),
             pictures,

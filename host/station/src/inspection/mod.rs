@@ -12,6 +12,7 @@
 //! | `timeline` | what the devices did when |
 //! | `result` | the JSON document and the report's material |
 
+mod influence;
 mod job;
 mod pairing;
 mod plan;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_metrology::leakage::Leakage;
 use serde::Serialize;
 
 pub use super::recorder::Picture;
@@ -25,11 +26,45 @@ pub struct Feature {
     pub warn_um: f64,
     /// Stop limit, µm.
     pub limit_um: f64,
+    /// Probability that the wear is below the stop limit; absent when it could not be measured.
+    pub conformity: Option<f64>,
+    /// What else is known of the flank; absent when it could not be measured.
+    pub detail: Option<FlankDetail>,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
     /// Why it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+}
+
+/// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
+#[derive(Clone, Debug, Serialize)]
+pub struct FlankDetail {
+    /// Expanded uncertainty of the mean loss, µm.
+    pub mean_u95_um: f64,
+    /// Area worn beyond the detection limit, mm².
+    pub worn_area_mm2: Expanded,
+    /// Volume lost there, mm³.
+    pub lost_volume_mm3: Expanded,
+    /// Height of material that stands proud, µm.
+    pub buildup_um: Expanded,
+    /// Its volume beyond the detection limit, mm³.
+    pub buildup_volume_mm3: Expanded,
+    /// Radius of the tip edge's rounding, mm; absent when the edge was not seen whole.
+    pub tip_edge_radius_mm: Option<Expanded>,
+    /// Least depth that is told from none with 5 % errors of both kinds, µm.
+    pub detection_limit_um: f64,
+    /// Standard uncertainty of the wear by source, µm.
+    pub budget_um: BTreeMap<&'static str, f64>,
+}
+
+/// A figure with its expanded uncertainty (95 %), same unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Expanded {
+    /// Value.
+    pub value: f64,
+    /// Expanded uncertainty.
+    pub u95: f64,
 }
 
 /// Where the time went, ms.
@@ -109,6 +144,9 @@ pub struct ViewRegistration {
     pub shift_mm: [f64; 3],
     /// And about x, y, z, rad.
     pub turn_rad: [f64; 3],
+    /// By flank: the part of the wear that the pose would hide, for three shapes of wear on the judged flank, and for wear
+    /// that all teeth in view share.
+    pub leakage: BTreeMap<&'static str, Leakage>,
     /// Directions that the surface does not fix: unit 6-vectors (rotation, translation) and the prior's share.
     pub weak_directions: Vec<WeakDirection>,
     /// Decoding, registration and evaluation, ms.
@@ -145,6 +183,8 @@ pub struct Inspection {
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
     pub tool: String,
+    /// Temperature of the tool that the scale was corrected for, degrees C; absent when it is not known.
+    pub temperature_degc: Option<f64>,
     /// Host, protocol, firmware.
     pub versions: BTreeMap<&'static str, String>,
     /// BLAKE3 of what went in: CAD, tool file, head file.

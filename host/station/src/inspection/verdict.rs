@@ -1,11 +1,14 @@
 //! Flanks to one verdict. Whatever is missing is indeterminate, never go.
 
-use flankscope_metrology::gear::Flank;
-use flankscope_metrology::tool::{Inspect, Tool};
-use flankscope_metrology::verdict::{Reason, Verdict, combine, decide};
-use flankscope_metrology::wear::FlankWear;
+use std::collections::BTreeMap;
 
-use super::result::Feature;
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::leakage::{RECOVERABLE, Recovery};
+use flankscope_metrology::tool::{Inspect, Tool};
+use flankscope_metrology::verdict::{Reason, Verdict, combine, decide, probability_below};
+use flankscope_metrology::wear::{Budget, Figure, FlankWear};
+
+use super::result::{Expanded, Feature, FlankDetail};
 
 /// One flank with its verdict.
 #[derive(Clone, Debug)]
@@ -16,6 +19,8 @@ pub struct Judged {
     u95_um: Option<f64>,
     mean_um: Option<f64>,
     coverage_ratio: f64,
+    conformity: Option<f64>,
+    detail: Option<FlankDetail>,
     warn_um: f64,
     limit_um: f64,
     verdict: Verdict,
@@ -34,14 +39,17 @@ impl Judged {
                     least: inspect.least_coverage,
                 },
             }
+        } else if let Some(leakage) = wear.leakage.filter(|l| l.recovery() == Recovery::Refused) {
+            Verdict::Indeterminate {
+                reason: Reason::Leakage {
+                    leakage: leakage.worst(),
+                    limit: RECOVERABLE,
+                },
+            }
         } else {
-            decide(
-                wear.wear_mm * 1e3,
-                wear.u_mm * 1e3,
-                inspect.warn_um,
-                inspect.limit_um,
-            )
+            decide(wear.wear_mm * 1e3, wear.u_mm * 1e3, &inspect.rule())
         };
+        let conformity = probability_below(inspect.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
         Self {
             tooth: wear.tooth,
             flank: wear.flank,
@@ -49,12 +57,51 @@ impl Judged {
             u95_um: finite_um(wear.u95_mm()),
             mean_um: finite_um(wear.mean_mm),
             coverage_ratio: wear.coverage,
+            conformity: conformity.is_finite().then_some(conformity),
+            detail: detail(wear),
             warn_um: inspect.warn_um,
             limit_um: inspect.limit_um,
             verdict,
             unmeasured: None,
         }
     }
+}
+
+/// The figures beside the judged one.
+fn detail(wear: &FlankWear) -> Option<FlankDetail> {
+    let figures = wear.figures?;
+    let expanded = |figure: Figure, scale: f64| Expanded {
+        value: figure.value * scale,
+        u95: 1.96 * figure.u * scale,
+    };
+    let proud = Figure {
+        u: figures.buildup_mm.u.hypot(wear.budget.systematic_mm()),
+        ..figures.buildup_mm
+    };
+    Some(FlankDetail {
+        mean_u95_um: 1.96e3 * wear.u_mean_mm(),
+        worn_area_mm2: expanded(figures.worn_area_mm2, 1.0),
+        lost_volume_mm3: expanded(figures.lost_volume_mm3, 1.0),
+        buildup_um: expanded(proud, 1e3),
+        buildup_volume_mm3: expanded(figures.buildup_volume_mm3, 1.0),
+        tip_edge_radius_mm: wear.tip_radius_mm.map(|radius| expanded(radius, 1.0)),
+        detection_limit_um: 1e3 * figures.detection_limit_mm,
+        budget_um: budget_um(&wear.budget),
+    })
+}
+
+fn budget_um(budget: &Budget) -> BTreeMap<&'static str, f64> {
+    [
+        ("noise", budget.noise_mm),
+        ("registration", budget.registration_mm),
+        ("leakage", budget.leakage_mm),
+        ("calibration", budget.calibration_mm),
+        ("temperature", budget.temperature_mm),
+        ("cad", budget.cad_mm),
+        ("reference", budget.reference_mm),
+    ]
+    .map(|(name, mm)| (name, 1e3 * mm))
+    .into()
 }
 
 impl From<Judged> for Feature {
@@ -72,6 +119,8 @@ impl From<Judged> for Feature {
             u95_um: judged.u95_um,
             mean_um: judged.mean_um,
             coverage_ratio: judged.coverage_ratio,
+            conformity: judged.conformity,
+            detail: judged.detail,
             warn_um: judged.warn_um,
             limit_um: judged.limit_um,
             verdict: judged.verdict.word().into(),
@@ -95,6 +144,8 @@ pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
             u95_um: None,
             mean_um: None,
             coverage_ratio: 0.0,
+            conformity: None,
+            detail: None,
             warn_um,
             limit_um,
             verdict: Verdict::Indeterminate {

@@ -9,13 +9,14 @@ use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::outlier;
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
 use flankscope_metrology::surface::{Closest, Surface};
-use flankscope_metrology::tool::{Inspect, Tool};
+use flankscope_metrology::tool::{Datum, Inspect, Tool};
 use flankscope_metrology::verdict::Reason;
 use flankscope_metrology::wear::{self, Measured, Settings, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+use super::influence::Fitted;
 use super::job::Subject;
 use super::plan::Itinerary;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
@@ -85,6 +86,32 @@ struct Place {
     surface: Surface,
 }
 
+impl Place {
+    /// The expected pose against a tool that is `scale` times as large as its CAD.
+    fn tool_from_cold_camera(&self, scale: f64) -> Rigid<ToolFrame, Cloud> {
+        let mut pose = *self.tool_from_camera.isometry();
+        pose.translation.vector /= scale;
+        Rigid::from_isometry(pose)
+    }
+}
+
+/// What the stages say of a view's pose.
+fn stage_prior(expected: Rigid<ToolFrame, Cloud>) -> Prior {
+    Prior::independent(
+        expected,
+        [
+            MOUNT_SIGMA_RAD,
+            MOUNT_SIGMA_RAD,
+            ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD),
+        ],
+        [
+            MOUNT_SIGMA_MM,
+            MOUNT_SIGMA_MM,
+            VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM),
+        ],
+    )
+}
+
 /// Everything that does not change from check to check.
 pub struct Evaluator {
     tool: Arc<Tool>,
@@ -94,6 +121,8 @@ pub struct Evaluator {
     settings: Settings,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
+    /// Size of the tool relative to its CAD, or why it cannot be judged.
+    scale: Result<f64, Reason>,
 }
 
 impl Evaluator {
@@ -167,6 +196,8 @@ impl Evaluator {
             })
             .collect::<Result<_, EvaluatorError>>()?;
         let settings = tool.wear_settings();
+        let temperature = tool.temperature.as_ref();
+        let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
         Ok(Self {
             tool,
             gear,
@@ -175,6 +206,7 @@ impl Evaluator {
             settings,
             decoder,
             places,
+            scale,
         })
     }
 
@@ -197,14 +229,34 @@ impl Evaluator {
             outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
         let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
         let chosen: Vec<usize> = (0..decoded.cloud.len()).filter(of_kept).collect();
-        let points: Vec<[f64; 3]> = chosen.iter().map(|&i| decoded.cloud.points_mm[i]).collect();
+        // A warm die is laid on its CAD as it is when cold: everything shrinks towards axis and seat, poses included.
+        let scale = self.scale.as_ref().copied().unwrap_or(1.0);
+        let cold = |i: &usize| decoded.cloud.points_mm[*i].map(|x| x / scale);
+        let points: Vec<[f64; 3]> = chosen.iter().map(cold).collect();
         let sigma: Vec<f32> = chosen
             .iter()
             .map(|&i| decoded.cloud.sigma_z_mm[i])
             .collect();
         lap("outliers", &mut elapsed_ms);
-        let datum = self.datum(place, &points);
-        let registration = self.register(place, &datum);
+        let tool_from_camera = place.tool_from_cold_camera(scale);
+        let used: Vec<bool> = points
+            .iter()
+            .map(|&p| self.is_datum(place, tool_from_camera.apply(p)))
+            .collect();
+        let datum: Vec<[f64; 3]> = points
+            .iter()
+            .zip(&used)
+            .filter(|(_, used)| **used)
+            .map(|(p, _)| *p)
+            .collect();
+        let prior = stage_prior(tool_from_camera);
+        let options = Options {
+            initial: prior.tool_from_cloud,
+            prior: Some(prior.clone()),
+            teeth: Some(self.gear.teeth),
+            ..Options::default()
+        };
+        let registration = register(&place.surface, &datum, None, &options);
         lap("registration", &mut elapsed_ms);
         let located: Vec<[f64; 3]> = points
             .iter()
@@ -212,8 +264,25 @@ impl Evaluator {
             .collect();
         let closest = place.surface.closest_many(&located);
         lap("deviation", &mut elapsed_ms);
-        let flanks = match &registration.status {
-            Status::Registered => {
+        let mut leakage = BTreeMap::new();
+        let flanks = match (&registration.status, &self.scale) {
+            (_, Err(reason)) => {
+                super::verdict::unmeasured(place.tooth, &self.tool, &reason.to_string())
+            }
+            (Status::Registered, Ok(_)) => {
+                let influences = Fitted {
+                    gear: &self.gear,
+                    zone: &self.zone,
+                    registration: &registration,
+                    prior: &prior,
+                    options: &options,
+                    closest: &closest,
+                    used: &used,
+                    temperature: self.tool.temperature.as_ref(),
+                }
+                .on(place.tooth);
+                leakage.insert("left", influences[0].leakage);
+                leakage.insert("right", influences[1].leakage);
                 let measured = Measured {
                     points: &located,
                     closest: &closest,
@@ -228,11 +297,14 @@ impl Evaluator {
                     Some(&registration),
                     settings,
                 )
-                .iter()
-                .map(|wear| Judged::of_wear(wear, &self.inspect))
+                .into_iter()
+                .zip(&influences)
+                .map(|(wear, influence)| {
+                    Judged::of_wear(&wear.with(influence, settings), &self.inspect)
+                })
                 .collect()
             }
-            Status::Indeterminate(reason) => {
+            (Status::Indeterminate(reason), Ok(_)) => {
                 let reason = Reason::Registration(reason.clone()).to_string();
                 super::verdict::unmeasured(place.tooth, &self.tool, &reason)
             }
@@ -242,52 +314,31 @@ impl Evaluator {
         lap("maps", &mut elapsed_ms);
         ViewOutcome {
             flanks,
-            registration: summary(place, points.len(), &registration, elapsed_ms),
+            registration: ViewRegistration {
+                leakage,
+                ..summary(place, points.len(), &registration, elapsed_ms)
+            },
             maps,
             deviations_um,
         }
     }
 
-    /// The points that the fit may use: all but those on the judged flanks, whose wear would otherwise pull the pose
-    /// towards it and hide itself (by a fifth, for 10 µm on one flank of the seven in view).
+    /// Whether the fit may use a point. Judged flanks must stay out: their wear would pull the pose towards it and hide
+    /// itself (by a fifth, for 10 µm on one flank of the seven in view).
     ///
     /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
-    fn datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    fn is_datum(&self, place: &Place, [x, y, _]: [f64; 3]) -> bool {
         let margin_mm = 0.05 * self.gear.module_mm;
         let (low_mm, high_mm) = (
             self.gear.tip_radius_mm.min(self.gear.root_radius_mm) + margin_mm,
             self.gear.tip_radius_mm.max(self.gear.root_radius_mm) - margin_mm,
         );
-        let judged = |p: [f64; 3]| {
-            let [x, y, _] = place.tool_from_camera.apply(p);
-            (low_mm..high_mm).contains(&x.hypot(y)) && self.gear.tooth_at(y.atan2(x)) == place.tooth
-        };
-        points.iter().copied().filter(|&p| !judged(p)).collect()
-    }
-
-    /// Lays the points on the surface, starting from where the stages say they are.
-    fn register(&self, place: &Place, points: &[[f64; 3]]) -> Registration {
-        let start = Rigid::<ToolFrame, Cloud>::from_isometry(*place.tool_from_camera.isometry());
-        let prior = Prior::independent(
-            start,
-            [
-                MOUNT_SIGMA_RAD,
-                MOUNT_SIGMA_RAD,
-                ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD),
-            ],
-            [
-                MOUNT_SIGMA_MM,
-                MOUNT_SIGMA_MM,
-                VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM),
-            ],
-        );
-        let options = Options {
-            initial: start,
-            prior: Some(prior),
-            teeth: Some(self.gear.teeth),
-            ..Options::default()
-        };
-        register(&place.surface, points, None, &options)
+        let on_flank = (low_mm..high_mm).contains(&x.hypot(y));
+        match self.inspect.datum {
+            Datum::Neighbours => !on_flank || self.gear.tooth_at(y.atan2(x)) != place.tooth,
+            Datum::Lands => !on_flank,
+            Datum::All => true,
+        }
     }
 
     /// The deviation maps of a tooth's two flanks, and the deviations in them.
@@ -353,6 +404,7 @@ impl Evaluator {
                 iterations: 0,
                 shift_mm: [0.0; 3],
                 turn_rad: [0.0; 3],
+                leakage: BTreeMap::new(),
                 weak_directions: Vec::new(),
                 elapsed_ms,
             },
@@ -388,6 +440,7 @@ fn summary(
         iterations: registration.iterations,
         shift_mm: [shift.x, shift.y, shift.z],
         turn_rad: moved.rotation.scaled_axis().into(),
+        leakage: BTreeMap::new(),
         weak_directions: registration
             .weak_directions
             .iter()
