@@ -377,7 +377,7 @@ impl File {
         }
         if let Some(temperature) = &self.temperature {
             let [low, high] = temperature.range_degc;
-            if !(-50.0..=high).contains(&low) || !(high <= 1000.0) {
+            if !(-50.0..=high).contains(&low) || high > 1000.0 {
                 let expected = "increasing, from -50 to 1000";
                 return refuse("temperature.range_degc[0]", low, expected);
             }

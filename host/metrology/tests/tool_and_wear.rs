@@ -342,7 +342,7 @@ fn leakage_is_what_the_fit_takes_away() {
         let response = Response::new(&contacts, &after, None, &options);
         let leakage = leakage::of_flank(gear, &zone, judged, &response, &contacts, &places);
         // How far the second pose moved each judged point along its normal, against the first.
-        let (mut hidden, mut count) = (0.0, 0.0);
+        let (mut hidden, mut count) = (0.0_f64, 0.0_f64);
         for ((point, closest), place) in worn.iter().zip(&closest).zip(&places) {
             let inside = place.is_some_and(|p| {
                 (p.tooth, p.flank) == judged && zone.holds(p.radius_mm, p.height_mm)
@@ -357,7 +357,7 @@ fn leakage_is_what_the_fit_takes_away() {
                 count += 1.0;
             }
         }
-        let seen = (hidden / count as f64).sqrt() / depth_mm;
+        let seen = (hidden / count).sqrt() / depth_mm;
         println!("{use_judged}: predicted {leakage:?}, seen {seen}");
         // Welsch weights answer to the wear itself, a second-order effect: (4 um / 30 um)2.
         assert!(
@@ -371,4 +371,30 @@ fn leakage_is_what_the_fit_takes_away() {
         }
         assert!(leakage.common > 0.3, "{leakage:?}");
     }
+}
+
+#[test]
+fn temperature_is_asked_for_and_kept_to_its_range() {
+    let Some(cad) = ring84_path("temperature_is_asked_for") else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(load(folder.path(), FILE, &cad).unwrap().temperature, None);
+    let text = format!("{FILE}\n[temperature]\nrange_degc = [10.0, 80.0]\n");
+    let tool = load(folder.path(), &text, &cad).unwrap();
+    let temperature = tool.temperature.unwrap();
+    assert_eq!(temperature.scale(Some(20.0)), Ok(1.0));
+    // Steel: 11.5 um per metre and kelvin.
+    let warm = temperature.scale(Some(60.0)).unwrap();
+    assert!((warm - 1.000_46).abs() < 1e-12, "{warm}");
+    for degc in [9.9, 80.1, f64::NAN, f64::INFINITY] {
+        let refused = temperature.scale(Some(degc)).unwrap_err();
+        assert_eq!(refused.code(), "temperature_range");
+    }
+    assert_eq!(
+        temperature.scale(None).unwrap_err().code(),
+        "temperature_missing"
+    );
+    let wrong = text.replace("[10.0, 80.0]", "[80.0, 10.0]");
+    assert!(load(folder.path(), &wrong, &cad).is_err());
 }
