@@ -117,7 +117,8 @@ pub fn qemu(root: &Path) -> Result<(), String> {
         spread("dmd_to_camera")
     );
     println!(
-        "  trigger period jitter, worst     {} us, likewise",
+        "  trigger period jitter, worst     {} us where the readout sets the pace, else {} us, likewise",
+        number(&figures["held_period_jitter_us"]),
         number(&figures["period_jitter_us"])
     );
     let path = image_path(root, &BOARDS[0]);

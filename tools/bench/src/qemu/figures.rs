@@ -62,12 +62,17 @@ pub struct Figures {
     pub ready_to_camera: Option<Spread>,
     /// Trigger to trigger between frames of one exposure, jitter as (longest - shortest), the worst of all exposures, us.
     pub period_jitter_us: Option<u64>,
+    /// Likewise, of the triggers that waited for the readout of the frame before alone, no answer of the bench being late:
+    /// the controller's own.
+    pub held_period_jitter_us: Option<u64>,
 }
 
 /// Exposures are commanded in multiples of this.
 const EXPOSURE_STEP_US: u64 = 100;
 /// The camera's readout takes 12.5 ms.
 const LONGER_THAN_READOUT_US: u64 = 13_000;
+/// A trigger this much later than its pattern had settled was waiting for the readout.
+const HELD_US: u64 = 100;
 /// Frames further apart than this belong to different views.
 const SAME_VIEW_US: u64 = 200_000;
 
@@ -87,26 +92,15 @@ impl Figures {
                 .map(|message| message.value)
         };
         let pulses = pulses(trace);
-        let mut periods: Vec<(u64, u64)> = Vec::new();
-        for pair in pulses.windows(2) {
-            let [(start, width), (next, next_width)] = [pair[0], pair[1]];
-            let (exposure, next_exposure) = (nominal(width), nominal(next_width));
-            if exposure == next_exposure && next - start < SAME_VIEW_US {
-                periods.push((exposure, next - start));
-            }
-        }
-        let period_jitter_us = periods
-            .iter()
-            .filter_map(|&(exposure, _)| {
-                Spread::of(
-                    periods
-                        .iter()
-                        .filter(|(of, _)| *of == exposure)
-                        .map(|(_, us)| *us),
-                )
-            })
-            .map(|spread| spread.width_us())
-            .max();
+        let settled = Spread::of(settled(trace, &pulses));
+        let periods = periods(&pulses);
+        let held = settled.map(|settle| {
+            let waits = |&(_, at, _): &Period| {
+                let ready = all(Subject::DmdReady).rfind(|told| told.value == 1 && told.at_us < at);
+                ready.is_some_and(|ready| at - ready.at_us > settle.min_us + HELD_US)
+            };
+            periods.iter().copied().filter(waits).collect::<Vec<_>>()
+        });
         Self {
             starts: all(Subject::Started).count(),
             stack_bytes: last(Subject::StackUsed),
@@ -118,8 +112,9 @@ impl Figures {
                     .map(|(_, width)| width.saturating_sub(nominal(*width))),
             ),
             dmd_to_camera: Spread::of(between(trace, Subject::DmdTrigger, Subject::CameraTrigger)),
-            ready_to_camera: Spread::of(settled(trace, &pulses)),
-            period_jitter_us,
+            ready_to_camera: settled,
+            period_jitter_us: jitter(&periods),
+            held_period_jitter_us: held.and_then(|held| jitter(&held)),
         }
     }
 }
@@ -144,6 +139,30 @@ fn pulses(trace: &[PinMessage]) -> Vec<(u64, u64)> {
         }
     }
     pulses
+}
+
+/// The exposure of two frames of a view, the second one's trigger, and the time from the first one's to that.
+type Period = (u64, u64, u64);
+
+fn periods(pulses: &[(u64, u64)]) -> Vec<Period> {
+    let mut periods = Vec::new();
+    for pair in pulses.windows(2) {
+        let [(start, width), (next, next_width)] = [pair[0], pair[1]];
+        if nominal(width) == nominal(next_width) && next - start < SAME_VIEW_US {
+            periods.push((nominal(width), next, next - start));
+        }
+    }
+    periods
+}
+
+/// The worst of all exposures.
+fn jitter(periods: &[Period]) -> Option<u64> {
+    let of = |exposure: u64| {
+        let same = periods.iter().filter(move |period| period.0 == exposure);
+        Spread::of(same.map(|period| period.2))
+    };
+    let spreads = periods.iter().filter_map(|period| of(period.0));
+    spreads.map(|spread| spread.width_us()).max()
 }
 
 /// From each rise of one output to the next rise of another.
@@ -239,6 +258,34 @@ mod tests {
         assert_eq!(figures.pulse_excess, spread(3, 7));
         assert_eq!(figures.dmd_to_camera, spread(700, 700));
         assert_eq!(figures.period_jitter_us, Some(40));
+    }
+
+    #[test]
+    fn a_late_answer_is_not_in_the_controllers_own_jitter() {
+        let mut trace = Vec::new();
+        let mut frame = |ready: u64, start: u64, exposure: u64| {
+            trace.extend([
+                message(Subject::DmdReady, 1, ready),
+                message(Subject::CameraTrigger, 1, start),
+                message(Subject::CameraTrigger, 0, start + exposure),
+            ]);
+        };
+        // Paced by the readout, but for the fourth, whose pattern was late.
+        frame(98_000, 100_000, 10_000);
+        frame(110_500, 112_500, 10_000);
+        frame(123_000, 125_002, 10_000);
+        frame(137_800, 138_000, 10_000);
+        frame(148_500, 150_501, 10_000);
+        // Longer than the readout: they start when the pattern has settled.
+        frame(161_800, 162_000, 30_000);
+        frame(193_800, 194_000, 30_000);
+        let figures = Figures::of(&trace);
+        assert_eq!(
+            figures.ready_to_camera.map(|spread| spread.min_us),
+            Some(200)
+        );
+        assert_eq!(figures.period_jitter_us, Some(12_998 - 12_500));
+        assert_eq!(figures.held_period_jitter_us, Some(2));
     }
 
     #[test]
