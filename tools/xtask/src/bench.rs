@@ -154,10 +154,7 @@ fn plots(root: &Path, figures: &[Value]) -> Result<(), String> {
     let folder = root.join("docs/bench");
     for (file, title, size, curves) in pictures {
         if let Some(svg) = plot::svg(title, size, &curves) {
-            let path = folder.join(format!("{file}.svg"));
-            std::fs::create_dir_all(&folder)
-                .and_then(|()| std::fs::write(&path, svg))
-                .map_err(|error| format!("{}: {error}", path.display()))?;
+            plot::save(&folder, file, &svg)?;
         }
     }
     Ok(())

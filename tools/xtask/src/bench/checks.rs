@@ -1,8 +1,14 @@
-//! Many in-situ checks of one tooth at real-time speed: how long the press waits after the last exposure.
+//! Many in-situ checks of one tooth at real-time speed: how long the press waits after the last exposure; and how a check
+//! grows with the teeth that it looks at.
 
 use std::path::Path;
 
 use serde_json::Value;
+
+use super::plot::{self, Curve};
+
+/// Neighbouring teeth of a check.
+const TEETH: [usize; 5] = [1, 2, 4, 8, 16];
 
 /// Runs the checks and prints how their times are spread.
 pub fn run(root: &Path, count: usize) -> Result<(), String> {
@@ -33,5 +39,40 @@ pub fn run(root: &Path, count: usize) -> Result<(), String> {
             at(1.0)
         );
     }
-    Ok(())
+    features(root)
+}
+
+/// Checks of more and more neighbouring teeth.
+fn features(root: &Path) -> Result<(), String> {
+    println!(
+        "\n| neighbouring teeth | whole check, ms | last exposure to verdict, ms |\n|---|---|---|"
+    );
+    let (mut totals, mut latencies) = (Vec::new(), Vec::new());
+    for count in TEETH {
+        let teeth: Vec<String> = (0..count).map(|n| (40 + n).to_string()).collect();
+        let document = crate::firmware::inspect(root, &["--teeth", &teeth.join(",")])?;
+        let take = |key: &str| {
+            let value = document["timing_ms"][key].as_f64();
+            value.ok_or_else(|| format!("timing_ms.{key} is missing"))
+        };
+        let (total, latency) = (take("total")?, take("last_exposure_to_verdict")?);
+        println!("| {count} | {total:.0} | {latency:.0} |");
+        totals.push((count as f64, total));
+        latencies.push((count as f64, latency));
+    }
+    let curves = [
+        Curve {
+            name: "whole check",
+            points: totals,
+        },
+        Curve {
+            name: "last exposure to verdict",
+            points: latencies,
+        },
+    ];
+    let folder = root.join("docs/bench");
+    match plot::svg("growth with the teeth of a check", "teeth", &curves) {
+        Some(svg) => plot::save(&folder, "features", &svg),
+        None => Ok(()),
+    }
 }

@@ -1,6 +1,7 @@
 //! Cost against size as an SVG, both axes logarithmic: a straight line of slope one is proportional growth.
 
 use std::fmt::Write;
+use std::path::Path;
 
 /// One curve: its name, and (size, milliseconds) by rising size.
 pub struct Curve {
@@ -83,4 +84,12 @@ pub fn svg(title: &str, size: &str, curves: &[Curve]) -> Option<String> {
         );
     }
     Some(text + "</svg>\n")
+}
+
+/// Writes a picture into the folder, which is made.
+pub fn save(folder: &Path, name: &str, svg: &str) -> Result<(), String> {
+    let path = folder.join(format!("{name}.svg"));
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(&path, svg))
+        .map_err(|error| format!("{}: {error}", path.display()))
 }
