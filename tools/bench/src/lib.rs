@@ -9,6 +9,7 @@
 //! | [`truth`] | what really was photographed |
 //! | [`demo`] | the built-in die and head |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
+//! | [`study`] | how often the verdict is right, measured on many captures |
 //! | [`process`] | all of it as a process of its own |
 
 pub mod ageing;
@@ -17,5 +18,6 @@ pub mod demo;
 pub mod devices;
 pub mod process;
 pub mod qemu;
+pub mod study;
 pub mod truth;
 pub mod world;

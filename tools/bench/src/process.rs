@@ -40,6 +40,8 @@ enum Command {
     Run(RunArgs),
     /// The stage controller alone, on a pseudo-terminal, until standard input ends.
     Esp301(Esp301Args),
+    /// Measure how often the verdict is right; write tables and plots.
+    Study(crate::study::Args),
     /// Write the demo tool's folder: CAD, tool.toml, head.toml.
     DemoTool {
         /// Folder to write into.
@@ -195,6 +197,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     match &args.command {
         Command::Run(args) => simulate(args),
         Command::Esp301(args) => stages(args),
+        Command::Study(args) => crate::study::run(args),
         Command::DemoTool { out } => Ok(demo::write_tool(out)?),
     }
 }

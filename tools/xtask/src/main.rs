@@ -11,6 +11,7 @@
 //! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
 //! | `bench --instructions` | instructions of the hot kernels, counted by valgrind; fails where one became dearer |
 //! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
+//! | `study [--captures N]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
@@ -41,10 +42,11 @@ fn main() -> ExitCode {
             Err(_) => Err(format!("--checks {count}: a number is needed")),
         },
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
+        ["study", rest @ ..] => study(rest),
         ["demo"] => demo(),
         ["ci"] => ci(),
         _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
-             --instructions | --checks N] | demo | ci"
+             --instructions | --checks N] | study [--captures N] | demo | ci"
             .into()),
     };
     match result {
@@ -122,6 +124,19 @@ fn doc() -> Result<(), String> {
 
 fn demo() -> Result<(), String> {
     run(cargo(&["run", "--release", "--", "inspect"]))
+}
+
+fn study(rest: &[&str]) -> Result<(), String> {
+    let bench = [
+        "run",
+        "--release",
+        "--",
+        "bench",
+        "study",
+        "--out",
+        "docs/study",
+    ];
+    run(cargo(&[&bench[..], rest].concat()))
 }
 
 fn ci() -> Result<(), String> {

@@ -28,6 +28,8 @@ pub use pairing::{PairingError, pair};
 pub use plan::{Itinerary, PlannedView, PlanningError};
 pub use recorder::ViewError;
 pub use result::{
-    Feature, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing, ViewRegistration,
-    WeakDirection,
+    Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing,
+    ViewRegistration, WeakDirection,
 };
+pub use verdict::Judged;
+pub use views::{Evaluator, EvaluatorError, ViewOutcome};

@@ -19,6 +19,7 @@ pub struct Die {
     mesh: Mesh,
     flanks: Vec<Option<FlankId>>,
     field: WearField,
+    growth: f64,
 }
 
 impl Die {
@@ -53,7 +54,16 @@ impl Die {
             mesh,
             flanks,
             field,
+            growth: 1.0,
         })
+    }
+
+    /// Warms the die: every point moves away from the axis and from z = 0 by this factor.
+    pub(crate) fn grow(&mut self, growth: f64) {
+        for x in self.mesh.vertices.iter_mut().flatten() {
+            *x *= growth;
+        }
+        self.growth *= growth;
     }
 
     /// The surface in the tool frame, mm.
@@ -70,6 +80,7 @@ impl Die {
     pub fn wear_at_mm(&self, id: FlankId, point: [f64; 3]) -> f64 {
         // The field is defined on the nominal flank: walk back along the normal until depth and foot agree.
         let gear = self.field.gear();
+        let point = point.map(|x| x / self.growth);
         let mut depth = 0.0;
         for _ in 0..4 {
             let normal = gear.flank_normal(id.tooth, id.flank, point[0].hypot(point[1]));

@@ -50,6 +50,8 @@ pub struct WorldConfig {
     pub gear: GearSpec,
     /// What the press has done to it.
     pub wear: Vec<Wear>,
+    /// Size of the warm die relative to its CAD; it grows from the axis and from z = 0.
+    pub growth: f64,
     /// Reflectance.
     pub surface: Surface,
     /// The head.
@@ -77,6 +79,7 @@ impl WorldConfig {
             cad,
             gear,
             wear: Vec::new(),
+            growth: 1.0,
             surface: Surface::sprayed(),
             optics,
             camera_bundle,
@@ -200,6 +203,7 @@ impl WorldError {
 pub struct World {
     cad: Mesh,
     gear: GearSpec,
+    growth: f64,
     optics: HeadOptics,
     sensor_spec: SensorSpec,
     surface: Surface,
@@ -227,7 +231,9 @@ impl World {
         config.sensor.validate()?;
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
-        let die = Die::as_built(&config.cad, WearField::new(&config.gear, &config.wear)?)?;
+        WorldError::check("growth", config.growth, 0.9, 1.1)?;
+        let mut die = Die::as_built(&config.cad, WearField::new(&config.gear, &config.wear)?)?;
+        die.grow(config.growth);
         let mut random = Normals::new(stream(config.head_seed, Purpose::CoreResponse));
         let spread = config.sensor.core_exponent_spread;
         let core_exponents = camera_bundle
@@ -245,6 +251,7 @@ impl World {
         Ok(Self {
             cad: config.cad.clone(),
             gear: config.gear.clone(),
+            growth: config.growth,
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
@@ -264,7 +271,8 @@ impl World {
     /// # Errors
     /// Damage that this die cannot have; it then stays as it is.
     pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
-        let die = Die::as_built(&self.cad, WearField::new(&self.gear, wear)?)?;
+        let mut die = Die::as_built(&self.cad, WearField::new(&self.gear, wear)?)?;
+        die.grow(self.growth);
         self.rays = RayCaster::new(die.mesh());
         self.die = die;
         Ok(())

@@ -1,0 +1,142 @@
+//! One capture of one view, from the bench's light to a judged flank, without the processes in between.
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
+use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
+
+use super::Random;
+use crate::world::{PatternSpec, World};
+
+/// Half the range of the stages' errors: rotation, rad; vertical, mm.
+const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
+const VERTICAL_ERROR_MM: f64 = 5e-3;
+/// Standard deviation of a calibration's errors in the image, px, at the principal point and at the field's edge: image
+/// points known to 0.2 px each, averaged over some fifty that count as independent.
+const CALIBRATION_PX: f64 = 0.03;
+
+/// What the host believes: a tool, a head, and the decoding and judging made from them.
+pub(super) struct Instrument {
+    decoder: Arc<Decoder>,
+    evaluator: Evaluator,
+    itinerary: Arc<Itinerary>,
+}
+
+/// What is wrong with one capture, beside the stages' own errors.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Trouble {
+    /// The die stands turned by this angle against what the stage says, rad.
+    pub turned_rad: f64,
+    /// Part of the light that is missing.
+    pub dimmed: f64,
+}
+
+impl Instrument {
+    pub fn new(tool: &Tool, head: &HeadModel, degc: Option<f64>) -> anyhow::Result<Self> {
+        let subject = Subject {
+            tool: Arc::new(tool.clone()),
+            head: Arc::new(head.clone()),
+            temperature_degc: degc,
+            hashes: std::collections::BTreeMap::new(),
+        };
+        let itinerary = Arc::new(Itinerary::new(tool, head, Some(&[super::TOOTH]))?);
+        let decoder = Arc::new(Decoder::new(
+            head,
+            &itinerary.patterns,
+            &itinerary.exposures_us,
+            DecodeOptions::for_head(head),
+        )?);
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        Ok(Self {
+            decoder,
+            evaluator,
+            itinerary,
+        })
+    }
+
+    /// Captures and judges one view; `number` draws the stages' errors and the noise.
+    pub fn capture(
+        &self,
+        world: &World,
+        number: u32,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewOutcome> {
+        let mut random = Random::new(u64::from(number), 1);
+        let view = &self.itinerary.views[0];
+        let rotation = view.rotation_rad
+            + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
+            + trouble.turned_rad;
+        let vertical = view.vertical_mm + VERTICAL_ERROR_MM * (2.0 * random.uniform() - 1.0);
+        let sets: Vec<(f64, u32)> = self
+            .itinerary
+            .patterns
+            .sets
+            .iter()
+            .map(|s| (s.periods, s.steps))
+            .collect();
+        let state = world.prepare(rotation, vertical, &PatternSpec::sequence(&sets))?;
+        let [width, height] = world.size_px();
+        let mut pixels = vec![0_u16; width * height];
+        let mut accumulator = self.decoder.begin();
+        for (i, kind) in self.decoder.capture_order().enumerate() {
+            let (pattern, exposure) = match kind {
+                FrameKind::Dark => (0, 0),
+                FrameKind::Fringe {
+                    exposure,
+                    set,
+                    step,
+                } => {
+                    let before: u32 = sets[..set].iter().map(|s| s.1).sum();
+                    (1 + before + step, exposure)
+                }
+            };
+            let lit_us = f64::from(self.itinerary.exposures_us[exposure]) * (1.0 - trouble.dimmed);
+            let counter = number.wrapping_mul(64).wrapping_add(i as u32);
+            world.render(
+                &state,
+                pattern as u16,
+                lit_us as u32,
+                true,
+                counter,
+                &mut pixels,
+            )?;
+            accumulator
+                .add(FrameView::packed(&pixels, width, height), kind)
+                .context("a rendered frame was refused")?;
+        }
+        Ok(self.evaluator.evaluate(0, &accumulator))
+    }
+}
+
+/// The flank with the wear.
+pub(super) fn judged(outcome: &ViewOutcome) -> anyhow::Result<Feature> {
+    outcome
+        .flanks
+        .iter()
+        .cloned()
+        .map(Feature::from)
+        .find(|f| f.flank == "left")
+        .context("the left flank is missing")
+}
+
+/// The head as a calibration with its errors would describe it; draw 0 is without error.
+pub(super) fn calibrated(head: &HeadModel, draw: u64) -> HeadModel {
+    let mut head = head.clone();
+    if draw == 0 {
+        return head;
+    }
+    let mut random = Random::new(draw, 2);
+    for lens in [&mut head.camera, &mut head.projector] {
+        for k in 0..2 {
+            lens.principal_px[k] += CALIBRATION_PX * random.normal();
+        }
+        // At the edge of the field, 500 px from its centre.
+        let edge = 500.0 / lens.focal_px[0];
+        let stretch = 1.0 + CALIBRATION_PX / 500.0 * random.normal();
+        lens.focal_px = lens.focal_px.map(|f| f * stretch);
+        lens.distortion[0] += CALIBRATION_PX / (500.0 * edge * edge) * random.normal();
+    }
+    head
+}
