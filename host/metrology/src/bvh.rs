@@ -234,12 +234,13 @@ impl Bvh {
     /// The closest triangle to `p`, which must be finite. The plain version of [`Bvh::closest_packet`].
     pub fn closest(&self, p: [f64; 3]) -> Found {
         let p64 = Vector3::from(p);
-        let q = p.map(|c| c as f32);
+        let q = p.map(coarse);
         // What f32 may lose in the tests of boxes and leaves.
         let slack = ERROR_RATIO * (self.extent + q[0].abs() + q[1].abs() + q[2].abs());
         let limit_of = |distance2: f64| {
             let reach = distance2.sqrt() as f32 * (1.0 + 4e-7) + slack;
-            reach * reach * (1.0 + 4e-7)
+            // Finite, or the empty slots of a node, infinitely far away, would be entered.
+            (reach * reach * (1.0 + 4e-7)).min(f32::MAX)
         };
         let q = q.map(f32x4::splat);
         let mut best = Found {
@@ -295,6 +296,15 @@ impl Bvh {
         }
         best
     }
+}
+
+/// Coordinates beyond this are taken for this in f32, in which the square of a larger one has no room, mm. That only decides
+/// what is visited, and from so far away the slack for rounding has every triangle measured in f64.
+const FARTHEST: f64 = 1e18;
+
+#[inline(always)]
+fn coarse(coordinate: f64) -> f32 {
+    coordinate.clamp(-FARTHEST, FARTHEST) as f32
 }
 
 const MAX_DEPTH: usize = 64;

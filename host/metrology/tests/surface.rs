@@ -307,3 +307,31 @@ fn a_part_of_the_surface_measures_like_the_whole_near_by() {
     assert!(compared > 500);
     assert!(whole.restrict(|_| false).is_none());
 }
+
+/// Squares of such distances do not fit f32, in which the search compares boxes.
+#[test]
+fn points_beyond_all_measure_are_measured_too() {
+    let mesh = spiky(11, 5, 7);
+    let surface = Surface::new(&mesh).unwrap();
+    let near = [0.2, 0.3, 0.4];
+    let expected = brute_force(&mesh, near);
+    for far in [1e15, 1e19, 1e25, 1e39, 1e150] {
+        let away = [0.0, 0.6 * far, -0.8 * far];
+        let distance = |p| surface.closest(p).signed_distance_mm;
+        assert!((distance(away) / far - 1.0).abs() < 1e-12, "{far}");
+        // A far point in a packet must not spoil its neighbours, wherever it stands.
+        for points in [vec![near, away, near], vec![near, away], vec![away, near]] {
+            for (p, found) in points.iter().zip(surface.closest_many(&points)) {
+                let distance = found.signed_distance_mm;
+                if *p == near {
+                    assert!(
+                        (distance.abs() - expected).abs() < 1e-9,
+                        "{far}: {distance}"
+                    );
+                } else {
+                    assert!((distance / far - 1.0).abs() < 1e-12, "{far}: {distance}");
+                }
+            }
+        }
+    }
+}

@@ -6,7 +6,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Bvh, Found, MAX_DEPTH, WIDTH};
+use super::{Bvh, Found, MAX_DEPTH, WIDTH, coarse};
 use crate::leaf::{ERROR_RATIO, LANES};
 
 /// Queries per packet.
@@ -53,7 +53,7 @@ impl Bvh {
         points: &[[f64; 3]; QUERIES],
         scratch: &mut PacketScratch,
     ) -> [Found; QUERIES] {
-        let q: [Each; 3] = [0, 1, 2].map(|k| points.map(|p| p[k] as f32));
+        let q: [Each; 3] = [0, 1, 2].map(|k| points.map(|p| coarse(p[k])));
         // What f32 may lose. An estimate is off by one slack at most, so that the nearest triangle's is at most two above
         // the smallest.
         let mut slack: Each = [0.0; QUERIES];
