@@ -6,13 +6,16 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_profilometry::calibration::{HeadModel, Sensor};
-use flankscope_profilometry::decode::{Cloud, DecodeOptions, Decoder, PatchOptions, Rejected};
+use flankscope_profilometry::decode::{
+    Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
+};
 use flankscope_profilometry::frame::FrameKind;
 use flankscope_profilometry::images::{GreyImage, ImageError, load_grey_png};
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
 
+use crate::grid::Grid;
 use crate::output::{Common, Outcome};
 
 /// Fringe images to a point cloud.
@@ -36,15 +39,18 @@ pub struct Args {
     /// Where the cloud goes.
     #[arg(long, short, value_name = "CLOUD.ply")]
     output: PathBuf,
-    /// Pixels along the side of a measuring cell [default: the head's].
+    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map].
+    #[arg(long, value_enum, value_name = "GRID")]
+    grid: Option<Grid>,
+    /// Pixels along the side of a cell of the pixel grid [default: the head's].
     #[arg(long, value_name = "PIXELS")]
     binning: Option<usize>,
-    /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels; 0 for none.
-    #[arg(long, value_name = "PIXELS", default_value_t = 0.7)]
-    smooth: f64,
-    /// The same for the coarser fringes, which only count the finest ones.
-    #[arg(long, value_name = "PIXELS", default_value_t = 3.0)]
-    smooth_coarse: f64,
+    /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels; 0 for none [default: 0.7, cores 0].
+    #[arg(long, value_name = "PIXELS")]
+    smooth: Option<f64>,
+    /// The same for the coarser fringes, which only count the finest ones [default: 3, cores 0].
+    #[arg(long, value_name = "PIXELS")]
+    smooth_coarse: Option<f64>,
     /// Least contrast (amplitude over mean) of every frequency.
     #[arg(long, value_name = "RATIO", default_value_t = 0.1)]
     min_contrast: f64,
@@ -94,6 +100,9 @@ struct Elapsed {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let mut head = HeadModel::load(&args.head).context("head")?;
+    if let Some(grid) = args.grid {
+        grid.impose(&mut head)?;
+    }
     let plan = Plan::load(&args.plan).context("plan")?;
     let frames = load_frames(&plan, &args.images, &head)?;
     let loaded = Instant::now();
@@ -147,13 +156,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
     let defaults = DecodeOptions::for_head(head);
+    let (smoothing_px, coarse_smoothing_px) = match defaults.grid {
+        GridKind::Pixel => (0.7, 3.0),
+        GridKind::Core => (0.0, 0.0),
+    };
     DecodeOptions {
+        grid: defaults.grid,
         binning: args.binning.unwrap_or(defaults.binning),
         dark_frame: plan.dark_frame,
         min_contrast: args.min_contrast,
         max_sigma_z_mm: args.max_sigma,
-        smoothing_px: args.smooth,
-        coarse_smoothing_px: args.smooth_coarse,
+        smoothing_px: args.smooth.unwrap_or(smoothing_px),
+        coarse_smoothing_px: args.smooth_coarse.unwrap_or(coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
             threshold_dn,
             smoothing_px: args.mask_smooth,

@@ -11,6 +11,7 @@ use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::inspection::{Station, Subject};
 
+use crate::grid::Grid;
 use crate::watch::PressArgs;
 
 /// Which tool is looked at through which controller.
@@ -29,6 +30,9 @@ pub struct Source {
     /// Temperature of the tool in degrees C; a tool file with [temperature] needs it
     #[arg(long, value_name = "DEGC", allow_negative_numbers = true)]
     pub tool_temperature: Option<f64>,
+    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
+    #[arg(long, value_enum, value_name = "GRID")]
+    pub grid: Option<Grid>,
 }
 
 /// What only the simulated bench knows.
@@ -76,7 +80,7 @@ impl Instrument {
             Some(folder) => folder.clone(),
             None => demo_tool(scratch.path())?,
         };
-        let mut subject = load(&folder, scratch.path())?;
+        let mut subject = load(&folder, scratch.path(), source.grid)?;
         subject.temperature_degc = source.tool_temperature;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
@@ -148,20 +152,27 @@ impl Instrument {
 }
 
 /// Reads tool and head, and hashes what was read.
-fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
+fn load(folder: &Path, scratch: &Path, grid: Option<Grid>) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
     let mut head_path = tool.path.with_file_name("head.toml");
     if !head_path.exists() {
         // A tool folder may leave the head out: the demo head then looks at it.
         head_path = demo_tool(scratch)?.join("head.toml");
     }
-    let head = HeadModel::load(&head_path)?;
+    let mut head = HeadModel::load(&head_path)?;
+    if let Some(grid) = grid {
+        grid.impose(&mut head)?;
+    }
     let mut hashes = BTreeMap::new();
-    for (name, path) in [
+    let mut files = vec![
         ("tool", tool.path.clone()),
         ("cad", tool.cad_path()),
-        ("head", head_path),
-    ] {
+        ("head", head_path.clone()),
+    ];
+    if let Some(cores) = &head.cores {
+        files.push(("cores", head_path.with_file_name("").join(&cores.file)));
+    }
+    for (name, path) in files {
         let bytes =
             std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         hashes.insert(name, flankscope_station::files::hash(&bytes));

@@ -8,6 +8,7 @@ mod decode;
 mod deviation;
 mod gear;
 mod geometry;
+mod grid;
 mod inspect;
 mod instrument;
 mod merge;

@@ -14,18 +14,15 @@ use rayon::prelude::*;
 
 use crate::cell_row::CellRow;
 use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
-use crate::grid::CellGrid;
+use crate::grid::Grid;
 use crate::phase::Phasor;
-
-/// Cell rows per unit of parallel work; fixed, so that the split never depends on the machine.
-const ROWS_PER_BAND: usize = 16;
 
 /// What an accumulator is laid out for.
 #[derive(Debug)]
 pub(crate) struct Layout {
     pub width: usize,
     pub height: usize,
-    pub grid: CellGrid,
+    pub grid: Grid,
     /// Phase steps of each frequency.
     pub steps: Vec<u32>,
     pub exposures: usize,
@@ -156,13 +153,12 @@ pub struct Accumulator {
 impl Accumulator {
     pub(crate) fn new(layout: Arc<Layout>) -> Self {
         let grid = &layout.grid;
-        let bands = (0..grid.rows)
-            .step_by(ROWS_PER_BAND)
+        let bands = (0..grid.rows())
+            .step_by(grid.rows_per_band())
             .map(|first_row| {
-                let rows = first_row..(first_row + ROWS_PER_BAND).min(grid.rows);
-                let first_cell = grid.span(first_row).first_cell;
-                let last = grid.span(rows.end - 1);
-                let cells = last.first_cell + last.len() - first_cell;
+                let rows = first_row..(first_row + grid.rows_per_band()).min(grid.rows());
+                let first_cell = grid.cells(first_row).start;
+                let cells = grid.cells(rows.end - 1).end - first_cell;
                 Band {
                     rows,
                     first_cell,
@@ -225,7 +221,7 @@ impl Accumulator {
             .map(|band| band.add(layout, frame, work))
             .sum();
         self.next += 1;
-        let pixels = (layout.grid.len() * layout.grid.binning * layout.grid.binning) as u64;
+        let pixels = (layout.grid.len() * layout.grid.pixels_per_cell()) as u64;
         Ok(FrameLevel {
             mean_dn: total as f64 / pixels.max(1) as f64,
             pixels,
@@ -327,14 +323,13 @@ impl Band {
     fn add_rows(&mut self, layout: &Layout, frame: FrameView<'_>, work: Work) -> u64 {
         let mut total = 0;
         for index in self.rows.clone() {
-            let span = layout.grid.span(index);
-            if span.is_empty() {
+            let cells = layout.grid.cells(index);
+            if cells.is_empty() {
                 continue;
             }
-            let cells =
-                span.first_cell - self.first_cell..span.first_cell - self.first_cell + span.len();
+            let cells = cells.start - self.first_cell..cells.end - self.first_cell;
             total += self.row.read(layout, frame, index);
-            let values = &self.row.values[..span.len()];
+            let values = &self.row.values[..cells.len()];
             match work {
                 // A saturated dark frame is caught by its level; here it only must not spread infinities.
                 Work::Dark => {
@@ -432,6 +427,7 @@ fn merge(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::CellGrid;
 
     /// What the wide registers compute, against the code for every machine.
     #[test]
@@ -440,7 +436,7 @@ mod tests {
             let layout = Layout {
                 width: 203,
                 height: 41,
-                grid: CellGrid::new(203, 41, binning, None),
+                grid: Grid::Blocks(CellGrid::new(203, 41, binning, None)),
                 steps: vec![3, 8],
                 exposures: 2,
                 dark_frame: true,

@@ -3,11 +3,13 @@
 //! `docs/formats.md` describes the file; [`HeadModel::load`] also takes an OpenCV calibration (XML or YAML).
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 pub use crate::camera::Pinhole;
-use crate::textfile::{self, BadValue, TextFileError};
+use crate::cores::{CoreMap, CoreMapError, CoreMapFile};
+use crate::textfile::{self, BadValue};
 
 /// One measuring head. Millimetres, radians, pixels (centres at integers), electrons, microseconds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,6 +47,12 @@ pub struct HeadModel {
     /// Where the optics show an image; everything outside is skipped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image_circle: Option<ImageCircle>,
+    /// Where the map of the bundle's cores lies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cores: Option<CoreMapFile>,
+    /// That map itself; [`HeadModel::load`] reads it.
+    #[serde(skip)]
+    pub core_map: Option<Arc<CoreMap>>,
 }
 
 fn one() -> u32 {
@@ -248,16 +256,20 @@ impl HeadModel {
     /// Reads `head.toml`, or an OpenCV calibration (XML, or YAML) with `Kc kc Kp kp Rp Tp`.
     ///
     /// # Errors
-    /// [`TextFileError`] with file, line and what would be right.
-    pub fn load(path: &Path) -> Result<Self, TextFileError> {
+    /// [`CoreMapError`] with file, line and what would be right; [`CoreMapError::File`] for the head's own file.
+    pub fn load(path: &Path) -> Result<Self, CoreMapError> {
         let text = textfile::read(path)?;
         let start = text.trim_start_matches('\u{feff}').trim_start();
-        let head = if start.starts_with('<') || start.starts_with("%YAML") {
+        let mut head = if start.starts_with('<') || start.starts_with("%YAML") {
             crate::opencv::head_from_file_storage(path, &text)?
         } else {
             textfile::parse_toml::<Self>(path, &text)?
         };
         head.check().map_err(|bad| bad.in_file(path, &text))?;
+        if let Some(cores) = &head.cores {
+            let map = cores.load(path, head.camera.width_px, head.camera.height_px)?;
+            head.core_map = Some(Arc::new(map));
+        }
         Ok(head)
     }
 
@@ -282,6 +294,9 @@ impl HeadModel {
         }
         if let Some(volume) = &self.volume {
             volume.check()?;
+        }
+        if let Some(cores) = &self.cores {
+            cores.check()?;
         }
         if let Some(circle) = &self.image_circle {
             if circle.centre_px.iter().any(|value| !value.is_finite()) {

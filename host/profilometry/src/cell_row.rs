@@ -1,8 +1,9 @@
 //! Pixels to cells, one row of cells at a time.
 
 use crate::accumulate::Layout;
+use crate::cores::{BOX_PX, CoreGrid};
 use crate::frame::FrameView;
-use crate::grid::CellGrid;
+use crate::grid::{CellGrid, Grid};
 
 /// One row of cells out of the frame's pixel rows.
 #[derive(Clone, Debug)]
@@ -17,14 +18,17 @@ pub(crate) struct CellRow {
 }
 
 impl CellRow {
-    pub fn new(grid: &CellGrid) -> Self {
-        let pixels = if grid.binning > 1 {
-            grid.columns * grid.binning
-        } else {
-            0
+    pub fn new(grid: &Grid) -> Self {
+        let (cells, pixels) = match grid {
+            Grid::Blocks(grid) if grid.binning > 1 => (grid.columns, grid.columns * grid.binning),
+            Grid::Blocks(grid) => (grid.columns, 0),
+            Grid::Cores(grid) => {
+                let cells = (0..grid.rows()).map(|row| grid.cells(row).len()).max();
+                (cells.unwrap_or(0), 0)
+            }
         };
         Self {
-            values: vec![0.0; grid.columns],
+            values: vec![0.0; cells],
             short: vec![0; pixels],
             columns: vec![0; pixels],
             excess: vec![0; pixels],
@@ -34,19 +38,51 @@ impl CellRow {
     /// Fills `values` and returns the sum of all pixels read.
     #[inline(always)]
     pub fn read(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        match layout.grid.binning {
-            1 => self.read_pixels(layout, frame, row),
-            2 => self.read_blocks::<2>(layout, frame, row),
-            3 => self.read_blocks::<3>(layout, frame, row),
-            4 => self.read_blocks::<4>(layout, frame, row),
-            _ => self.read_large_blocks(layout, frame, row),
+        let limit = layout.saturation_limit_dn;
+        match &layout.grid {
+            Grid::Cores(grid) => self.read_cores(grid, limit, frame, row),
+            Grid::Blocks(grid) => match grid.binning {
+                1 => self.read_pixels(grid, limit, frame, row),
+                2 => self.read_blocks::<2>(grid, limit, frame, row),
+                3 => self.read_blocks::<3>(grid, limit, frame, row),
+                4 => self.read_blocks::<4>(grid, limit, frame, row),
+                _ => self.read_large_blocks(grid, limit, frame, row),
+            },
         }
     }
 
+    /// Boxes lie where the cores lie: nothing to vectorise, but nine pixels in three runs each.
     #[inline(always)]
-    fn read_pixels(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        let span = layout.grid.span(row);
-        let limit = layout.saturation_limit_dn;
+    fn read_cores(&mut self, grid: &CoreGrid, limit: u16, frame: FrameView<'_>, row: usize) -> u64 {
+        let rows: [&[u16]; BOX_PX] = std::array::from_fn(|y| frame.row(row + y));
+        let mut total = 0;
+        for (&left, value) in grid.left_px[grid.cells(row)].iter().zip(&mut self.values) {
+            let (mut sum, mut brightest) = (0u32, 0u16);
+            for row in rows {
+                for &pixel in &row[usize::from(left)..][..BOX_PX] {
+                    sum += u32::from(pixel);
+                    brightest = brightest.max(pixel);
+                }
+            }
+            total += u64::from(sum);
+            *value = if brightest > limit {
+                f32::INFINITY
+            } else {
+                sum as f32
+            };
+        }
+        total
+    }
+
+    #[inline(always)]
+    fn read_pixels(
+        &mut self,
+        grid: &CellGrid,
+        limit: u16,
+        frame: FrameView<'_>,
+        row: usize,
+    ) -> u64 {
+        let span = grid.span(row);
         let mut total = 0u32;
         for (&pixel, value) in frame.row(row)[span.begin..span.end]
             .iter()
@@ -66,12 +102,12 @@ impl CellRow {
     #[inline(always)]
     fn read_blocks<const B: usize>(
         &mut self,
-        layout: &Layout,
+        grid: &CellGrid,
+        limit: u16,
         frame: FrameView<'_>,
         row: usize,
     ) -> u64 {
-        let span = layout.grid.span(row);
-        let limit = layout.saturation_limit_dn;
+        let span = grid.span(row);
         let pixels = span.begin * B..span.end * B;
         let count = pixels.len();
         let rows: [&[u16]; B] =
@@ -135,16 +171,22 @@ impl CellRow {
         u64::from(total)
     }
 
-    fn read_large_blocks(&mut self, layout: &Layout, frame: FrameView<'_>, row: usize) -> u64 {
-        let span = layout.grid.span(row);
-        let binning = layout.grid.binning;
+    fn read_large_blocks(
+        &mut self,
+        grid: &CellGrid,
+        limit: u16,
+        frame: FrameView<'_>,
+        row: usize,
+    ) -> u64 {
+        let span = grid.span(row);
+        let binning = grid.binning;
         let mut total = 0;
         for (column, value) in (span.begin..span.end).zip(&mut self.values) {
             let (mut sum, mut over) = (0u32, false);
             for y in row * binning..(row + 1) * binning {
                 for &pixel in &frame.row(y)[column * binning..][..binning] {
                     sum += u32::from(pixel);
-                    over |= pixel > layout.saturation_limit_dn;
+                    over |= pixel > limit;
                 }
             }
             total += u64::from(sum);

@@ -9,7 +9,7 @@ pub struct Cloud {
     pub points_mm: Vec<[f64; 3]>,
     /// Predicted standard uncertainty of z; the point moves along its camera ray.
     pub sigma_z_mm: Vec<f32>,
-    /// Column and row in the grid of cells.
+    /// Column and row in the grid of blocks; on the core grid, of the pixel nearest to the core.
     pub cell: Vec<[u16; 2]>,
     /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
     pub modulation_e: Vec<f32>,

@@ -7,11 +7,12 @@ use rayon::prelude::*;
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::calibration::{DepthRange, HeadModel, Sensor};
 pub use crate::cloud::{Cloud, Decoded, Rejected};
+use crate::cores::CoreGrid;
 use crate::frame::FrameKind;
-use crate::grid::CellGrid;
+use crate::grid::{CellGrid, Grid};
 use crate::mask;
 use crate::neighbours::{Depths, small_patches};
-pub use crate::options::{DecodeOptions, PatchOptions};
+pub use crate::options::{DecodeOptions, GridKind, PatchOptions};
 use crate::pattern::PatternSet;
 use crate::phase::{self, CellNoise};
 use crate::smoothing;
@@ -69,6 +70,11 @@ pub enum DecodeError {
         /// Camera rows.
         height_px: u32,
     },
+    /// No core map, or one that leaves nothing.
+    #[error(
+        "no core of the head's map lies in the image circle: check [cores] and image_circle, or use the pixel grid"
+    )]
+    NoCores,
     /// The lowest frequency repeats and nothing says which repetition.
     #[error(
         "the lowest frequency has {periods} periods and the head no [volume]: give the volume's depth range, or a frequency with a single period"
@@ -228,18 +234,27 @@ impl Decoder {
             head.camera.width_px as usize,
             head.camera.height_px as usize,
         );
-        let grid = CellGrid::new(width, height, options.binning, head.image_circle.as_ref());
+        let circle = head.image_circle.as_ref();
+        let grid = match options.grid {
+            GridKind::Pixel => Grid::Blocks(CellGrid::new(width, height, options.binning, circle)),
+            GridKind::Core => {
+                let map = head.core_map.as_ref().ok_or(DecodeError::NoCores)?;
+                Grid::Cores(CoreGrid::new(map, circle))
+            }
+        };
         if grid.is_empty() {
-            return Err(DecodeError::NoCells {
-                binning: options.binning,
-                width_px: head.camera.width_px,
-                height_px: head.camera.height_px,
+            return Err(match options.grid {
+                GridKind::Core => DecodeError::NoCores,
+                GridKind::Pixel => DecodeError::NoCells {
+                    binning: options.binning,
+                    width_px: head.camera.width_px,
+                    height_px: head.camera.height_px,
+                },
             });
         }
         let triangulator = Triangulator::new(head);
         let rays = rays(head, patterns, &grid, &triangulator)?;
-        let cell_by_depth =
-            grid.binning as f64 / head.camera.focal_px[0].min(head.camera.focal_px[1]);
+        let cell_by_depth = grid.pitch_px() / head.camera.focal_px[0].min(head.camera.focal_px[1]);
         let layout = Layout {
             width,
             height,
@@ -268,7 +283,7 @@ impl Decoder {
     }
 
     /// The grid of cells.
-    pub fn grid(&self) -> &CellGrid {
+    pub fn grid(&self) -> &Grid {
         &self.layout.grid
     }
 
@@ -302,11 +317,10 @@ impl Decoder {
                 expected,
             });
         }
-        let kept = self
-            .options
-            .mask
-            .as_ref()
-            .map(|options| mask::keep(accumulator, options));
+        let kept = match (&self.options.mask, &self.layout.grid) {
+            (Some(options), Grid::Blocks(grid)) => Some(mask::keep(accumulator, grid, options)),
+            _ => None,
+        };
         let (conditioned, variance_ratios) = self.condition(accumulator);
         let mut results = self.depths(
             conditioned.as_ref().unwrap_or(accumulator),
@@ -333,16 +347,19 @@ impl Decoder {
     fn condition(&self, accumulator: &Accumulator) -> (Option<Accumulator>, Vec<f64>) {
         let options = &self.options;
         let wanted = options.smoothing_px > 0.0 || options.coarse_smoothing_px > 0.0;
+        let Grid::Blocks(grid) = &self.layout.grid else {
+            return (None, vec![1.0; self.layout.steps.len()]);
+        };
         if !wanted {
             return (None, vec![1.0; self.layout.steps.len()]);
         }
         let mut copy = accumulator.clone();
         let finest = self.layout.steps.len() - 1;
-        let binning = self.layout.grid.binning as f64;
+        let binning = grid.binning as f64;
         let sigmas: Vec<f64> = (0..=finest)
             .map(|set| if set == finest { options.smoothing_px } else { options.coarse_smoothing_px } / binning)
             .collect();
-        let ratios = smoothing::smooth(&mut copy, &sigmas);
+        let ratios = smoothing::smooth(&mut copy, grid, &sigmas);
         (Some(copy), ratios)
     }
 
@@ -378,7 +395,7 @@ impl Decoder {
         ray: &Ray,
         sigma_ratios: &[f64],
     ) -> Result<CellResult, Fate> {
-        let pixels = (self.layout.grid.binning * self.layout.grid.binning) as f64;
+        let pixels = self.layout.grid.pixels_per_cell() as f64;
         let noise = CellNoise {
             gain_e_per_dn: self.sensor.gain_e_per_dn,
             offset_dn: band
@@ -460,10 +477,8 @@ impl Decoder {
             .filter(|result| result.fate == Fate::Point)
             .count();
         let mut cloud = Cloud::with_capacity(points);
-        for row in 0..grid.rows {
-            let span = grid.span(row);
-            for column in span.begin..span.end {
-                let cell = span.first_cell + column - span.begin;
+        for row in 0..grid.rows() {
+            for (cell, (place, _)) in grid.cells(row).zip(grid.places(row)) {
                 let result = &results[cell];
                 let counter = match result.fate {
                     Fate::Point => {
@@ -471,7 +486,7 @@ impl Decoder {
                         let z = result.depth_mm;
                         cloud.points_mm.push([x * z, y * z, z]);
                         cloud.sigma_z_mm.push(result.sigma_z_mm);
-                        cloud.cell.push([column as u16, row as u16]);
+                        cloud.cell.push(place);
                         cloud.modulation_e.push(result.modulation_e);
                         continue;
                     }
@@ -498,16 +513,15 @@ impl Decoder {
 fn rays(
     head: &HeadModel,
     patterns: &PatternSet,
-    grid: &CellGrid,
+    grid: &Grid,
     triangulator: &Triangulator,
 ) -> Result<Vec<Ray>, DecodeError> {
     let periods = patterns.sets[0].periods;
     let radians_by_column = std::f64::consts::TAU * periods / f64::from(head.projector.width_px);
     let row_rays = |row: usize| -> Result<Vec<Ray>, DecodeError> {
-        let span = grid.span(row);
-        (span.begin..span.end)
-            .map(|column| {
-                let pixel = grid.centre_px(column, row);
+        grid.places(row)
+            .into_iter()
+            .map(|(_, pixel)| {
                 let direction = head
                     .camera
                     .undistort(pixel)
@@ -550,7 +564,7 @@ fn rays(
             })
             .collect()
     };
-    let rows: Vec<Vec<Ray>> = (0..grid.rows)
+    let rows: Vec<Vec<Ray>> = (0..grid.rows())
         .into_par_iter()
         .map(row_rays)
         .collect::<Result<_, _>>()?;

@@ -7,8 +7,8 @@
 //!  step by step
 //! ```
 //!
-//! No frame is ever copied or kept: each is read once, while it is added. What a *cell* is (a pixel, or a block of
-//! pixels) is decided by [`grid::CellGrid`]; the instrument's geometry comes from [`calibration::HeadModel`], the
+//! No frame is ever copied or kept: each is read once, while it is added. What a *cell* is (a pixel, a block of pixels,
+//! or a core of the fibre bundle) is decided by [`grid::Grid`]; the instrument's geometry comes from [`calibration::HeadModel`], the
 //! projected patterns from [`pattern::PatternSet`]. [`decode::Decoder`] joins them and is made once per head.
 //!
 //! Depends on nothing of the instrument: `station` and `cli` use it, it uses neither, and it does not know `metrology`.
@@ -36,6 +36,8 @@ pub mod calibration;
 pub mod camera;
 mod cell_row;
 pub mod cloud;
+pub mod cores;
+pub mod date;
 pub mod decode;
 pub mod frame;
 pub mod grid;

@@ -5,6 +5,7 @@
 //! what a mask should not react to; for three steps it is the very standard deviation.
 
 use crate::accumulate::Accumulator;
+use crate::grid::CellGrid;
 use crate::smoothing::{Blur, dense};
 
 /// Mask parameters.
@@ -17,13 +18,12 @@ pub struct MaskOptions {
 }
 
 /// True for every cell to keep, in cell order.
-pub(crate) fn keep(accumulator: &Accumulator, options: &MaskOptions) -> Vec<bool> {
+pub(crate) fn keep(accumulator: &Accumulator, grid: &CellGrid, options: &MaskOptions) -> Vec<bool> {
     let layout = &*accumulator.layout;
-    let grid = &layout.grid;
     let set = layout.steps.len() - 1;
     let pixels = (grid.binning * grid.binning) as f32;
     let scale = std::f32::consts::SQRT_2 / layout.steps[set] as f32 / pixels;
-    let mut deviation = dense(accumulator, |band, cell| {
+    let mut deviation = dense(accumulator, grid, |band, cell| {
         let phasor = band.phasor(set, cell);
         match phasor.exposures {
             0 => 0.0,
@@ -31,7 +31,7 @@ pub(crate) fn keep(accumulator: &Accumulator, options: &MaskOptions) -> Vec<bool
         }
     });
     if let Some(blur) = Blur::new(options.smoothing_px / grid.binning as f64) {
-        let mut inside = dense(accumulator, |_, _| 1.0);
+        let mut inside = dense(accumulator, grid, |_, _| 1.0);
         blur.apply(&mut deviation, grid.columns);
         blur.apply(&mut inside, grid.columns);
         for (value, weight) in deviation.iter_mut().zip(&inside) {

@@ -1,6 +1,6 @@
 //! Image-space consistency: a surface continues from cell to cell, a wrong fringe order stands alone.
 
-use crate::grid::CellGrid;
+use crate::grid::Grid;
 
 /// Which cells belong to one surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,28 +24,20 @@ const NOISE_FACTOR: f64 = 5.0;
 ///
 /// `cell_by_depth` is the lateral size of a cell per unit of depth (cell size in pixels over focal length).
 pub(crate) fn small_patches(
-    grid: &CellGrid,
+    grid: &Grid,
     depths: &impl Depths,
     cell_by_depth: f64,
     options: &PatchOptions,
 ) -> Vec<usize> {
     let mut patches = Patches::new(grid.len());
-    for row in 0..grid.rows {
-        let span = grid.span(row);
-        let above = (row > 0).then(|| grid.span(row - 1));
-        for column in span.begin..span.end {
-            let cell = span.first_cell + column - span.begin;
+    for row in 0..grid.rows() {
+        for cell in grid.cells(row) {
             let depth = depths.depth_mm(cell);
             if depth.is_nan() {
                 continue;
             }
             let sigma = depths.sigma_mm(cell);
-            let left = column.checked_sub(1).and_then(|column| span.cell(column));
-            let upper = above.and_then(|above| above.cell(column));
-            let upper_left =
-                above.and_then(|above| column.checked_sub(1).and_then(|column| above.cell(column)));
-            let upper_right = above.and_then(|above| above.cell(column + 1));
-            for neighbour in [left, upper, upper_left, upper_right].into_iter().flatten() {
+            for neighbour in grid.earlier_neighbours(row, cell).into_iter().flatten() {
                 let other = depths.depth_mm(neighbour);
                 let variance = sigma * sigma + depths.sigma_mm(neighbour).powi(2);
                 let allowed =
@@ -110,6 +102,7 @@ impl Patches {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::CellGrid;
 
     struct Field(Vec<f64>);
 
@@ -125,7 +118,7 @@ mod tests {
     #[test]
     fn islands_go_and_slopes_stay() {
         let (width, height) = (20, 10);
-        let grid = CellGrid::new(width, height, 1, None);
+        let grid = Grid::Blocks(CellGrid::new(width, height, 1, None));
         // A slope of half a cell per cell, a slipped island of 3 cells, a diagonal line of 4, and a hole.
         let mut depth: Vec<f64> = (0..width * height)
             .map(|cell| 100.0 + 0.05 * (cell % width) as f64)

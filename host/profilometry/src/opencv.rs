@@ -77,6 +77,8 @@ pub(crate) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         sensor: None,
         volume: None,
         image_circle: None,
+        cores: None,
+        core_map: None,
     })
 }
 

@@ -5,10 +5,21 @@ use crate::decode::DecodeError;
 use crate::mask::MaskOptions;
 pub use crate::neighbours::PatchOptions;
 
+/// What a point is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GridKind {
+    /// Blocks of pixels: for a lens.
+    Pixel,
+    /// Cores of the head's map: for a fibre bundle.
+    Core,
+}
+
 /// What to keep and what to smooth. [`DecodeOptions::for_head`] is the instrument's choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DecodeOptions {
-    /// Pixels along a cell's side.
+    /// What a point is made of.
+    pub grid: GridKind,
+    /// Pixels along a cell's side, on the pixel grid.
     pub binning: usize,
     /// Whether a view starts with a dark frame.
     pub dark_frame: bool,
@@ -27,9 +38,14 @@ pub struct DecodeOptions {
 }
 
 impl DecodeOptions {
-    /// The head's binning, a dark frame first, contrast of at least 0.05, patches of at least 10 cells.
+    /// Cores if the head has a map of them, else blocks of the head's binning; a dark frame first, contrast of at least 0.05, patches of at least 10 cells.
     pub fn for_head(head: &HeadModel) -> Self {
         Self {
+            grid: if head.core_map.is_some() {
+                GridKind::Core
+            } else {
+                GridKind::Pixel
+            },
             binning: head.binning as usize,
             dark_frame: true,
             min_contrast: 0.05,
@@ -71,6 +87,24 @@ impl DecodeOptions {
         ] {
             if !(0.0..=100.0).contains(&value) {
                 return bad(name, value, "must be 0 to 100 pixels");
+            }
+        }
+        if options.grid == GridKind::Core {
+            for (name, value) in [
+                ("smoothing_px", options.smoothing_px),
+                ("coarse_smoothing_px", options.coarse_smoothing_px),
+                (
+                    "mask.threshold_dn",
+                    options.mask.map_or(0.0, |mask| mask.threshold_dn),
+                ),
+            ] {
+                if value != 0.0 {
+                    return bad(
+                        name,
+                        value,
+                        "must be 0 (none) on the core grid: it acts on pixels",
+                    );
+                }
             }
         }
         if let Some(limit) = options.max_sigma_z_mm

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::accumulate::{Accumulator, Band};
+use crate::grid::CellGrid;
 
 /// Separable Gaussian on a dense row-major plane; outside counts as zero.
 pub(crate) struct Blur {
@@ -72,8 +73,11 @@ impl Blur {
 }
 
 /// A plane over the whole grid, zero outside the image circle.
-pub(crate) fn dense(accumulator: &Accumulator, value: impl Fn(&Band, usize) -> f32) -> Vec<f32> {
-    let grid = &accumulator.layout.grid;
+pub(crate) fn dense(
+    accumulator: &Accumulator,
+    grid: &CellGrid,
+    value: impl Fn(&Band, usize) -> f32,
+) -> Vec<f32> {
     let mut plane = vec![0.0; grid.columns * grid.rows];
     for band in &accumulator.bands {
         for row in band.rows.clone() {
@@ -92,8 +96,11 @@ pub(crate) fn dense(accumulator: &Accumulator, value: impl Fn(&Band, usize) -> f
 /// Smooths the phasors of all frequencies; returns the factor on the variance of the phase.
 ///
 /// Phasors, not phases: they have no jumps, and dim or dropped cells weigh little by themselves.
-pub(crate) fn smooth(accumulator: &mut Accumulator, sigma_cells: &[f64]) -> Vec<f64> {
-    let grid = accumulator.layout.grid.clone();
+pub(crate) fn smooth(
+    accumulator: &mut Accumulator,
+    grid: &CellGrid,
+    sigma_cells: &[f64],
+) -> Vec<f64> {
     let mut ratios = Vec::with_capacity(sigma_cells.len());
     for (set, &sigma) in sigma_cells.iter().enumerate() {
         let Some(blur) = Blur::new(sigma) else {
@@ -101,8 +108,12 @@ pub(crate) fn smooth(accumulator: &mut Accumulator, sigma_cells: &[f64]) -> Vec<
             continue;
         };
         ratios.push(blur.variance_ratio());
-        let mut re = dense(accumulator, |band, cell| band.merged[set].planes.re[cell]);
-        let mut im = dense(accumulator, |band, cell| band.merged[set].planes.im[cell]);
+        let mut re = dense(accumulator, grid, |band, cell| {
+            band.merged[set].planes.re[cell]
+        });
+        let mut im = dense(accumulator, grid, |band, cell| {
+            band.merged[set].planes.im[cell]
+        });
         blur.apply(&mut re, grid.columns);
         blur.apply(&mut im, grid.columns);
         for band in &mut accumulator.bands {

@@ -19,7 +19,7 @@ pub enum TextFileError {
         source: std::io::Error,
     },
     /// Too large to be such a file.
-    #[error("{} has more than {limit_bytes} bytes: a head, plan or calibration file is a few kilobytes of text", path.display())]
+    #[error("{} has more than {limit_bytes} bytes: no head, plan or calibration file is that large", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -97,6 +97,11 @@ impl BadValue {
 /// # Errors
 /// [`TextFileError::Read`], [`TextFileError::TooLarge`], [`TextFileError::NotText`].
 pub fn read(path: &Path) -> Result<String, TextFileError> {
+    read_up_to(path, MAX_BYTES)
+}
+
+/// Reads a text file of at most `limit_bytes`.
+pub(crate) fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFileError> {
     let failed = |source| TextFileError::Read {
         path: path.to_owned(),
         source,
@@ -104,13 +109,13 @@ pub fn read(path: &Path) -> Result<String, TextFileError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)
         .map_err(failed)?
-        .take(MAX_BYTES + 1)
+        .take(limit_bytes + 1)
         .read_to_end(&mut bytes)
         .map_err(failed)?;
-    if bytes.len() as u64 > MAX_BYTES {
+    if bytes.len() as u64 > limit_bytes {
         return Err(TextFileError::TooLarge {
             path: path.to_owned(),
-            limit_bytes: MAX_BYTES,
+            limit_bytes,
         });
     }
     String::from_utf8(bytes).map_err(|error| TextFileError::NotText {

@@ -58,6 +58,8 @@ pub fn head() -> HeadModel {
             far_mm: 24.0,
         }),
         image_circle: None,
+        cores: None,
+        core_map: None,
     }
 }
 

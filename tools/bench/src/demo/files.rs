@@ -11,6 +11,7 @@ use flankscope_profilometry::calibration::{self, DepthRange, ImageCircle, RigidT
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+use super::tile::core_map_file;
 use super::{CHORD_ERROR_MM, HEIGHT_MM, gear};
 use crate::world::{HeadOptics, Pinhole, SensorSpec, WorldConfig};
 
@@ -24,7 +25,7 @@ const VOLUME: DepthRange = DepthRange {
     far_mm: 23.7,
 };
 
-/// Writes `die.ply`, `tool.toml` and `head.toml` into a folder, which is made if it is not there.
+/// Writes `die.ply`, `tool.toml`, `head.toml` and `cores.csv` into a folder, which is made if it is not there.
 ///
 /// # Errors
 /// The files cannot be written.
@@ -39,7 +40,11 @@ pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
         flankscope_gear_cad::write_ply(&mesh, file)
     })?;
     write_whole(&folder.join("tool.toml"), tool_toml(&gear)?.as_bytes())?;
-    write_whole(&folder.join("head.toml"), head().to_toml()?.as_bytes())?;
+    let mut head = head();
+    let (cores_csv, cores) = core_map_file(&head)?;
+    write_whole(&folder.join(&cores.file), cores_csv.as_bytes())?;
+    head.cores = Some(cores);
+    write_whole(&folder.join("head.toml"), head.to_toml()?.as_bytes())?;
     Ok(())
 }
 
@@ -111,6 +116,8 @@ pub fn head() -> HeadModel {
             centre_px,
             radius_px: 575.0,
         }),
+        cores: None,
+        core_map: None,
     }
 }
 

@@ -1,8 +1,10 @@
 //! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
 
 mod files;
+mod tile;
 
 pub use files::{head, world_of, write_tool};
+pub use tile::{core_map, flat_field, tile};
 
 use crate::world::WorldConfig;
 use flankscope_gear_cad::{GearKind, GearSpec, MeshError, Meshing};
