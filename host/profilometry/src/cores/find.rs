@@ -131,6 +131,8 @@ const LEAST_CORES: usize = 7;
 const LEAST_PITCH_PX: f64 = 2.8;
 /// Peaks below this part of the 99th percentile are halo or noise.
 const FAINTEST_RATIO: f32 = 0.05;
+/// What the first fit leaves over of a hidden core; noise and pixel response leave a tenth of that.
+const HIDDEN_RATIO: f64 = 0.1;
 /// All cores step at once, each as if the others stood still: undamped, neighbours would correct the same error twice.
 const DAMPING: f64 = 0.6;
 /// The common width is coupled to every amplitude.
@@ -179,6 +181,10 @@ pub fn find(flat: &FlatField) -> Result<CoreMap, FindError> {
     }
     let mut fit = Fit::new(&image, flat.width, flat.height, &map, pitch);
     fit.settle()?;
+    // A dim core close to a bright one is no peak, but what is left when the others are taken away.
+    if fit.add_hidden(pitch) > 0 {
+        fit.settle()?;
+    }
     fit.keep_into(&mut map, pitch);
     if map.gains.len() < LEAST_CORES {
         return Err(few(map.gains.len()));
@@ -379,11 +385,37 @@ impl<'a> Fit<'a> {
         })
     }
 
-    /// The cores that stayed where their peaks were and do not share their place with a brighter one.
-    fn keep_into(&self, map: &mut CoreMap, pitch: f64) {
+    /// Adds the peaks of what the fit leaves over, well away from all spots; returns how many.
+    fn add_hidden(&mut self, pitch: f64) -> usize {
+        let least = HIDDEN_RATIO * self.median_amplitude();
+        let left_over = peaks(&self.residual(), self.width, self.height, least as f32);
+        let places: Vec<[f64; 2]> = self.spots.iter().map(|spot| spot.at).collect();
+        let buckets = Buckets::new(&places, pitch);
+        let apart = |at: &[f64; 2]| {
+            buckets.near(*at).all(|other| {
+                (places[other][0] - at[0]).hypot(places[other][1] - at[1]) > 0.55 * pitch
+            })
+        };
+        let before = self.spots.len();
+        for at in left_over.into_iter().filter(apart) {
+            self.start.push(at);
+            self.spots.push(Spot {
+                at,
+                amplitude: least,
+            });
+        }
+        self.spots.len() - before
+    }
+
+    fn median_amplitude(&self) -> f64 {
         let mut amplitudes: Vec<f64> = self.spots.iter().map(|spot| spot.amplitude).collect();
         let middle = amplitudes.len() / 2;
-        let median = *amplitudes.select_nth_unstable_by(middle, f64::total_cmp).1;
+        *amplitudes.select_nth_unstable_by(middle, f64::total_cmp).1
+    }
+
+    /// The cores that stayed where their peaks were and do not share their place with a brighter one.
+    fn keep_into(&self, map: &mut CoreMap, pitch: f64) {
+        let median = self.median_amplitude();
         let places: Vec<[f64; 2]> = self.spots.iter().map(|spot| spot.at).collect();
         let buckets = Buckets::new(&places, pitch);
         let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
