@@ -7,6 +7,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use wide::f64x4;
 
 use crate::bvh::Aabb;
 use crate::simd;
@@ -238,10 +239,15 @@ impl Distances {
         self.near.resize(n, 0.0);
         let near = &mut self.near[..n];
         let mut kept = 0;
-        for &distance2 in &self.all {
-            // There is room: `kept` counts some of the distances before this one.
-            near[kept] = distance2;
-            kept += usize::from(distance2 <= high);
+        for all in self.all.chunks(64) {
+            // One in ten or fewer stays: they are marked many at once, then only they are visited.
+            let mut staying = within(all, high);
+            while staying != 0 {
+                // There is room: `kept` counts some of the distances before this one.
+                near[kept] = all[staying.trailing_zeros() as usize];
+                kept += 1;
+                staying &= staying - 1;
+            }
         }
         if kept > wanted {
             // Equal distances, or an uneven crowd.
@@ -253,6 +259,21 @@ impl Distances {
         }
         Some(near.iter().sum::<f64>() / k as f64)
     }
+}
+
+/// Bit i is set when the i-th of up to 64 values does not exceed `limit`.
+#[inline(always)]
+fn within(values: &[f64], limit: f64) -> u64 {
+    let (fours, rest) = values.as_chunks::<4>();
+    let mut bits = 0;
+    for (i, four) in fours.iter().enumerate() {
+        let low = f64x4::from(*four).simd_le(f64x4::splat(limit));
+        bits |= u64::from(low.to_bitmask()) << (4 * i);
+    }
+    for (i, value) in rest.iter().enumerate() {
+        bits |= u64::from(*value <= limit) << (4 * fours.len() + i);
+    }
+    bits
 }
 
 /// Mean distance of every point to its `k` nearest others, mm, in order; none when there are not enough points. `points`
