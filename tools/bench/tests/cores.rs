@@ -1,5 +1,6 @@
 //! Cores found in a flat field, and what decoding core by core is worth, on tiles before the bench's head.
 
+use std::collections::HashMap;
 use std::sync::{Arc, LazyLock};
 
 use flankscope_bench::demo;
@@ -156,6 +157,43 @@ fn the_staircase_disappears_core_by_core() {
         assert!(pixels > 2.5 * cores, "{pixels} um rms pixel by pixel");
         assert!(blocks > 1.5 * cores, "{blocks} um rms in blocks of 3 x 3");
     }
+}
+
+/// Repeated captures of one plane scatter as predicted: per core the spread over its predicted uncertainty.
+#[test]
+fn points_scatter_as_predicted() {
+    const CAPTURES: u32 = 12;
+    let head = head();
+    let decoder = decoder(&head, GridKind::Core, 1);
+    let config = WorldConfig::new(demo::tile(41.5, [0.0; 2]), demo::gear());
+    let world = World::new(&config).expect("a world");
+    let mut sums: HashMap<[u16; 2], [f64; 4]> = HashMap::new();
+    for number in 0..CAPTURES {
+        let cloud = capture(&world, &decoder, 1_000 * number);
+        for ((point, &sigma), &cell) in cloud
+            .points_mm
+            .iter()
+            .zip(&cloud.sigma_z_mm)
+            .zip(&cloud.cell)
+        {
+            let offset = (point[2] - 22.0) * 1e3;
+            let variance = (f64::from(sigma) * 1e3).powi(2);
+            let sum = sums.entry(cell).or_default();
+            for (sum, term) in sum.iter_mut().zip([1.0, offset, offset * offset, variance]) {
+                *sum += term;
+            }
+        }
+    }
+    let ratios: Vec<f64> = sums
+        .values()
+        .filter(|sum| sum[0] == f64::from(CAPTURES))
+        .map(|[n, sum, squares, variance]| (squares - sum * sum / n) / (n - 1.0) / (variance / n))
+        .collect();
+    let cores = ratios.len();
+    let ratio = (ratios.iter().sum::<f64>() / cores as f64).sqrt();
+    eprintln!("{cores} cores, {CAPTURES} captures: spread over prediction {ratio:.3}");
+    assert!(cores > 70_000);
+    assert!((0.9..1.1).contains(&ratio), "{ratio}");
 }
 
 #[test]

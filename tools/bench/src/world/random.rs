@@ -28,6 +28,11 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
     let mut bytes = [0u8; 32];
     bytes[..8].copy_from_slice(&seed.to_le_bytes());
     bytes[16..24].copy_from_slice(&label.to_le_bytes());
+    if let Purpose::Frame(counter) = purpose {
+        // Streams with neighbouring labels begin alike: without a state of their own, frames would share noise.
+        let state = hash(seed, [i64::from(counter), 0, 0]);
+        bytes[8..16].copy_from_slice(&state.to_le_bytes());
+    }
     Pcg64::from_seed(bytes)
 }
 
