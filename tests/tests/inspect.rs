@@ -318,3 +318,68 @@ fn killed_at_any_moment_the_next_run_works() {
     let next = inspect(&[]);
     assert_eq!(next.code, 0, "{} {}", next.json["reason"], next.stderr);
 }
+
+/// A check of the new tool, stored; a later one on another day shows 5 µm as the difference to it.
+#[test]
+fn a_baseline_shows_five_micrometres() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("baseline.json");
+    let file = path.to_str().unwrap();
+    let new = inspect(&["--seed", "31", "--teeth", "40", "--record-baseline", file]);
+    assert_eq!(new.code, 0, "{} {}", new.json["reason"], new.stderr);
+
+    let worn = [
+        "--seed",
+        "32",
+        "--teeth",
+        "40",
+        "--wear",
+        "40:left:5",
+        "--baseline",
+        file,
+    ];
+    let worn = inspect(&worn);
+    assert_eq!(worn.code, 0, "{} {}", worn.json["reason"], worn.stderr);
+    for feature in worn.json["features"].as_array().unwrap() {
+        let wear = feature["wear_um"].as_f64().unwrap();
+        let u95 = feature["u95_um"].as_f64().unwrap();
+        let detects = feature["detail"]["detection_limit_um"].as_f64().unwrap();
+        let truth = if feature["flank"] == "left" { 5.0 } else { 0.0 };
+        assert!((wear - truth).abs() <= u95, "{feature}");
+        assert!(u95 < 3.0 && detects < 3.0, "{feature}");
+        assert_eq!(wear >= detects, truth > 0.0, "{feature}");
+        let absolute = &feature["detail"]["absolute_um"];
+        assert!(absolute["u95"].as_f64().unwrap() > u95, "{feature}");
+    }
+
+    // A tooth that was not recorded, and a head that is another one.
+    let other = inspect(&["--teeth", "12", "--baseline", file]);
+    assert_eq!(other.code, 2, "{}", other.json["reason"]);
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    json["hashes"]["head"] = "0".into();
+    std::fs::write(&path, json.to_string()).unwrap();
+    let refused = flankscope()
+        .args(["inspect", "--quiet", "--baseline", file])
+        .output()
+        .unwrap();
+    assert_eq!(refused.status.code(), Some(3));
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(said.contains("another head file"), "{said}");
+    // Damage is no baseline.
+    let bad = flankscope()
+        .args([
+            "inspect",
+            "--quiet",
+            "--speed",
+            "max",
+            "--teeth",
+            "40",
+            "--wear",
+            "40:left:80",
+        ])
+        .args(["--record-baseline", file])
+        .output()
+        .unwrap();
+    assert_eq!(bad.status.code(), Some(3));
+}

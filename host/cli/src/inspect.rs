@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
+use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Inspection, Progress};
 use flankscope_station::report::figure;
 
@@ -26,6 +27,9 @@ pub struct Args {
     /// Write report.html and inspection.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Write this check of a new tool as the baseline of later ones; only a go is one
+    #[arg(long, value_name = "FILE")]
+    record_baseline: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -52,6 +56,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut document = serde_json::to_value(&inspection)?;
     if let Some(truth) = instrument.close(quiet)? {
         document["truth"] = truth;
+    }
+    if let Some(path) = &args.record_baseline {
+        Baseline::of(&inspection)?.save(path)?;
     }
     if let Some(report) = &args.report {
         let page = flankscope_station::report::html(&inspection)?;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
+use flankscope_station::baseline::Baseline;
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::inspection::{Station, Subject};
@@ -33,6 +34,9 @@ pub struct Source {
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
     #[arg(long, value_enum, value_name = "GRID")]
     pub grid: Option<Grid>,
+    /// Judge what was lost since this baseline instead of the deviation from CAD
+    #[arg(long, value_name = "FILE")]
+    pub baseline: Option<PathBuf>,
 }
 
 /// What only the simulated bench knows.
@@ -82,6 +86,9 @@ impl Instrument {
         };
         let mut subject = load(&folder, scratch.path(), source.grid)?;
         subject.temperature_degc = source.tool_temperature;
+        if let Some(path) = &source.baseline {
+            subject.baseline = Some(Arc::new(Baseline::load(path, &subject.hashes)?));
+        }
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
@@ -181,6 +188,7 @@ fn load(folder: &Path, scratch: &Path, grid: Option<Grid>) -> anyhow::Result<Sub
         tool: Arc::new(tool),
         head: Arc::new(head),
         temperature_degc: None,
+        baseline: None,
         hashes,
     })
 }

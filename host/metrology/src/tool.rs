@@ -73,6 +73,9 @@ pub struct Inspect {
     /// Standard uncertainty of the calibration, micrometres.
     #[serde(default = "default_calibration")]
     pub calibration_um: f64,
+    /// Standard uncertainty of the head's drift since the baseline, micrometres.
+    #[serde(default = "default_drift")]
+    pub drift_um: f64,
     /// Surfaces that the pose may rest on.
     #[serde(default)]
     pub datum: Datum,
@@ -140,6 +143,10 @@ impl Temperature {
             Err(Reason::TemperatureRange { degc, low, high })
         }
     }
+}
+
+fn default_drift() -> f64 {
+    0.5
 }
 
 fn default_probability() -> f64 {
@@ -333,6 +340,11 @@ impl Tool {
             .map_or_else(default_calibration, |i| i.calibration_um);
         Settings {
             calibration_mm: 1e-3 * calibration_um,
+            drift_mm: 1e-3
+                * self
+                    .inspect
+                    .as_ref()
+                    .map_or_else(default_drift, |i| i.drift_um),
             cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
             ..Settings::default()
         }
@@ -396,6 +408,9 @@ impl File {
         let Some(inspect) = &self.inspect else {
             return Ok(());
         };
+        if !(0.0..=1000.0).contains(&inspect.drift_um) {
+            return refuse("inspect.drift_um", inspect.drift_um, "0 to 1000");
+        }
         if !(0.5..1.0).contains(&inspect.probability) {
             return refuse("inspect.probability", inspect.probability, "0.5 to below 1");
         }

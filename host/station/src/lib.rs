@@ -6,6 +6,7 @@
 //!  capture ───── frames, in place ──┘
 //! ```
 
+pub mod baseline;
 pub mod capture;
 pub mod controller;
 pub mod files;

@@ -58,12 +58,4 @@ impl Budget {
         }
         .total_mm()
     }
-
-    /// The budget of the mean of `n` captures of the same state: noise averages out, the rest does not.
-    pub fn of_mean(&self, n: u32) -> Self {
-        Self {
-            noise_mm: self.noise_mm / f64::from(n.max(1)).sqrt(),
-            ..*self
-        }
-    }
 }

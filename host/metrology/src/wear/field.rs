@@ -69,22 +69,6 @@ impl Field {
         })
     }
 
-    /// The mean of two captures of the same zone; a cell that one lacks is taken from the other.
-    pub fn joined(&self, other: &Self) -> Self {
-        let mut joined = self.clone();
-        for i in 0..joined.wear_mm.len().min(other.wear_mm.len()) {
-            let (a, b) = (self.wear_mm[i], other.wear_mm[i]);
-            if a.is_finite() && b.is_finite() {
-                joined.wear_mm[i] = 0.5 * (a + b);
-                joined.variance_mm2[i] = 0.25 * (self.variance_mm2[i] + other.variance_mm2[i]);
-            } else if b.is_finite() {
-                joined.wear_mm[i] = b;
-                joined.variance_mm2[i] = other.variance_mm2[i];
-            }
-        }
-        joined
-    }
-
     /// Standard deviation of a cell, as the cells themselves show it: from their stated variances, or from the differences
     /// between neighbours in height when those are larger. Flanks wear evenly along the height but for a few cells, which
     /// the median passes over.

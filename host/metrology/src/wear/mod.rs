@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Each cell's wear is minus the mean deviation of its points; averaging removes the points' noise. What is said of a flank
-//! is in [`figures`], where the uncertainty comes from in [`budget`].
+//! is in [`Figures`], where the uncertainty comes from in [`Budget`].
 
 mod budget;
 mod edge;
@@ -344,6 +344,21 @@ impl FlankWear {
         self.wear_mm = figures.depth_mm.value;
         self.mean_mm = figures.mean_mm.value;
         self.u_mm = self.budget.total_mm();
+    }
+
+    /// What was lost since `reference` was captured by the same instrument: the depth figures become differences, the tip
+    /// edge stays as it is. Calibration and CAD cancel but for the head's drift; the pose of the reference counts as well.
+    ///
+    /// # Errors
+    /// The reference has other cells.
+    pub fn since(mut self, reference: &Field, settings: &Settings) -> Result<Self, Mismatch> {
+        self.field = self.field.since(reference)?;
+        self.coverage = self.field.coverage();
+        self.budget.calibration_mm = settings.drift_mm;
+        self.budget.cad_mm = 0.0;
+        self.budget.reference_mm = self.budget.registration_mm;
+        self.refigure(settings);
+        Ok(self)
     }
 
     /// The same flank with the fit's leakage and the temperature's share counted in.

@@ -30,6 +30,7 @@ use super::result::{Feature, FrameCount, Handover, Inspection, Pictures, Timing}
 use super::run::Run;
 use super::verdict::{self, Judged};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
+use crate::baseline::Baseline;
 use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientError, ClientSettings};
 
@@ -50,6 +51,8 @@ pub struct Subject {
     pub head: Arc<flankscope_profilometry::HeadModel>,
     /// Temperature of the tool, degrees C, where it is known.
     pub temperature_degc: Option<f64>,
+    /// The tool as it was when new; wear is then the difference to it.
+    pub baseline: Option<Arc<Baseline>>,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
 }
@@ -479,6 +482,7 @@ impl Station {
     ) -> Inspection {
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
+        let mut fields = Vec::new();
         let mut pictures = Pictures {
             frame: run.picture,
             ..Pictures::default()
@@ -488,6 +492,7 @@ impl Station {
                 Some(outcome) => {
                     judged.extend(outcome.flanks.iter().cloned());
                     registration.push(outcome.registration.clone());
+                    fields.extend(outcome.fields.iter().cloned());
                     pictures.maps.extend(outcome.maps.iter().cloned());
                     pictures
                         .deviations_um
@@ -537,6 +542,7 @@ impl Station {
             temperature_degc: self.subject.temperature_degc,
             versions,
             hashes: self.subject.hashes.clone(),
+            fields,
             pictures,
         }
     }

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use flankscope_metrology::leakage::Leakage;
 use serde::Serialize;
 
+use crate::baseline::Reference;
+
 pub use super::recorder::Picture;
 
 /// One inspected flank: a row of the table.
@@ -40,6 +42,9 @@ pub struct Feature {
 /// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
 #[derive(Clone, Debug, Serialize)]
 pub struct FlankDetail {
+    /// Deviation of the flank from CAD as depth of missing material, µm; beside the wear, which is the difference to the
+    /// baseline where there is one.
+    pub absolute_um: Expanded,
     /// Expanded uncertainty of the mean loss, µm.
     pub mean_u95_um: f64,
     /// Area worn beyond the detection limit, mm².
@@ -189,6 +194,9 @@ pub struct Inspection {
     pub versions: BTreeMap<&'static str, String>,
     /// BLAKE3 of what went in: CAD, tool file, head file.
     pub hashes: BTreeMap<&'static str, String>,
+    /// Deviation from CAD of every measured flank, cell by cell: what a baseline is made of.
+    #[serde(skip)]
+    pub fields: Vec<Reference>,
     /// What only the report draws.
     #[serde(skip)]
     pub pictures: Pictures,

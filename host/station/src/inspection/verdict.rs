@@ -30,7 +30,9 @@ pub struct Judged {
 
 impl Judged {
     /// Judges a measured flank.
-    pub fn of_wear(wear: &FlankWear, inspect: &Inspect) -> Self {
+    ///
+    /// `absolute` is its figure against CAD, which `wear` itself is without a baseline.
+    pub fn of_wear(wear: &FlankWear, absolute: Figure, inspect: &Inspect) -> Self {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
         let verdict = if wear.coverage < inspect.least_coverage {
             Verdict::Indeterminate {
@@ -58,7 +60,7 @@ impl Judged {
             mean_um: finite_um(wear.mean_mm),
             coverage_ratio: wear.coverage,
             conformity: conformity.is_finite().then_some(conformity),
-            detail: detail(wear),
+            detail: detail(wear, absolute),
             warn_um: inspect.warn_um,
             limit_um: inspect.limit_um,
             verdict,
@@ -68,7 +70,7 @@ impl Judged {
 }
 
 /// The figures beside the judged one.
-fn detail(wear: &FlankWear) -> Option<FlankDetail> {
+fn detail(wear: &FlankWear, absolute: Figure) -> Option<FlankDetail> {
     let figures = wear.figures?;
     let expanded = |figure: Figure, scale: f64| Expanded {
         value: figure.value * scale,
@@ -79,6 +81,7 @@ fn detail(wear: &FlankWear) -> Option<FlankDetail> {
         ..figures.buildup_mm
     };
     Some(FlankDetail {
+        absolute_um: expanded(absolute, 1e3),
         mean_u95_um: 1.96e3 * wear.u_mean_mm(),
         worn_area_mm2: expanded(figures.worn_area_mm2, 1.0),
         lost_volume_mm3: expanded(figures.lost_volume_mm3, 1.0),
@@ -131,31 +134,35 @@ impl From<Judged> for Feature {
 
 /// Both flanks of a tooth that could not be measured.
 pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
+    Flank::BOTH
+        .map(|flank| unmeasured_flank(tooth, flank, tool, why))
+        .into()
+}
+
+/// A flank that could not be measured.
+pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Judged {
     let (warn_um, limit_um) = tool
         .inspect
         .as_ref()
         .map_or((0.0, 0.0), |inspect| (inspect.warn_um, inspect.limit_um));
-    Flank::BOTH
-        .iter()
-        .map(|&flank| Judged {
-            tooth,
-            flank,
-            wear_um: None,
-            u95_um: None,
-            mean_um: None,
-            coverage_ratio: 0.0,
-            conformity: None,
-            detail: None,
-            warn_um,
-            limit_um,
-            verdict: Verdict::Indeterminate {
-                reason: Reason::Instrument {
-                    code: "not_measured",
-                },
+    Judged {
+        tooth,
+        flank,
+        wear_um: None,
+        u95_um: None,
+        mean_um: None,
+        coverage_ratio: 0.0,
+        conformity: None,
+        detail: None,
+        warn_um,
+        limit_um,
+        verdict: Verdict::Indeterminate {
+            reason: Reason::Instrument {
+                code: "not_measured",
             },
-            unmeasured: Some(why.to_string()),
-        })
-        .collect()
+        },
+        unmeasured: Some(why.to_string()),
+    }
 }
 
 /// The tool's verdict and one sentence about it. A check that stopped early is never a go.

@@ -11,7 +11,7 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::{Datum, Inspect, Tool};
 use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, Measured, Settings, Zone};
+use flankscope_metrology::wear::{self, Figure, FlankWear, Measured, Settings, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -21,6 +21,7 @@ use super::job::Subject;
 use super::plan::Itinerary;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
+use crate::baseline::{Baseline, Reference};
 
 /// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
 const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
@@ -73,6 +74,8 @@ pub struct ViewOutcome {
     pub flanks: Vec<Judged>,
     /// How the points were laid on the CAD.
     pub registration: ViewRegistration,
+    /// Their deviation from CAD, cell by cell.
+    pub fields: Vec<Reference>,
     /// Deviation maps of the two flanks.
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
@@ -123,6 +126,7 @@ pub struct Evaluator {
     places: Vec<Place>,
     /// Size of the tool relative to its CAD, or why it cannot be judged.
     scale: Result<f64, Reason>,
+    baseline: Option<Arc<Baseline>>,
 }
 
 impl Evaluator {
@@ -207,6 +211,7 @@ impl Evaluator {
             decoder,
             places,
             scale,
+            baseline: subject.baseline.clone(),
         })
     }
 
@@ -265,6 +270,7 @@ impl Evaluator {
         let closest = place.surface.closest_many(&located);
         lap("deviation", &mut elapsed_ms);
         let mut leakage = BTreeMap::new();
+        let mut fields = Vec::new();
         let flanks = match (&registration.status, &self.scale) {
             (_, Err(reason)) => {
                 super::verdict::unmeasured(place.tooth, &self.tool, &reason.to_string())
@@ -300,7 +306,14 @@ impl Evaluator {
                 .into_iter()
                 .zip(&influences)
                 .map(|(wear, influence)| {
-                    Judged::of_wear(&wear.with(influence, settings), &self.inspect)
+                    if wear.figures.is_some() {
+                        fields.push(Reference {
+                            tooth: wear.tooth,
+                            flank: wear.flank,
+                            field: wear.field.clone(),
+                        });
+                    }
+                    self.judge(wear.with(influence, settings))
                 })
                 .collect()
             }
@@ -318,8 +331,29 @@ impl Evaluator {
                 leakage,
                 ..summary(place, points.len(), &registration, elapsed_ms)
             },
+            fields,
             maps,
             deviations_um,
+        }
+    }
+
+    /// Judges a flank: against the baseline where there is one, else against CAD.
+    fn judge(&self, wear: FlankWear) -> Judged {
+        let absolute = Figure {
+            value: wear.wear_mm,
+            u: wear.u_mm,
+        };
+        let Some(baseline) = &self.baseline else {
+            return Judged::of_wear(&wear, absolute, &self.inspect);
+        };
+        let (tooth, flank) = (wear.tooth, wear.flank);
+        let refused = |why: &str| super::verdict::unmeasured_flank(tooth, flank, &self.tool, why);
+        let Some(reference) = baseline.field(tooth, flank) else {
+            return refused("the baseline lacks this flank; record it again with this tooth");
+        };
+        match wear.since(reference, &self.settings) {
+            Ok(since) => Judged::of_wear(&since, absolute, &self.inspect),
+            Err(mismatch) => refused(&mismatch.to_string()),
         }
     }
 
@@ -408,6 +442,7 @@ impl Evaluator {
                 weak_directions: Vec::new(),
                 elapsed_ms,
             },
+            fields: Vec::new(),
             maps: Vec::new(),
             deviations_um: Vec::new(),
         }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
+use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
 
 use super::Random;
@@ -34,11 +35,17 @@ pub(super) struct Trouble {
 }
 
 impl Instrument {
-    pub fn new(tool: &Tool, head: &HeadModel, degc: Option<f64>) -> anyhow::Result<Self> {
+    pub fn new(
+        tool: &Tool,
+        head: &HeadModel,
+        degc: Option<f64>,
+        baseline: Option<Baseline>,
+    ) -> anyhow::Result<Self> {
         let subject = Subject {
             tool: Arc::new(tool.clone()),
             head: Arc::new(head.clone()),
             temperature_degc: degc,
+            baseline: baseline.map(Arc::new),
             hashes: std::collections::BTreeMap::new(),
         };
         let itinerary = Arc::new(Itinerary::new(tool, head, Some(&[super::TOOTH]))?);

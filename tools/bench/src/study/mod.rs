@@ -17,6 +17,7 @@ use std::path::PathBuf;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::{Datum, Temperature, Tool};
 use flankscope_metrology::wear::Zone;
+use flankscope_station::baseline::Baseline;
 use nalgebra::Vector2;
 use rand::RngExt;
 use rand_pcg::rand_core::SeedableRng;
@@ -60,6 +61,8 @@ pub struct Case {
     pub datum: Datum,
     /// Temperature of the die above that of its CAD, K, and whether the instrument knows it.
     pub warm: Option<(f64, bool)>,
+    /// Whether the undamaged die was captured before by the same instrument.
+    pub baseline: bool,
     /// Light missing or die turned.
     trouble: Trouble,
 }
@@ -88,6 +91,7 @@ pub fn cases() -> Vec<Case> {
         wear: (um > 0.0).then_some((kind, um)),
         datum: Datum::Neighbours,
         warm: None,
+        baseline: false,
         trouble: Trouble::default(),
     };
     let mut cases = Vec::new();
@@ -161,6 +165,14 @@ pub fn cases() -> Vec<Case> {
         Datum::Lands,
         Some((40.0, false)),
     ));
+    for um in [0.0, 3.0, 5.0, 20.0] {
+        cases.push(Case {
+            name: format!("{um} µm, since a baseline"),
+            group: Group::Measure,
+            baseline: true,
+            ..worn(WearKind::Uniform, um, "uniform")
+        });
+    }
     cases
 }
 
@@ -221,17 +233,32 @@ pub fn measure(
             .collect();
         let truth_um = truth_um(&tool, &config.gear, &config.wear)?;
         let world = World::new(&config)?;
+        config.wear.clear();
+        let fresh = if case.baseline {
+            Some(World::new(&config)?)
+        } else {
+            None
+        };
         let mut cell = Cell::new(case, truth_um);
         let mut instrument = None;
         for number in 0..captures {
             if number % CAPTURES_PER_CALIBRATION == 0 {
                 let draw = seed * 1_000_003 + u64::from(number / CAPTURES_PER_CALIBRATION) + 1;
                 let drawn = calibrated(&head, draw);
-                instrument = Some(Instrument::new(
-                    &tool,
-                    &drawn,
-                    case.warm.map(|_| 20.0 + kelvin),
-                )?);
+                let degc = case.warm.map(|_| 20.0 + kelvin);
+                let baseline = if let Some(fresh) = &fresh {
+                    // Its own stage errors and noise, as on another day.
+                    let absolute = Instrument::new(&tool, &drawn, degc, None)?;
+                    let golden = absolute.capture(fresh, captures + number + 1, case.trouble)?;
+                    Some(Baseline {
+                        tool: tool.name.clone(),
+                        hashes: std::collections::BTreeMap::new(),
+                        flanks: golden.fields,
+                    })
+                } else {
+                    None
+                };
+                instrument = Some(Instrument::new(&tool, &drawn, degc, baseline)?);
             }
             let Some(instrument) = &instrument else {
                 continue;

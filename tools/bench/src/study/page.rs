@@ -71,7 +71,7 @@ fn markdown(cells: &[Cell], args: &Args) -> Result<String, std::fmt::Error> {
     }
     writeln!(
         text,
-        "\n## With and without each measure\n\n| capture | bias / µm | sd / µm | U95 / µm | coverage | standard uncertainty by source / µm |\n|---|---|---|---|---|---|"
+        "\n## With and without each measure\n\n| capture | bias / µm | sd / µm | U95 / µm | coverage | detection limit / µm | standard uncertainty by source / µm |\n|---|---|---|---|---|---|---|"
     )?;
     for cell in cells.iter().filter(|c| c.group == Group::Measure) {
         let budget: Vec<String> = cell
@@ -81,12 +81,13 @@ fn markdown(cells: &[Cell], args: &Args) -> Result<String, std::fmt::Error> {
             .collect();
         writeln!(
             text,
-            "| {} | {:.2} | {:.2} | {:.2} | {} | {} |",
+            "| {} | {:.2} | {:.2} | {:.2} | {} | {:.1} | {} |",
             cell.name,
             cell.bias_um(),
             cell.spread_um(),
             cell.u95_um(),
             percent(cell.coverage()),
+            cell.detection_limit_um(),
             budget.join(", "),
         )?;
     }

@@ -1,0 +1,199 @@
+//! The golden capture of a new tool: wear is what was lost since, and what calibration and as-built form put into both
+//! captures cancels.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::wear::Field;
+use serde::{Deserialize, Serialize};
+
+use crate::files;
+use crate::inspection::Inspection;
+
+/// A file of other people is not read beyond this, bytes: 84 teeth with both flanks need 4 MB.
+const MOST_BYTES: u64 = 64 << 20;
+
+/// Every inspected flank of a tool as it was when new.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Baseline {
+    /// Name of the tool.
+    pub tool: String,
+    /// BLAKE3 of tool file, CAD and head file: a difference only means wear when all three are the same.
+    pub hashes: BTreeMap<String, String>,
+    /// The flanks.
+    pub flanks: Vec<Reference>,
+}
+
+/// One flank's deviation from CAD, cell by cell.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reference {
+    /// Tooth, from 1.
+    pub tooth: u32,
+    /// Side.
+    pub flank: Flank,
+    /// Cells, positive for missing material.
+    pub field: Field,
+}
+
+/// Why a baseline cannot be recorded or used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BaselineError {
+    /// The file cannot be read or written.
+    #[error("baseline {}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// The file is no baseline.
+    #[error("baseline {}: {source}; right would be a file written by inspect --record-baseline", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: serde_json::Error,
+    },
+    /// Too large for a baseline.
+    #[error("baseline {}: {bytes} bytes, at most {MOST_BYTES} are read", path.display())]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
+    /// Cells that do not fill their grid.
+    #[error("baseline {}: tooth {tooth} {flank} has {cells} cells for a grid of {columns} x {rows}", path.display())]
+    Grid {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+        /// Cells given.
+        cells: usize,
+        /// Columns stated.
+        columns: usize,
+        /// Rows stated.
+        rows: usize,
+    },
+    /// Something of the instrument changed since.
+    #[error(
+        "the baseline was recorded with another {what} file (BLAKE3 {recorded}, now {now}); record it again on a tool known to be new"
+    )]
+    Changed {
+        /// `tool`, `cad` or `head`.
+        what: String,
+        /// Hash then.
+        recorded: String,
+        /// Hash now.
+        now: String,
+    },
+    /// A capture that does not deserve to be a baseline.
+    #[error("a check that ended in {verdict} is no baseline of a new tool; it must end in go")]
+    NotNew {
+        /// Its verdict.
+        verdict: String,
+    },
+}
+
+impl Baseline {
+    /// The baseline that a check of a new tool makes.
+    ///
+    /// # Errors
+    /// The check did not end in go.
+    pub fn of(inspection: &Inspection) -> Result<Self, BaselineError> {
+        if inspection.verdict != "go" {
+            return Err(BaselineError::NotNew {
+                verdict: inspection.verdict.clone(),
+            });
+        }
+        let hash = |(name, hash): (&&str, &String)| ((*name).to_owned(), hash.clone());
+        Ok(Self {
+            tool: inspection.tool.clone(),
+            hashes: inspection.hashes.iter().map(hash).collect(),
+            flanks: inspection.fields.clone(),
+        })
+    }
+
+    /// Reads a baseline for an instrument with these files.
+    ///
+    /// # Errors
+    /// Unreadable, malformed, or recorded with other files.
+    pub fn load(
+        path: &Path,
+        hashes: &BTreeMap<&'static str, String>,
+    ) -> Result<Self, BaselineError> {
+        let file = |source| BaselineError::File {
+            path: path.to_owned(),
+            source,
+        };
+        let bytes = std::fs::metadata(path).map_err(file)?.len();
+        if bytes > MOST_BYTES {
+            return Err(BaselineError::Size {
+                path: path.to_owned(),
+                bytes,
+            });
+        }
+        let text = std::fs::read(path).map_err(file)?;
+        let baseline: Self =
+            serde_json::from_slice(&text).map_err(|source| BaselineError::Syntax {
+                path: path.to_owned(),
+                source,
+            })?;
+        for one in &baseline.flanks {
+            let Field { columns, rows, .. } = one.field;
+            let lengths = [one.field.wear_mm.len(), one.field.variance_mm2.len()];
+            if columns == 0 || lengths != [columns.saturating_mul(rows); 2] {
+                return Err(BaselineError::Grid {
+                    path: path.to_owned(),
+                    tooth: one.tooth,
+                    flank: one.flank,
+                    cells: lengths[0],
+                    columns,
+                    rows,
+                });
+            }
+        }
+        for (&what, now) in hashes {
+            let recorded = baseline.hashes.get(what).cloned().unwrap_or_default();
+            if recorded != *now {
+                return Err(BaselineError::Changed {
+                    what: what.to_owned(),
+                    recorded,
+                    now: now.clone(),
+                });
+            }
+        }
+        Ok(baseline)
+    }
+
+    /// Writes it whole or not at all.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn save(&self, path: &Path) -> Result<(), BaselineError> {
+        let text = serde_json::to_vec(self).map_err(|source| BaselineError::Syntax {
+            path: path.to_owned(),
+            source,
+        })?;
+        files::write_whole(path, &text).map_err(|source| BaselineError::File {
+            path: path.to_owned(),
+            source,
+        })
+    }
+
+    /// A flank's cells.
+    #[must_use]
+    pub fn field(&self, tooth: u32, flank: Flank) -> Option<&Field> {
+        self.flanks
+            .iter()
+            .find(|one| (one.tooth, one.flank) == (tooth, flank))
+            .map(|one| &one.field)
+    }
+}
