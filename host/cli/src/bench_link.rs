@@ -9,8 +9,7 @@ use flankscope_bench::process::{Farewell, Hello};
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 
-use crate::instrument::BenchArgs;
-use crate::watch::PressArgs;
+use crate::instrument::{BenchArgs, Scene};
 
 /// A running bench.
 pub struct Bench {
@@ -35,7 +34,7 @@ impl Bench {
     pub fn start(
         args: &BenchArgs,
         controller: &str,
-        press: Option<&PressArgs>,
+        scene: Scene<'_>,
         tool: &Path,
         root: &SharedRoot,
     ) -> anyhow::Result<Self> {
@@ -57,7 +56,12 @@ impl Bench {
         if let Some(fault) = &args.frame_fault {
             command.args(["--frame-fault", fault]);
         }
-        if let Some(press) = press {
+        if let Some(die) = scene.die {
+            command.arg("--by-hand");
+            command.args(["--ovality-um", &die.ovality_um.to_string()]);
+            command.args(["--taper-um", &die.taper_um.to_string()]);
+        }
+        if let Some(press) = scene.press {
             command.args([
                 "--strokes-per-minute",
                 &press.strokes_per_minute.to_string(),

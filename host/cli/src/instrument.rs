@@ -1,4 +1,4 @@
-//! What `inspect` and `watch` share: which tool, which head, which controller, and the simulated bench in between.
+//! What `inspect`, `watch` and `scan` share: which tool, which head, which controller, and the simulated bench in between.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ use flankscope_station::controller::ClientSettings;
 use flankscope_station::inspection::{Station, Subject};
 
 use crate::grid::Grid;
+use crate::scan::DieArgs;
 use crate::watch::PressArgs;
 
 /// Which tool is looked at through which controller.
@@ -57,10 +58,19 @@ pub struct BenchArgs {
     pub frame_fault: Option<String>,
 }
 
+/// What stands on the simulated bench beside the die of the tool file.
+#[derive(Clone, Copy, Default)]
+pub struct Scene<'a> {
+    /// A press whose strokes wear the die.
+    pub press: Option<&'a PressArgs>,
+    /// A die put there by hand, with a form of its own.
+    pub die: Option<&'a DieArgs>,
+}
+
 /// A station with its threads running, and the controller's port.
-pub struct Instrument {
+pub struct Instrument<S = Station> {
     /// The host's side.
-    pub station: Station,
+    pub station: S,
     /// The controller's port.
     pub port: PathBuf,
     /// How patiently to talk to it.
@@ -72,36 +82,62 @@ pub struct Instrument {
 }
 
 impl Instrument {
-    /// Reads tool and head, starts the station, then the bench or nothing.
+    /// Reads tool and head, starts a station for checks, then the bench or nothing.
     pub fn open(
         source: &Source,
         bench: &BenchArgs,
         press: Option<&PressArgs>,
         quiet: bool,
     ) -> anyhow::Result<Self> {
+        let scene = Scene { press, die: None };
+        Self::start(
+            source.tool.as_deref(),
+            &source.link,
+            bench,
+            scene,
+            quiet,
+            |mut subject, root| {
+                subject.temperature_degc = source.tool_temperature;
+                if let Some(grid) = source.grid {
+                    grid.impose(Arc::make_mut(&mut subject.head))?;
+                }
+                if let Some(path) = &source.baseline {
+                    subject.baseline = Some(Arc::new(Baseline::load(path, &subject.hashes)?));
+                }
+                Ok(Station::open(subject, source.teeth.as_deref(), root)?)
+            },
+        )
+    }
+}
+
+impl<S> Instrument<S> {
+    /// Reads tool and head, starts what `station` makes of them, then the bench or nothing.
+    pub fn start(
+        tool: Option<&Path>,
+        link: &str,
+        bench: &BenchArgs,
+        scene: Scene<'_>,
+        quiet: bool,
+        station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
+    ) -> anyhow::Result<Self> {
         let scratch = Scratch::new()?;
-        let folder = match &source.tool {
-            Some(folder) => folder.clone(),
+        let folder = match tool {
+            Some(folder) => folder.to_path_buf(),
             None => demo_tool(scratch.path())?,
         };
-        let mut subject = load(&folder, scratch.path(), source.grid)?;
-        subject.temperature_degc = source.tool_temperature;
-        if let Some(path) = &source.baseline {
-            subject.baseline = Some(Arc::new(Baseline::load(path, &subject.hashes)?));
-        }
+        let subject = load(&folder, scratch.path())?;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
-        let station = Station::open(subject, source.teeth.as_deref(), Arc::clone(&root))?;
-        if matches!(source.link.as_str(), "sim" | "qemu") {
-            let bench = (source.link.as_str(), bench);
-            return Self::with_bench(station, bench, press, &folder, root, scratch);
+        let station = station(subject, Arc::clone(&root))?;
+        if matches!(link, "sim" | "qemu") {
+            return Self::with_bench(station, (link, bench), scene, &folder, root, scratch);
         }
         if !quiet {
             eprintln!("frames are expected in {}", root.path().display());
         }
         Ok(Self {
             station,
-            port: PathBuf::from(&source.link),
+            port: PathBuf::from(link),
             settings: ClientSettings::default(),
             #[cfg(feature = "bench")]
             bench: None,
@@ -112,14 +148,14 @@ impl Instrument {
 
     #[cfg(feature = "bench")]
     fn with_bench(
-        station: Station,
+        station: S,
         (controller, args): (&str, &BenchArgs),
-        press: Option<&PressArgs>,
+        scene: Scene<'_>,
         tool: &Path,
         root: Arc<SharedRoot>,
         scratch: Scratch,
     ) -> anyhow::Result<Self> {
-        let bench = crate::bench_link::Bench::start(args, controller, press, tool, &root)?;
+        let bench = crate::bench_link::Bench::start(args, controller, scene, tool, &root)?;
         Ok(Self {
             station,
             port: bench.port().to_path_buf(),
@@ -132,9 +168,9 @@ impl Instrument {
 
     #[cfg(not(feature = "bench"))]
     fn with_bench(
-        _: Station,
+        _: S,
         _: (&str, &BenchArgs),
-        _: Option<&PressArgs>,
+        _: Scene<'_>,
         _: &Path,
         _: Arc<SharedRoot>,
         _: Scratch,
@@ -159,17 +195,14 @@ impl Instrument {
 }
 
 /// Reads tool and head, and hashes what was read.
-fn load(folder: &Path, scratch: &Path, grid: Option<Grid>) -> anyhow::Result<Subject> {
+fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
     let mut head_path = tool.path.with_file_name("head.toml");
     if !head_path.exists() {
         // A tool folder may leave the head out: the demo head then looks at it.
         head_path = demo_tool(scratch)?.join("head.toml");
     }
-    let mut head = HeadModel::load(&head_path)?;
-    if let Some(grid) = grid {
-        grid.impose(&mut head)?;
-    }
+    let head = HeadModel::load(&head_path)?;
     let mut hashes = BTreeMap::new();
     let mut files = vec![
         ("tool", tool.path.clone()),

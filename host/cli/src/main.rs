@@ -15,6 +15,7 @@ mod merge;
 mod output;
 mod register;
 mod sample;
+mod scan;
 mod watch;
 
 use std::process::ExitCode;
@@ -36,6 +37,7 @@ struct Cli {
 enum Command {
     Inspect(inspect::Args),
     Watch(watch::Args),
+    Scan(scan::Args),
     Decode(decode::Args),
     Sample(sample::Args),
     Register(register::Args),
@@ -72,6 +74,7 @@ fn main() -> ExitCode {
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
         Command::Watch(args) => watch::run(&args),
+        Command::Scan(args) => scan::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),

@@ -26,10 +26,12 @@
 pub mod alpha;
 mod bvh;
 pub mod cloud;
+pub mod cylinder;
 pub mod deviation;
 pub mod frames;
 pub mod gear;
 pub mod gear_evaluation;
+pub mod joint;
 mod leaf;
 pub mod leakage;
 pub mod merge;

@@ -12,4 +12,5 @@ pub mod controller;
 pub mod files;
 pub mod inspection;
 pub mod report;
+pub mod scan;
 pub mod watch;

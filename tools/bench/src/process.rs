@@ -19,7 +19,7 @@ use crate::demo;
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::qemu::{Figures, Machine, find_image};
 use crate::truth::Truth;
-use crate::world::{PatternSpec, Wear, World};
+use crate::world::{Form, Mount, PatternSpec, Wear, World};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -97,6 +97,15 @@ struct RunArgs {
     /// A camera that misbehaves: lose|repeat|extra:FRAME, `:once` may follow.
     #[arg(long)]
     frame_fault: Option<FrameFault>,
+    /// Die eccentric and tilted, hand-eye off, encoder with harmonics, axes not parallel; drawn from the seed.
+    #[arg(long)]
+    by_hand: bool,
+    /// Largest minus smallest radius of the bore, µm.
+    #[arg(long, default_value_t = 0.0)]
+    ovality_um: f64,
+    /// Growth of the bore's radius from bottom to top, µm.
+    #[arg(long, default_value_t = 0.0)]
+    taper_um: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -255,6 +264,13 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         .filter(|one| one.depth_mm > 0.0)
         .collect();
     config.run_seed = args.seed;
+    config.form = Form {
+        ovality_um: args.ovality_um,
+        taper_um: args.taper_um,
+    };
+    if args.by_hand {
+        config.mount = Mount::by_hand(args.seed);
+    }
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
     let sets: Vec<(f64, u32)> = set

@@ -2,8 +2,8 @@
 
 use flankscope_bench::demo;
 use flankscope_bench::world::{
-    Bundle, BundleSpec, Die, FlankId, PatternSpec, Wear, WearError, WearField, World, WorldConfig,
-    WorldError,
+    Bundle, BundleSpec, Die, FlankId, Form, PatternSpec, Wear, WearError, WearField, World,
+    WorldConfig, WorldError,
 };
 use flankscope_gear_cad::{Flank, GearSpec, Mesh, Meshing};
 use std::collections::HashMap;
@@ -20,7 +20,12 @@ fn worn(cad: &Mesh, gear: &GearSpec, wear: &[&str]) -> Die {
         .iter()
         .map(|w| w.parse().expect("a valid wear"))
         .collect();
-    Die::as_built(cad, WearField::new(gear, &wear).expect("wear of this gear")).expect("a die")
+    Die::as_built(
+        cad,
+        WearField::new(gear, &wear).expect("wear of this gear"),
+        Form::default(),
+    )
+    .expect("a die")
 }
 
 fn assert_watertight(mesh: &Mesh) {
@@ -403,6 +408,7 @@ fn what_no_die_can_be_is_named() {
         Die::as_built(
             cad,
             WearField::new(&gear, &[wear.parse().expect("reads")]).expect("fits"),
+            Form::default(),
         )
         .err()
     };

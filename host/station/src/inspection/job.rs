@@ -116,15 +116,15 @@ pub enum Progress {
 ///
 /// Made before the camera process starts, so that the services are there when it comes.
 #[derive(Debug)]
-pub struct Station {
-    subject: Subject,
+pub struct Station<O = ViewOutcome> {
+    pub(crate) subject: Subject,
     orders: Option<Orders>,
     recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
     work: Option<mpsc::Sender<(usize, Accumulator)>>,
-    outcomes: channel::UnboundedReceiver<(usize, Box<ViewOutcome>)>,
+    outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
-    itinerary: Arc<Itinerary>,
+    pub(crate) itinerary: Arc<Itinerary>,
 }
 
 impl Station {
@@ -147,68 +147,8 @@ impl Station {
         )?;
         let decoder = Arc::new(decoder);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
-        let settings = RecorderSettings {
-            dark_limit_dn: decoder.dark_limit_dn(),
-            keepsake: Keepsake {
-                exposure: itinerary.exposures_us.len() as u16 / 2,
-                pattern: itinerary.patterns.frames_per_exposure() as u16,
-            },
-            full_scale_dn: decoder.full_scale_dn(),
-        };
-        let (order_sender, order_receiver) = mpsc::channel();
-        let (recorded_sender, recorded) = channel::unbounded_channel();
-        let (ready_sender, ready) = mpsc::channel();
-        let capture_decoder = Arc::clone(&decoder);
-        // Ports stay on the thread that made them.
-        let capture = std::thread::Builder::new()
-            .name("capture".into())
-            .spawn(move || {
-                let receiver = match FrameReceiver::create(&root) {
-                    Ok(receiver) => receiver,
-                    Err(error) => return drop(ready_sender.send(Err(error))),
-                };
-                let _ = ready_sender.send(Ok(()));
-                let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
-                let fresh = || capture_decoder.begin();
-                Recorder::new(
-                    &receiver,
-                    settings,
-                    kinds,
-                    order_receiver,
-                    recorded_sender,
-                    fresh,
-                )
-                .run();
-            });
-        let capture = capture.map_err(|_| InspectError::Thread { thread: "capture" })?;
-        ready
-            .recv()
-            .map_err(|_| InspectError::Thread { thread: "capture" })??;
-        let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
-        let (outcome_sender, outcomes) = channel::unbounded_channel();
-        let recycle = order_sender.clone();
-        let compute = std::thread::Builder::new()
-            .name("compute".into())
-            .spawn(move || {
-                while let Ok((view, accumulator)) = to_do.recv() {
-                    let outcome = evaluator.evaluate(view, &accumulator);
-                    let _ = recycle.send(Order::Recycle(accumulator));
-                    if outcome_sender.send((view, Box::new(outcome))).is_err() {
-                        return;
-                    }
-                }
-            });
-        let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
-        Ok(Self {
-            subject,
-            orders: Some(order_sender),
-            recorded,
-            capture: Some(capture),
-            work: Some(work),
-            outcomes,
-            compute: Some(compute),
-            itinerary,
-        })
+        let evaluate = move |view, sums: &Accumulator| evaluator.evaluate(view, sums);
+        Self::start(subject, itinerary, decoder, root, evaluate)
     }
 
     /// Runs one check through the controller at `port`.
@@ -263,6 +203,154 @@ impl Station {
         Ok(self.conclude(run, stopped, begun_ns, client))
     }
 
+    fn conclude(
+        &self,
+        mut run: Run<ViewOutcome>,
+        stopped: Option<String>,
+        begun_ns: u64,
+        client: &Client,
+    ) -> Inspection {
+        let mut judged: Vec<Judged> = Vec::new();
+        let mut registration = Vec::new();
+        let mut fields = Vec::new();
+        let mut pictures = Pictures {
+            frame: run.picture,
+            ..Pictures::default()
+        };
+        for (view, planned) in self.itinerary.views.iter().enumerate() {
+            match run.outcomes.get(&view) {
+                Some(outcome) => {
+                    judged.extend(outcome.flanks.iter().cloned());
+                    registration.push(outcome.registration.clone());
+                    fields.extend(outcome.fields.iter().cloned());
+                    pictures.maps.extend(outcome.maps.iter().cloned());
+                    pictures
+                        .deviations_um
+                        .extend_from_slice(&outcome.deviations_um);
+                }
+                None => {
+                    let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
+                    let why = why.unwrap_or_else(|| "the view was not captured".into());
+                    judged.extend(verdict::unmeasured(planned.tooth, &self.subject.tool, &why));
+                }
+            }
+        }
+        let (verdict, reason) = verdict::of_tool(&judged, stopped.as_deref());
+        let positioning = run.timeline.positioning_ms();
+        let exposure = run.timeline.exposure_ms();
+        let mut versions = BTreeMap::new();
+        let [major, minor, patch] = client.identity().firmware;
+        versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
+        versions.insert(
+            "protocol",
+            flankscope_protocol::PROTOCOL_VERSION.to_string(),
+        );
+        versions.insert("firmware", format!("{major}.{minor}.{patch}"));
+        let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
+        pictures.lanes = run.timeline.lanes();
+        Inspection {
+            verdict: verdict.to_string(),
+            reason,
+            features: judged.into_iter().map(Feature::from).collect(),
+            timing_ms: Timing {
+                total: since(begun_ns, monotonic_ns()),
+                positioning,
+                exposure,
+                last_exposure_to_verdict: since(run.last_exposure_ns, run.verdict_ns),
+            },
+            frames: FrameCount {
+                triggered: run.triggered,
+                received: run.received,
+                bytes_copied: Frame::bytes_copied(),
+                recaptured_views: run.recaptured,
+                handover_us: Handover::of(&mut run.handover_ns),
+            },
+            press_cycles: run.press_cycles,
+            peak_memory_mb: peak_memory_mb(),
+            registration,
+            tool: self.subject.tool.name.clone(),
+            temperature_degc: self.subject.temperature_degc,
+            versions,
+            hashes: self.subject.hashes.clone(),
+            fields,
+            pictures,
+        }
+    }
+}
+
+impl<O: Send + 'static> Station<O> {
+    /// Starts the capture thread, and the compute thread with what it makes of a view's sums.
+    pub(crate) fn start(
+        subject: Subject,
+        itinerary: Arc<Itinerary>,
+        decoder: Arc<Decoder>,
+        root: Arc<SharedRoot>,
+        mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, InspectError> {
+        let settings = RecorderSettings {
+            dark_limit_dn: decoder.dark_limit_dn(),
+            keepsake: Keepsake {
+                exposure: itinerary.exposures_us.len() as u16 / 2,
+                pattern: itinerary.patterns.frames_per_exposure() as u16,
+            },
+            full_scale_dn: decoder.full_scale_dn(),
+        };
+        let (order_sender, order_receiver) = mpsc::channel();
+        let (recorded_sender, recorded) = channel::unbounded_channel();
+        let (ready_sender, ready) = mpsc::channel();
+        let capture_decoder = Arc::clone(&decoder);
+        // Ports stay on the thread that made them.
+        let capture = std::thread::Builder::new()
+            .name("capture".into())
+            .spawn(move || {
+                let receiver = match FrameReceiver::create(&root) {
+                    Ok(receiver) => receiver,
+                    Err(error) => return drop(ready_sender.send(Err(error))),
+                };
+                let _ = ready_sender.send(Ok(()));
+                let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
+                let fresh = || capture_decoder.begin();
+                Recorder::new(
+                    &receiver,
+                    settings,
+                    kinds,
+                    order_receiver,
+                    recorded_sender,
+                    fresh,
+                )
+                .run();
+            });
+        let capture = capture.map_err(|_| InspectError::Thread { thread: "capture" })?;
+        ready
+            .recv()
+            .map_err(|_| InspectError::Thread { thread: "capture" })??;
+        let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
+        let (outcome_sender, outcomes) = channel::unbounded_channel();
+        let recycle = order_sender.clone();
+        let compute = std::thread::Builder::new()
+            .name("compute".into())
+            .spawn(move || {
+                while let Ok((view, accumulator)) = to_do.recv() {
+                    let outcome = evaluate(view, &accumulator);
+                    let _ = recycle.send(Order::Recycle(accumulator));
+                    if outcome_sender.send((view, Box::new(outcome))).is_err() {
+                        return;
+                    }
+                }
+            });
+        let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
+        Ok(Self {
+            subject,
+            orders: Some(order_sender),
+            recorded,
+            capture: Some(capture),
+            work: Some(work),
+            outcomes,
+            compute: Some(compute),
+            itinerary,
+        })
+    }
+
     /// Brings a controller without a fault to `Ready`: references its stages if they are not.
     pub(crate) async fn make_ready(
         &self,
@@ -290,10 +378,10 @@ impl Station {
     }
 
     /// Captures `views`; returns why the capture stopped early, if it did.
-    async fn capture(
+    pub(crate) async fn capture(
         &mut self,
         client: &mut Client,
-        run: &mut Run,
+        run: &mut Run<O>,
         views: &[usize],
         limits: &flankscope_protocol::Limits,
         watch: &mut impl FnMut(Progress),
@@ -325,7 +413,7 @@ impl Station {
     async fn follow(
         &mut self,
         client: &mut Client,
-        run: &mut Run,
+        run: &mut Run<O>,
         plan: &CapturePlan,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<String>, InspectError> {
@@ -413,7 +501,7 @@ impl Station {
     /// Sends every view whose triggers and frames are complete and pair to the compute thread.
     fn evaluate_whole_views(
         &self,
-        run: &mut Run,
+        run: &mut Run<O>,
         frames_per_view: u16,
     ) -> Result<(), InspectError> {
         let work = self
@@ -472,83 +560,9 @@ impl Station {
                 .map_err(|_| InspectError::Thread { thread: "capture" })
         })
     }
-
-    fn conclude(
-        &self,
-        mut run: Run,
-        stopped: Option<String>,
-        begun_ns: u64,
-        client: &Client,
-    ) -> Inspection {
-        let mut judged: Vec<Judged> = Vec::new();
-        let mut registration = Vec::new();
-        let mut fields = Vec::new();
-        let mut pictures = Pictures {
-            frame: run.picture,
-            ..Pictures::default()
-        };
-        for (view, planned) in self.itinerary.views.iter().enumerate() {
-            match run.outcomes.get(&view) {
-                Some(outcome) => {
-                    judged.extend(outcome.flanks.iter().cloned());
-                    registration.push(outcome.registration.clone());
-                    fields.extend(outcome.fields.iter().cloned());
-                    pictures.maps.extend(outcome.maps.iter().cloned());
-                    pictures
-                        .deviations_um
-                        .extend_from_slice(&outcome.deviations_um);
-                }
-                None => {
-                    let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
-                    let why = why.unwrap_or_else(|| "the view was not captured".into());
-                    judged.extend(verdict::unmeasured(planned.tooth, &self.subject.tool, &why));
-                }
-            }
-        }
-        let (verdict, reason) = verdict::of_tool(&judged, stopped.as_deref());
-        let positioning = run.timeline.positioning_ms();
-        let exposure = run.timeline.exposure_ms();
-        let mut versions = BTreeMap::new();
-        let [major, minor, patch] = client.identity().firmware;
-        versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
-        versions.insert(
-            "protocol",
-            flankscope_protocol::PROTOCOL_VERSION.to_string(),
-        );
-        versions.insert("firmware", format!("{major}.{minor}.{patch}"));
-        let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
-        pictures.lanes = run.timeline.lanes();
-        Inspection {
-            verdict: verdict.to_string(),
-            reason,
-            features: judged.into_iter().map(Feature::from).collect(),
-            timing_ms: Timing {
-                total: since(begun_ns, monotonic_ns()),
-                positioning,
-                exposure,
-                last_exposure_to_verdict: since(run.last_exposure_ns, run.verdict_ns),
-            },
-            frames: FrameCount {
-                triggered: run.triggered,
-                received: run.received,
-                bytes_copied: Frame::bytes_copied(),
-                recaptured_views: run.recaptured,
-                handover_us: Handover::of(&mut run.handover_ns),
-            },
-            press_cycles: run.press_cycles,
-            peak_memory_mb: peak_memory_mb(),
-            registration,
-            tool: self.subject.tool.name.clone(),
-            temperature_degc: self.subject.temperature_degc,
-            versions,
-            hashes: self.subject.hashes.clone(),
-            fields,
-            pictures,
-        }
-    }
 }
 
-impl Drop for Station {
+impl<O> Drop for Station<O> {
     fn drop(&mut self) {
         // The threads end when their orders end.
         self.orders = None;
@@ -563,7 +577,7 @@ impl Drop for Station {
 }
 
 /// High-water mark of this process's resident memory, from the kernel.
-fn peak_memory_mb() -> Option<f64> {
+pub(crate) fn peak_memory_mb() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let kilobytes = status
         .lines()

@@ -23,6 +23,7 @@ mod timeline;
 mod verdict;
 mod views;
 
+pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Progress, Station, Subject};
 pub use pairing::{PairingError, pair};
 pub use plan::{Itinerary, PlannedView, PlanningError};
@@ -31,5 +32,7 @@ pub use result::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing,
     ViewRegistration, WeakDirection,
 };
+pub(crate) use run::Run;
 pub use verdict::Judged;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
+pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, hand_eye};

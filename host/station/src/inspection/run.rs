@@ -7,12 +7,11 @@ use flankscope_protocol::Trigger;
 
 use super::recorder::{CapturedView, Picture};
 use super::timeline::Timeline;
-use super::views::ViewOutcome;
 use crate::capture::monotonic_ns;
 
 /// What a check has gathered so far.
 #[derive(Debug)]
-pub(super) struct Run {
+pub(crate) struct Run<O> {
     /// Every view that was asked for.
     pub wanted: Vec<usize>,
     /// View of the itinerary behind each view of the running session.
@@ -21,7 +20,7 @@ pub(super) struct Run {
     pub triggers: Vec<Vec<Trigger>>,
     /// Captured views of the session that wait for the rest of their triggers.
     pub waiting: Vec<CapturedView>,
-    pub outcomes: BTreeMap<usize, ViewOutcome>,
+    pub outcomes: BTreeMap<usize, O>,
     pub problems: BTreeMap<usize, String>,
     /// Views of the session whose frames cannot be trusted.
     pub spoiled: BTreeSet<usize>,
@@ -39,7 +38,7 @@ pub(super) struct Run {
     pub hold_limit: Option<Duration>,
 }
 
-impl Run {
+impl<O> Run<O> {
     pub fn new(wanted: Vec<usize>, hold_limit: Option<Duration>) -> Self {
         Self {
             wanted,
@@ -113,7 +112,7 @@ impl Run {
         self.waiting.extract_if(.., complete).collect()
     }
 
-    pub fn evaluated(&mut self, view: usize, outcome: ViewOutcome) {
+    pub fn evaluated(&mut self, view: usize, outcome: O) {
         self.evaluating -= 1;
         self.verdict_ns = monotonic_ns();
         if !self.spoiled.contains(&view) {

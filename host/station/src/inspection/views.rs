@@ -34,8 +34,8 @@ const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
-const OUTLIER_NEIGHBOURS: usize = 8;
-const OUTLIER_RATIO: f64 = 3.0;
+pub(crate) const OUTLIER_NEIGHBOURS: usize = 8;
+pub(crate) const OUTLIER_RATIO: f64 = 3.0;
 /// The registered surface reaches this far beyond the field of view, mm: no point then has its foot on the cut.
 const MARGIN_MM: f64 = 2.0;
 /// Cell of the report's deviation maps, mm.
@@ -150,11 +150,7 @@ impl Evaluator {
             .clone()
             .ok_or(missing("[inspect] in the tool file"))?;
         let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
-        let hand_eye = subject
-            .head
-            .stage_from_camera
-            .ok_or(missing("stage_from_camera in the head file"))?;
-        let stage_from_camera = rigid(&hand_eye)?;
+        let stage_from_camera = hand_eye(subject)?;
         let volume = subject
             .head
             .volume
@@ -507,6 +503,13 @@ fn tool_from_stage(rotation_rad: f64) -> Rigid<ToolFrame, Stage> {
 /// The vertical stage raises the head.
 fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<Stage, Camera> {
     Rigid::from_isometry(Translation3::new(0.0, 0.0, vertical_mm) * stage_from_camera.isometry())
+}
+
+/// The hand-eye of the head file.
+pub(crate) fn hand_eye(subject: &Subject) -> Result<Rigid<Stage, Camera>, EvaluatorError> {
+    let hand_eye = subject.head.stage_from_camera;
+    let what = "stage_from_camera in the head file";
+    rigid(&hand_eye.ok_or(EvaluatorError::Missing { what })?)
 }
 
 fn rigid(hand_eye: &RigidTransform) -> Result<Rigid<Stage, Camera>, EvaluatorError> {

@@ -2,10 +2,12 @@
 
 mod chart;
 mod colour;
+mod scan;
 
 use askama::Template;
 
 pub use chart::{Lane, Span};
+pub use scan::{scan_html, scan_ply};
 
 use crate::inspection::{FlankMap, Inspection};
 

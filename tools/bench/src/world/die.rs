@@ -1,6 +1,7 @@
-//! The die as it is: the CAD surface with its wear.
+//! The die as it is: the CAD surface with its wear and its form.
 
 use super::WorldError;
+use super::form::Form;
 use super::refine::refine;
 use super::wear::{FlankId, FlankZone, WearField};
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
@@ -23,8 +24,8 @@ pub struct Die {
 }
 
 impl Die {
-    /// Applies `field` to a CAD mesh of its gear: any closed mesh whose flanks follow the gear data.
-    pub fn as_built(cad: &Mesh, field: WearField) -> Result<Self, WorldError> {
+    /// Applies `field` and `form` to a CAD mesh of its gear: any closed mesh whose flanks follow the gear data.
+    pub fn as_built(cad: &Mesh, field: WearField, form: Form) -> Result<Self, WorldError> {
         check_mesh(cad)?;
         let gear = field.gear();
         let mut mesh = cad.clone();
@@ -50,6 +51,11 @@ impl Die {
         for id in field.worn_flanks() {
             displace(&mut mesh, &flanks, &field, id);
         }
+        form.apply(
+            &mut mesh,
+            field.gear().body_radius_mm,
+            field.gear().height_mm,
+        );
         Ok(Self {
             mesh,
             flanks,

@@ -15,6 +15,8 @@
 
 mod bundle;
 mod die;
+mod form;
+mod mount;
 mod optics;
 mod pattern;
 mod random;
@@ -27,6 +29,8 @@ mod wear;
 
 pub use bundle::{Bundle, BundleSpec};
 pub use die::Die;
+pub use form::Form;
+pub use mount::Mount;
 pub use optics::{HeadOptics, Objective, Pinhole};
 pub use pattern::PatternSpec;
 pub use rays::{Hit, RayCaster};
@@ -52,6 +56,10 @@ pub struct WorldConfig {
     pub wear: Vec<Wear>,
     /// Size of the warm die relative to its CAD; it grows from the axis and from z = 0.
     pub growth: f64,
+    /// Its form as a whole.
+    pub form: Form,
+    /// How die and head sit on the stages.
+    pub mount: Mount,
     /// Reflectance.
     pub surface: Surface,
     /// The head.
@@ -80,6 +88,8 @@ impl WorldConfig {
             gear,
             wear: Vec::new(),
             growth: 1.0,
+            form: Form::default(),
+            mount: Mount::perfect(),
             surface: Surface::sprayed(),
             optics,
             camera_bundle,
@@ -205,6 +215,8 @@ pub struct World {
     gear: GearSpec,
     growth: f64,
     optics: HeadOptics,
+    mount: Mount,
+    form: Form,
     sensor_spec: SensorSpec,
     surface: Surface,
     camera_bundle: Bundle,
@@ -232,7 +244,9 @@ impl World {
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
         WorldError::check("growth", config.growth, 0.9, 1.1)?;
-        let mut die = Die::as_built(&config.cad, WearField::new(&config.gear, &config.wear)?)?;
+        config.form.validate()?;
+        let field = WearField::new(&config.gear, &config.wear)?;
+        let mut die = Die::as_built(&config.cad, field, config.form)?;
         die.grow(config.growth);
         let mut random = Normals::new(stream(config.head_seed, Purpose::CoreResponse));
         let spread = config.sensor.core_exponent_spread;
@@ -255,6 +269,8 @@ impl World {
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
+            mount: config.mount.clone(),
+            form: config.form,
             sensor_spec: config.sensor.clone(),
             surface: config.surface.clone(),
             camera_bundle,
@@ -271,7 +287,8 @@ impl World {
     /// # Errors
     /// Damage that this die cannot have; it then stays as it is.
     pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
-        let mut die = Die::as_built(&self.cad, WearField::new(&self.gear, wear)?)?;
+        let field = WearField::new(&self.gear, wear)?;
+        let mut die = Die::as_built(&self.cad, field, self.form)?;
         die.grow(self.growth);
         self.rays = RayCaster::new(die.mesh());
         self.die = die;
@@ -286,8 +303,8 @@ impl World {
     /// Whether the die reaches into the field of a head raised by `vertical_mm`.
     pub fn sees_die(&self, vertical_mm: f64) -> bool {
         let centre_mm = self
-            .optics
-            .tool_from_camera(0.0, vertical_mm)
+            .mount
+            .tool_from_camera(&self.optics, 0.0, vertical_mm)
             .translation
             .vector
             .z;
@@ -355,7 +372,8 @@ impl World {
         };
         let emission = scene::emission(&self.optics, &self.projector_bundle, &frequencies);
         let views = stage.look(
-            self.optics.tool_from_camera(rotation_rad, vertical_mm),
+            self.mount
+                .tool_from_camera(&self.optics, rotation_rad, vertical_mm),
             &emission,
         );
 

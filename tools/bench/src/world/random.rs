@@ -12,6 +12,7 @@ pub(crate) enum Purpose {
     PixelResponse,
     NoiseTable,
     CoreResponse,
+    Mount,
     Frame(u32),
 }
 
@@ -23,6 +24,7 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
         Purpose::PixelResponse => 3,
         Purpose::NoiseTable => 4,
         Purpose::CoreResponse => 5,
+        Purpose::Mount => 6,
         Purpose::Frame(counter) => (1 << 32) | u64::from(counter),
     };
     let mut bytes = [0u8; 32];

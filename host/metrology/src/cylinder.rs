@@ -1,0 +1,221 @@
+//! The deviations of many views over the unrolled bore: merged by quality, in memory that does not grow with the views.
+//!
+//! Points of one view in one cell share its pose, so they count as one measurement of it: views, not points, are the
+//! independent witnesses. Between-view variance after DerSimonian and Laird (Controlled Clinical Trials 7, 1986).
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::surface::Closest;
+
+/// Views whose mean over a cell is surer than this are not believed to be, mm: what their poses leave open.
+const LEAST_VIEW_SIGMA_MM: f64 = 1e-3;
+/// Points farther off than this are no part of the surface, mm.
+const REACH_MM: f64 = 0.5;
+/// At sharp edges a distance belongs to neither face.
+const LEAST_SMOOTHNESS: f64 = 0.985;
+
+/// Size of the grid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layout {
+    /// Cells around the bore, from −π to π.
+    pub columns: usize,
+    /// Cells along the axis, from the bottom.
+    pub rows: usize,
+    /// Lower and upper end, mm.
+    pub height_mm: [f64; 2],
+}
+
+/// Sums of one cell.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    views: u32,
+    weight: f64,
+    weight2: f64,
+    weighted_mm: f64,
+    weighted_mm2: f64,
+    point: [f64; 3],
+    normal: [f64; 3],
+}
+
+/// What is known of the surface in one cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cell {
+    /// Mean foot of its points on the CAD, mm.
+    pub point: [f64; 3],
+    /// Mean outward normal, unit.
+    pub normal: [f64; 3],
+    /// Deviation, mm: inverse-variance mean over the views.
+    pub deviation_mm: f64,
+    /// Its standard uncertainty, mm: within the views and between them.
+    pub sigma_mm: f64,
+    /// Views that saw it.
+    pub views: u32,
+    /// Whether the views contradict each other by more than their uncertainties (chi-square beyond three standard
+    /// deviations of its own spread).
+    pub inconsistent: bool,
+}
+
+/// Size, ovality and taper of a bore, from its deviations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BoreForm {
+    /// Mean growth of the radius, mm.
+    pub size_mm: f64,
+    /// Largest minus smallest radius of the second harmonic, mm.
+    pub ovality_mm: f64,
+    /// Where the radius is largest, rad, 0..π.
+    pub ovality_rad: f64,
+    /// Growth of the radius over the whole height, mm.
+    pub taper_mm: f64,
+}
+
+/// The grid.
+#[derive(Debug, Clone)]
+pub struct CylinderMap {
+    layout: Layout,
+    sums: Vec<Sums>,
+}
+
+impl CylinderMap {
+    /// An empty grid.
+    pub fn new(layout: Layout) -> Self {
+        let sums = vec![Sums::default(); layout.columns * layout.rows];
+        Self { layout, sums }
+    }
+
+    /// Size of the grid.
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// Adds one view: its points laid on the surface, and the standard uncertainty of each, mm.
+    pub fn add_view(&mut self, closest: &[Closest], sigma_mm: &[f32]) {
+        // Cell, weight, weighted deviation, foot and normal of every point that counts, brought together by cell.
+        let mut hits: Vec<(usize, f64, &Closest)> = closest
+            .iter()
+            .zip(sigma_mm)
+            .filter(|(hit, _)| {
+                hit.smoothness >= LEAST_SMOOTHNESS && hit.signed_distance_mm.abs() <= REACH_MM
+            })
+            .filter_map(|(hit, &sigma)| {
+                let weight = f64::from(sigma).powi(-2);
+                let cell = self.cell_of(hit.point)?;
+                (weight.is_finite() && weight > 0.0).then_some((cell, weight, hit))
+            })
+            .collect();
+        hits.sort_unstable_by_key(|(cell, ..)| *cell);
+        for of_cell in hits.chunk_by(|a, b| a.0 == b.0) {
+            let Some(&(cell, ..)) = of_cell.first() else {
+                continue;
+            };
+            let weight: f64 = of_cell.iter().map(|(_, w, _)| w).sum();
+            let mean = |value: fn(&Closest) -> f64| {
+                of_cell.iter().map(|(_, w, h)| w * value(h)).sum::<f64>() / weight
+            };
+            let deviation = mean(|h| h.signed_distance_mm);
+            let variance = 1.0 / weight + LEAST_VIEW_SIGMA_MM * LEAST_VIEW_SIGMA_MM;
+            let sums = &mut self.sums[cell];
+            let weight = 1.0 / variance;
+            sums.views += 1;
+            sums.weight += weight;
+            sums.weight2 += weight * weight;
+            sums.weighted_mm += weight * deviation;
+            sums.weighted_mm2 += weight * deviation * deviation;
+            let point = [
+                mean(|h| h.point[0]),
+                mean(|h| h.point[1]),
+                mean(|h| h.point[2]),
+            ];
+            let normal = [
+                mean(|h| h.normal[0]),
+                mean(|h| h.normal[1]),
+                mean(|h| h.normal[2]),
+            ];
+            for axis in 0..3 {
+                sums.point[axis] += weight * point[axis];
+                sums.normal[axis] += weight * normal[axis];
+            }
+        }
+    }
+
+    fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
+        let Layout {
+            columns,
+            rows,
+            height_mm: [low, high],
+        } = self.layout;
+        let around = y.atan2(x) / std::f64::consts::TAU + 0.5;
+        let column = ((around * columns as f64) as usize).min(columns - 1);
+        let along = (z - low) / (high - low);
+        (0.0..1.0)
+            .contains(&along)
+            .then(|| (along * rows as f64) as usize * columns + column)
+    }
+
+    /// What is known of a cell; `None` where no view looked.
+    pub fn cell(&self, row: usize, column: usize) -> Option<Cell> {
+        let sums = self.sums.get(row * self.layout.columns + column)?;
+        if sums.views == 0 {
+            return None;
+        }
+        let deviation_mm = sums.weighted_mm / sums.weight;
+        let scatter = (sums.weighted_mm2 - sums.weight * deviation_mm * deviation_mm).max(0.0);
+        let freedom = f64::from(sums.views) - 1.0;
+        let spread = sums.weight - sums.weight2 / sums.weight;
+        let between = if spread > 0.0 && freedom > 0.0 {
+            ((scatter - freedom) / spread).max(0.0)
+        } else {
+            0.0
+        };
+        let length = sums.normal.iter().map(|n| n * n).sum::<f64>().sqrt();
+        Some(Cell {
+            point: sums.point.map(|p| p / sums.weight),
+            normal: sums.normal.map(|n| n / length.max(f64::MIN_POSITIVE)),
+            deviation_mm,
+            sigma_mm: (1.0 / sums.weight + between / f64::from(sums.views)).sqrt(),
+            views: sums.views,
+            inconsistent: scatter > freedom + 3.0 * (2.0 * freedom).sqrt(),
+        })
+    }
+
+    /// Every cell that was seen.
+    pub fn cells(&self) -> impl Iterator<Item = Cell> + '_ {
+        let Layout { columns, rows, .. } = self.layout;
+        (0..rows).flat_map(move |row| (0..columns).filter_map(move |column| self.cell(row, column)))
+    }
+
+    /// Share of the cells that were seen.
+    pub fn coverage(&self) -> f64 {
+        let seen = self.sums.iter().filter(|sums| sums.views > 0).count();
+        seen as f64 / self.sums.len() as f64
+    }
+
+    /// Fits size, eccentricity, ovality and taper to the deviations along the surface's normals; `None` when too little was
+    /// seen to tell them apart.
+    pub fn form(&self) -> Option<BoreForm> {
+        let [low, high] = self.layout.height_mm;
+        let mut matrix = SMatrix::<f64, 6, 6>::zeros();
+        let mut right = SVector::<f64, 6>::zeros();
+        for cell in self.cells() {
+            let [x, y, z] = cell.point;
+            let angle = y.atan2(x);
+            let radial = cell.normal[0] * angle.cos() + cell.normal[1] * angle.sin();
+            let row = SVector::<f64, 6>::new(
+                1.0,
+                angle.cos(),
+                angle.sin(),
+                (2.0 * angle).cos(),
+                (2.0 * angle).sin(),
+                (z - low) / (high - low) - 0.5,
+            ) * radial;
+            matrix += row * row.transpose();
+            right += row * cell.deviation_mm;
+        }
+        let [size_mm, _, _, cosine, sine, taper_mm] = matrix.cholesky()?.solve(&right).into();
+        Some(BoreForm {
+            size_mm,
+            ovality_mm: 2.0 * f64::hypot(cosine, sine),
+            ovality_rad: (0.5 * f64::atan2(sine, cosine)).rem_euclid(std::f64::consts::PI),
+            taper_mm,
+        })
+    }
+}

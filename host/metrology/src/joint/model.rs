@@ -1,0 +1,120 @@
+//! Where the head looks, from what the stages were told.
+
+use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
+
+/// Number of shared parameters.
+pub const PARAMETERS: usize = 19;
+
+/// What the stages were told for a view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Commanded angle of the rotary stage, rad.
+    pub rotation_rad: f64,
+    /// Commanded height of the head, mm.
+    pub vertical_mm: f64,
+}
+
+/// What all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.
+#[derive(Debug, Clone)]
+pub struct Stages {
+    stage_from_camera: Isometry3<f64>,
+    /// Parameters; all zero is what the files say.
+    pub parameters: SVector<f64, PARAMETERS>,
+}
+
+/// Names of the parameters, in their order.
+pub(super) const NAMES: [&str; PARAMETERS] = [
+    "die turn x",
+    "die turn y",
+    "die turn z",
+    "die shift x",
+    "die shift y",
+    "die shift z",
+    "head turn x",
+    "head turn y",
+    "head turn z",
+    "head shift x",
+    "head shift y",
+    "head shift z",
+    "vertical axis along the wall",
+    "encoder cos 1",
+    "encoder sin 1",
+    "encoder cos 2",
+    "encoder sin 2",
+    "encoder cos 3",
+    "encoder sin 3",
+];
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Prior standard deviations, mm and rad: a die put down by hand, a hand-eye known to a degree and half a millimetre, an
+/// encoder within its data sheet. How the vertical axis leans towards the die is no parameter: no view could tell it from a
+/// conical die, so it has to be aligned before, and what is left of it is an uncertainty of the taper.
+const SIGMA: [f64; PARAMETERS] = {
+    let (turn, head, encoder) = (0.2 * DEGREE, DEGREE, 10e-3 * DEGREE);
+    [
+        turn, turn, turn, 0.5, 0.5, 0.05, head, head, head, 0.5, 0.5, 0.5, 500e-6, encoder,
+        encoder, encoder, encoder, encoder, encoder,
+    ]
+};
+
+impl Stages {
+    /// Everything as the files say.
+    pub fn nominal(stage_from_camera: Isometry3<f64>) -> Self {
+        Self {
+            stage_from_camera,
+            parameters: SVector::zeros(),
+        }
+    }
+
+    /// A parameter in its own unit (rad or mm).
+    pub(super) fn value(&self, index: usize) -> f64 {
+        self.parameters[index] * SIGMA[index]
+    }
+
+    /// Eccentricity of the die on the table, mm.
+    pub fn eccentricity_mm(&self) -> f64 {
+        self.value(3).hypot(self.value(4))
+    }
+
+    /// Tilt of the die on the table, rad.
+    pub fn tilt_rad(&self) -> f64 {
+        self.value(0).hypot(self.value(1))
+    }
+
+    /// Turn (rad) and shift (mm) of the head against its file.
+    pub fn head_error(&self) -> ([f64; 3], [f64; 3]) {
+        (
+            [6, 7, 8].map(|i| self.value(i)),
+            [9, 10, 11].map(|i| self.value(i)),
+        )
+    }
+
+    /// Cosine and sine amplitudes of the encoder's first three harmonics, rad.
+    pub fn harmonics_rad(&self) -> [[f64; 2]; 3] {
+        std::array::from_fn(|m| [self.value(13 + 2 * m), self.value(14 + 2 * m)])
+    }
+
+    /// Tool frame from camera frame.
+    pub fn tool_from_camera(&self, at: Pose) -> Isometry3<f64> {
+        let value = |i| self.value(i);
+        let vector = |i| Vector3::new(value(i), value(i + 1), value(i + 2));
+        let motion = |turn, shift| {
+            Isometry3::from_parts(
+                Translation3::from(vector(shift)),
+                UnitQuaternion::from_scaled_axis(vector(turn)),
+            )
+        };
+        let error_rad: f64 = (1_u8..)
+            .zip(self.harmonics_rad())
+            .map(|(order, [cosine, sine])| {
+                let (sin, cos) = (f64::from(order) * at.rotation_rad).sin_cos();
+                cosine * cos + sine * sin
+            })
+            .sum();
+        let turned =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -(at.rotation_rad + error_rad));
+        let travel = Vector3::new(0.0, value(12), 1.0) * at.vertical_mm;
+        motion(0, 3) * turned * Translation3::from(travel) * self.stage_from_camera * motion(6, 9)
+    }
+}

@@ -1,0 +1,411 @@
+//! The scan from hello to result: captures of as many views as a plan holds, kept one by one, stitched at the end.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::joint::{JointError, Stages};
+use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
+use flankscope_profilometry::{DecodeOptions, Decoder};
+
+use super::grid::Grid;
+use super::result::{Form, Joint, Scan, ScanRegistration, StageErrors};
+use super::session::{Session, SessionError};
+use super::stitch::{Stitched, first_information, stitch};
+use super::view::{ScannedView, ViewScanner};
+use crate::capture::{Frame, SharedRoot, monotonic_ns};
+use crate::controller::{Client, ClientSettings};
+use crate::inspection::{
+    EvaluatorError, Feature, FrameCount, Handover, InspectError, Progress as CheckProgress, Run,
+    Station, Subject, Timing, hand_eye, peak_memory_mb,
+};
+
+/// Fewer registered views than this share do not describe the die.
+const LEAST_REGISTERED: f64 = 0.8;
+/// A flank with fewer cells seen is not judged.
+const LEAST_CELLS: usize = 20;
+
+/// Why there is no scan.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScanError {
+    /// The instrument does not work.
+    #[error(transparent)]
+    Instrument(#[from] InspectError),
+    /// The session folder is unusable.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// No common solution.
+    #[error(transparent)]
+    Joint(#[from] JointError),
+}
+
+/// How far a scan is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// Views that are done, of how many, and the time that the others will take at this pace.
+    Views {
+        /// Done.
+        done: usize,
+        /// Of how many.
+        of: usize,
+        /// Remaining.
+        remaining: Duration,
+    },
+    /// A view is captured again.
+    Recapture(usize),
+    /// All views are laid on the CAD together.
+    Stitching,
+}
+
+/// The instrument's host side for scans, with its session folder open.
+#[derive(Debug)]
+pub struct Scanner {
+    station: Station<ScannedView>,
+    session: Session,
+    grid: Grid,
+    gear: GearData,
+    nominal: Stages,
+    resumed: usize,
+}
+
+impl Scanner {
+    /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads.
+    ///
+    /// # Errors
+    /// The subject is unfit, the folder is another scan's or damaged, or shared memory is refused.
+    pub fn open(
+        subject: Subject,
+        grid: Grid,
+        folder: &Path,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, ScanError> {
+        let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
+        let what = "[gear] in the tool file";
+        let gear = subject.tool.gear.clone();
+        let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
+        let itinerary = grid.itinerary(&subject.tool, &subject.head);
+        let itinerary = Arc::new(itinerary.map_err(InspectError::from)?);
+        let mut of: BTreeMap<String, String> = subject
+            .hashes
+            .iter()
+            .map(|(&name, hash)| (name.to_string(), hash.clone()))
+            .collect();
+        of.insert("views".into(), grid.to_string());
+        let session = Session::open(folder, of)?;
+        let known: BTreeMap<_, _> = first_information(&session, &subject.tool, &itinerary)?
+            .into_iter()
+            .collect();
+        let decoder = Decoder::new(
+            &subject.head,
+            &itinerary.patterns,
+            &itinerary.exposures_us,
+            DecodeOptions::for_head(&subject.head),
+        );
+        let decoder = Arc::new(decoder.map_err(InspectError::from)?);
+        let resumed = known.len();
+        let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
+        let (to_decode, views) = (Arc::clone(&decoder), Arc::clone(&itinerary));
+        let mut scanner = ViewScanner::new(&subject, to_decode, views, known).map_err(unfit)?;
+        let station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
+            scanner.scan(view, sums)
+        })?;
+        Ok(Self {
+            station,
+            session,
+            grid,
+            gear,
+            nominal,
+            resumed,
+        })
+    }
+
+    /// Captures what is missing and stitches everything.
+    ///
+    /// # Errors
+    /// The scan could not begin, the session folder cannot be written, or the views have no common solution. Views that
+    /// are lost on the way are holes in the map.
+    pub fn scan(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Scan, ScanError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
+        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
+        let begun_ns = monotonic_ns();
+        let (mut run, lost, firmware) = runtime.block_on(async {
+            let client = Client::connect(port, settings).await;
+            let mut client = client.map_err(InspectError::from)?;
+            self.station.make_ready(&mut client, &mut |_| {}).await?;
+            let (run, lost) = self.capture_all(&mut client, &mut watch).await?;
+            Ok::<_, ScanError>((run, lost, client.identity().firmware))
+        })?;
+        watch(Progress::Stitching);
+        let stitched = stitch(
+            &self.session,
+            &self.station.subject.tool,
+            &self.station.itinerary,
+            &self.nominal,
+            self.gear.height_mm,
+            self.gear.teeth,
+        )?;
+        let mut scan = self.describe(stitched, &lost);
+        let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
+        scan.timing_ms = Timing {
+            total: since(begun_ns),
+            positioning: run.timeline.positioning_ms(),
+            exposure: run.timeline.exposure_ms(),
+            last_exposure_to_verdict: if run.last_exposure_ns > 0 {
+                since(run.last_exposure_ns)
+            } else {
+                0.0
+            },
+        };
+        scan.last_view_to_result_ms = scan.timing_ms.last_exposure_to_verdict;
+        scan.frames = FrameCount {
+            triggered: run.triggered,
+            received: run.received,
+            bytes_copied: Frame::bytes_copied(),
+            recaptured_views: run.recaptured,
+            handover_us: Handover::of(&mut run.handover_ns),
+        };
+        let [major, minor, patch] = firmware;
+        scan.versions
+            .insert("firmware", format!("{major}.{minor}.{patch}"));
+        scan.peak_memory_mb = peak_memory_mb();
+        Ok(scan)
+    }
+
+    /// Captures every view that the session does not hold, a lost one once more; returns why views stayed lost.
+    async fn capture_all(
+        &mut self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<(Run<ScannedView>, BTreeMap<usize, String>), ScanError> {
+        let limits = client.identity().limits;
+        let of = self.station.itinerary.views.len();
+        let held: Vec<usize> = self.session.views().map(|(view, _)| view).collect();
+        let wanted: Vec<usize> = (0..of).filter(|view| !held.contains(view)).collect();
+        let mut run = Run::new(wanted.clone(), None);
+        let mut lost = BTreeMap::new();
+        let begun = Instant::now();
+        for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
+            let mut open = views.to_vec();
+            for attempt in 0..2 {
+                if attempt > 0 {
+                    open.iter()
+                        .for_each(|&view| watch(Progress::Recapture(view)));
+                    run.recaptured += open.len() as u32;
+                }
+                let stopped = self
+                    .station
+                    .capture(client, &mut run, &open, &limits, &mut |_: CheckProgress| {})
+                    .await?;
+                for &view in &open {
+                    let why = match run.outcomes.remove(&view) {
+                        Some(scanned) if scanned.refused.is_none() => {
+                            self.session.keep(view, &scanned)?;
+                            lost.remove(&view);
+                            continue;
+                        }
+                        Some(scanned) => scanned.refused,
+                        None => run.problems.get(&view).cloned().or_else(|| stopped.clone()),
+                    };
+                    lost.insert(
+                        view,
+                        why.unwrap_or_else(|| "the view was not captured".into()),
+                    );
+                }
+                self.session.commit()?;
+                open.retain(|view| lost.contains_key(view));
+                if open.is_empty() {
+                    break;
+                }
+            }
+            let done = self.session.views().count() + lost.len();
+            let new = done.saturating_sub(self.resumed).max(1);
+            let pace = begun.elapsed() / new as u32;
+            watch(Progress::Views {
+                done,
+                of,
+                remaining: pace * (of - done) as u32,
+            });
+        }
+        Ok((run, lost))
+    }
+
+    fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
+        let Stitched {
+            views,
+            refused,
+            joint,
+            rounds,
+            settled,
+            map,
+        } = stitched;
+        let mut lost = lost.clone();
+        lost.extend(refused);
+        let laid: BTreeMap<usize, (f64, f64)> = views
+            .iter()
+            .zip(&joint.strays)
+            .map(|((view, info), stray)| {
+                let stray = stray.fixed_rows::<3>(3).norm();
+                (*view, (info.rms_mm * 1e3, stray * 1e3))
+            })
+            .collect();
+        let planned = &self.station.itinerary.views;
+        let registration = planned.iter().enumerate().map(|(view, at)| {
+            let found = laid.get(&view);
+            ScanRegistration {
+                view,
+                rotation_deg: at.rotation_rad.to_degrees(),
+                vertical_mm: at.vertical_mm,
+                status: if found.is_some() {
+                    "registered"
+                } else {
+                    "lost"
+                },
+                reason: lost.get(&view).cloned(),
+                rms_um: found.map(|(rms, _)| *rms),
+                stray_um: found.map(|(_, stray)| *stray),
+            }
+        });
+        let registration: Vec<_> = registration.collect();
+        let (features, judged) = self.features(&map);
+        let mut verdict = combine(judged).to_string();
+        let mut reason = match verdict.as_str() {
+            "go" => "every flank that was seen is below the warning limit".to_string(),
+            other => {
+                let named: Vec<String> = features
+                    .iter()
+                    .filter(|f| f.verdict == other)
+                    .take(5)
+                    .map(|f| format!("tooth {} {}", f.tooth, f.flank))
+                    .collect();
+                format!("{other}: {}", named.join(", "))
+            }
+        };
+        let registered = laid.len() as f64 / planned.len() as f64;
+        if registered < LEAST_REGISTERED {
+            verdict = "indeterminate".into();
+            let first = lost.values().next().cloned().unwrap_or_default();
+            reason = format!(
+                "only {} of {} views could be laid on the CAD, at least {:.0} % are needed; the first lost one: {first}",
+                laid.len(),
+                planned.len(),
+                100.0 * LEAST_REGISTERED
+            );
+        } else if !settled {
+            verdict = "indeterminate".into();
+            reason = format!("the views still moved against each other after {rounds} rounds");
+        }
+        let form = map.form().map(|form| Form {
+            size_um: form.size_mm * 1e3,
+            ovality_um: form.ovality_mm * 1e3,
+            ovality_deg: form.ovality_rad.to_degrees(),
+            taper_um: form.taper_mm * 1e3,
+        });
+        let cells = map.cells().count().max(1) as f64;
+        let inconsistent = map.cells().filter(|cell| cell.inconsistent).count();
+        let (turn, shift) = joint.stages.head_error();
+        let mut versions = BTreeMap::new();
+        versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
+        versions.insert(
+            "protocol",
+            flankscope_protocol::PROTOCOL_VERSION.to_string(),
+        );
+        Scan {
+            verdict,
+            reason,
+            features,
+            form: form.filter(|_| registered >= LEAST_REGISTERED),
+            timing_ms: Timing::default(),
+            last_view_to_result_ms: 0.0,
+            frames: FrameCount::default(),
+            peak_memory_mb: None,
+            views: self.grid.to_string(),
+            resumed_views: self.resumed,
+            coverage_ratio: map.coverage(),
+            inconsistent_ratio: inconsistent as f64 / cells,
+            registration,
+            joint: Joint {
+                rounds,
+                settled,
+                condition: joint.condition,
+                weak: joint.weak.iter().map(|w| (w.name, w.prior_share)).collect(),
+                found: StageErrors {
+                    eccentricity_mm: joint.stages.eccentricity_mm(),
+                    tilt_deg: joint.stages.tilt_rad().to_degrees(),
+                    head_turn_deg: turn.map(f64::to_degrees),
+                    head_shift_mm: shift,
+                    harmonics_mdeg: joint
+                        .stages
+                        .harmonics_rad()
+                        .map(|pair| pair.map(|rad| rad.to_degrees() * 1e3)),
+                },
+            },
+            tool: self.station.subject.tool.name.clone(),
+            versions,
+            hashes: self.station.subject.hashes.clone(),
+            map,
+        }
+    }
+
+    /// Mean loss of every flank that was seen. The cells of a flank share what is wrong with the poses, so their
+    /// uncertainties do not average out.
+    fn features(
+        &self,
+        map: &flankscope_metrology::cylinder::CylinderMap,
+    ) -> (Vec<Feature>, Vec<Verdict>) {
+        let mut flanks: BTreeMap<(u32, bool), (usize, f64, f64)> = BTreeMap::new();
+        for cell in map.cells() {
+            if let Some(at) = self.gear.place(cell.point, cell.normal) {
+                let sums = flanks
+                    .entry((at.tooth, at.flank == Flank::Right))
+                    .or_default();
+                sums.0 += 1;
+                sums.1 -= cell.deviation_mm * 1e3;
+                sums.2 += (cell.sigma_mm * 1e3).powi(2);
+            }
+        }
+        let most = flanks.values().map(|sums| sums.0).max().unwrap_or(1) as f64;
+        let inspect = self.station.subject.tool.inspect.as_ref();
+        let (rule, calibration_um) = inspect.map_or((Rule::new(f64::NAN, f64::NAN), 0.0), |i| {
+            (i.rule(), i.calibration_um)
+        });
+        flanks
+            .into_iter()
+            .filter(|(_, (cells, ..))| *cells >= LEAST_CELLS)
+            .map(|((tooth, right), (cells, loss, variance))| {
+                let mean_um = loss / cells as f64;
+                let u_um = (variance / cells as f64 + calibration_um * calibration_um).sqrt();
+                let verdict = decide(mean_um, u_um, &rule);
+                let reason = match &verdict {
+                    Verdict::Indeterminate { reason } => Some(reason.to_string()),
+                    _ => None,
+                };
+                let flank = if right { Flank::Right } else { Flank::Left };
+                let feature = Feature {
+                    tooth,
+                    flank: flank.to_string(),
+                    wear_um: Some(mean_um),
+                    u95_um: Some(1.96 * u_um),
+                    mean_um: Some(mean_um),
+                    coverage_ratio: cells as f64 / most,
+                    warn_um: rule.warn_um,
+                    limit_um: rule.limit_um,
+                    conformity: Some(probability_below(rule.limit_um, mean_um, u_um)),
+                    detail: None,
+                    verdict: verdict.to_string(),
+                    reason,
+                };
+                (feature, verdict)
+            })
+            .unzip()
+    }
+}

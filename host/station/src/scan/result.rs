@@ -1,0 +1,114 @@
+//! What a scan hands over: the JSON document.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use flankscope_metrology::cylinder::CylinderMap;
+
+use crate::inspection::{Feature, FrameCount, Timing};
+
+/// The whole result: serialised as the `--json` document.
+#[derive(Clone, Debug, Serialize)]
+pub struct Scan {
+    /// `go`, `warn`, `no-go` or `indeterminate`.
+    pub verdict: String,
+    /// Why, in one sentence.
+    pub reason: String,
+    /// One entry per flank that was seen: its mean loss.
+    pub features: Vec<Feature>,
+    /// Size, ovality and taper of the bore; absent when too little was seen.
+    pub form: Option<Form>,
+    /// Where the time went.
+    pub timing_ms: Timing,
+    /// From the last view's last exposure to this result, ms.
+    pub last_view_to_result_ms: f64,
+    /// Frame bookkeeping.
+    pub frames: FrameCount,
+    /// Most memory that this process held at once, MB; absent where the system does not say.
+    pub peak_memory_mb: Option<f64>,
+    /// Views around and layers.
+    pub views: String,
+    /// Views taken over from an earlier part of the scan.
+    pub resumed_views: usize,
+    /// Share of the unrolled bore that was seen.
+    pub coverage_ratio: f64,
+    /// Cells in which the views contradict each other, share of those seen.
+    pub inconsistent_ratio: f64,
+    /// One entry per view.
+    pub registration: Vec<ScanRegistration>,
+    /// What all views share.
+    pub joint: Joint,
+    /// Tool name.
+    pub tool: String,
+    /// Host, protocol, firmware.
+    pub versions: BTreeMap<&'static str, String>,
+    /// BLAKE3 of what went in: CAD, tool file, head file.
+    pub hashes: BTreeMap<&'static str, String>,
+    /// Deviations over the unrolled bore.
+    #[serde(skip)]
+    pub map: CylinderMap,
+}
+
+/// Form of the bore as a whole, µm.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Form {
+    /// Mean growth of the radius. The views tell it only from the hand-eye by the pitch they see: a weak figure.
+    pub size_um: f64,
+    /// Largest minus smallest radius.
+    pub ovality_um: f64,
+    /// Where the radius is largest, degrees, 0 to 180.
+    pub ovality_deg: f64,
+    /// Growth of the radius from bottom to top.
+    pub taper_um: f64,
+}
+
+/// How one view was laid on the CAD.
+#[derive(Clone, Debug, Serialize)]
+pub struct ScanRegistration {
+    /// Number of the view, in order of capture.
+    pub view: usize,
+    /// Commanded angle, degrees.
+    pub rotation_deg: f64,
+    /// Commanded height, mm.
+    pub vertical_mm: f64,
+    /// `registered`, or `lost`: no point of it is in the map.
+    pub status: &'static str,
+    /// Why it is lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Distance of its points from the CAD in its final pose, root mean square, µm.
+    pub rms_um: Option<f64>,
+    /// How far it strays from what all views share, µm.
+    pub stray_um: Option<f64>,
+}
+
+/// What all views share.
+#[derive(Clone, Debug, Serialize)]
+pub struct Joint {
+    /// Solves until nothing moved.
+    pub rounds: usize,
+    /// Whether it did settle.
+    pub settled: bool,
+    /// Condition number of the joint information, in units of what was known before.
+    pub condition: f64,
+    /// Combinations of parameters of which the views say less than was known before, and the share of that.
+    pub weak: Vec<(&'static str, f64)>,
+    /// Errors found of die, head and stages.
+    pub found: StageErrors,
+}
+
+/// How die, head and stages differ from their files.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StageErrors {
+    /// Die off the rotation axis, mm.
+    pub eccentricity_mm: f64,
+    /// Die's axis against the rotation axis, degrees.
+    pub tilt_deg: f64,
+    /// Turn of the head against its file, degrees, camera axes.
+    pub head_turn_deg: [f64; 3],
+    /// Shift of the head against its file, mm, camera axes.
+    pub head_shift_mm: [f64; 3],
+    /// Cosine and sine part of the encoder's error once, twice, three times per turn, millidegrees.
+    pub harmonics_mdeg: [[f64; 2]; 3],
+}

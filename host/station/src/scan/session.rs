@@ -1,0 +1,230 @@
+//! What is kept of a scan: a folder with one file of points per view and a manifest with their hashes.
+//!
+//! Files appear whole or not at all, a view's points before the manifest that names them: whenever the scan is killed, the
+//! folder says what is done.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use flankscope_metrology::frames::{Camera, Rigid, Tool};
+use serde::{Deserialize, Serialize};
+
+use super::view::{Kept, ScannedView};
+use crate::files::{hash, write_whole};
+
+const MANIFEST: &str = "manifest.json";
+const FORMAT: u32 = 1;
+
+/// Why a session folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// The operating system refuses.
+    #[error("{path}: {error}")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// The manifest is none.
+    #[error("{path} is no scan manifest: {error}; scan into an empty folder")]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        error: serde_json::Error,
+    },
+    /// Another scan's folder.
+    #[error(
+        "{path} holds another scan: its {what} is {got}, this scan's is {expected}; scan into an empty folder"
+    )]
+    Other {
+        /// The manifest.
+        path: PathBuf,
+        /// What differs.
+        what: String,
+        /// There.
+        got: String,
+        /// Here.
+        expected: String,
+    },
+    /// A file that is not what was written.
+    #[error(
+        "{path} is damaged: its BLAKE3 is {got}, the manifest says {expected}; remove the file to have the view captured again"
+    )]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Of the file.
+        got: String,
+        /// Of the manifest.
+        expected: String,
+    },
+    /// A pose that is none.
+    #[error("{path}: the pose of view {view} is no rigid motion")]
+    Pose {
+        /// The manifest.
+        path: PathBuf,
+        /// View.
+        view: usize,
+    },
+}
+
+/// A view that is done.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Entry {
+    /// Of the points' file.
+    blake3: String,
+    /// Points in it.
+    pub points: usize,
+    /// First pose, rows of tool frame from camera frame.
+    tool_from_camera: [[f64; 4]; 4],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Manifest {
+    format: u32,
+    /// What must be the same for the scan to go on: grid, tool, CAD, head.
+    of: BTreeMap<String, String>,
+    views: BTreeMap<usize, Entry>,
+}
+
+/// An open session folder.
+#[derive(Debug)]
+pub(super) struct Session {
+    folder: PathBuf,
+    manifest: Manifest,
+}
+
+impl Session {
+    /// Opens a folder, made if it is not there. Every file that the manifest names is checked; a missing one is captured
+    /// again.
+    pub fn open(folder: &Path, of: BTreeMap<String, String>) -> Result<Self, SessionError> {
+        let io = |path: &Path| {
+            let path = path.to_path_buf();
+            move |error| SessionError::Io { path, error }
+        };
+        std::fs::create_dir_all(folder).map_err(io(folder))?;
+        let path = folder.join(MANIFEST);
+        let mut session = Self {
+            folder: folder.to_path_buf(),
+            manifest: Manifest {
+                format: FORMAT,
+                of,
+                views: BTreeMap::new(),
+            },
+        };
+        if !path.exists() {
+            return Ok(session);
+        }
+        let text = std::fs::read(&path).map_err(io(&path))?;
+        let manifest: Manifest = serde_json::from_slice(&text).map_err(|error| {
+            let path = path.clone();
+            SessionError::Manifest { path, error }
+        })?;
+        let mut expected = session.manifest.of.clone();
+        expected.insert("format".into(), FORMAT.to_string());
+        let mut got = manifest.of.clone();
+        got.insert("format".into(), manifest.format.to_string());
+        for (what, expected) in expected {
+            let got = got.get(&what).cloned().unwrap_or_default();
+            if got != expected {
+                return Err(SessionError::Other {
+                    path,
+                    what,
+                    got,
+                    expected,
+                });
+            }
+        }
+        session.manifest = manifest;
+        let gone: Vec<usize> = session
+            .manifest
+            .views
+            .keys()
+            .copied()
+            .filter(|&view| !session.file(view).exists())
+            .collect();
+        for view in gone {
+            session.manifest.views.remove(&view);
+        }
+        for (&view, entry) in &session.manifest.views {
+            if Rigid::<Tool, Camera>::from_rows(&entry.tool_from_camera).is_err() {
+                return Err(SessionError::Pose { path, view });
+            }
+            session.points(view)?;
+        }
+        Ok(session)
+    }
+
+    fn file(&self, view: usize) -> PathBuf {
+        self.folder.join(format!("view-{view:04}.points"))
+    }
+
+    /// The views that are done.
+    pub fn views(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        self.manifest
+            .views
+            .iter()
+            .map(|(&view, entry)| (view, entry))
+    }
+
+    /// First pose of a view that is done.
+    pub fn pose(&self, view: usize) -> Option<nalgebra::Isometry3<f64>> {
+        let entry = self.manifest.views.get(&view)?;
+        let pose = Rigid::<Tool, Camera>::from_rows(&entry.tool_from_camera).ok()?;
+        Some(*pose.isometry())
+    }
+
+    /// Keeps a view.
+    pub fn keep(&mut self, view: usize, scanned: &ScannedView) -> Result<(), SessionError> {
+        let bytes: &[u8] = bytemuck::cast_slice(&scanned.points);
+        let path = self.file(view);
+        write_whole(&path, bytes).map_err(|error| SessionError::Io { path, error })?;
+        let pose = Rigid::<Tool, Camera>::from_isometry(scanned.tool_from_camera);
+        let entry = Entry {
+            blake3: hash(bytes),
+            points: scanned.points.len(),
+            tool_from_camera: pose.to_rows(),
+        };
+        self.manifest.views.insert(view, entry);
+        Ok(())
+    }
+
+    /// Writes the manifest: what was kept before is safe from here on.
+    pub fn commit(&self) -> Result<(), SessionError> {
+        let path = self.folder.join(MANIFEST);
+        let text = serde_json::to_vec_pretty(&self.manifest).map_err(|error| {
+            let path = path.clone();
+            SessionError::Manifest { path, error }
+        })?;
+        write_whole(&path, &text).map_err(|error| SessionError::Io { path, error })
+    }
+
+    /// The points of a view that is done, checked against their hash.
+    pub fn points(&self, view: usize) -> Result<Vec<Kept>, SessionError> {
+        let path = self.file(view);
+        let bytes = std::fs::read(&path).map_err(|error| {
+            let path = path.clone();
+            SessionError::Io { path, error }
+        })?;
+        let expected = self
+            .manifest
+            .views
+            .get(&view)
+            .map_or("", |entry| entry.blake3.as_str());
+        let got = hash(&bytes);
+        if got != expected {
+            return Err(SessionError::Damaged {
+                path,
+                got,
+                expected: expected.into(),
+            });
+        }
+        let kept = bytes.chunks_exact(size_of::<Kept>());
+        Ok(kept.map(bytemuck::pod_read_unaligned).collect())
+    }
+}

@@ -1,0 +1,199 @@
+//! One captured view to points and a first pose, predicted from the views before it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_metrology::frames::Rigid;
+use flankscope_metrology::joint::{
+    Local, Pose, Solution, Stages, ViewInformation, compress, solve,
+};
+use flankscope_metrology::outlier;
+use flankscope_metrology::registration::{Options, Status, register, search_phase};
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::{Accumulator, Decoder};
+use nalgebra::{Isometry3, Matrix6, Vector6};
+
+use crate::inspection::{
+    EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
+};
+
+/// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
+pub(super) const SAMPLE: usize = 4_000;
+/// Points of the view's own registration.
+const FIRST_POSE: usize = 12_000;
+/// A view may bend to the form of the piece while it finds its own pose: shift (mm) and turn (rad) allowed for that.
+const BEND_MM: f64 = 30e-3;
+const BEND_RAD: f64 = 2e-3;
+/// A place known worse than this share of the pitch is searched for.
+const SEARCH_PITCH: f64 = 0.1;
+/// From the pinhole to the surface, about, mm: a turn of the head moves the surface by that much.
+const REACH_MM: f64 = 22.0;
+/// A view whose points lie farther from the CAD than this looks at another part, mm.
+const MOST_RMS_MM: f64 = 0.05;
+/// And so does one with fewer of its points on the CAD.
+const LEAST_SHARE: f64 = 0.6;
+/// Up to so many views each one renews the joint solve, then every so many.
+const EAGER_VIEWS: usize = 24;
+const LAZY_VIEWS: usize = 12;
+
+/// A point as it is kept: camera frame (mm) and standard uncertainty (mm).
+pub(super) type Kept = [f32; 4];
+
+/// What became of one view.
+#[derive(Debug)]
+pub(crate) struct ScannedView {
+    /// Points in shuffled order.
+    pub points: Vec<Kept>,
+    /// First pose, tool frame from camera frame.
+    pub tool_from_camera: Isometry3<f64>,
+    /// Why it must not be used.
+    pub refused: Option<String>,
+}
+
+/// The compute thread's state.
+pub(super) struct ViewScanner {
+    tool: Arc<Tool>,
+    teeth: u32,
+    pitch_mm: f64,
+    decoder: Arc<Decoder>,
+    itinerary: Arc<Itinerary>,
+    joint: Solution,
+    known: BTreeMap<usize, ViewInformation>,
+}
+
+impl ViewScanner {
+    /// Starts with the views that are `known` from an earlier part of the scan.
+    pub fn new(
+        subject: &Subject,
+        decoder: Arc<Decoder>,
+        itinerary: Arc<Itinerary>,
+        known: BTreeMap<usize, ViewInformation>,
+    ) -> Result<Self, EvaluatorError> {
+        let what = "[gear] in the tool file";
+        let gear = subject.tool.gear.as_ref();
+        let gear = gear.ok_or(EvaluatorError::Missing { what })?;
+        let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
+        let mut scanner = Self {
+            tool: Arc::clone(&subject.tool),
+            teeth: gear.teeth,
+            pitch_mm: gear.pitch_rad() * gear.pitch_radius_mm(),
+            decoder,
+            itinerary,
+            joint: Solution::prior(nominal, Local::default()),
+            known,
+        };
+        scanner.solve();
+        Ok(scanner)
+    }
+
+    /// Decodes a view and lays it on the CAD.
+    pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
+        let at = place(&self.itinerary, view);
+        let mut prior = self.joint.predict(at);
+        let expected = *prior.tool_from_cloud.isometry();
+        let decoded = match self.decoder.finish(sums) {
+            Ok(decoded) => decoded.cloud,
+            Err(error) => {
+                return ScannedView {
+                    points: Vec::new(),
+                    tool_from_camera: expected,
+                    refused: Some(error.to_string()),
+                };
+            }
+        };
+        let kept = outlier::statistical(&decoded.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+        let mut order: Vec<u32> = (0..decoded.len() as u32)
+            .filter(|&i| kept.get(i as usize).copied().unwrap_or(false))
+            .collect();
+        // Shuffled the same way every time: the first thousand points are a fair sample of all.
+        order.sort_unstable_by_key(|i| i.wrapping_mul(0x9E37_79B9));
+        let points: Vec<Kept> = order
+            .iter()
+            .map(|&i| {
+                let [x, y, z] = decoded.points_mm[i as usize].map(|c| c as f32);
+                [x, y, z, decoded.sigma_z_mm[i as usize]]
+            })
+            .collect();
+        let first = coordinates(&points, FIRST_POSE);
+        let surface = &self.tool.surface;
+        let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * self.pitch_mm {
+            search_phase(surface, &first, &expected, self.teeth)
+        } else {
+            expected
+        };
+        let bend = [BEND_RAD, BEND_RAD, BEND_RAD, BEND_MM, BEND_MM, BEND_MM].map(|s| s * s);
+        prior.covariance += Matrix6::from_diagonal(&Vector6::from(bend));
+        let options = Options {
+            initial: Rigid::from_isometry(start),
+            prior: Some(prior),
+            teeth: Some(self.teeth),
+            ..Options::default()
+        };
+        let registration = register(surface, &first, None, &options);
+        let tool_from_camera = *registration.tool_from_cloud.isometry();
+        let sample = coordinates(&points, SAMPLE);
+        let information = compress(surface, &sample, at, tool_from_camera);
+        let refused = match (&registration.status, &information) {
+            (Status::Indeterminate(reason), _) => Some(reason.to_string()),
+            (_, None) => Some("no point lies on the CAD".into()),
+            (_, Some(view)) => unlike_cad(view),
+        };
+        if let (None, Some(information)) = (&refused, information) {
+            self.known.insert(view, information);
+            if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
+                self.solve();
+            }
+        }
+        ScannedView {
+            points,
+            tool_from_camera,
+            refused,
+        }
+    }
+
+    fn solve(&mut self) {
+        let views: Vec<ViewInformation> = self.known.values().cloned().collect();
+        // A solve that breaks down leaves the prediction as it was; the final one reports it.
+        if let Ok(joint) = solve(&self.joint.stages, &views, Local::default()) {
+            self.joint = joint;
+        }
+    }
+}
+
+/// Why a view cannot show the part of the CAD.
+pub(super) fn unlike_cad(view: &ViewInformation) -> Option<String> {
+    (view.rms_mm > MOST_RMS_MM || view.share < LEAST_SHARE).then(|| {
+        format!(
+            "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
+            100.0 * view.share,
+            1e3 * view.rms_mm,
+            100.0 * LEAST_SHARE,
+            1e3 * MOST_RMS_MM,
+        )
+    })
+}
+
+/// What the stages are told for a view.
+pub(super) fn place(itinerary: &Itinerary, view: usize) -> Pose {
+    let planned = &itinerary.views[view];
+    Pose {
+        rotation_rad: planned.rotation_rad,
+        vertical_mm: planned.vertical_mm,
+    }
+}
+
+/// The first `most` points, mm.
+pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
+    points
+        .iter()
+        .take(most)
+        .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+        .collect()
+}
+
+/// How well it is known where the head looks, mm.
+fn place_sigma_mm(covariance: &Matrix6<f64>) -> f64 {
+    let turn: f64 = (0..3).map(|i| covariance[(i, i)]).sum();
+    let shift: f64 = (3..6).map(|i| covariance[(i, i)]).sum();
+    (turn * REACH_MM * REACH_MM + shift).sqrt()
+}

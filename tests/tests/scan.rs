@@ -1,0 +1,120 @@
+//! The scan of the whole die, end to end, with few views: form kept, sessions resumed, losses named.
+
+use std::path::Path;
+
+use flankscope_tests::{Run, flankscope, run};
+
+fn scan(args: &[&str]) -> Run {
+    let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
+    run(flankscope().args(common).args(args))
+}
+
+/// Twelve views in two layers of a die that is 20 µm oval and 15 µm conical, put down by hand.
+fn oval_and_conical(session: &Path, report: &Path) -> Run {
+    let form = ["--views", "12x2", "--ovality-um", "20", "--taper-um", "15"];
+    let folders = [
+        "--session",
+        session.to_str().expect("a path in UTF-8"),
+        "--report",
+        report.to_str().expect("a path in UTF-8"),
+    ];
+    scan(&[&form[..], &folders].concat())
+}
+
+#[test]
+fn form_is_kept_and_a_session_goes_on_where_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("session");
+    let report = folder.path().join("report");
+    let whole = oval_and_conical(&session, &report);
+    assert_eq!(whole.code, 0, "{} {}", whole.json["reason"], whole.stderr);
+    let figure = |run: &Run, path: &str| run.json.pointer(path).and_then(|v| v.as_f64()).unwrap();
+    for (what, truth_um) in [("/form/ovality_um", 20.0), ("/form/taper_um", 15.0)] {
+        let got = figure(&whole, what);
+        assert!(
+            (got - truth_um).abs() <= 3.0,
+            "{what}: {got} µm, {truth_um} µm was put in"
+        );
+    }
+    // The die was put down 0.5 mm off and 0.2 degrees askew. One view knows its place to some µm, 24 of them better; the
+    // tilt is that over the 33 mm between the layers.
+    let eccentric = figure(&whole, "/joint/found/eccentricity_mm");
+    assert!((eccentric - 0.5).abs() < 0.01, "{eccentric} mm");
+    let tilt = figure(&whole, "/joint/found/tilt_deg");
+    assert!((tilt - 0.2).abs() < 0.01, "{tilt} degrees");
+    assert_eq!(whole.json["frames"]["received"], 24 * 25);
+    assert_eq!(whole.json["frames"]["bytes_copied"], 0);
+    for key in [
+        "features",
+        "timing_ms",
+        "registration",
+        "versions",
+        "hashes",
+        "truth",
+    ] {
+        assert!(!whole.json[key].is_null(), "{key} is missing");
+    }
+    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    assert_eq!(page.matches("data:image/png;base64,").count(), 2);
+    let cloud = std::fs::read(report.join("map.ply")).unwrap();
+    assert!(cloud.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
+
+    // A damaged file is named and nothing is measured.
+    let file = session.join("view-0005.points");
+    let mut bytes = std::fs::read(&file).unwrap();
+    bytes[1000] ^= 1;
+    std::fs::write(&file, bytes).unwrap();
+    let damaged = oval_and_conical(&session, &report);
+    assert_eq!(damaged.code, 3);
+    assert!(
+        damaged.stderr.contains("view-0005.points is damaged"),
+        "{}",
+        damaged.stderr
+    );
+    // Without it, that view alone is captured again, and the result is the same within what one view is worth.
+    std::fs::remove_file(&file).unwrap();
+    let resumed = oval_and_conical(&session, &report);
+    assert_eq!(
+        resumed.code, 0,
+        "{} {}",
+        resumed.json["reason"], resumed.stderr
+    );
+    assert_eq!(resumed.json["resumed_views"], 23);
+    assert_eq!(resumed.json["frames"]["received"], 25);
+    let moved = figure(&resumed, "/form/ovality_um") - figure(&whole, "/form/ovality_um");
+    assert!(moved.abs() < 1.0, "{moved} µm");
+    // Another scan does not mix with it.
+    let other = scan(&["--views", "12x3", "--session", session.to_str().unwrap()]);
+    assert_eq!(other.code, 3);
+    assert!(
+        other
+            .stderr
+            .contains("holds another scan: its views is 12x2"),
+        "{}",
+        other.stderr
+    );
+}
+
+#[test]
+fn a_lost_view_is_captured_once_more_and_then_a_hole() {
+    // Frame 5 of every capture is lost, so the first view is lost twice.
+    let holed = scan(&["--views", "12x1", "--frame-fault", "lose:5"]);
+    assert_eq!(holed.code, 0, "{} {}", holed.json["reason"], holed.stderr);
+    assert_eq!(holed.json["frames"]["recaptured_views"], 1);
+    let lost: Vec<_> = holed.json["registration"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|view| view["status"] == "lost")
+        .collect();
+    assert_eq!(lost.len(), 1, "{lost:?}");
+    assert_eq!(lost[0]["view"], 0);
+    assert!(lost[0]["reason"].is_string(), "{lost:?}");
+}
+
+#[test]
+fn views_that_are_no_grid_are_refused() {
+    let wrong = scan(&["--views", "84"]);
+    assert_eq!(wrong.code, 3);
+    assert!(wrong.stderr.contains("84x7"), "{}", wrong.stderr);
+}

@@ -1,0 +1,126 @@
+//! How die and head really sit on the stages: never quite as the files say.
+
+use super::optics::HeadOptics;
+use super::random::{Normals, Purpose, stream};
+use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+
+/// Length of the die's eccentricity on the rotary stage, mm.
+const ECCENTRICITY_MM: f64 = 0.5;
+/// Tilt of the die's axis against the rotation axis, rad.
+const TILT_RAD: f64 = 0.2 * DEGREE;
+/// Error of the hand-eye in the head file: shift and turn.
+const HAND_EYE_MM: f64 = 0.5;
+const HAND_EYE_RAD: f64 = 1.0 * DEGREE;
+/// Amplitude of each harmonic of the rotary encoder: three of them together stay within ±15 mdeg.
+const HARMONIC_RAD: f64 = 5e-3 * DEGREE;
+/// Standard deviation of the vertical axis against the rotation axis, rad: towards the die as left by an alignment with a
+/// straight edge, along its wall as left by the machine's assembly.
+const VERTICAL_RAD: [f64; 2] = [10e-6, 200e-6];
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Where die, head and axes are, against where the files put them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mount {
+    /// Die on the rotary stage.
+    pub table_from_die: Isometry3<f64>,
+    /// The head's true place seen from the one in its file.
+    pub nominal_from_camera: Isometry3<f64>,
+    /// Sideways travel of the vertical stage per height, in x and y of the stage frame.
+    pub vertical_slope: [f64; 2],
+    /// Cosine and sine part of the rotary encoder's error, once, twice and three times per turn, rad.
+    pub harmonics_rad: [[f64; 2]; 3],
+}
+
+impl Mount {
+    /// Everything where the files put it.
+    pub fn perfect() -> Self {
+        Self {
+            table_from_die: Isometry3::identity(),
+            nominal_from_camera: Isometry3::identity(),
+            vertical_slope: [0.0; 2],
+            harmonics_rad: [[0.0; 2]; 3],
+        }
+    }
+
+    /// A die put on the table by hand and a head whose hand-eye is known only roughly; directions are drawn from `seed`.
+    pub fn by_hand(seed: u64) -> Self {
+        let mut random = Normals::new(stream(seed, Purpose::Mount));
+        let mut direction = |flat: bool| {
+            let mut vector = Vector3::from_fn(|_, _| random.next());
+            if flat {
+                vector.z = 0.0;
+            }
+            Unit::new_normalize(vector)
+        };
+        let shift = direction(true).into_inner() * ECCENTRICITY_MM;
+        let tilt = UnitQuaternion::from_axis_angle(&direction(true), TILT_RAD);
+        let head_shift = direction(false).into_inner() * HAND_EYE_MM;
+        let head_turn = UnitQuaternion::from_axis_angle(&direction(false), HAND_EYE_RAD);
+        let harmonics_rad = std::array::from_fn(|_| {
+            let phase = direction(true);
+            [phase.x * HARMONIC_RAD, phase.y * HARMONIC_RAD]
+        });
+        Self {
+            table_from_die: Isometry3::from_parts(Translation3::from(shift), tilt),
+            nominal_from_camera: Isometry3::from_parts(Translation3::from(head_shift), head_turn),
+            vertical_slope: VERTICAL_RAD.map(|sigma| sigma * random.next().clamp(-3.0, 3.0)),
+            harmonics_rad,
+        }
+    }
+
+    /// Tool frame from camera frame with the rotary stage at `rotation_rad` and the head raised by `vertical_mm`.
+    pub fn tool_from_camera(
+        &self,
+        optics: &HeadOptics,
+        rotation_rad: f64,
+        vertical_mm: f64,
+    ) -> Isometry3<f64> {
+        let turned_rad = rotation_rad
+            + (1_u8..)
+                .zip(self.harmonics_rad)
+                .map(|(order, [cosine, sine])| {
+                    let (sin, cos) = (f64::from(order) * rotation_rad).sin_cos();
+                    cosine * cos + sine * sin
+                })
+                .sum::<f64>();
+        let table_from_stage = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_rad);
+        let [along, across] = self.vertical_slope.map(|slope| slope * vertical_mm);
+        self.table_from_die.inverse()
+            * table_from_stage
+            * Translation3::new(along, across, vertical_mm)
+            * optics.stage_from_camera
+            * self.nominal_from_camera
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_perfect_mount_is_what_the_files_say() {
+        let optics = HeadOptics::prism_20mm();
+        let (said, is) = (
+            optics.tool_from_camera(0.7, 12.0),
+            Mount::perfect().tool_from_camera(&optics, 0.7, 12.0),
+        );
+        assert!((said.to_homogeneous() - is.to_homogeneous()).amax() < 1e-12);
+    }
+
+    #[test]
+    fn a_mount_by_hand_is_off_by_what_is_promised() {
+        for seed in 0..20 {
+            let mount = Mount::by_hand(seed);
+            let die = mount.table_from_die;
+            assert!((die.translation.vector.xy().norm() - ECCENTRICITY_MM).abs() < 1e-12);
+            assert_eq!(die.translation.vector.z, 0.0, "it stands on the table");
+            assert!((die.rotation.angle() - TILT_RAD).abs() < 1e-12);
+            let head = mount.nominal_from_camera;
+            assert!((head.translation.vector.norm() - HAND_EYE_MM).abs() < 1e-12);
+            assert!((head.rotation.angle() - HAND_EYE_RAD).abs() < 1e-12);
+            let largest: f64 = mount.harmonics_rad.iter().map(|[c, s]| c.hypot(*s)).sum();
+            assert!(largest <= 15e-3 * DEGREE + 1e-15, "within the data sheet");
+            assert_ne!(mount, Mount::by_hand(seed + 1));
+        }
+    }
+}
