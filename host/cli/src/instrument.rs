@@ -59,6 +59,10 @@ pub struct BenchArgs {
 }
 
 /// What stands on the simulated bench beside the die of the tool file.
+#[cfg_attr(
+    not(feature = "bench"),
+    expect(dead_code, reason = "without the bench nothing stands on it")
+)]
 #[derive(Clone, Copy, Default)]
 pub struct Scene<'a> {
     /// A press whose strokes wear the die.
