@@ -21,7 +21,7 @@ use crate::output::{Common, Outcome};
     Exit code: 0 evaluated (with --class: held), 1 --class not held, 2 --class not decidable, 3 could not run"
 )]
 pub struct Args {
-    /// Folder with tool.toml, or the file itself; its [gear] section is what counts.
+    /// Folder with tool.toml, or the file itself; its section `gear` is what counts.
     #[arg(long, value_name = "DIR")]
     tool: PathBuf,
     /// Cloud in tool coordinates, mm: PLY or text with `x y z` per line.

@@ -29,7 +29,7 @@ pub struct Source {
     /// Teeth to check instead of the tool file's, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     pub teeth: Option<Vec<u32>>,
-    /// Temperature of the tool in degrees C; a tool file with [temperature] needs it
+    /// Temperature of the tool in degrees C; a tool file with the section `temperature` needs it
     #[arg(long, value_name = "DEGC", allow_negative_numbers = true)]
     pub tool_temperature: Option<f64>,
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
