@@ -1,4 +1,5 @@
-//! Gauss–Newton over what the views share, with each view's own stray motion eliminated (Schur complement).
+//! Gauss–Newton over what the views share, with each view's own stray motion and the form of the piece under it eliminated
+//! (Schur complement).
 
 use nalgebra::{
     Isometry3, Matrix6, Point3, SMatrix, SVector, SymmetricEigen, Translation3, UnitQuaternion,
@@ -18,21 +19,28 @@ const STEPS: usize = 4;
 /// Step of the difference quotients, in standard deviations of the prior.
 const DIFFERENCE: f64 = 1e-3;
 
-/// How far a single view may stray from what all share: standard deviations.
+/// How far a single view may stray from what all share, and how far the piece's form may make it look astray: standard
+/// deviations.
 #[derive(Debug, Clone, Copy)]
 pub struct Local {
     /// Turn of the rotary stage, rad.
     pub rotation_rad: f64,
     /// Height of the vertical stage, mm.
     pub vertical_mm: f64,
-    /// Run-out: shift in any direction, mm. What a view could hide of the piece's form.
+    /// Run-out: shift in any direction, mm.
     pub runout_mm: f64,
     /// Wobble: turn about any axis, rad.
     pub wobble_rad: f64,
+    /// Form of the piece: its wall stands nearer to or farther from the axis over a whole view, mm. It looks like a shift
+    /// of the view and is none: however many points say so, the view stays where it is and the form in its deviations.
+    pub form_mm: f64,
+    /// Form of the piece: its wall leans over a whole view, rad.
+    pub form_rad: f64,
 }
 
 impl Default for Local {
-    /// ±15 mdeg and ±5 µm, evenly distributed (data sheets); run-out and wobble of an air or cross-roller bearing stage.
+    /// ±15 mdeg and ±5 µm, evenly distributed (data sheets); run-out and wobble of an air or cross-roller bearing stage; a
+    /// form of 5 µm, and that over the half height of a die.
     fn default() -> Self {
         let even = 1.0 / 3f64.sqrt();
         Self {
@@ -40,12 +48,14 @@ impl Default for Local {
             vertical_mm: 5e-3 * even,
             runout_mm: 0.3e-3,
             wobble_rad: 5e-6,
+            form_mm: 5e-3,
+            form_rad: 5e-3 / 33.0,
         }
     }
 }
 
 impl Local {
-    /// Covariance of (rotation about `centre`, translation), tool frame.
+    /// Covariance of the stray motion (rotation about `centre`, translation), tool frame.
     fn covariance(&self, centre: Vector3<f64>) -> Matrix6<f64> {
         let mut covariance = Matrix6::from_diagonal(&Vector6::new(
             self.wobble_rad.powi(2),
@@ -57,6 +67,19 @@ impl Local {
         ));
         let turn = Vector6::new(0.0, 0.0, 1.0, -centre.y, centre.x, 0.0) * self.rotation_rad;
         covariance += turn * turn.transpose();
+        covariance
+    }
+
+    /// Covariance of the motion that the form of the piece looks like.
+    fn form_covariance(&self, centre: Vector3<f64>) -> Matrix6<f64> {
+        let lean = self.form_rad.powi(2);
+        let mut covariance = Matrix6::from_diagonal(&Vector6::new(lean, lean, lean, 0.0, 0.0, 0.0));
+        let radius_mm = centre.x.hypot(centre.y);
+        if radius_mm > 0.0 {
+            let (x, y) = (centre.x / radius_mm, centre.y / radius_mm);
+            let outwards = Vector6::new(0.0, 0.0, 0.0, x, y, 0.0) * self.form_mm;
+            covariance += outwards * outwards.transpose();
+        }
         covariance
     }
 }
@@ -197,27 +220,27 @@ pub fn solve(
     })
 }
 
-/// A view's information once its own stray motion is eliminated.
+/// A view's information once its own stray motion and the form of the piece are eliminated.
 struct Reduced {
     information: Matrix6<f64>,
     gradient: Vector6<f64>,
-    /// (H + P⁻¹)⁻¹: what the view's own pull moves it by.
+    /// What the view's own pull moves it by: P (P + F)⁻¹ of (H + (P + F)⁻¹)⁻¹, for the stray motion's covariance P and the
+    /// form's F. The other share is form.
     gain: Matrix6<f64>,
 }
 
 impl Reduced {
     fn new(view: &ViewInformation, local: Local) -> Option<Self> {
-        let prior = local
-            .covariance(view.centre_mm.into())
-            .cholesky()?
-            .inverse();
-        let gain = (view.information + prior).cholesky()?.inverse();
-        let kept = Matrix6::identity() - view.information * gain;
+        let stray = local.covariance(view.centre_mm.into());
+        let both = stray + local.form_covariance(view.centre_mm.into());
+        let prior = both.cholesky()?.inverse();
+        let seen = (view.information + prior).cholesky()?.inverse();
+        let kept = Matrix6::identity() - view.information * seen;
         let information = kept * view.information;
         Some(Self {
             information: 0.5 * (information + information.transpose()),
             gradient: kept * view.gradient,
-            gain,
+            gain: stray * prior * seen,
         })
     }
 }
