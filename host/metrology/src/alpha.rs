@@ -182,12 +182,75 @@ impl Default for Region {
 impl Region {
     /// Whether `point` lies in the window about `centre`, both in tool coordinates, mm.
     pub fn contains(&self, centre: [f64; 3], point: [f64; 3]) -> bool {
-        let angle = (point[1].atan2(point[0]) - centre[1].atan2(centre[0]))
-            .rem_euclid(std::f64::consts::TAU);
-        let angle = angle.min(std::f64::consts::TAU - angle);
+        let angle = turned(point[1].atan2(point[0]) - centre[1].atan2(centre[0]));
         (point[2] - centre[2]).abs() <= self.half_height_mm
-            && angle <= self.half_angle_rad
+            && angle.abs() <= self.half_angle_rad
             && point[0].hypot(point[1]) <= self.radial_threshold_mm
+    }
+
+    /// The triangles that may reach into the window about `centre`: all that do, and some beside it.
+    pub fn part(&self, centre: [f64; 3], mesh: &TriMesh) -> TriMesh {
+        let towards = centre[1].atan2(centre[0]);
+        let mut part = TriMesh {
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+        };
+        for index in 0..mesh.triangles.len() {
+            let corners = mesh.corners(index);
+            let span = |value: fn([f64; 3], f64) -> f64| {
+                let values = corners.map(|corner| value(corner, towards));
+                let low = values.into_iter().fold(f64::INFINITY, f64::min);
+                [low, values.into_iter().fold(f64::NEG_INFINITY, f64::max)]
+            };
+            let height = span(|[_, _, z], _| z);
+            let radius = span(|[x, y, _], _| x.hypot(y));
+            // Seen from the window the cut of the angle is on the far side; a triangle that spans it is over there.
+            let angle = span(|[x, y, _], towards| turned(y.atan2(x) - towards));
+            let beside = height[1] < centre[2] - self.half_height_mm
+                || height[0] > centre[2] + self.half_height_mm
+                || radius[0] > self.radial_threshold_mm
+                || angle[1] < -self.half_angle_rad
+                || angle[0] > self.half_angle_rad
+                || angle[1] - angle[0] > std::f64::consts::PI;
+            if !beside {
+                let first = part.vertices.len() as u32;
+                part.vertices.extend(corners);
+                part.triangles.push([first, first + 1, first + 2]);
+            }
+        }
+        part
+    }
+
+    /// Draws `count` points uniformly by area on the part of the mesh in the window about `centre`.
+    ///
+    /// # Errors
+    /// [`SampleError::NothingInRegion`] when no surface is there.
+    pub fn sample(
+        &self,
+        centre: [f64; 3],
+        mesh: &TriMesh,
+        count: usize,
+        seed: u64,
+    ) -> Result<Vec<[f64; 3]>, SampleError> {
+        /// A window that holds less than one in so many points of its triangles holds none of them.
+        const MOST_BESIDE: usize = 1000;
+        let part = self.part(centre, mesh);
+        if part.triangles.is_empty() {
+            return Err(SampleError::NothingInRegion);
+        }
+        let mut inside = Vec::with_capacity(count);
+        let mut round = 0;
+        while inside.len() < count {
+            let before = inside.len();
+            let drawn = sample(&part, count, seed.wrapping_add(round))?;
+            inside.extend(self.trim(centre, &drawn));
+            if inside.len() < before + count.div_ceil(MOST_BESIDE) {
+                return Err(SampleError::NothingInRegion);
+            }
+            round += 1;
+        }
+        inside.truncate(count);
+        Ok(inside)
     }
 
     /// The points in the window about `centre`, in order.
@@ -195,6 +258,12 @@ impl Region {
         let inside = |point: &&[f64; 3]| self.contains(centre, **point);
         points.iter().filter(inside).copied().collect()
     }
+}
+
+/// An angle brought to -pi..pi.
+fn turned(angle_rad: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
 /// Centre of mass of a cloud, mm; none when empty.
@@ -211,6 +280,49 @@ pub fn centre_of_mass(points: &[[f64; 3]]) -> Option<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_window_is_sampled_as_if_the_whole_mesh_was_and_the_rest_dropped() {
+        // A tube of 36 facets, 60 mm high, radius 40, and another one around it that is out of reach.
+        let mut tube = TriMesh {
+            vertices: Vec::new(),
+            triangles: Vec::new(),
+        };
+        for radius in [40.0, 60.0] {
+            for facet in 0..36 {
+                let at = |step: i32, z: f64| {
+                    let angle = f64::from(facet + step) * std::f64::consts::TAU / 36.0;
+                    [radius * angle.cos(), radius * angle.sin(), z]
+                };
+                let first = tube.vertices.len() as u32;
+                tube.vertices
+                    .extend([at(0, 0.0), at(1, 0.0), at(1, 60.0), at(0, 60.0)]);
+                tube.triangles
+                    .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+            }
+        }
+        let region = Region::default();
+        // One window in the middle, one across the cut of the angle and the upper end.
+        for centre in [[40.0, 0.0, 30.0], [-40.0, 1e-9, 58.0]] {
+            let got = region.sample(centre, &tube, 20_000, 3).unwrap();
+            assert_eq!(got.len(), 20_000);
+            assert!(got.iter().all(|&point| region.contains(centre, point)));
+            let all = region.trim(centre, &sample(&tube, 2_000_000, 4).unwrap());
+            // The same distribution: means agree within five of their standard deviations.
+            for k in 0..3 {
+                let mean = |points: &[[f64; 3]]| {
+                    points.iter().map(|p| p[k]).sum::<f64>() / points.len() as f64
+                };
+                let (a, b) = (mean(&got), mean(&all));
+                let variance =
+                    got.iter().map(|p| (p[k] - a).powi(2)).sum::<f64>() / got.len() as f64;
+                let sigma = (variance * (1.0 / got.len() as f64 + 1.0 / all.len() as f64)).sqrt();
+                assert!((a - b).abs() < 5.0 * sigma, "{k}: {a} {b}");
+            }
+        }
+        let beyond = region.sample([40.0, 0.0, 300.0], &tube, 100, 1);
+        assert_eq!(beyond, Err(SampleError::NothingInRegion));
+    }
 
     #[test]
     fn the_shortcut_finds_what_a_search_of_the_sums_finds() {

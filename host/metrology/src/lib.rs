@@ -28,6 +28,7 @@ mod bvh;
 pub mod cloud;
 pub mod cylinder;
 pub mod deviation;
+pub mod drift;
 pub mod frames;
 pub mod gear;
 pub mod gear_evaluation;

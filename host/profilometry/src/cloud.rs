@@ -13,6 +13,9 @@ pub struct Cloud {
     pub cell: Vec<[u16; 2]>,
     /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
     pub modulation_e: Vec<f32>,
+    /// What the mask goes by: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
+    /// Empty when no mask was asked for; a mask with threshold 0 drops nothing.
+    pub fringes_dn: Vec<f32>,
 }
 
 impl Cloud {
@@ -22,6 +25,7 @@ impl Cloud {
             sigma_z_mm: Vec::with_capacity(points),
             cell: Vec::with_capacity(points),
             modulation_e: Vec::with_capacity(points),
+            fringes_dn: Vec::new(),
         }
     }
 

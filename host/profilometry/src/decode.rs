@@ -317,22 +317,20 @@ impl Decoder {
                 expected,
             });
         }
-        let kept = match (&self.options.mask, &self.layout.grid) {
-            (Some(options), Grid::Blocks(grid)) => Some(mask::keep(accumulator, grid, options)),
-            _ => None,
-        };
+        let fringes_dn = self
+            .options
+            .mask
+            .map(|options| mask::fringe_deviations_dn(accumulator, options.smoothing_px));
         let (conditioned, variance_ratios) = self.condition(accumulator);
         let mut results = self.depths(
             conditioned.as_ref().unwrap_or(accumulator),
             &variance_ratios,
         );
-        if let Some(kept) = kept {
-            for (result, _) in results
-                .iter_mut()
-                .zip(kept)
-                .filter(|(result, keep)| !keep && result.fate == Fate::Point)
-            {
-                result.reject(Fate::Masked);
+        if let (Some(options), Some(fringes_dn)) = (&self.options.mask, &fringes_dn) {
+            for (result, &deviation_dn) in results.iter_mut().zip(fringes_dn) {
+                if f64::from(deviation_dn) < options.threshold_dn && result.fate == Fate::Point {
+                    result.reject(Fate::Masked);
+                }
             }
         }
         if let Some(options) = &self.options.patches {
@@ -340,7 +338,7 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
-        Ok(self.collect(&results))
+        Ok(self.collect(&results, fringes_dn.as_deref()))
     }
 
     /// Repaired phasors, if any repair is wanted, and what it did to the variance of each frequency.
@@ -469,7 +467,7 @@ impl Decoder {
         })
     }
 
-    fn collect(&self, results: &[CellResult]) -> Decoded {
+    fn collect(&self, results: &[CellResult], fringes_dn: Option<&[f32]>) -> Decoded {
         let grid = &self.layout.grid;
         let mut rejected = Rejected::default();
         let points = results
@@ -488,6 +486,7 @@ impl Decoder {
                         cloud.sigma_z_mm.push(result.sigma_z_mm);
                         cloud.cell.push(place);
                         cloud.modulation_e.push(result.modulation_e);
+                        cloud.fringes_dn.extend(fringes_dn.map(|dn| dn[cell]));
                         continue;
                     }
                     Fate::Saturated => &mut rejected.saturated,

@@ -93,10 +93,6 @@ impl DecodeOptions {
             for (name, value) in [
                 ("smoothing_px", options.smoothing_px),
                 ("coarse_smoothing_px", options.coarse_smoothing_px),
-                (
-                    "mask.threshold_dn",
-                    options.mask.map_or(0.0, |mask| mask.threshold_dn),
-                ),
             ] {
                 if value != 0.0 {
                     return bad(

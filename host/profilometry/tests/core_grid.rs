@@ -9,6 +9,7 @@ use bench_scene::{HEIGHT, Light, WIDTH, accumulate, capture, columns, head, plan
 use flankscope_profilometry::cores::{CoreMap, CoreMapError};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::{DecodeError, GridKind};
+use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, HeadModel, PatternSet};
 
 /// A hexagonal lattice of 4 px pitch over the small test camera, with one core at the very edge.
@@ -164,4 +165,67 @@ fn what_cannot_be_decoded_core_by_core_is_refused() {
             ..
         }
     ));
+}
+
+/// Light on the left half, a twentieth of it on the right: the mask finds the edge, wherever a core's light falls.
+#[test]
+fn the_mask_works_on_cores_too() {
+    let head = with_map();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let light = Light {
+        mean_e: 9000.0,
+        contrast: 0.6,
+        noise_seed: None,
+    };
+    let columns = columns(&head, plane([0.0, 0.0, 1.0], 22.0));
+    let run = |dim: u16, threshold_dn: f64, smoothing_px: f64| {
+        let options = DecodeOptions {
+            min_contrast: 0.0,
+            patches: None,
+            mask: Some(MaskOptions {
+                threshold_dn,
+                smoothing_px,
+            }),
+            ..DecodeOptions::for_head(&head)
+        };
+        let decoder = Decoder::new(&head, &patterns, &[1000], options).unwrap();
+        let mut frames = capture(&head, &decoder, &patterns, &columns, &[1.0], &light);
+        for (_, pixels) in &mut frames {
+            for row in pixels.chunks_exact_mut(WIDTH) {
+                row[WIDTH / 2..]
+                    .iter_mut()
+                    .for_each(|pixel| *pixel = 100 + (*pixel - 100) / dim);
+            }
+        }
+        decoder.finish(&accumulate(&decoder, &frames)).unwrap()
+    };
+    let side = |cloud: &flankscope_profilometry::Cloud, left: bool, margin: usize| -> Vec<f32> {
+        let there = |cell: &[u16; 2]| {
+            let x = usize::from(cell[0]);
+            if left {
+                x + margin < WIDTH / 2
+            } else {
+                x > WIDTH / 2 + margin
+            }
+        };
+        let both = cloud.cell.iter().zip(&cloud.fringes_dn);
+        both.filter(|(cell, _)| there(cell))
+            .map(|(_, &dn)| dn)
+            .collect()
+    };
+    let (bright, sharp) = (run(1, 0.0, 0.0).cloud, run(20, 0.0, 0.0).cloud);
+    assert_eq!(sharp.fringes_dn.len(), sharp.len());
+    let mean = |values: &[f32]| values.iter().sum::<f32>() / values.len() as f32;
+    // A box that reaches over the edge belongs to neither side; integer counts round the dim one.
+    assert_eq!(side(&bright, true, 3), side(&sharp, true, 3));
+    let ratio = mean(&side(&bright, false, 3)) / mean(&side(&sharp, false, 3));
+    assert!((ratio / 20.0 - 1.0).abs() < 0.02, "{ratio}");
+    // Beyond four sigma of the Gaussian nothing of the other side is left: above 1000 counts there, below 60 here.
+    let smoothing_px = 6.0;
+    let margin = (4.0 * smoothing_px) as usize;
+    let masked = run(20, 300.0, smoothing_px);
+    let kept = |left| side(&masked.cloud, left, margin).len();
+    assert_eq!(kept(true), side(&sharp, true, margin).len());
+    assert!(kept(true) > 0 && kept(false) == 0);
+    assert!(masked.rejected.masked > 0);
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::pairs::{Pair, fit_pairs};
 use super::{Reason, Registration, Status};
-use crate::alpha::{self, Region};
+use crate::alpha::{Region, centre_of_mass};
 use crate::deviation::SampleTree;
 use crate::frames::{Cloud, Rigid, Tool};
 use crate::mesh::TriMesh;
@@ -69,7 +69,7 @@ pub fn register_paper(
         return refused(too_few());
     }
     let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
-    let Some(centre) = alpha::centre_of_mass(&start) else {
+    let Some(centre) = centre_of_mass(&start) else {
         return refused(too_few());
     };
     let disjoint = Reason::Disjoint {
@@ -77,7 +77,8 @@ pub fn register_paper(
         least_ratio: options.inlier_ratio,
         capture_mm: options.region.half_height_mm,
     };
-    let Some(reference) = reference(mesh, centre, options) else {
+    let region = &options.region;
+    let Ok(reference) = region.sample(centre, mesh, options.samples, options.seed) else {
         return refused(disjoint);
     };
     let Ok(tree) = SampleTree::new(&reference) else {
@@ -133,24 +134,4 @@ pub fn register_paper(
         })
     };
     result
-}
-
-/// Random surface points in the window about `centre`: the triangles that reach into it are sampled until the window holds
-/// as many as wanted.
-fn reference(mesh: &TriMesh, centre: [f64; 3], options: &PaperOptions) -> Option<Vec<[f64; 3]>> {
-    const MOST_ROUNDS: u64 = 400;
-    let mut inside = Vec::with_capacity(options.samples);
-    for round in 0..MOST_ROUNDS {
-        let seed = options.seed.wrapping_add(round);
-        let drawn = alpha::sample(mesh, options.samples, seed).ok()?;
-        inside.extend(options.region.trim(centre, &drawn));
-        if inside.len() >= options.samples {
-            inside.truncate(options.samples);
-            return Some(inside);
-        }
-        if round == 3 && inside.len() < 10 {
-            return None;
-        }
-    }
-    Some(inside)
 }

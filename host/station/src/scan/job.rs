@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::joint::{JointError, Stages};
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
+use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{DecodeOptions, Decoder};
 
 use super::grid::Grid;
@@ -24,6 +25,11 @@ use crate::inspection::{
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
+/// Masks nothing, but has every point say how much the fringes oscillate around it (smoothed over two fibre cores).
+const FRINGES_ONLY: MaskOptions = MaskOptions {
+    threshold_dn: 0.0,
+    smoothing_px: 7.0,
+};
 /// A flank with fewer cells seen is not judged.
 const LEAST_CELLS: usize = 20;
 
@@ -102,7 +108,10 @@ impl Scanner {
             &subject.head,
             &itinerary.patterns,
             &itinerary.exposures_us,
-            DecodeOptions::for_head(&subject.head),
+            DecodeOptions {
+                mask: Some(FRINGES_ONLY),
+                ..DecodeOptions::for_head(&subject.head)
+            },
         );
         let decoder = Arc::new(decoder.map_err(InspectError::from)?);
         let resumed = known.len();

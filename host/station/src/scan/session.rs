@@ -13,7 +13,7 @@ use super::view::{Kept, ScannedView};
 use crate::files::{hash, write_whole};
 
 const MANIFEST: &str = "manifest.json";
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// Why a session folder cannot be used.
 #[derive(Debug, thiserror::Error)]

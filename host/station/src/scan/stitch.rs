@@ -111,7 +111,7 @@ pub(super) fn stitch(
     })
 }
 
-fn located(pose: &Isometry3<f64>, &[x, y, z, _]: &Kept) -> [f64; 3] {
+fn located(pose: &Isometry3<f64>, &[x, y, z, ..]: &Kept) -> [f64; 3] {
     (pose * Point3::new(f64::from(x), f64::from(y), f64::from(z))).into()
 }
 

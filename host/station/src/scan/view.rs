@@ -36,8 +36,9 @@ const LEAST_SHARE: f64 = 0.6;
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
-/// A point as it is kept: camera frame (mm) and standard uncertainty (mm).
-pub(super) type Kept = [f32; 4];
+/// A point as it is kept: camera frame (mm), standard uncertainty (mm), and how much the fringes oscillate around it
+/// (smoothed standard deviation, counts), which the article's mask goes by.
+pub(super) type Kept = [f32; 5];
 
 /// What became of one view.
 #[derive(Debug)]
@@ -110,8 +111,9 @@ impl ViewScanner {
         let points: Vec<Kept> = order
             .iter()
             .map(|&i| {
-                let [x, y, z] = decoded.points_mm[i as usize].map(|c| c as f32);
-                [x, y, z, decoded.sigma_z_mm[i as usize]]
+                let at = i as usize;
+                let [x, y, z] = decoded.points_mm[at].map(|c| c as f32);
+                [x, y, z, decoded.sigma_z_mm[at], decoded.fringes_dn[at]]
             })
             .collect();
         let first = coordinates(&points, FIRST_POSE);
@@ -187,7 +189,7 @@ pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
     points
         .iter()
         .take(most)
-        .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+        .map(|&[x, y, z, ..]| [x, y, z].map(f64::from))
         .collect()
 }
 
