@@ -10,6 +10,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
+use flankscope_station::history::{History, Keeper};
 use flankscope_station::inspection::{Station, Subject};
 
 use crate::grid::Grid;
@@ -38,6 +39,13 @@ pub struct Source {
     /// Judge what was lost since this baseline instead of the deviation from CAD
     #[arg(long, value_name = "FILE")]
     pub baseline: Option<PathBuf>,
+    /// Store every check in this file, made where there is none; a check that cannot be stored is no go [default: nothing is
+    /// stored]
+    #[arg(long, value_name = "FILE")]
+    pub history: Option<PathBuf>,
+    /// Press cycles that the tool has done [default: counted on from its last check in the history]
+    #[arg(long, value_name = "N", requires = "history")]
+    pub tool_cycles: Option<u32>,
 }
 
 /// What only the simulated bench knows.
@@ -106,9 +114,16 @@ impl Instrument {
                     grid.impose(Arc::make_mut(&mut subject.head))?;
                 }
                 if let Some(path) = &source.baseline {
-                    subject.baseline = Some(Arc::new(Baseline::load(path, &subject.hashes)?));
+                    let baseline = Baseline::load(path, &subject.hashes)?;
+                    subject.hashes.insert("baseline", baseline.hash());
+                    subject.baseline = Some(Arc::new(baseline));
                 }
-                Ok(Station::open(subject, source.teeth.as_deref(), root)?)
+                let mut station = Station::open(subject, source.teeth.as_deref(), root)?;
+                if let Some(path) = &source.history {
+                    let history = History::open(path)?;
+                    station.keep(Keeper::new(history, source.tool_cycles, operator()))?;
+                }
+                Ok(station)
             },
         )
     }
@@ -240,6 +255,14 @@ fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
     anyhow::bail!(
         "this build has no demo tool: name a folder with tool.toml and head.toml by --tool"
     )
+}
+
+/// Who runs this program, as the system says.
+fn operator() -> String {
+    let name = ["USER", "LOGNAME"]
+        .into_iter()
+        .find_map(|name| std::env::var(name).ok());
+    name.unwrap_or_else(|| "unknown".into())
 }
 
 /// A folder of this run alone, gone afterwards.

@@ -9,6 +9,7 @@ mod deviation;
 mod gear;
 mod geometry;
 mod grid;
+mod history;
 mod inspect;
 mod instrument;
 mod merge;
@@ -44,6 +45,7 @@ enum Command {
     Deviation(deviation::Args),
     Merge(merge::Args),
     Gear(gear::Args),
+    History(history::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true)]
@@ -81,6 +83,7 @@ fn main() -> ExitCode {
         Command::Deviation(args) => deviation::run(&args),
         Command::Merge(args) => merge::run(&args),
         Command::Gear(args) => gear::run(&args),
+        Command::History(args) => history::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
     };

@@ -15,7 +15,8 @@ use crate::output::{Common, Outcome, write_whole};
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
-/// A no-go stays until it is acknowledged: write a line to standard input. Every verdict goes to the press, and falls to
+/// A no-go stays until it is acknowledged: write a line to standard input, your name for example. With a history it stays
+/// even when this program is stopped and started again. Every verdict goes to the press, and falls to
 /// no-go there when this program stops.
 #[derive(clap::Args)]
 #[command(
@@ -100,12 +101,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     })
 }
 
-/// A message for every line that somebody types.
-fn acknowledgements() -> mpsc::Receiver<()> {
+/// A message for every line that somebody types: a name, or nothing.
+fn acknowledgements() -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
-        for _line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if sender.send(()).is_err() {
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            if sender.send(line.trim().to_owned()).is_err() {
                 return;
             }
         }
@@ -139,6 +140,11 @@ impl<'a> Log<'a> {
             Told::Missed(cycle, fault) => self.say(&format!(
                 "cycle {cycle}: not let in ({fault}), next opening"
             )),
+            Told::Resumed(shown) => self.say(&format!(
+                "{} from before stays until it is acknowledged (press Enter)",
+                shown.word()
+            )),
+            Told::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
             Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
             Told::Checked(checked) => {
                 if let Err(error) = self.keep(&checked) {

@@ -173,16 +173,25 @@ impl Baseline {
         Ok(baseline)
     }
 
+    /// The text of its file.
+    #[must_use]
+    pub fn document(&self) -> String {
+        // Names, words and numbers: nothing of it can fail to be JSON.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// BLAKE3 of [`Self::document`].
+    #[must_use]
+    pub fn hash(&self) -> String {
+        files::hash(self.document().as_bytes())
+    }
+
     /// Writes it whole or not at all.
     ///
     /// # Errors
     /// The operating system's.
     pub fn save(&self, path: &Path) -> Result<(), BaselineError> {
-        let text = serde_json::to_vec(self).map_err(|source| BaselineError::Syntax {
-            path: path.to_owned(),
-            source,
-        })?;
-        files::write_whole(path, &text).map_err(|source| BaselineError::File {
+        files::write_whole(path, self.document().as_bytes()).map_err(|source| BaselineError::File {
             path: path.to_owned(),
             source,
         })

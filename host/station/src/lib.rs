@@ -3,13 +3,14 @@
 //! ```text
 //!  controller ── orders, triggers ──┐
 //!                                   ├─ inspection ── verdict ── report
-//!  capture ───── frames, in place ──┘
+//!  capture ───── frames, in place ──┘             └── history
 //! ```
 
 pub mod baseline;
 pub mod capture;
 pub mod controller;
 pub mod files;
+pub mod history;
 pub mod inspection;
 pub mod report;
 pub mod scan;

@@ -33,6 +33,7 @@ use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::baseline::Baseline;
 use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientError, ClientSettings};
+use crate::history::{HistoryError, Keeper};
 
 /// Longest silence of the controller during a capture: the longest move of the plan's timeouts, and a margin.
 const EVENT_PATIENCE: Duration = Duration::from_secs(15);
@@ -85,6 +86,9 @@ pub enum InspectError {
         /// Which.
         thread: &'static str,
     },
+    /// What was found cannot be kept.
+    #[error(transparent)]
+    History(#[from] HistoryError),
     /// The controller waits for somebody.
     #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
     Faulted {
@@ -125,6 +129,8 @@ pub struct Station<O = ViewOutcome> {
     outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
     pub(crate) itinerary: Arc<Itinerary>,
+    /// Where checks are stored, if they are.
+    pub(crate) keeper: Option<Keeper>,
 }
 
 impl Station {
@@ -149,6 +155,16 @@ impl Station {
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
         let evaluate = move |view, sums: &Accumulator| evaluator.evaluate(view, sums);
         Self::start(subject, itinerary, decoder, root, evaluate)
+    }
+
+    /// Stores every check from now on: a verdict is then only given once it is on the disk.
+    ///
+    /// # Errors
+    /// The history cannot be written.
+    pub fn keep(&mut self, mut keeper: Keeper) -> Result<(), InspectError> {
+        keeper.begin(&self.subject.tool.name, self.subject.baseline.as_deref())?;
+        self.keeper = Some(keeper);
+        Ok(())
     }
 
     /// Runs one check through the controller at `port`.
@@ -200,7 +216,11 @@ impl Station {
                 .capture(client, &mut run, &again, &limits, watch)
                 .await?;
         }
-        Ok(self.conclude(run, stopped, begun_ns, client))
+        let mut inspection = self.conclude(run, stopped, begun_ns, client);
+        if let Some(keeper) = &mut self.keeper {
+            keeper.keep(&mut inspection);
+        }
+        Ok(inspection)
     }
 
     fn conclude(
@@ -249,6 +269,7 @@ impl Station {
         let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
         pictures.lanes = run.timeline.lanes();
         Inspection {
+            id: None,
             verdict: verdict.to_string(),
             reason,
             features: judged.into_iter().map(Feature::from).collect(),
@@ -348,6 +369,7 @@ impl<O: Send + 'static> Station<O> {
             outcomes,
             compute: Some(compute),
             itinerary,
+            keeper: None,
         })
     }
 

@@ -37,6 +37,9 @@ pub struct Feature {
     /// Why it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// Short name of that reason, always the same word for the same cause.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub code: Option<&'static str>,
 }
 
 /// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
@@ -170,6 +173,9 @@ pub struct WeakDirection {
 /// The whole result: serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Inspection {
+    /// Number of the check in the history that it was stored in.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub id: Option<i64>,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
     /// Why, in one sentence.

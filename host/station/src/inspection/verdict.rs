@@ -109,11 +109,12 @@ fn budget_um(budget: &Budget) -> BTreeMap<&'static str, f64> {
 
 impl From<Judged> for Feature {
     fn from(judged: Judged) -> Self {
-        let reason = match &judged.verdict {
-            Verdict::Indeterminate { reason } => {
-                Some(judged.unmeasured.unwrap_or_else(|| reason.to_string()))
-            }
-            _ => None,
+        let (reason, code) = match &judged.verdict {
+            Verdict::Indeterminate { reason } => (
+                Some(judged.unmeasured.unwrap_or_else(|| reason.to_string())),
+                Some(reason.code()),
+            ),
+            _ => (None, None),
         };
         Self {
             tooth: judged.tooth,
@@ -128,6 +129,7 @@ impl From<Judged> for Feature {
             limit_um: judged.limit_um,
             verdict: judged.verdict.word().into(),
             reason,
+            code,
         }
     }
 }

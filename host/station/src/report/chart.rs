@@ -175,14 +175,15 @@ pub fn colour_bar(full_um: f64) -> String {
     svg
 }
 
-fn open(width: f64, height: f64, title: &str) -> String {
+/// The beginning of a picture.
+pub(super) fn open(width: f64, height: f64, title: &str) -> String {
     format!(
         r#"<svg viewBox="0 0 {width} {height}" role="img" aria-label="{title}"><title>{title}</title>"#
     )
 }
 
 /// About eight round numbers between two ends.
-fn ticks(from: f64, to: f64) -> Vec<f64> {
+pub(super) fn ticks(from: f64, to: f64) -> Vec<f64> {
     let raw = (to - from) / 8.0;
     let magnitude = 10_f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0]

@@ -2,11 +2,13 @@
 
 mod chart;
 mod colour;
+mod history;
 mod scan;
 
 use askama::Template;
 
 pub use chart::{Lane, Span};
+pub use history::{history_html, rate, remaining};
 pub use scan::{scan_html, scan_ply};
 
 use crate::inspection::{FlankMap, Inspection};

@@ -394,9 +394,11 @@ impl Scanner {
                 let mean_um = loss / cells as f64;
                 let u_um = (variance / cells as f64 + calibration_um * calibration_um).sqrt();
                 let verdict = decide(mean_um, u_um, &rule);
-                let reason = match &verdict {
-                    Verdict::Indeterminate { reason } => Some(reason.to_string()),
-                    _ => None,
+                let (reason, code) = match &verdict {
+                    Verdict::Indeterminate { reason } => {
+                        (Some(reason.to_string()), Some(reason.code()))
+                    }
+                    _ => (None, None),
                 };
                 let flank = if right { Flank::Right } else { Flank::Left };
                 let feature = Feature {
@@ -412,6 +414,7 @@ impl Scanner {
                     detail: None,
                     verdict: verdict.to_string(),
                     reason,
+                    code,
                 };
                 (feature, verdict)
             })

@@ -9,6 +9,7 @@ use tokio::time::Instant;
 
 use super::latch::{Latch, Shown};
 use crate::controller::{Client, ClientError, ClientSettings};
+use crate::history::HistoryError;
 use crate::inspection::{InspectError, Inspection, Station};
 
 /// When to check.
@@ -46,13 +47,17 @@ pub enum Told {
     Missed(u32, FaultCode),
     /// A check is over.
     Checked(Box<Checked>),
+    /// The watch goes on where an earlier one ended: this is still shown.
+    Resumed(Shown),
     /// Somebody acknowledged.
     Acknowledged,
+    /// An acknowledgement could not be noted, and does not count.
+    NotAcknowledged(HistoryError),
 }
 
 impl Station {
     /// Watches the press until `settings.cycles` have passed or `tell` says stop (false); a message on `acknowledged`
-    /// clears a latched no-go. Returns what the press was shown last.
+    /// clears a latched no-go, whoever sent it: a name, or nothing. Returns what the press was shown last.
     ///
     /// # Errors
     /// The watch cannot begin, or the link to the controller is gone.
@@ -61,7 +66,7 @@ impl Station {
         port: &Path,
         client: ClientSettings,
         settings: &WatchSettings,
-        acknowledged: &Receiver<()>,
+        acknowledged: &Receiver<String>,
         tell: impl FnMut(Told) -> bool,
     ) -> Result<Shown, InspectError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -76,12 +81,19 @@ impl Station {
         port: &Path,
         client: ClientSettings,
         settings: &WatchSettings,
-        acknowledged: &Receiver<()>,
+        acknowledged: &Receiver<String>,
         mut tell: impl FnMut(Told) -> bool,
     ) -> Result<Shown, InspectError> {
         let mut client = Client::connect(port, client).await?;
         self.make_ready(&mut client, &mut |_| {}).await?;
-        let mut latch = Latch::default();
+        let tool = self.subject.tool.name.clone();
+        let mut latch = match &self.keeper {
+            Some(keeper) => keeper.latch(&tool)?,
+            None => Latch::default(),
+        };
+        if latch.shown() != Shown::Unchecked && !tell(Told::Resumed(latch.shown())) {
+            return Ok(latch.shown());
+        }
         let refresh = Duration::from_micros(u64::from(client.identity().verdict_life.get())) / 4;
         let mut cycle = client.status().await?.press.cycles;
         let first = cycle;
@@ -89,10 +101,20 @@ impl Station {
         let mut next_refresh = Instant::now();
         loop {
             match acknowledged.try_recv() {
-                Ok(()) => {
-                    latch.acknowledge();
-                    checked_at = cycle.wrapping_sub(settings.every); // check again at the next opening
-                    if !tell(Told::Acknowledged) {
+                Ok(name) => {
+                    let noted = self
+                        .keeper
+                        .as_mut()
+                        .map_or(Ok(()), |keeper| keeper.acknowledge(&tool, &name));
+                    let told = match noted {
+                        Ok(()) => {
+                            latch.acknowledge();
+                            checked_at = cycle.wrapping_sub(settings.every); // check again at the next opening
+                            Told::Acknowledged
+                        }
+                        Err(error) => Told::NotAcknowledged(error),
+                    };
+                    if !tell(told) {
                         return Ok(latch.shown());
                     }
                 }

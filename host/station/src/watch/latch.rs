@@ -62,6 +62,20 @@ impl Default for Latch {
 }
 
 impl Latch {
+    /// The latch after a pause, from the verdicts since the last acknowledgement: a no-go and a warning are remembered, a
+    /// go has to be earned again.
+    #[must_use]
+    pub fn resumed<T: AsRef<str>>(verdicts: &[T]) -> Self {
+        let mut latch = Self::default();
+        for verdict in verdicts {
+            latch.take(verdict.as_ref());
+        }
+        if latch.shown != Shown::NoGo {
+            latch.shown = Shown::Unchecked;
+        }
+        latch
+    }
+
     /// Takes a check's verdict (`go`, `warn`, `no-go`; anything else is indeterminate) and returns what is shown now.
     pub fn take(&mut self, verdict: &str) -> Shown {
         self.indeterminate_in_row = match verdict {
@@ -158,6 +172,21 @@ mod tests {
                 .take_while(|&&v| v == "indeterminate")
                 .count();
             assert_eq!(latch.needs_maintenance(), trailing >= 3, "{row:?}");
+            let mut resumed = Latch::resumed(&row);
+            assert_eq!(
+                resumed.shown() == Shown::NoGo,
+                stopped,
+                "{row:?}: a no-go outlives a pause"
+            );
+            assert!(!resumed.shown().is_go(), "{row:?}: a go does not");
+            let mut uninterrupted = latch.clone();
+            for verdict in VERDICTS {
+                assert_eq!(
+                    resumed.take(verdict),
+                    uninterrupted.take(verdict),
+                    "{row:?}, then {verdict}: as if there had been no pause"
+                );
+            }
             latch.acknowledge();
             assert_eq!(latch.shown(), Shown::Unchecked);
             assert!(!latch.shown().is_go(), "acknowledged is not checked");

@@ -1,0 +1,143 @@
+//! `flankscope history`: the wear trend of a tool.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use flankscope_station::files::stream_whole;
+use flankscope_station::history::{Check, History, LEAST_POINTS, Outlook, csv, series};
+use flankscope_station::report::{figure, history_html, rate, remaining};
+use serde_json::json;
+
+use crate::output::{Common, Outcome, write_whole};
+
+/// Show how the flanks of a tool wore, how fast they wear, and how many cycles are left.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --history press.db\n  \
+    flankscope history press.db --report out\n\
+    writes out/history.html with wear against cycles of every flank\n\n\
+    The history may be read while a watch writes to it.\n\n\
+    Exit code: 0 done, 3 could not run"
+)]
+pub struct Args {
+    /// File that inspect or watch wrote with --history
+    file: PathBuf,
+    /// Tool to show [default: the one checked last]
+    #[arg(long, value_name = "NAME")]
+    tool: Option<String>,
+    /// Write history.html into this folder
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Write every figure as comma-separated values to FILE
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let history = History::read(&args.file)?;
+    let tools = history.tools()?;
+    let tool = match &args.tool {
+        Some(name) => {
+            anyhow::ensure!(
+                tools.contains(name),
+                "--tool {name}: the history has checks of {}",
+                listed(&tools)
+            );
+            name
+        }
+        None => tools
+            .first()
+            .with_context(|| format!("history {} has no check yet", args.file.display()))?,
+    };
+    let checks = history.checks(tool)?;
+    let acknowledgements = history.acknowledgements(tool)?;
+    let outlooks: Vec<Outlook> = series(&checks).into_iter().map(Outlook::of).collect();
+    if let Some(path) = &args.csv {
+        stream_whole(path, |out| csv(&checks, out))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if let Some(folder) = &args.report {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+        let page = history_html(tool, &checks, &acknowledgements, &outlooks)?;
+        write_whole(&folder.join("history.html"), page.as_bytes())?;
+    }
+    args.common.write_json(&json!({
+        "tool": tool,
+        "tools": tools,
+        "checks": checks.len(),
+        "last": checks.last(),
+        "flanks": outlooks,
+        "acknowledgements": acknowledgements,
+    }))?;
+    if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+        print_table(tool, &checks, &outlooks, args)?;
+    }
+    Ok(Outcome::Go)
+}
+
+fn listed(tools: &[String]) -> String {
+    if tools.is_empty() {
+        "no tool".into()
+    } else {
+        tools.join(", ")
+    }
+}
+
+fn print_table(
+    tool: &str,
+    checks: &[Check],
+    outlooks: &[Outlook],
+    args: &Args,
+) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    if let Some(last) = checks.last() {
+        writeln!(
+            out,
+            "{tool}: {} checks, the last (number {}) at {} after {} cycles: {}\n",
+            checks.len(),
+            last.id,
+            last.at,
+            last.tool_cycles,
+            last.verdict.to_uppercase()
+        )?;
+    }
+    writeln!(
+        out,
+        "tooth  flank   figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, 95 of 100 do more  changes at check"
+    )?;
+    for o in outlooks {
+        let last = o.points.last();
+        let changes: Vec<String> = o.changes.iter().map(i64::to_string).collect();
+        writeln!(
+            out,
+            "{:>5}  {:<6} {:>8} {:>8} {:>6}  {:<27} {:<31} {}",
+            o.tooth,
+            o.flank,
+            o.points.len(),
+            figure(last.map(|p| p.wear_um)),
+            figure(last.map(|p| 1.96 * p.u_um)),
+            rate(o),
+            remaining(o),
+            changes.join(", ")
+        )?;
+    }
+    if outlooks.iter().any(|o| o.trend.is_none()) {
+        writeln!(
+            out,
+            "\na trend needs {LEAST_POINTS} figures since the last change, with cycles in between"
+        )?;
+    }
+    match &args.report {
+        Some(folder) => writeln!(out, "\nplots: {}", folder.join("history.html").display())?,
+        None => writeln!(
+            out,
+            "\nadd --report DIR for plots, --csv FILE for every figure"
+        )?,
+    }
+    Ok(())
+}

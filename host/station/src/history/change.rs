@@ -1,0 +1,139 @@
+//! Where a flank's wear left its line: a chip, a new tool, a rate that changed.
+//!
+//! Each figure is predicted by the straight line through all earlier ones since the last change. Divided by their standard
+//! deviation, these prediction errors are independent and normal as long as the line holds (recursive residuals: Brown,
+//! Durbin and Evans, J. R. Stat. Soc. B 37, 1975), which is what a cumulative sum asks for (Page, Biometrika 41, 1954).
+
+use super::series::Point;
+
+/// What a sum does not count of each error, in standard deviations: tuned to shifts of one.
+const SLACK: f64 = 0.5;
+/// A sum beyond this many standard deviations is a change. On a line that holds, the two sums together give one alarm in 465
+/// checks on average (Montgomery, Introduction to Statistical Quality Control).
+const ALARM: f64 = 5.0;
+/// Scatter below this is the resolution of the stored figures, not of the instrument, µm.
+const LEAST_SCATTER_UM: f64 = 1e-3;
+/// Median of the absolute value of a normal figure, in standard deviations.
+const MEDIAN_ABSOLUTE: f64 = 0.674_489_75;
+
+/// A sum of what is too much and one of what is too little.
+#[derive(Clone, Debug, Default)]
+struct Sums {
+    up: f64,
+    down: f64,
+    errors: Vec<f64>,
+}
+
+impl Sums {
+    /// Adds a standardised error; returns how many figures ago the change began, if there is one.
+    fn add(&mut self, error: f64) -> Option<usize> {
+        self.errors.push(error);
+        self.up = (self.up + error - SLACK).max(0.0);
+        self.down = (self.down - error - SLACK).max(0.0);
+        (self.up.max(self.down) > ALARM).then(|| self.began())
+    }
+
+    /// The likeliest beginning of a shift of unknown size, as a number of figures back.
+    fn began(&self) -> usize {
+        let (mut sum, mut best) = (0.0_f64, (0.0, 1));
+        for (back, error) in (1..).zip(self.errors.iter().rev()) {
+            sum += error;
+            let evidence = sum * sum / back as f64;
+            if evidence > best.0 {
+                best = (evidence, back);
+            }
+        }
+        best.1
+    }
+}
+
+/// A least-squares line that grows point by point.
+#[derive(Clone, Copy, Debug, Default)]
+struct Line {
+    count: f64,
+    mean_cycles: f64,
+    mean_um: f64,
+    spread: f64,
+    product: f64,
+}
+
+impl Line {
+    fn add(&mut self, point: &Point) {
+        self.count += 1.0;
+        let cycles = point.cycles - self.mean_cycles;
+        self.mean_cycles += cycles / self.count;
+        let wear_um = point.wear_um - self.mean_um;
+        self.mean_um += wear_um / self.count;
+        self.spread += cycles * (point.cycles - self.mean_cycles);
+        self.product += cycles * (point.wear_um - self.mean_um);
+    }
+
+    /// How far a point is off, in units of the figures' scatter; none while the line says nothing about there.
+    fn error(&self, point: &Point) -> Option<f64> {
+        let away = point.cycles - self.mean_cycles;
+        if self.spread > 0.0 {
+            let expected = self.mean_um + self.product / self.spread * away;
+            let inflation = 1.0 + 1.0 / self.count + away * away / self.spread;
+            Some((point.wear_um - expected) / inflation.sqrt())
+        } else if self.count > 0.0 && away == 0.0 {
+            // Checks without a cycle in between: a mean is all there is.
+            Some((point.wear_um - self.mean_um) / (1.0 + 1.0 / self.count).sqrt())
+        } else {
+            None
+        }
+    }
+}
+
+/// Indices of the points at which the wear left its line for good, ascending.
+#[must_use]
+pub fn changes(points: &[Point]) -> Vec<usize> {
+    let Some(scatter_um) = scatter_um(points) else {
+        return Vec::new();
+    };
+    let mut changes = Vec::new();
+    let mut line = Line::default();
+    let mut sums = Sums::default();
+    let mut next = 0;
+    while let Some(point) = points.get(next) {
+        let alarm = line
+            .error(point)
+            .and_then(|error| sums.add(error / scatter_um));
+        if let Some(since) = alarm {
+            // The line begins anew where the shift did.
+            let from = next + 1 - since;
+            changes.push(from);
+            line = Line::default();
+            sums = Sums::default();
+            for point in &points[from..next] {
+                line.add(point);
+            }
+        }
+        line.add(point);
+        next += 1;
+    }
+    changes
+}
+
+/// Standard deviation of a figure about its neighbours' line: the median forgives the few places where the wear jumps.
+/// None for fewer than five points.
+pub fn scatter_um(points: &[Point]) -> Option<f64> {
+    if points.len() < 5 {
+        return None;
+    }
+    let mut off: Vec<f64> = points
+        .windows(3)
+        .map(|three| {
+            let span = three[2].cycles - three[0].cycles;
+            let share = if span > 0.0 {
+                (three[1].cycles - three[0].cycles) / span
+            } else {
+                0.5
+            };
+            let between = (1.0 - share) * three[0].wear_um + share * three[2].wear_um;
+            let variance = 1.0 + share * share + (1.0 - share) * (1.0 - share);
+            ((three[1].wear_um - between) / variance.sqrt()).abs()
+        })
+        .collect();
+    off.sort_unstable_by(f64::total_cmp);
+    Some((off[off.len() / 2] / MEDIAN_ABSOLUTE).max(LEAST_SCATTER_UM))
+}

@@ -1,0 +1,64 @@
+//! What can be wrong with a history.
+
+use std::path::PathBuf;
+
+/// Why a history cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum HistoryError {
+    /// The database refuses: no permission, disk full, damaged, locked for too long.
+    #[error("history {}: cannot {doing}: {source}", path.display())]
+    Database {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        doing: &'static str,
+        /// Cause.
+        source: rusqlite::Error,
+    },
+    /// Somebody else's file.
+    #[error(
+        "{} is a database, but no history of this instrument (application id {got:#x}, right would be {expected:#x}); name another file", path.display()
+    )]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// Its application id.
+        got: i32,
+        /// A history's.
+        expected: i32,
+    },
+    /// Written by a later release.
+    #[error(
+        "history {} has layout {got}, this release knows layouts up to {known}; use the release that wrote it", path.display()
+    )]
+    Newer {
+        /// The file.
+        path: PathBuf,
+        /// Its layout.
+        got: i32,
+        /// Latest known.
+        known: i32,
+    },
+    /// A result that cannot be put into words.
+    #[error("history {}: the result cannot be written as JSON: {source}", path.display())]
+    Document {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: serde_json::Error,
+    },
+    /// No such check.
+    #[error("history {} has no check {id}; it has {}", path.display(), match last {
+        Some(last) => format!("checks up to {last}"),
+        None => "none".to_owned(),
+    })]
+    NoSuchCheck {
+        /// The file.
+        path: PathBuf,
+        /// Asked for.
+        id: i64,
+        /// Last one there.
+        last: Option<i64>,
+    },
+}

@@ -1,0 +1,50 @@
+//! Every figure of a history as a table for other programs.
+
+use std::io::{self, Write};
+
+use super::store::Check;
+
+/// Writes a line per check and flank, as comma-separated values (RFC 4180) under a line of names.
+///
+/// # Errors
+/// The writer's.
+pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
+    writeln!(
+        out,
+        "check,at,tool,tool_cycles,press_cycles,baseline,check_verdict,tooth,flank,wear_um,u95_um,warn_um,limit_um,verdict,code"
+    )?;
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+    for check in checks {
+        for flank in &check.flanks {
+            writeln!(
+                out,
+                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                check.id,
+                check.at,
+                quoted(&check.tool),
+                check.tool_cycles,
+                check.press_cycles,
+                check.baseline.as_deref().unwrap_or_default(),
+                check.verdict,
+                flank.tooth,
+                flank.flank,
+                number(flank.wear_um),
+                number(flank.u95_um),
+                flank.warn_um,
+                flank.limit_um,
+                flank.verdict,
+                flank.code.as_deref().unwrap_or_default(),
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// A name that may hold anything.
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_owned()
+    }
+}

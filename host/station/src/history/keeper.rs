@@ -1,0 +1,78 @@
+//! A check counts once it is stored: what cannot be kept is not said.
+
+use super::error::HistoryError;
+use super::store::History;
+use crate::baseline::Baseline;
+use crate::inspection::Inspection;
+use crate::watch::Latch;
+
+/// Stores what a station finds.
+#[derive(Debug)]
+pub struct Keeper {
+    history: History,
+    /// Cycles of the tool at the next check, where somebody said so.
+    tool_cycles: Option<u32>,
+    operator: String,
+}
+
+impl Keeper {
+    /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
+    /// better than from the last check; `operator` is who runs the instrument.
+    #[must_use]
+    pub fn new(history: History, tool_cycles: Option<u32>, operator: String) -> Self {
+        Self {
+            history,
+            tool_cycles,
+            operator,
+        }
+    }
+
+    /// Notes that the instrument begins to work with this tool, and keeps the baseline that it judges by.
+    pub(crate) fn begin(
+        &mut self,
+        tool: &str,
+        baseline: Option<&Baseline>,
+    ) -> Result<(), HistoryError> {
+        if let Some(baseline) = baseline {
+            self.history
+                .keep_baseline(&baseline.hash(), tool, &baseline.document())?;
+        }
+        let version = concat!("flankscope ", env!("CARGO_PKG_VERSION"));
+        self.history
+            .audit(&self.operator, "open", &format!("{version}, {tool}"))
+    }
+
+    /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
+    pub fn keep(&mut self, inspection: &mut Inspection) {
+        match self.history.record(inspection, self.tool_cycles) {
+            Ok(id) => {
+                inspection.id = Some(id);
+                self.tool_cycles = None;
+            }
+            Err(error) => {
+                tracing::error!(%error, "the check is not stored");
+                if inspection.verdict == "no-go" {
+                    inspection.reason = format!("{}; {error}", inspection.reason);
+                } else {
+                    inspection.verdict = "indeterminate".into();
+                    inspection.reason = error.to_string();
+                }
+            }
+        }
+    }
+
+    /// Notes an acknowledgement, by the operator unless somebody gave a name.
+    pub(crate) fn acknowledge(&mut self, tool: &str, name: &str) -> Result<(), HistoryError> {
+        let who = if name.is_empty() {
+            self.operator.clone()
+        } else {
+            name.to_owned()
+        };
+        self.history.acknowledge(tool, &who)
+    }
+
+    /// What stood at the press when the instrument was last switched off, without its go.
+    pub(crate) fn latch(&self, tool: &str) -> Result<Latch, HistoryError> {
+        Ok(Latch::resumed(&self.history.open_verdicts(tool)?))
+    }
+}

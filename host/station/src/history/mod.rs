@@ -1,0 +1,39 @@
+//! What was found, for good: checks, baselines and acknowledgements of a press in one file, and what follows from them.
+//!
+//! ```text
+//!  check ──► keeper ──► store (SQLite, on the disk before it counts) ──► verdict at the press
+//!                         └──► series of each flank ──► change ──► trend ──► remaining cycles ──► table, page, CSV
+//! ```
+//!
+//! | file | holds |
+//! |---|---|
+//! | `store` | the file: made, opened, written in whole transactions, read |
+//! | `schema` | its tables, and which version of them this is |
+//! | `keeper` | stores checks, and takes back a verdict that cannot be stored |
+//! | `series` | wear of each flank against cycles, over the tool's present life |
+//! | `change` | where the wear left its line |
+//! | `trend` | a robust line since then |
+//! | `remaining` | how many cycles are left |
+//! | `outlook` | all of that for one flank |
+//! | `export` | CSV |
+
+mod change;
+mod error;
+mod export;
+mod keeper;
+mod outlook;
+mod remaining;
+mod schema;
+mod series;
+mod store;
+mod trend;
+
+pub use change::changes;
+pub use error::HistoryError;
+pub use export::csv;
+pub use keeper::Keeper;
+pub use outlook::Outlook;
+pub use remaining::Passage;
+pub use series::{Point, Series, series};
+pub use store::{Acknowledgement, Check, FlankRow, History};
+pub use trend::{LEAST_POINTS, Trend};

@@ -1,0 +1,79 @@
+//! From stored checks to the wear of each flank against cycles.
+
+use std::collections::BTreeMap;
+
+use super::store::Check;
+
+/// Wear of one flank over the tool's present life.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Series {
+    /// Tooth, from 1.
+    pub tooth: u32,
+    /// `left` or `right`.
+    pub flank: String,
+    /// Latest warn limit, µm.
+    pub warn_um: f64,
+    /// Latest stop limit, µm.
+    pub limit_um: f64,
+    /// Its figures, cycles never descending.
+    pub points: Vec<Point>,
+}
+
+/// One figure.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Point {
+    /// Check that it is of.
+    pub check: i64,
+    /// Press cycles that the tool had done.
+    pub cycles: f64,
+    /// Wear, µm.
+    pub wear_um: f64,
+    /// Its standard uncertainty, µm.
+    pub u_um: f64,
+}
+
+/// The checks that can be compared with the last one: of the same life of the tool, which begins anew where its cycles
+/// fall back, and judged by the same baseline.
+pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
+    let fallen = checks
+        .windows(2)
+        .rposition(|pair| pair[1].tool_cycles < pair[0].tool_cycles);
+    let baseline = checks.last().map(|last| &last.baseline);
+    checks[fallen.map_or(0, |at| at + 1)..]
+        .iter()
+        .filter(move |check| Some(&check.baseline) == baseline)
+}
+
+/// The measured figures of every flank, by tooth and flank.
+///
+/// A figure that is only too near to a limit to be decided is as good as any other; leaving it out would bend the trend
+/// where it matters. What was indeterminate for another reason is left out.
+#[must_use]
+pub fn series(checks: &[Check]) -> Vec<Series> {
+    let mut flanks: BTreeMap<(u32, &str), Series> = BTreeMap::new();
+    for check in present_life(checks) {
+        for flank in &check.flanks {
+            let series = flanks
+                .entry((flank.tooth, &flank.flank))
+                .or_insert_with(|| Series {
+                    tooth: flank.tooth,
+                    flank: flank.flank.clone(),
+                    warn_um: flank.warn_um,
+                    limit_um: flank.limit_um,
+                    points: Vec::new(),
+                });
+            (series.warn_um, series.limit_um) = (flank.warn_um, flank.limit_um);
+            let measured =
+                flank.verdict != "indeterminate" || flank.code.as_deref() == Some("undecidable");
+            if let (true, Some(wear_um), Some(u95_um)) = (measured, flank.wear_um, flank.u95_um) {
+                series.points.push(Point {
+                    check: check.id,
+                    cycles: check.tool_cycles as f64,
+                    wear_um,
+                    u_um: u95_um / 1.96,
+                });
+            }
+        }
+    }
+    flanks.into_values().collect()
+}

@@ -1,0 +1,473 @@
+//! The file: one SQLite database, written in whole transactions that are on the disk before they count.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, params};
+
+use super::error::HistoryError;
+use super::schema::{APPLICATION_ID, KEPT, TABLES, VERSION};
+use crate::inspection::Inspection;
+
+/// How long a writer waits for another one. Readers never wait and never keep a writer waiting.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// A history: opened by one writer, read by any number beside it.
+#[derive(Debug)]
+pub struct History {
+    connection: Connection,
+    path: PathBuf,
+}
+
+/// A stored check.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Check {
+    /// Number, from 1.
+    pub id: i64,
+    /// When it was stored: ISO 8601, UTC, by the host's clock.
+    pub at: String,
+    /// Name of the tool.
+    pub tool: String,
+    /// Press cycles that the tool has done.
+    pub tool_cycles: i64,
+    /// The controller's own counter, since its power-up.
+    pub press_cycles: i64,
+    /// BLAKE3 of the baseline that wear is the difference to; absent where it is the deviation from CAD.
+    pub baseline: Option<String>,
+    /// `go`, `warn`, `no-go` or `indeterminate`.
+    pub verdict: String,
+    /// Why.
+    pub reason: String,
+    /// One entry per inspected flank.
+    pub flanks: Vec<FlankRow>,
+}
+
+/// A flank of a stored check.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct FlankRow {
+    /// Tooth, from 1.
+    pub tooth: u32,
+    /// `left` or `right`.
+    pub flank: String,
+    /// Wear, µm; absent when it was not measured.
+    pub wear_um: Option<f64>,
+    /// Its expanded uncertainty (95 %), µm.
+    pub u95_um: Option<f64>,
+    /// Warn limit, µm.
+    pub warn_um: f64,
+    /// Stop limit, µm.
+    pub limit_um: f64,
+    /// Its verdict.
+    pub verdict: String,
+    /// Short name of the reason where it is indeterminate.
+    pub code: Option<String>,
+}
+
+/// Somebody took note of a verdict.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Acknowledgement {
+    /// When.
+    pub at: String,
+    /// Name of the tool.
+    pub tool: String,
+    /// Who.
+    pub who: String,
+    /// The check that stood at the press.
+    pub inspection: Option<i64>,
+}
+
+impl History {
+    /// Opens a history for writing; makes it where there is none.
+    ///
+    /// # Errors
+    /// The file cannot be opened, is none of this instrument, or of a later release.
+    pub fn open(path: &Path) -> Result<Self, HistoryError> {
+        let history = Self::connect(
+            path,
+            OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE,
+        )?;
+        let sql = |doing| history.because(doing);
+        let connection = &history.connection;
+        // A reader sees the last whole state while a check is being stored, and a commit counts when it is on the disk.
+        connection
+            .pragma_update_and_check(None, "journal_mode", "wal", |_| Ok(()))
+            .map_err(sql("set its journal"))?;
+        for (name, value) in [("synchronous", "full"), ("foreign_keys", "on")] {
+            connection
+                .pragma_update(None, name, value)
+                .map_err(sql("set it up"))?;
+        }
+        history.make_tables()?;
+        history.check_layout()?;
+        Ok(history)
+    }
+
+    /// Opens a history that is there, for reading only; a watch may write to it meanwhile.
+    ///
+    /// # Errors
+    /// As [`History::open`].
+    pub fn read(path: &Path) -> Result<Self, HistoryError> {
+        let history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
+        history.check_layout()?;
+        Ok(history)
+    }
+
+    fn connect(path: &Path, flags: OpenFlags) -> Result<Self, HistoryError> {
+        let failed = |source| HistoryError::Database {
+            path: path.to_owned(),
+            doing: "open it",
+            source,
+        };
+        let flags = flags | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
+        connection.busy_timeout(PATIENCE).map_err(failed)?;
+        Ok(Self {
+            connection,
+            path: path.to_owned(),
+        })
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn because(
+        &self,
+        doing: &'static str,
+    ) -> impl Fn(rusqlite::Error) -> HistoryError + Copy + use<'_> {
+        move |source| HistoryError::Database {
+            path: self.path.clone(),
+            doing,
+            source,
+        }
+    }
+
+    fn number(&self, pragma: &str) -> Result<i32, HistoryError> {
+        self.connection
+            .pragma_query_value(None, pragma, |row| row.get(0))
+            .map_err(self.because("read its header"))
+    }
+
+    /// Makes the tables of an empty file, all or none of them.
+    fn make_tables(&self) -> Result<(), HistoryError> {
+        let make = || {
+            // Another process may be making them at the same time: the lock comes before the look.
+            self.connection.execute_batch("BEGIN IMMEDIATE")?;
+            let objects: i64 =
+                self.connection
+                    .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
+            if objects == 0 {
+                self.connection.execute_batch(TABLES)?;
+                for table in KEPT {
+                    for event in ["UPDATE", "DELETE"] {
+                        self.connection.execute_batch(&format!(
+                            "CREATE TRIGGER {table}_keeps_{event} BEFORE {event} ON {table} \
+                             BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END"
+                        ))?;
+                    }
+                }
+                self.connection
+                    .pragma_update(None, "application_id", APPLICATION_ID)?;
+                self.connection
+                    .pragma_update(None, "user_version", VERSION)?;
+            }
+            self.connection.execute_batch("COMMIT")
+        };
+        make().map_err(|error| {
+            let _ = self.connection.execute_batch("ROLLBACK");
+            self.because("make its tables")(error)
+        })
+    }
+
+    fn check_layout(&self) -> Result<(), HistoryError> {
+        let path = || self.path.clone();
+        match (self.number("application_id")?, self.number("user_version")?) {
+            (APPLICATION_ID, 1..=VERSION) => Ok(()),
+            (APPLICATION_ID, got) => Err(HistoryError::Newer {
+                path: path(),
+                got,
+                known: VERSION,
+            }),
+            (got, _) => Err(HistoryError::Foreign {
+                path: path(),
+                got,
+                expected: APPLICATION_ID,
+            }),
+        }
+    }
+
+    /// Stores a check, whole or not at all; when this returns, it is on the disk. Returns its number.
+    ///
+    /// `tool_cycles` says how many cycles the tool has done. Without it they are counted on from the last stored check by
+    /// the controller's counter, which begins at zero with its power-up.
+    ///
+    /// # Errors
+    /// The disk is full, the file is locked for too long, or worse. Nothing of the check is stored then.
+    pub fn record(
+        &mut self,
+        inspection: &Inspection,
+        tool_cycles: Option<u32>,
+    ) -> Result<i64, HistoryError> {
+        let document =
+            serde_json::to_string(inspection).map_err(|source| HistoryError::Document {
+                path: self.path.clone(),
+                source,
+            })?;
+        let path = self.path.clone();
+        self.insert(inspection, tool_cycles, &document)
+            .map_err(|source| HistoryError::Database {
+                path,
+                doing: "store the check",
+                source,
+            })
+    }
+
+    fn insert(
+        &mut self,
+        inspection: &Inspection,
+        tool_cycles: Option<u32>,
+        document: &str,
+    ) -> rusqlite::Result<i64> {
+        let transaction = self
+            .connection
+            .transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let tool = &inspection.tool;
+        let counter = i64::from(inspection.press_cycles);
+        let last: Option<(i64, i64)> = transaction
+            .query_row(
+                "SELECT tool_cycles, press_cycles FROM inspection WHERE tool = ?1 ORDER BY id DESC LIMIT 1",
+                [tool],
+                |row| Ok((row.get(0)?, row.get(1)?)),
+            )
+            .optional()?;
+        let tool_cycles = match (tool_cycles, last) {
+            (Some(cycles), _) => i64::from(cycles),
+            (None, None) => counter,
+            (None, Some((cycles, before))) if counter >= before => cycles + (counter - before),
+            // The controller was switched off in between.
+            (None, Some((cycles, _))) => cycles + counter,
+        };
+        transaction.execute(
+            "INSERT INTO inspection (tool, tool_cycles, press_cycles, baseline, verdict, reason, document) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+            params![
+                tool,
+                tool_cycles,
+                counter,
+                inspection.hashes.get("baseline"),
+                inspection.verdict,
+                inspection.reason,
+                document
+            ],
+        )?;
+        let id = transaction.last_insert_rowid();
+        {
+            let mut row = transaction.prepare(
+                "INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+            )?;
+            for feature in &inspection.features {
+                row.execute(params![
+                    id,
+                    feature.tooth,
+                    feature.flank,
+                    feature.wear_um,
+                    feature.u95_um,
+                    feature.warn_um,
+                    feature.limit_um,
+                    feature.verdict,
+                    feature.code
+                ])?;
+            }
+        }
+        transaction.commit()?;
+        Ok(id)
+    }
+
+    /// Keeps the baseline that following checks are judged by.
+    ///
+    /// # Errors
+    /// As [`History::record`].
+    pub fn keep_baseline(
+        &mut self,
+        blake3: &str,
+        tool: &str,
+        document: &str,
+    ) -> Result<(), HistoryError> {
+        self.connection
+            .execute(
+                "INSERT OR IGNORE INTO baseline (blake3, tool, document) VALUES (?1, ?2, ?3)",
+                [blake3, tool, document],
+            )
+            .map_err(self.because("keep the baseline"))?;
+        Ok(())
+    }
+
+    /// Notes who acknowledged what stood at the press.
+    ///
+    /// # Errors
+    /// As [`History::record`]; what is not noted is not acknowledged.
+    pub fn acknowledge(&mut self, tool: &str, who: &str) -> Result<(), HistoryError> {
+        self.connection
+            .execute(
+                "INSERT INTO acknowledgement (tool, who, inspection) \
+                 VALUES (?1, ?2, (SELECT max(id) FROM inspection WHERE tool = ?1))",
+                [tool, who],
+            )
+            .map_err(self.because("note the acknowledgement"))?;
+        Ok(())
+    }
+
+    /// Notes that somebody did something.
+    ///
+    /// # Errors
+    /// As [`History::record`].
+    pub fn audit(&mut self, who: &str, what: &str, detail: &str) -> Result<(), HistoryError> {
+        self.connection
+            .execute(
+                "INSERT INTO audit (who, what, detail) VALUES (?1, ?2, ?3)",
+                [who, what, detail],
+            )
+            .map_err(self.because("write its audit"))?;
+        Ok(())
+    }
+
+    /// Names of the tools, the one checked last first.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn tools(&self) -> Result<Vec<String>, HistoryError> {
+        self.rows(
+            "SELECT tool FROM inspection GROUP BY tool ORDER BY max(id) DESC",
+            [],
+            |row| row.get(0),
+        )
+    }
+
+    /// Every check of a tool, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn checks(&self, tool: &str) -> Result<Vec<Check>, HistoryError> {
+        let mut checks = self.rows(
+            "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason FROM inspection \
+             WHERE tool = ?1 ORDER BY id",
+            [tool],
+            |row| {
+                Ok(Check {
+                    id: row.get(0)?,
+                    at: row.get(1)?,
+                    tool: row.get(2)?,
+                    tool_cycles: row.get(3)?,
+                    press_cycles: row.get(4)?,
+                    baseline: row.get(5)?,
+                    verdict: row.get(6)?,
+                    reason: row.get(7)?,
+                    flanks: Vec::new(),
+                })
+            },
+        )?;
+        let flanks = self.rows(
+            "SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
+             JOIN inspection ON inspection.id = inspection WHERE tool = ?1 ORDER BY inspection, tooth, flank",
+            [tool],
+            |row| {
+                let flank = FlankRow {
+                    tooth: row.get(1)?,
+                    flank: row.get(2)?,
+                    wear_um: row.get(3)?,
+                    u95_um: row.get(4)?,
+                    warn_um: row.get(5)?,
+                    limit_um: row.get(6)?,
+                    verdict: row.get(7)?,
+                    code: row.get(8)?,
+                };
+                Ok((row.get::<_, i64>(0)?, flank))
+            },
+        )?;
+        let mut flanks = flanks.into_iter().peekable();
+        for check in &mut checks {
+            while let Some((_, flank)) = flanks.next_if(|(id, _)| *id <= check.id) {
+                check.flanks.push(flank);
+            }
+        }
+        Ok(checks)
+    }
+
+    /// The result document of a check, as it was stored.
+    ///
+    /// # Errors
+    /// There is no such check, or the file cannot be read.
+    pub fn document(&self, id: i64) -> Result<String, HistoryError> {
+        let found = self
+            .connection
+            .query_row(
+                "SELECT document FROM inspection WHERE id = ?1",
+                [id],
+                |row| row.get(0),
+            )
+            .optional()
+            .map_err(self.because("read a check"))?;
+        match found {
+            Some(document) => Ok(document),
+            None => {
+                let last = self
+                    .connection
+                    .query_row("SELECT max(id) FROM inspection", [], |row| row.get(0))
+                    .map_err(self.because("read a check"))?;
+                Err(HistoryError::NoSuchCheck {
+                    path: self.path.clone(),
+                    id,
+                    last,
+                })
+            }
+        }
+    }
+
+    /// The acknowledgements of a tool, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn acknowledgements(&self, tool: &str) -> Result<Vec<Acknowledgement>, HistoryError> {
+        self.rows(
+            "SELECT at, tool, who, inspection FROM acknowledgement WHERE tool = ?1 ORDER BY id",
+            [tool],
+            |row| {
+                Ok(Acknowledgement {
+                    at: row.get(0)?,
+                    tool: row.get(1)?,
+                    who: row.get(2)?,
+                    inspection: row.get(3)?,
+                })
+            },
+        )
+    }
+
+    /// The verdicts of a tool since it was last acknowledged, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn open_verdicts(&self, tool: &str) -> Result<Vec<String>, HistoryError> {
+        self.rows(
+            "SELECT verdict FROM inspection WHERE tool = ?1 AND id > coalesce( \
+             (SELECT inspection FROM acknowledgement WHERE tool = ?1 ORDER BY id DESC LIMIT 1), 0) ORDER BY id",
+            [tool],
+            |row| row.get(0),
+        )
+    }
+
+    fn rows<T>(
+        &self,
+        sql: &str,
+        parameters: impl rusqlite::Params,
+        row: impl FnMut(&rusqlite::Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>, HistoryError> {
+        let read = || -> rusqlite::Result<Vec<T>> {
+            let mut statement = self.connection.prepare(sql)?;
+            statement.query_map(parameters, row)?.collect()
+        };
+        read().map_err(self.because("read it"))
+    }
+}

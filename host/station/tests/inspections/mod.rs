@@ -1,0 +1,42 @@
+//! Results of checks that nobody made.
+
+use flankscope_station::inspection::{Feature, FrameCount, Inspection, Pictures, Timing};
+
+/// A check of six flanks after `press_cycles`, with a verdict and a reason.
+pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection {
+    let feature = |tooth, flank: &str| Feature {
+        tooth,
+        flank: flank.into(),
+        wear_um: Some(f64::from(press_cycles) / 8.0),
+        u95_um: Some(4.0),
+        mean_um: Some(0.0),
+        coverage_ratio: 1.0,
+        warn_um: 30.0,
+        limit_um: 50.0,
+        conformity: Some(1.0),
+        detail: None,
+        verdict: verdict.into(),
+        reason: None,
+        code: None,
+    };
+    Inspection {
+        id: None,
+        verdict: verdict.into(),
+        reason: reason.into(),
+        features: [12, 40, 68]
+            .into_iter()
+            .flat_map(|tooth| [feature(tooth, "left"), feature(tooth, "right")])
+            .collect(),
+        timing_ms: Timing::default(),
+        frames: FrameCount::default(),
+        press_cycles,
+        peak_memory_mb: None,
+        registration: Vec::new(),
+        tool: "die".into(),
+        temperature_degc: None,
+        versions: [("host", "0.1.0".to_owned())].into(),
+        hashes: [("cad", "0".repeat(64))].into(),
+        fields: Vec::new(),
+        pictures: Pictures::default(),
+    }
+}

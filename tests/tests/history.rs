@@ -1,0 +1,173 @@
+//! Checks that are stored, end to end: shown as a trend, kept over a restart, and worth nothing when they cannot be kept.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Duration;
+
+use flankscope_tests::{Run, flankscope, inspect, run};
+use serde_json::Value;
+
+fn history(file: &Path, arguments: &[&str]) -> Run {
+    let mut command = flankscope();
+    command
+        .arg("history")
+        .arg(file)
+        .args(["--quiet", "--json", "-"])
+        .args(arguments);
+    run(&mut command)
+}
+
+#[test]
+fn wear_is_shown_against_the_cycles_of_the_tool() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("press.db");
+    let path = file.to_str().unwrap();
+    // 50 µm per 1000 cycles.
+    for (number, hundreds) in (1..).zip([1, 2, 3, 4, 5]) {
+        let (cycles, wear) = (format!("{hundreds}00"), format!("40:left:{}", 5 * hundreds));
+        let seed = hundreds.to_string();
+        let check = inspect(&[
+            "--teeth",
+            "40",
+            "--seed",
+            &seed,
+            "--wear",
+            &wear,
+            "--history",
+            path,
+            "--tool-cycles",
+            &cycles,
+        ]);
+        assert_eq!(check.code, 0, "{} {}", check.json["reason"], check.stderr);
+        assert_eq!(check.json["id"], number);
+    }
+    let table = folder.path().join("table.csv");
+    let out = folder.path().join("out");
+    let shown = history(
+        &file,
+        &[
+            "--csv",
+            table.to_str().unwrap(),
+            "--report",
+            out.to_str().unwrap(),
+        ],
+    );
+    assert_eq!(shown.code, 0, "{}", shown.stderr);
+    let flank = |name: &str| {
+        let flanks = shown.json["flanks"].as_array().unwrap();
+        flanks.iter().find(|f| f["flank"] == name).unwrap().clone()
+    };
+    // All figures share most of their 2 µm: the rate does not know of it.
+    let left = flank("left");
+    let rate = left["trend"]["rate_um"].as_f64().unwrap();
+    assert!((rate - 0.05).abs() < 0.005, "{left}");
+    // 25 µm are left to the stop limit: 500 cycles, and fewer with 5 % probability.
+    let remaining = |q: &str| left["remaining_cycles"][q].as_f64().unwrap();
+    assert!((remaining("q50") - 500.0).abs() < 60.0, "{left}");
+    assert!(
+        (300.0..remaining("q50")).contains(&remaining("q05")),
+        "{left}"
+    );
+    assert!(
+        flank("right")["remaining_cycles"]["q05"]
+            .as_f64()
+            .is_none_or(|q05| q05 > 2000.0)
+    );
+    let lines = std::fs::read_to_string(table).unwrap();
+    assert_eq!(lines.lines().count(), 1 + 5 * 2, "{lines}");
+    let page = std::fs::read_to_string(out.join("history.html")).unwrap();
+    assert_eq!(page.matches("<svg").count(), 2);
+
+    let unknown = history(&file, &["--tool", "another die"]);
+    assert_eq!(unknown.code, 3);
+    assert!(unknown.stderr.contains("demo die"), "{}", unknown.stderr);
+    let missing = history(&folder.path().join("none.db"), &[]);
+    assert_eq!(missing.code, 3, "{}", missing.stderr);
+}
+
+#[test]
+fn a_check_that_cannot_be_stored_is_no_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("press.db");
+    let path = file.to_str().unwrap().to_owned();
+    let check = std::thread::spawn(move || inspect(&["--teeth", "40", "--history", &path]));
+    // The check has begun when its audit row is there; then somebody takes the file and does not give it back.
+    let began = |connection: &rusqlite::Connection| {
+        connection.query_row("SELECT count(*) FROM audit", [], |row| row.get::<_, i64>(0))
+    };
+    let other = loop {
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(!check.is_finished(), "the check began and ended unseen");
+        if file.exists()
+            && let Ok(connection) = rusqlite::Connection::open(&file)
+            && began(&connection).is_ok_and(|rows| rows > 0)
+        {
+            break connection;
+        }
+    };
+    other.execute_batch("BEGIN IMMEDIATE").unwrap();
+    let check = check.join().unwrap();
+    assert_eq!(check.code, 2, "{}", check.stderr);
+    assert_eq!(check.json["verdict"], "indeterminate");
+    assert_eq!(
+        check.json["features"][0]["verdict"], "go",
+        "the flanks themselves are good"
+    );
+    let reason = check.json["reason"].as_str().unwrap();
+    assert!(reason.contains("cannot store the check"), "{reason}");
+    assert!(check.json["id"].is_null());
+}
+
+#[test]
+fn a_no_go_outlives_a_restart_until_it_is_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("press.db");
+    let watch = |arguments: &[&str], typed: &str| {
+        let mut command = flankscope();
+        command
+            .args([
+                "watch", "--quiet", "--json", "-", "--speed", "10", "--every", "3", "--cycles", "4",
+            ])
+            .args(["--teeth", "40", "--history", file.to_str().unwrap()])
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        child
+            .stdin
+            .take()
+            .unwrap()
+            .write_all(typed.as_bytes())
+            .unwrap();
+        let output = child.wait_with_output().unwrap();
+        let json: Value = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
+        (output.status.code(), json)
+    };
+    let (code, worn) = watch(&["--wear", "40:left:80"], "");
+    assert_eq!(
+        (code, &worn["shown"]),
+        (Some(1), &Value::from("no-go")),
+        "{worn}"
+    );
+    // The same tool, repaired, but nobody said so.
+    let (code, repaired) = watch(&[], "");
+    assert_eq!(
+        repaired["checks"][0]["inspection"]["verdict"], "go",
+        "{repaired}"
+    );
+    assert_eq!((code, &repaired["shown"]), (Some(1), &Value::from("no-go")));
+    let (code, acknowledged) = watch(&[], "Ada\n");
+    assert_eq!(
+        (code, &acknowledged["shown"]),
+        (Some(0), &Value::from("go")),
+        "{acknowledged}"
+    );
+    let shown = history(&file, &[]);
+    assert_eq!(
+        shown.json["acknowledgements"][0]["who"], "Ada",
+        "{}",
+        shown.json
+    );
+}
