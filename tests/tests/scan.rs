@@ -10,8 +10,17 @@ fn scan(args: &[&str]) -> Run {
 }
 
 /// Twelve views in two layers of a die that is 20 µm oval and 15 µm conical, put down by hand.
-fn oval_and_conical(session: &Path, report: &Path) -> Run {
-    let form = ["--views", "12x2", "--ovality-um", "20", "--taper-um", "15"];
+fn oval_and_conical(session: &Path, report: &Path, method: &str) -> Run {
+    let form = [
+        "--views",
+        "12x2",
+        "--ovality-um",
+        "20",
+        "--taper-um",
+        "15",
+        "--method",
+        method,
+    ];
     let folders = [
         "--session",
         session.to_str().expect("a path in UTF-8"),
@@ -21,14 +30,40 @@ fn oval_and_conical(session: &Path, report: &Path) -> Run {
     scan(&[&form[..], &folders].concat())
 }
 
+fn figure(run: &Run, path: &str) -> f64 {
+    let value = run.json.pointer(path).and_then(serde_json::Value::as_f64);
+    value.unwrap_or_else(|| panic!("{path} is missing"))
+}
+
+/// The same views, stitched the article's way: form is lost, and its metric reports its own sampling.
+fn the_article_loses_the_form(run: &Run) {
+    assert_eq!(run.json["methods"][0]["method"], "surface");
+    assert_eq!(run.json["methods"][1]["method"], "paper");
+    assert_eq!(run.json["methods"][1]["registered_views"], 24);
+    assert_eq!(
+        figure(run, "/methods/0/form/ovality_um"),
+        figure(run, "/form/ovality_um")
+    );
+    // Every view is free to lie where its points want: more than half of the form is gone.
+    assert!(figure(run, "/methods/1/form/ovality_um") < 10.0);
+    assert!(figure(run, "/methods/1/form/taper_um").abs() < 7.5);
+    // Half the mean spacing of 50 random points per mm², and the spread that goes with it, whatever the sensor: a Rayleigh
+    // distribution, widened by the 6 µm of the die's form to less than a percent.
+    let (mean, std) = (500.0 / 50f64.sqrt(), 0.5227 * 500.0 / 50f64.sqrt());
+    assert!((figure(run, "/methods/1/merged/mean_um") / mean - 1.0).abs() < 0.05);
+    assert!((figure(run, "/methods/1/merged/std_um") / std - 1.0).abs() < 0.05);
+    // The exact distances of the same points show how well they lie.
+    assert!(figure(run, "/methods/1/exact/rms_um") < 10.0);
+}
+
 #[test]
 fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let session = folder.path().join("session");
     let report = folder.path().join("report");
-    let whole = oval_and_conical(&session, &report);
+    let whole = oval_and_conical(&session, &report, "both");
     assert_eq!(whole.code, 0, "{} {}", whole.json["reason"], whole.stderr);
-    let figure = |run: &Run, path: &str| run.json.pointer(path).and_then(|v| v.as_f64()).unwrap();
+    the_article_loses_the_form(&whole);
     for (what, truth_um) in [("/form/ovality_um", 20.0), ("/form/taper_um", 15.0)] {
         let got = figure(&whole, what);
         assert!(
@@ -64,7 +99,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let mut bytes = std::fs::read(&file).unwrap();
     bytes[1000] ^= 1;
     std::fs::write(&file, bytes).unwrap();
-    let damaged = oval_and_conical(&session, &report);
+    let damaged = oval_and_conical(&session, &report, "surface");
     assert_eq!(damaged.code, 3);
     assert!(
         damaged.stderr.contains("view-0005.points is damaged"),
@@ -73,7 +108,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     );
     // Without it, that view alone is captured again, and the result is the same within what one view is worth.
     std::fs::remove_file(&file).unwrap();
-    let resumed = oval_and_conical(&session, &report);
+    let resumed = oval_and_conical(&session, &report, "surface");
     assert_eq!(
         resumed.code, 0,
         "{} {}",
@@ -83,6 +118,11 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(resumed.json["frames"]["received"], 25);
     let moved = figure(&resumed, "/form/ovality_um") - figure(&whole, "/form/ovality_um");
     assert!(moved.abs() < 1.0, "{moved} µm");
+    // The article's map alone has no verdict.
+    let article = oval_and_conical(&session, &report, "paper");
+    assert_eq!(article.code, 2);
+    assert!(figure(&article, "/form/ovality_um") < 10.0);
+    assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
     // Another scan does not mix with it.
     let other = scan(&["--views", "12x3", "--session", session.to_str().unwrap()]);
     assert_eq!(other.code, 3);
@@ -110,6 +150,19 @@ fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     assert_eq!(lost.len(), 1, "{lost:?}");
     assert_eq!(lost[0]["view"], 0);
     assert!(lost[0]["reason"].is_string(), "{lost:?}");
+}
+
+#[test]
+fn the_articles_settings_need_its_method() {
+    for option in [
+        ["--order", "1"],
+        ["--mask-threshold", "20"],
+        ["--voxel-mm", "0.1"],
+    ] {
+        let wrong = scan(&[&["--views", "12x1"][..], &option].concat());
+        assert_eq!(wrong.code, 3, "{option:?}");
+        assert!(wrong.stderr.contains("--method paper"), "{}", wrong.stderr);
+    }
 }
 
 #[test]

@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_metrology::alpha;
-use flankscope_metrology::deviation::{self, Order, Statistics};
+use flankscope_metrology::deviation::{self, Statistics};
 use flankscope_metrology::surface::Surface;
 use serde::Serialize;
 
-use crate::geometry::{CadArgs, load_cloud, milliseconds, tell, write_file};
+use crate::geometry::{CadArgs, MinkowskiOrder, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Signed distance of every point of a cloud to a CAD mesh.
@@ -46,16 +46,6 @@ pub struct Args {
 enum Metric {
     Surface,
     Nearest,
-}
-
-#[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
-enum MinkowskiOrder {
-    #[value(name = "1")]
-    One,
-    #[value(name = "2")]
-    Two,
-    #[value(name = "inf")]
-    Infinity,
 }
 
 #[derive(Serialize)]
@@ -95,14 +85,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         Metric::Nearest => {
             let samples =
                 alpha::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
-            let order = match args.order {
-                MinkowskiOrder::One => Order::One,
-                MinkowskiOrder::Two => Order::Two,
-                MinkowskiOrder::Infinity => Order::Infinity,
-            };
             let tree = deviation::SampleTree::new(&samples).with_context(cad)?;
             let prepared = Instant::now();
-            (tree.distances(&cloud.points, order), prepared)
+            (tree.distances(&cloud.points, args.order.into()), prepared)
         }
     };
     let queried = Instant::now();

@@ -6,7 +6,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_metrology::cloud::{self, Cloud};
+use flankscope_metrology::deviation::Order;
+use flankscope_metrology::frames::{Cloud as CloudFrame, Rigid, Tool};
 use flankscope_metrology::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::registration::{fit_pairs, parse_pairs};
 
 use crate::output::Common;
 
@@ -45,6 +48,30 @@ impl From<CadUnit> for Unit {
     }
 }
 
+/// Order of a Minkowski distance.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq)]
+pub enum MinkowskiOrder {
+    /// Sum of the coordinate differences.
+    #[value(name = "1")]
+    One,
+    /// Euclidean.
+    #[value(name = "2")]
+    Two,
+    /// Largest coordinate difference.
+    #[value(name = "inf")]
+    Infinity,
+}
+
+impl From<MinkowskiOrder> for Order {
+    fn from(order: MinkowskiOrder) -> Self {
+        match order {
+            MinkowskiOrder::One => Self::One,
+            MinkowskiOrder::Two => Self::Two,
+            MinkowskiOrder::Infinity => Self::Infinity,
+        }
+    }
+}
+
 impl CadArgs {
     /// Loads the mesh.
     pub fn load(&self) -> anyhow::Result<TriMesh> {
@@ -60,6 +87,13 @@ impl CadArgs {
 /// Loads a cloud.
 pub fn load_cloud(path: &Path) -> anyhow::Result<Cloud> {
     cloud::load(path).with_context(|| format!("cannot use cloud {}", path.display()))
+}
+
+/// The pose that picked pairs give.
+pub fn pose_of_pairs(path: &Path) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
+    let fit =
+        || -> anyhow::Result<_> { Ok(fit_pairs(&parse_pairs(&std::fs::read_to_string(path)?)?)?) };
+    fit().with_context(|| format!("cannot use pairs {}", path.display()))
 }
 
 /// Writes a large file whole or not at all.

@@ -8,13 +8,12 @@ use flankscope_metrology::cloud::Cloud as CloudFile;
 use flankscope_metrology::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::ply::Scalar;
 use flankscope_metrology::registration::{
-    Options, PaperOptions, Reason, Registration, Status, detect_teeth, fit_pairs, parse_pairs,
-    register, register_paper,
+    Options, PaperOptions, Reason, Registration, Status, detect_teeth, register, register_paper,
 };
 use flankscope_metrology::surface::Surface;
 use serde::Serialize;
 
-use crate::geometry::{CadArgs, load_cloud, milliseconds, tell, write_file};
+use crate::geometry::{CadArgs, load_cloud, milliseconds, pose_of_pairs, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Poses one pitch apart look alike when the CAD repeats within this, mm.
@@ -150,10 +149,7 @@ impl Args {
                 .with_context(|| format!("cannot use start pose {}", path.display()));
         }
         if let Some(path) = &self.pairs {
-            let fit = || -> anyhow::Result<_> {
-                Ok(fit_pairs(&parse_pairs(&std::fs::read_to_string(path)?)?)?)
-            };
-            return fit().with_context(|| format!("cannot use pairs {}", path.display()));
+            return pose_of_pairs(path);
         }
         Ok(Options::default().initial)
     }

@@ -4,8 +4,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_station::scan::{Grid, Progress, Scan, Scanner};
+use flankscope_metrology::deviation::Order;
+use flankscope_station::scan::{
+    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner,
+};
 
+use crate::geometry::{MinkowskiOrder, pose_of_pairs};
 use crate::instrument::{BenchArgs, Instrument, Scene};
 use crate::output::{Common, Outcome, write_whole};
 
@@ -36,11 +40,78 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
+    paper: PaperArgs,
+    #[command(flatten)]
     common: Common,
     #[command(flatten)]
     bench: BenchArgs,
     #[command(flatten)]
     die: DieArgs,
+}
+
+/// How the views are stitched, and what the article's method leaves open.
+#[derive(clap::Args, Clone, Debug)]
+#[command(next_help_heading = "Method")]
+pub struct PaperArgs {
+    /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
+    /// the article's figures beside ours
+    #[arg(long, value_enum, default_value_t = MethodName::Surface)]
+    method: MethodName,
+    /// Start of the article's method from picked pairs: per line x,y,z in the first view's camera frame, then CAD x,y,z, mm
+    /// [default: from the head file and a search for the tooth phase]
+    #[arg(long, value_name = "P.csv")]
+    pairs: Option<PathBuf>,
+    /// Order of the article's distance between points [default: 2]
+    #[arg(long, value_enum)]
+    order: Option<MinkowskiOrder>,
+    /// The article's mask: least smoothed standard deviation of the finest fringes, counts [default: 40]
+    #[arg(long, value_name = "DN")]
+    mask_threshold: Option<f64>,
+    /// Side of the voxels of the article's merged cloud [default: 0.05]
+    #[arg(long, value_name = "MM")]
+    voxel_mm: Option<f64>,
+}
+
+/// A method by its name.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq)]
+enum MethodName {
+    Surface,
+    Paper,
+    Both,
+}
+
+impl PaperArgs {
+    fn settings(&self, seed: u64) -> anyhow::Result<(Method, PaperSettings)> {
+        let method = match self.method {
+            MethodName::Surface => Method::Surface,
+            MethodName::Paper => Method::Paper,
+            MethodName::Both => Method::Both,
+        };
+        for (option, given) in [
+            ("--pairs", self.pairs.is_some()),
+            ("--order", self.order.is_some()),
+            ("--mask-threshold", self.mask_threshold.is_some()),
+            ("--voxel-mm", self.voxel_mm.is_some()),
+        ] {
+            if given && method == Method::Surface {
+                anyhow::bail!("{option} is for the article's method: add --method paper or both");
+            }
+        }
+        let defaults = PaperSettings::default();
+        let mask_dn = self.mask_threshold.unwrap_or(defaults.mask_dn);
+        if !(0.0..=65535.0).contains(&mask_dn) {
+            anyhow::bail!("--mask-threshold {mask_dn}: 0 to 65535 counts are possible");
+        }
+        let settings = PaperSettings {
+            first_pose: self.pairs.as_deref().map(pose_of_pairs).transpose()?,
+            mask_dn,
+            voxel_mm: self.voxel_mm.unwrap_or(defaults.voxel_mm),
+            order: self.order.map_or(defaults.order, Order::from),
+            seed,
+            ..defaults
+        };
+        Ok((method, settings))
+    }
 }
 
 /// The die on the simulated bench.
@@ -68,6 +139,7 @@ pub struct DieArgs {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
+    let (method, paper) = args.paper.settings(args.bench.seed)?;
     if let Some(report) = &args.report {
         // Before anything moves: a scan whose report cannot be written should not begin.
         std::fs::create_dir_all(report)
@@ -92,7 +164,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &args.bench,
         scene,
         quiet,
-        |subject, root| Ok(Scanner::open(subject, args.views, session, root)?),
+        |subject, root| {
+            let scanner = Scanner::open(subject, args.views, session, root)?;
+            Ok(scanner.by_method(method, paper)?)
+        },
     )?;
     let scan = instrument
         .station
@@ -156,6 +231,9 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
             form.ovality_um, form.ovality_deg, form.taper_um
         )?;
     }
+    if let [_, _, ..] = &scan.methods[..] {
+        print_methods(&mut out, &scan.methods)?;
+    }
     writeln!(out, "\n{}: {}", scan.verdict.to_uppercase(), scan.reason)?;
     writeln!(
         out,
@@ -169,6 +247,48 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
     match report {
         Some(folder) => writeln!(out, "report: {}", folder.join("report.html").display())?,
         None => writeln!(out, "add --report DIR for the map as HTML and PLY")?,
+    }
+    Ok(())
+}
+
+fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Result<()> {
+    writeln!(
+        out,
+        "\n{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>7} {:>8}",
+        "method",
+        "views",
+        "ovality µm",
+        "taper µm",
+        "exact µm",
+        "one view µm",
+        "merged µm",
+        "drift",
+        "time s"
+    )?;
+    let spread = |of: Option<flankscope_station::scan::Spread>| {
+        of.map_or("-".into(), |s| {
+            format!("{:.1} ± {:.1}", s.mean_um, s.std_um)
+        })
+    };
+    for of in methods {
+        let form = |value: fn(&flankscope_station::scan::Form) -> f64| {
+            of.form
+                .as_ref()
+                .map_or("-".into(), |form| format!("{:.1}", value(form)))
+        };
+        writeln!(
+            out,
+            "{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>7} {:>8.1}",
+            of.method,
+            of.registered_views,
+            form(|f| f.ovality_um),
+            form(|f| f.taper_um),
+            of.exact.map_or("-".into(), |s| format!("{:.1}", s.rms_um)),
+            spread(of.one_view),
+            spread(of.merged),
+            if of.drift.drifts { "yes" } else { "none" },
+            of.stitching_ms / 1e3
+        )?;
     }
     Ok(())
 }

@@ -68,6 +68,16 @@ pub fn sample(mesh: &TriMesh, count: usize, seed: u64) -> Result<Vec<[f64; 3]>, 
     Ok(points)
 }
 
+/// Whether point `index` is among a random `share` of the points: the same answer for the same seed.
+pub fn drawn(seed: u64, index: u64, share: f64) -> bool {
+    uniform(seed, index) < share
+}
+
+/// Area of a mesh, mm2.
+pub fn area_mm2(mesh: &TriMesh) -> f64 {
+    cumulative_areas(mesh).last().copied().unwrap_or(0.0)
+}
+
 /// Running sum of the triangles' areas, mm2. Chunk sums are added in order, so the result does not depend on threads.
 fn cumulative_areas(mesh: &TriMesh) -> Vec<f64> {
     let mut cumulative = vec![0.0; mesh.triangles.len()];

@@ -189,6 +189,16 @@ impl CylinderMap {
         seen as f64 / self.sums.len() as f64
     }
 
+    /// Share of the seen cells in which the views contradict each other.
+    pub fn inconsistent(&self) -> f64 {
+        let (mut seen, mut contradicting) = (0_usize, 0_usize);
+        for cell in self.cells() {
+            seen += 1;
+            contradicting += usize::from(cell.inconsistent);
+        }
+        contradicting as f64 / seen.max(1) as f64
+    }
+
     /// Fits size, eccentricity, ovality and taper to the deviations along the surface's normals; `None` when too little was
     /// seen to tell them apart.
     pub fn form(&self) -> Option<BoreForm> {

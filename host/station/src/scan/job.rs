@@ -7,14 +7,17 @@ use std::time::{Duration, Instant};
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::joint::{JointError, Stages};
+use flankscope_metrology::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{DecodeOptions, Decoder};
 
+use super::comparison::{self, Method};
 use super::grid::Grid;
+use super::paper::{self, PaperSettings};
 use super::result::{Form, Joint, Scan, ScanRegistration, StageErrors};
 use super::session::{Session, SessionError};
-use super::stitch::{Stitched, first_information, stitch};
+use super::stitch::{Stitched, empty_map, first_information, stitch};
 use super::view::{ScannedView, ViewScanner};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
@@ -46,6 +49,9 @@ pub enum ScanError {
     /// No common solution.
     #[error(transparent)]
     Joint(#[from] JointError),
+    /// No merged cloud.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
 }
 
 /// How far a scan is.
@@ -75,6 +81,8 @@ pub struct Scanner {
     gear: GearData,
     nominal: Stages,
     resumed: usize,
+    method: Method,
+    paper: PaperSettings,
 }
 
 impl Scanner {
@@ -128,7 +136,19 @@ impl Scanner {
             gear,
             nominal,
             resumed,
+            method: Method::default(),
+            paper: PaperSettings::default(),
         })
+    }
+
+    /// Chooses how the views are stitched; the captured views are the same for every method.
+    ///
+    /// # Errors
+    /// The voxel size is none.
+    pub fn by_method(mut self, method: Method, paper: PaperSettings) -> Result<Self, ScanError> {
+        check_voxel_size(paper.voxel_mm)?;
+        (self.method, self.paper) = (method, paper);
+        Ok(self)
     }
 
     /// Captures what is missing and stitches everything.
@@ -155,15 +175,7 @@ impl Scanner {
             Ok::<_, ScanError>((run, lost, client.identity().firmware))
         })?;
         watch(Progress::Stitching);
-        let stitched = stitch(
-            &self.session,
-            &self.station.subject.tool,
-            &self.station.itinerary,
-            &self.nominal,
-            self.gear.height_mm,
-            self.gear.teeth,
-        )?;
-        let mut scan = self.describe(stitched, &lost);
+        let mut scan = self.stitch_all(&lost)?;
         let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
         scan.timing_ms = Timing {
             total: since(begun_ns),
@@ -248,6 +260,31 @@ impl Scanner {
         Ok((run, lost))
     }
 
+    /// Stitches by our method, and by the article's if it was asked for.
+    fn stitch_all(&self, lost: &BTreeMap<usize, String>) -> Result<Scan, ScanError> {
+        let (tool, itinerary) = (&self.station.subject.tool, &self.station.itinerary);
+        let (height_mm, teeth) = (self.gear.height_mm, self.gear.teeth);
+        let (session, nominal, planned) = (&self.session, &self.nominal, &itinerary.views);
+        let begun = Instant::now();
+        let ours = stitch(session, tool, itinerary, nominal, height_mm, teeth)?;
+        let took = begun.elapsed();
+        let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
+        let mut scan = self.describe(ours, lost);
+        scan.methods.push(figures);
+        if self.method == Method::Surface {
+            return Ok(scan);
+        }
+        let begun = Instant::now();
+        let map = empty_map(height_mm, teeth);
+        let laid = paper::stitch(session, tool, itinerary, nominal, map, &self.paper)?;
+        let figures = comparison::of_paper(&laid, &self.paper, planned, begun.elapsed());
+        if self.method == Method::Paper {
+            scan.show_instead(laid, &figures);
+        }
+        scan.methods.push(figures);
+        Ok(scan)
+    }
+
     fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
         let Stitched {
             views,
@@ -313,14 +350,7 @@ impl Scanner {
             verdict = "indeterminate".into();
             reason = format!("the views still moved against each other after {rounds} rounds");
         }
-        let form = map.form().map(|form| Form {
-            size_um: form.size_mm * 1e3,
-            ovality_um: form.ovality_mm * 1e3,
-            ovality_deg: form.ovality_rad.to_degrees(),
-            taper_um: form.taper_mm * 1e3,
-        });
-        let cells = map.cells().count().max(1) as f64;
-        let inconsistent = map.cells().filter(|cell| cell.inconsistent).count();
+        let form = map.form().map(Form::from);
         let (turn, shift) = joint.stages.head_error();
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
@@ -340,7 +370,7 @@ impl Scanner {
             views: self.grid.to_string(),
             resumed_views: self.resumed,
             coverage_ratio: map.coverage(),
-            inconsistent_ratio: inconsistent as f64 / cells,
+            inconsistent_ratio: map.inconsistent(),
             registration,
             joint: Joint {
                 rounds,
@@ -358,6 +388,7 @@ impl Scanner {
                         .map(|pair| pair.map(|rad| rad.to_degrees() * 1e3)),
                 },
             },
+            methods: Vec::new(),
             tool: self.station.subject.tool.name.clone(),
             versions,
             hashes: self.station.subject.hashes.clone(),

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::cylinder::{BoreForm, CylinderMap};
 
+use super::comparison::MethodResult;
+use super::paper::PaperStitched;
 use crate::inspection::{Feature, FrameCount, Timing};
 
 /// The whole result: serialised as the `--json` document.
@@ -39,6 +41,8 @@ pub struct Scan {
     pub registration: Vec<ScanRegistration>,
     /// What all views share.
     pub joint: Joint,
+    /// The ways in which these views were stitched, side by side.
+    pub methods: Vec<MethodResult>,
     /// Tool name.
     pub tool: String,
     /// Host, protocol, firmware.
@@ -48,6 +52,40 @@ pub struct Scan {
     /// Deviations over the unrolled bore.
     #[serde(skip)]
     pub map: CylinderMap,
+}
+
+impl Scan {
+    /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
+    /// verdict and no flank is judged.
+    pub(super) fn show_instead(&mut self, laid: PaperStitched, figures: &MethodResult) {
+        self.verdict = "indeterminate".into();
+        self.reason = "the article's method claims no uncertainty, so it gives no verdict; --method surface does".into();
+        self.features.clear();
+        self.form = figures.form;
+        let mut refused: BTreeMap<usize, String> = laid.refused.into_iter().collect();
+        for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
+            let why = refused.remove(&entry.view).or(entry.reason.take());
+            (entry.rms_um, entry.stray_um) = (*rms_um, None);
+            (entry.status, entry.reason) = match rms_um {
+                Some(_) => ("registered", None),
+                None => ("lost", why),
+            };
+        }
+        self.map = laid.map;
+        self.coverage_ratio = self.map.coverage();
+        self.inconsistent_ratio = self.map.inconsistent();
+    }
+}
+
+impl From<BoreForm> for Form {
+    fn from(form: BoreForm) -> Self {
+        Self {
+            size_um: form.size_mm * 1e3,
+            ovality_um: form.ovality_mm * 1e3,
+            ovality_deg: form.ovality_rad.to_degrees(),
+            taper_um: form.taper_mm * 1e3,
+        }
+    }
 }
 
 /// Form of the bore as a whole, µm.

@@ -88,13 +88,7 @@ pub(super) fn stitch(
         (views, joint) = (laid, next);
         rounds += 1;
     }
-    let mut map = CylinderMap::new(Layout {
-        columns: COLUMNS_PER_TOOTH * teeth as usize,
-        rows: ((height_mm[1] - height_mm[0]) / ROW_MM)
-            .ceil()
-            .clamp(1.0, 1e4) as usize,
-        height_mm,
-    });
+    let mut map = empty_map(height_mm, teeth);
     for ((view, _), pose) in views.iter().zip(&joint.poses) {
         let points = session.points(*view)?;
         let located: Vec<[f64; 3]> = points.iter().map(|p| located(pose, p)).collect();
@@ -108,6 +102,17 @@ pub(super) fn stitch(
         rounds,
         settled,
         map,
+    })
+}
+
+/// The unrolled bore with nothing seen of it yet.
+pub(super) fn empty_map(height_mm: [f64; 2], teeth: u32) -> CylinderMap {
+    CylinderMap::new(Layout {
+        columns: COLUMNS_PER_TOOTH * teeth as usize,
+        rows: ((height_mm[1] - height_mm[0]) / ROW_MM)
+            .ceil()
+            .clamp(1.0, 1e4) as usize,
+        height_mm,
     })
 }
 
