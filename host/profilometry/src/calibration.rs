@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibrate::CalibrationRecord;
 pub use crate::camera::Pinhole;
 use crate::cores::{CoreMap, CoreMapError, CoreMapFile};
 use crate::textfile::{self, BadValue};
@@ -50,7 +51,10 @@ pub struct HeadModel {
     /// Where the map of the bundle's cores lies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cores: Option<CoreMapFile>,
-    /// That map itself; [`HeadModel::load`] reads it.
+    /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationRecord>,
+    /// The core map itself; [`HeadModel::load`] reads it.
     #[serde(skip)]
     pub core_map: Option<Arc<CoreMap>>,
 }
@@ -89,7 +93,7 @@ impl RigidTransform {
         [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
     }
 
-    fn check(&self, table: &str) -> Result<(), BadValue> {
+    pub(crate) fn check(&self, table: &str) -> Result<(), BadValue> {
         let bad = |got: [f64; 3]| {
             BadValue::new(
                 format!("{table}.rotation"),
@@ -297,6 +301,9 @@ impl HeadModel {
         }
         if let Some(cores) = &self.cores {
             cores.check()?;
+        }
+        if let Some(record) = &self.calibration {
+            record.check(self)?;
         }
         if let Some(circle) = &self.image_circle {
             if circle.centre_px.iter().any(|value| !value.is_finite()) {

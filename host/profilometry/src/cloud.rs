@@ -40,6 +40,17 @@ impl Cloud {
     }
 }
 
+/// What a cell shows before any geometry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellColumn {
+    /// Where the cell looks: column, row of the camera.
+    pub pixel: [f64; 2],
+    /// Mean light over the finest frequency's steps in electrons, NaN where every exposure was saturated.
+    pub mean_e: f64,
+    /// Projector column that lights the place, where it could be told.
+    pub column_px: Option<f64>,
+}
+
 /// How many cells gave no point, by the first reason found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Rejected {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::calibration::{DepthRange, HeadModel, Sensor};
-pub use crate::cloud::{Cloud, Decoded, Rejected};
+pub use crate::cloud::{CellColumn, Cloud, Decoded, Rejected};
 use crate::cores::CoreGrid;
 use crate::frame::FrameKind;
 use crate::grid::{CellGrid, Grid};
@@ -14,7 +14,8 @@ use crate::mask;
 use crate::neighbours::{Depths, small_patches};
 pub use crate::options::{DecodeOptions, GridKind, PatchOptions};
 use crate::pattern::PatternSet;
-use crate::phase::{self, CellNoise};
+use crate::phase::{self, CellNoise, PhaseEstimate};
+use crate::rays::{Ray, rays};
 use crate::smoothing;
 use crate::triangulate::{Triangulator, depth_sigma_mm};
 use crate::unwrap;
@@ -122,19 +123,6 @@ pub enum DecodeError {
     },
 }
 
-/// Along any ray the volume may span this part of the lowest frequency's period. The rest is for noise: 0.16 rad at
-/// either end, three standard deviations of the noisiest phase that unwrapping over a ratio of 12 accepts.
-const MAX_SPANNED_PERIODS: f64 = 0.95;
-
-/// A camera ray and what the volume says about it.
-#[derive(Clone, Copy, Debug)]
-struct Ray {
-    /// x and y at z = 1.
-    direction: [f64; 2],
-    /// Phase of the lowest frequency in the middle of the volume.
-    expected_low_rad: f64,
-}
-
 /// Everything about a head and its patterns that does not change from view to view.
 #[derive(Clone, Debug)]
 pub struct Decoder {
@@ -169,6 +157,13 @@ struct CellResult {
     depth_mm: f64,
     sigma_z_mm: f32,
     modulation_e: f32,
+}
+
+/// The projector column of a cell and the uncertainty of its phase.
+struct Column {
+    column_px: f64,
+    sigma_rad: f64,
+    modulation_e: f64,
 }
 
 impl CellResult {
@@ -307,16 +302,7 @@ impl Decoder {
     /// # Errors
     /// [`DecodeError::Incomplete`], [`DecodeError::ForeignAccumulator`]. A view without any point is no error here.
     pub fn finish(&self, accumulator: &Accumulator) -> Result<Decoded, DecodeError> {
-        if !Arc::ptr_eq(&accumulator.layout, &self.layout) {
-            return Err(DecodeError::ForeignAccumulator);
-        }
-        if let Some(expected) = accumulator.expected() {
-            return Err(DecodeError::Incomplete {
-                received: accumulator.received(),
-                planned: accumulator.planned(),
-                expected,
-            });
-        }
+        self.admit(accumulator)?;
         let fringes_dn = self
             .options
             .mask
@@ -386,38 +372,21 @@ impl Decoder {
         results
     }
 
-    fn cell(
+    /// The projector column that lights a cell, before any geometry but the fringe order that the volume allows.
+    fn column(
         &self,
         band: &Band,
         index: usize,
         ray: &Ray,
         sigma_ratios: &[f64],
-    ) -> Result<CellResult, Fate> {
-        let pixels = self.layout.grid.pixels_per_cell() as f64;
-        let noise = CellNoise {
-            gain_e_per_dn: self.sensor.gain_e_per_dn,
-            offset_dn: band
-                .dark
-                .get(index)
-                .map_or(self.sensor.offset_dn, |&dark| f64::from(dark) / pixels),
-            dark_variance_e2: self.sensor.dark_variance_e2(),
-            pixels,
-        };
+    ) -> Result<Column, Fate> {
+        let noise = self.noise(band, index);
         // Absolute phase of the frequency just done, and its uncertainty; finest last.
         let mut absolute_rad = 0.0;
         let mut sigma_rad = 0.0;
         let mut modulation_e = 0.0;
         for (set, fringes) in self.patterns.sets.iter().enumerate() {
-            let phasor = band.phasor(set, index);
-            if phasor.exposures == 0 {
-                return Err(Fate::Saturated);
-            }
-            let estimate = phase::estimate(
-                &phasor,
-                fringes.steps,
-                self.patterns.step_sign.factor(),
-                &noise,
-            );
+            let estimate = self.estimate(band, index, set, &noise)?;
             // Written so that a NaN fails.
             if !(estimate.contrast() >= self.options.min_contrast) {
                 return Err(Fate::LowContrast);
@@ -434,13 +403,61 @@ impl Decoder {
             sigma_rad = own_sigma_rad;
             modulation_e = estimate.modulation_e;
         }
-        let finest = self.patterns.finest();
-        let column_px =
-            self.patterns
-                .column_px(finest.periods, absolute_rad, self.projector_width_px);
+        let periods = self.patterns.finest().periods;
+        let column_px = self
+            .patterns
+            .column_px(periods, absolute_rad, self.projector_width_px);
         if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
             return Err(Fate::OutsideProjector);
         }
+        Ok(Column {
+            column_px,
+            sigma_rad,
+            modulation_e,
+        })
+    }
+
+    fn noise(&self, band: &Band, index: usize) -> CellNoise {
+        let pixels = self.layout.grid.pixels_per_cell() as f64;
+        CellNoise {
+            gain_e_per_dn: self.sensor.gain_e_per_dn,
+            offset_dn: band
+                .dark
+                .get(index)
+                .map_or(self.sensor.offset_dn, |&dark| f64::from(dark) / pixels),
+            dark_variance_e2: self.sensor.dark_variance_e2(),
+            pixels,
+        }
+    }
+
+    fn estimate(
+        &self,
+        band: &Band,
+        index: usize,
+        set: usize,
+        noise: &CellNoise,
+    ) -> Result<PhaseEstimate, Fate> {
+        let phasor = band.phasor(set, index);
+        if phasor.exposures == 0 {
+            return Err(Fate::Saturated);
+        }
+        let steps = self.patterns.sets[set].steps;
+        let sign = self.patterns.step_sign.factor();
+        Ok(phase::estimate(&phasor, steps, sign, noise))
+    }
+
+    fn cell(
+        &self,
+        band: &Band,
+        index: usize,
+        ray: &Ray,
+        sigma_ratios: &[f64],
+    ) -> Result<CellResult, Fate> {
+        let Column {
+            column_px,
+            sigma_rad,
+            modulation_e,
+        } = self.column(band, index, ray, sigma_ratios)?;
         let hit = self
             .triangulator
             .intersect(ray.direction, column_px)
@@ -451,7 +468,8 @@ impl Decoder {
         {
             return Err(Fate::OutsideVolume);
         }
-        let sigma_z_mm = depth_sigma_mm(sigma_rad, finest.periods, self.projector_width_px, &hit);
+        let periods = self.patterns.finest().periods;
+        let sigma_z_mm = depth_sigma_mm(sigma_rad, periods, self.projector_width_px, &hit);
         if self
             .options
             .max_sigma_z_mm
@@ -465,6 +483,49 @@ impl Decoder {
             sigma_z_mm: sigma_z_mm as f32,
             modulation_e: modulation_e as f32,
         })
+    }
+
+    /// What every cell of a complete view shows, without triangulation: for a calibration, which does not know the
+    /// geometry yet. One entry per cell, in the grid's order.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn columns(&self, accumulator: &Accumulator) -> Result<Vec<CellColumn>, DecodeError> {
+        self.admit(accumulator)?;
+        let ratios = vec![1.0; self.layout.steps.len()];
+        let finest = self.layout.steps.len() - 1;
+        let of_band = |band: &Band| -> Vec<CellColumn> {
+            let cell = |index: usize| {
+                let ray = &self.rays[band.first_cell + index];
+                let noise = self.noise(band, index);
+                let mean_e = self
+                    .estimate(band, index, finest, &noise)
+                    .map_or(f64::NAN, |estimate| estimate.mean_e);
+                let column = self.column(band, index, ray, &ratios).ok();
+                CellColumn {
+                    pixel: ray.pixel,
+                    mean_e,
+                    column_px: column.map(|column| column.column_px),
+                }
+            };
+            (0..band.cells).map(cell).collect()
+        };
+        let bands: Vec<_> = accumulator.bands.par_iter().map(of_band).collect();
+        Ok(bands.into_iter().flatten().collect())
+    }
+
+    fn admit(&self, accumulator: &Accumulator) -> Result<(), DecodeError> {
+        if !Arc::ptr_eq(&accumulator.layout, &self.layout) {
+            return Err(DecodeError::ForeignAccumulator);
+        }
+        match accumulator.expected() {
+            None => Ok(()),
+            Some(expected) => Err(DecodeError::Incomplete {
+                received: accumulator.received(),
+                planned: accumulator.planned(),
+                expected,
+            }),
+        }
     }
 
     fn collect(&self, results: &[CellResult], fringes_dn: Option<&[f32]>) -> Decoded {
@@ -507,65 +568,4 @@ impl Decoder {
             rejected,
         }
     }
-}
-
-fn rays(
-    head: &HeadModel,
-    patterns: &PatternSet,
-    grid: &Grid,
-    triangulator: &Triangulator,
-) -> Result<Vec<Ray>, DecodeError> {
-    let periods = patterns.sets[0].periods;
-    let radians_by_column = std::f64::consts::TAU * periods / f64::from(head.projector.width_px);
-    let row_rays = |row: usize| -> Result<Vec<Ray>, DecodeError> {
-        grid.places(row)
-            .into_iter()
-            .map(|(_, pixel)| {
-                let direction = head
-                    .camera
-                    .undistort(pixel)
-                    .ok_or_else(|| DecodeError::Head {
-                        key: "camera.distortion".to_owned(),
-                        got: format!("{:?} at pixel {pixel:?}", head.camera.distortion),
-                        expected: "must have an inverse everywhere in the image",
-                    })?;
-                let Some(volume) = head.volume else {
-                    // A single period: the middle of the projector.
-                    return Ok(Ray {
-                        direction,
-                        expected_low_rad: std::f64::consts::PI * periods,
-                    });
-                };
-                let behind = || DecodeError::VolumeBehindProjector {
-                    near_mm: volume.near_mm,
-                    far_mm: volume.far_mm,
-                };
-                let (near, _) = triangulator
-                    .column(direction, volume.near_mm)
-                    .ok_or_else(behind)?;
-                let (far, _) = triangulator
-                    .column(direction, volume.far_mm)
-                    .ok_or_else(behind)?;
-                let spanned = (far - near).abs() * periods / f64::from(head.projector.width_px);
-                if spanned > MAX_SPANNED_PERIODS {
-                    return Err(DecodeError::VolumeTooDeep {
-                        periods,
-                        spanned,
-                        limit: MAX_SPANNED_PERIODS,
-                        usable: periods * MAX_SPANNED_PERIODS / spanned,
-                    });
-                }
-                Ok(Ray {
-                    direction,
-                    expected_low_rad: radians_by_column
-                        * (0.5 * (near + far) - patterns.phase_origin_px),
-                })
-            })
-            .collect()
-    };
-    let rows: Vec<Vec<Ray>> = (0..grid.rows())
-        .into_par_iter()
-        .map(row_rays)
-        .collect::<Result<_, _>>()?;
-    Ok(rows.into_iter().flatten().collect())
 }

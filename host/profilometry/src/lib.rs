@@ -32,6 +32,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 pub mod accumulate;
+pub mod calibrate;
 pub mod calibration;
 pub mod camera;
 mod cell_row;
@@ -49,6 +50,7 @@ pub mod options;
 pub mod pattern;
 pub mod phase;
 pub mod plan;
+mod rays;
 pub mod smoothing;
 pub mod textfile;
 pub mod triangulate;

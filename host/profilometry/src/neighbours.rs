@@ -57,18 +57,18 @@ pub(crate) fn small_patches(
 }
 
 /// Union-find; a root stores its size, negated.
-struct Patches {
+pub(crate) struct Patches {
     links: Vec<i32>,
 }
 
 impl Patches {
-    fn new(cells: usize) -> Self {
+    pub fn new(cells: usize) -> Self {
         Self {
             links: vec![-1; cells],
         }
     }
 
-    fn root(&mut self, mut cell: usize) -> usize {
+    pub fn root(&mut self, mut cell: usize) -> usize {
         while self.links[cell] >= 0 {
             let parent = self.links[cell] as usize;
             if self.links[parent] >= 0 {
@@ -79,7 +79,7 @@ impl Patches {
         cell
     }
 
-    fn join(&mut self, a: usize, b: usize) {
+    pub fn join(&mut self, a: usize, b: usize) {
         let (a, b) = (self.root(a), self.root(b));
         if a == b {
             return;

@@ -78,6 +78,7 @@ pub(crate) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         volume: None,
         image_circle: None,
         cores: None,
+        calibration: None,
         core_map: None,
     })
 }

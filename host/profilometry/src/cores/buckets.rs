@@ -1,7 +1,7 @@
 //! Neighbours in the plane.
 
 /// Points sorted into square buckets.
-pub(super) struct Buckets {
+pub(crate) struct Buckets {
     origin: [f64; 2],
     side: f64,
     columns: usize,

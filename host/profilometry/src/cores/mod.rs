@@ -5,7 +5,7 @@
 //! the head's file ([`CoreMap`]), and views are summed core by core and triangulated along the cores' rays
 //! ([`CoreGrid`]).
 
-mod buckets;
+pub(crate) mod buckets;
 mod find;
 mod grid;
 mod map;

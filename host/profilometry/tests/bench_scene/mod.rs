@@ -59,6 +59,7 @@ pub fn head() -> HeadModel {
         }),
         image_circle: None,
         cores: None,
+        calibration: None,
         core_map: None,
     }
 }

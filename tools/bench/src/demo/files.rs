@@ -117,6 +117,7 @@ pub fn head() -> HeadModel {
             radius_px: 575.0,
         }),
         cores: None,
+        calibration: None,
         core_map: None,
     }
 }
@@ -185,7 +186,7 @@ fn pinhole_of(file: &calibration::Pinhole) -> Pinhole {
     }
 }
 
-fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
+pub(super) fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
     let matrix = transform.rotation.to_rotation_matrix();
     RigidTransform {
         rotation: std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])),
@@ -193,7 +194,7 @@ fn transform_file(transform: &Isometry3<f64>) -> RigidTransform {
     }
 }
 
-fn transform_of(file: &RigidTransform) -> Isometry3<f64> {
+pub(super) fn transform_of(file: &RigidTransform) -> Isometry3<f64> {
     let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
     Isometry3::from_parts(

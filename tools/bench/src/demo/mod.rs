@@ -1,9 +1,11 @@
 //! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
 
 mod files;
+mod target;
 mod tile;
 
 pub use files::{head, world_of, write_tool};
+pub use target::{drawn_head, target, target_world, write_target};
 pub use tile::{core_map, flat_field, tile};
 
 use crate::world::WorldConfig;

@@ -19,7 +19,8 @@ mod form;
 mod mount;
 mod optics;
 mod pattern;
-mod random;
+mod print;
+pub(crate) mod random;
 mod rays;
 mod refine;
 mod scene;
@@ -33,6 +34,7 @@ pub use form::Form;
 pub use mount::Mount;
 pub use optics::{HeadOptics, Objective, Pinhole};
 pub use pattern::PatternSpec;
+pub use print::Print;
 pub use rays::{Hit, RayCaster};
 pub use scene::CoreTruth;
 pub use sensor::SensorSpec;
@@ -62,6 +64,8 @@ pub struct WorldConfig {
     pub mount: Mount,
     /// Reflectance.
     pub surface: Surface,
+    /// What is printed on it, on a calibration target.
+    pub print: Option<Print>,
     /// The head.
     pub optics: HeadOptics,
     /// Bundle between objective and camera, px of the camera.
@@ -91,6 +95,7 @@ impl WorldConfig {
             form: Form::default(),
             mount: Mount::perfect(),
             surface: Surface::sprayed(),
+            print: None,
             optics,
             camera_bundle,
             projector_bundle,
@@ -219,6 +224,7 @@ pub struct World {
     form: Form,
     sensor_spec: SensorSpec,
     surface: Surface,
+    print: Option<Print>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
     sights: Vec<Sight>,
@@ -273,6 +279,7 @@ impl World {
             form: config.form,
             sensor_spec: config.sensor.clone(),
             surface: config.surface.clone(),
+            print: config.print.clone(),
             camera_bundle,
             projector_bundle,
             core_exponents,
@@ -368,6 +375,7 @@ impl World {
             die: &self.die,
             rays: &self.rays,
             surface: &self.surface,
+            print: self.print.as_ref(),
             seed: self.run_seed,
         };
         let emission = scene::emission(&self.optics, &self.projector_bundle, &frequencies);

@@ -13,6 +13,7 @@ pub(crate) enum Purpose {
     NoiseTable,
     CoreResponse,
     Mount,
+    Target,
     Frame(u32),
 }
 
@@ -25,6 +26,7 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
         Purpose::NoiseTable => 4,
         Purpose::CoreResponse => 5,
         Purpose::Mount => 6,
+        Purpose::Target => 7,
         Purpose::Frame(counter) => (1 << 32) | u64::from(counter),
     };
     let mut bytes = [0u8; 32];

@@ -4,6 +4,7 @@ use super::bundle::Bundle;
 use super::die::Die;
 use super::optics::HeadOptics;
 use super::pattern::PatternSpec;
+use super::print::Print;
 use super::rays::RayCaster;
 use super::surface::Surface;
 use super::wear::FlankId;
@@ -103,6 +104,7 @@ pub(crate) struct Stage<'a> {
     pub die: &'a Die,
     pub rays: &'a RayCaster,
     pub surface: &'a Surface,
+    pub print: Option<&'a Print>,
     pub seed: u64,
 }
 
@@ -195,6 +197,7 @@ impl Stage<'_> {
         let projector = &self.optics.projector_objective;
         let nearer = (projector.focus_mm / to_lamp.norm()).powi(2);
         let brightness = returned
+            * self.printed(hit.triangle, point, p_camera)
             * nearer
             * projector.brightness(p_projector)
             * self.optics.camera_objective.brightness(p_camera);
@@ -209,6 +212,19 @@ impl Stage<'_> {
             truth: Some(truth),
             light,
         }
+    }
+
+    /// Reflectance of what is printed at a point, relative to none.
+    fn printed(&self, triangle: usize, point: Point3<f64>, p_camera: Point3<f64>) -> f64 {
+        let Some(print) = self.print else { return 1.0 };
+        let objective = &self.optics.camera_objective;
+        let blur_pitch = objective.sigma_pitch(p_camera).hypot(CORE_APERTURE_PITCH);
+        let blur_px = blur_pitch * self.camera_bundle.spec().pitch_px();
+        print.ratio(
+            triangle,
+            point,
+            blur_px * p_camera.z / self.optics.camera.focal_px[0],
+        )
     }
 
     /// Whether a core of the projector's bundle sits at this place of the DMD.

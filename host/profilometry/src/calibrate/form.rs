@@ -1,0 +1,161 @@
+//! Planes through measured points, and how far the points lie off them.
+
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+
+/// What is left over after a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Residuals {
+    /// Distance of each point from the fitted surface, signed.
+    pub off_mm: Vec<f64>,
+}
+
+/// At most this part of the points may be discarded before a form is judged (VDI/VDE 2634, parts 2 and 3).
+const DISCARDED: f64 = 0.003;
+
+impl Residuals {
+    /// Root mean square.
+    pub fn rms_mm(&self) -> f64 {
+        let squares: f64 = self.off_mm.iter().map(|off| off * off).sum();
+        (squares / self.off_mm.len() as f64).sqrt()
+    }
+
+    /// Largest minus smallest, without the farthest 0.3 % of the points.
+    pub fn range_mm(&self) -> f64 {
+        let mut off = self.off_mm.clone();
+        off.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let kept = off.len() - (DISCARDED * off.len() as f64) as usize;
+        let (low, high) = off[..kept]
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &x| {
+                (low.min(x), high.max(x))
+            });
+        high - low
+    }
+}
+
+/// The plane with the least squared distances; `None` for fewer than four points.
+pub(crate) fn plane(points: &[[f64; 3]]) -> Option<Residuals> {
+    if points.len() < 4 {
+        return None;
+    }
+    let (centre, covariance) = moments(points);
+    let eigen = SymmetricEigen::new(covariance);
+    let normal = eigen
+        .eigenvectors
+        .column(eigen.eigenvalues.imin())
+        .into_owned();
+    let off = |&p: &[f64; 3]| normal.dot(&(Vector3::from(p) - centre));
+    Some(Residuals {
+        off_mm: points.iter().map(off).collect(),
+    })
+}
+
+fn moments(points: &[[f64; 3]]) -> (Vector3<f64>, Matrix3<f64>) {
+    let count = points.len() as f64;
+    let centre: Vector3<f64> = points
+        .iter()
+        .map(|&p| Vector3::from(p))
+        .sum::<Vector3<f64>>()
+        / count;
+    let spread = |&p: &[f64; 3]| {
+        let away = Vector3::from(p) - centre;
+        away * away.transpose()
+    };
+    (
+        centre,
+        points.iter().map(spread).sum::<Matrix3<f64>>() / count,
+    )
+}
+
+/// A point and its partner.
+pub(crate) type Pair = ([f64; 3], [f64; 3]);
+
+/// Root mean square distance between points and their partners after the best rigid motion (Kabsch 1976); `None` for fewer
+/// than three pairs or points on a line.
+pub(crate) fn rigid_rms_mm(pairs: &[Pair]) -> Option<f64> {
+    if pairs.len() < 3 {
+        return None;
+    }
+    let count = pairs.len() as f64;
+    let mean = |which: fn(&Pair) -> [f64; 3]| {
+        pairs
+            .iter()
+            .map(|p| Vector3::from(which(p)))
+            .sum::<Vector3<f64>>()
+            / count
+    };
+    let (from_centre, to_centre) = (mean(|p| p.0), mean(|p| p.1));
+    let away = |(from, to): &Pair| {
+        (
+            Vector3::from(*from) - from_centre,
+            Vector3::from(*to) - to_centre,
+        )
+    };
+    let cross: Matrix3<f64> = pairs
+        .iter()
+        .map(|pair| {
+            let (from, to) = away(pair);
+            to * from.transpose()
+        })
+        .sum();
+    let svd = cross.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    if !(svd.singular_values[1] > 1e-12 * svd.singular_values[0]) {
+        return None;
+    }
+    // The smallest direction is mirrored where a plain product would mirror all of space.
+    let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = u * mirror * v_t;
+    let squares: f64 = pairs
+        .iter()
+        .map(|pair| {
+            let (from, to) = away(pair);
+            (rotation * from - to).norm_squared()
+        })
+        .sum();
+    Some((squares / count).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tilted_plane_and_a_rigid_motion_leave_nothing() {
+        let points: Vec<[f64; 3]> = (0..100)
+            .map(|i| {
+                let (x, y) = (f64::from(i % 10), f64::from(i / 10));
+                [
+                    x,
+                    y,
+                    4.0 + 0.3 * x - 0.1 * y + if i == 55 { 1e-3 } else { 0.0 },
+                ]
+            })
+            .collect();
+        let off = plane(&points).unwrap();
+        let slope = (1.0f64 + 0.09 + 0.01).sqrt();
+        assert!(
+            (off.range_mm() - 1e-3 / slope).abs() < 2e-5,
+            "{}",
+            off.range_mm()
+        );
+        let turn = nalgebra::Rotation3::from_euler_angles(0.4, -1.0, 2.0);
+        let pairs: Vec<_> = points
+            .iter()
+            .map(|&p| {
+                (
+                    p,
+                    (turn * Vector3::from(p) + Vector3::new(1.0, 2.0, 3.0)).into(),
+                )
+            })
+            .collect();
+        assert!(rigid_rms_mm(&pairs).unwrap() < 1e-12);
+        let longer: Vec<_> = pairs
+            .iter()
+            .map(|&(p, q)| (p.map(|x| 1.001 * x), q))
+            .collect();
+        let (_, spread) = moments(&points);
+        let expected = 1e-3 * spread.trace().sqrt();
+        assert!((rigid_rms_mm(&longer).unwrap() / expected - 1.0).abs() < 0.01);
+    }
+}

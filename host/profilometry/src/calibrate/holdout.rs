@@ -1,0 +1,66 @@
+//! Plates that took no part in the adjustment, measured with its result.
+
+use serde::{Deserialize, Serialize};
+
+use super::form;
+use super::sighting::{Mark, Sighting};
+use super::target::Target;
+use crate::calibration::HeadModel;
+use crate::cloud::CellColumn;
+use crate::triangulate::Triangulator;
+
+/// What a head makes of plates that it was not fitted to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HoldOut {
+    /// Views.
+    pub views: u32,
+    /// Distances of all points from the planes fitted to each view, root mean square.
+    pub flatness_rms_um: f64,
+    /// Largest minus smallest of them, worst view, without the farthest 0.3 % of its points.
+    pub flatness_um: f64,
+    /// Distances of the triangulated dots from where they are printed, after a rigid motion, root mean square.
+    pub dots_rms_um: f64,
+}
+
+/// Measures the plates of some views with a head. `None` if there is none, or one cannot be measured at all.
+pub fn hold_out(
+    head: &HeadModel,
+    target: &Target,
+    views: &[(Sighting, Vec<CellColumn>)],
+) -> Option<HoldOut> {
+    let triangulator = Triangulator::new(head);
+    let point = |pixel: [f64; 2], column_px: f64| -> Option<[f64; 3]> {
+        let [x, y] = head.camera.undistort(pixel)?;
+        let z = triangulator.intersect([x, y], column_px)?.depth_mm;
+        let inside = head
+            .volume
+            .is_none_or(|volume| (volume.near_mm..=volume.far_mm).contains(&z));
+        inside.then_some([x * z, y * z, z])
+    };
+    let (mut points, mut squares, mut worst) = (0.0, 0.0, 0.0_f64);
+    let (mut dots, mut dot_squares) = (0.0, 0.0);
+    for (sighting, cells) in views {
+        let cloud: Vec<[f64; 3]> = cells
+            .iter()
+            .filter_map(|cell| point(cell.pixel, cell.column_px?))
+            .collect();
+        let off = form::plane(&cloud)?;
+        points += cloud.len() as f64;
+        squares += off.rms_mm().powi(2) * cloud.len() as f64;
+        worst = worst.max(off.range_mm());
+        let printed = |mark: &Mark| {
+            let [x, y] = mark.place.map(|n| f64::from(n) * target.dots.pitch_mm);
+            Some((point(mark.pixel, mark.column_px)?, [x, y, 0.0]))
+        };
+        let pairs: Vec<_> = sighting.marks.iter().filter_map(printed).collect();
+        dots += pairs.len() as f64;
+        dot_squares += form::rigid_rms_mm(&pairs)?.powi(2) * pairs.len() as f64;
+    }
+    (points > 0.0).then(|| HoldOut {
+        views: views.len() as u32,
+        flatness_rms_um: 1e3 * f64::sqrt(squares / points),
+        flatness_um: 1e3 * worst,
+        dots_rms_um: 1e3 * f64::sqrt(dot_squares / dots),
+    })
+}

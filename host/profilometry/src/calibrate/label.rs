@@ -1,0 +1,160 @@
+//! Which dot of the plate is which: three large ones mark the middle and the axes, the others follow from neighbour to
+//! neighbour.
+
+use std::collections::{HashMap, VecDeque};
+
+use super::CalibrateError;
+use super::dots::{Dot, quantile};
+
+/// A dot is large if its radius exceeds the median by this; the target's large dots do by a quarter at least.
+const LARGE: f64 = 1.15;
+/// The next dot lies where the last step says to this part of it.
+const STEP_TOLERANCE: f64 = 0.3;
+/// The far key stands twice as far from the corner as the near one, seen in perspective.
+const KEY_RATIO: f64 = 2.0;
+const KEY_TOLERANCE: f64 = 0.35;
+
+/// The column and row of every dot that hangs together with the middle of the plate, with its number in `dots`.
+///
+/// # Errors
+/// The three large dots are not there, or stand otherwise than the target's.
+pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Vec<([i32; 2], usize)>, CalibrateError> {
+    let mut radii: Vec<f64> = dots.iter().map(|dot| dot.radius_px).collect();
+    let usual = quantile(&mut radii, 0.5).unwrap_or(0.0);
+    let large: Vec<usize> = (0..dots.len())
+        .filter(|&i| dots[i].radius_px > LARGE * usual)
+        .collect();
+    let &[a, b, c] = large.as_slice() else {
+        return Err(CalibrateError::Keys {
+            view,
+            got: large.len(),
+        });
+    };
+    let way = |from: usize, to: usize| {
+        [0, 1].map(|axis| dots[to].centre_px[axis] - dots[from].centre_px[axis])
+    };
+    let length = |[x, y]: [f64; 2]| x.hypot(y);
+    // The corner faces the longest side.
+    let sides = [(a, b, c), (b, c, a), (c, a, b)];
+    let longest = sides
+        .into_iter()
+        .max_by(|l, r| length(way(l.1, l.2)).total_cmp(&length(way(r.1, r.2))));
+    let (corner, p, q) = longest.unwrap_or((a, b, c));
+    let (far, near) = if length(way(corner, p)) > length(way(corner, q)) {
+        (p, q)
+    } else {
+        (q, p)
+    };
+    let got = length(way(corner, far)) / length(way(corner, near));
+    if !((got - KEY_RATIO).abs() < KEY_TOLERANCE * KEY_RATIO) {
+        return Err(CalibrateError::KeyShape {
+            view,
+            got,
+            expected: KEY_RATIO,
+        });
+    }
+    let axes = [way(corner, far).map(|x| 0.5 * x), way(corner, near)];
+    Ok(spread(dots, corner, axes))
+}
+
+/// From the corner outwards: each dot hands its own steps on to its neighbours.
+fn spread(dots: &[Dot], corner: usize, axes: [[f64; 2]; 2]) -> Vec<([i32; 2], usize)> {
+    let mut places: HashMap<[i32; 2], usize> = HashMap::from([([0, 0], corner)]);
+    let mut taken = vec![false; dots.len()];
+    taken[corner] = true;
+    let mut open = VecDeque::from([([0, 0], corner, axes)]);
+    while let Some((place, dot, axes)) = open.pop_front() {
+        for (axis, sign) in [(0, 1), (0, -1), (1, 1), (1, -1)] {
+            let mut next = place;
+            next[axis] += sign;
+            if places.contains_key(&next) {
+                continue;
+            }
+            let step = axes[axis].map(|x| f64::from(sign) * x);
+            let from = dots[dot].centre_px;
+            let expected = [from[0] + step[0], from[1] + step[1]];
+            let off = |i: &usize| {
+                let [x, y] = dots[*i].centre_px;
+                (x - expected[0]).hypot(y - expected[1])
+            };
+            let nearest = (0..dots.len())
+                .filter(|&i| !taken[i])
+                .min_by(|l, r| off(l).total_cmp(&off(r)));
+            let Some(found) = nearest.filter(|i| off(i) < STEP_TOLERANCE * step[0].hypot(step[1]))
+            else {
+                continue;
+            };
+            let mut own = axes;
+            own[axis] = [0, 1].map(|k| f64::from(sign) * (dots[found].centre_px[k] - from[k]));
+            taken[found] = true;
+            places.insert(next, found);
+            open.push_back((next, found, own));
+        }
+    }
+    let mut labelled: Vec<_> = places.into_iter().collect();
+    labelled.sort_unstable();
+    labelled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::target::KEYS;
+
+    /// A plate in perspective, turned by 100 degrees, with every ninth dot missing.
+    #[test]
+    fn dots_keep_their_places_in_perspective() {
+        let (sin, cos) = 100f64.to_radians().sin_cos();
+        let mut dots = Vec::new();
+        let mut truth = Vec::new();
+        for column in -9..=9_i32 {
+            for row in -9..=9_i32 {
+                let key = KEYS.contains(&[column, row]);
+                if !key && (column + 3 * row).rem_euclid(9) == 4 {
+                    continue;
+                }
+                let (x, y) = (f64::from(column), f64::from(row));
+                let depth = 1.0 + 0.006 * x - 0.004 * y;
+                let px = [
+                    500.0 + 55.0 * (cos * x - sin * y) / depth,
+                    400.0 + 55.0 * (sin * x + cos * y) / depth,
+                ];
+                dots.push(Dot {
+                    centre_px: px,
+                    radius_px: if key { 20.0 } else { 14.0 } / depth,
+                    column_px: 0.0,
+                });
+                truth.push([column, row]);
+            }
+        }
+        let labelled = label(&dots, 0).unwrap();
+        assert_eq!(labelled.len(), dots.len());
+        for (place, dot) in labelled {
+            assert_eq!(place, truth[dot]);
+        }
+    }
+
+    #[test]
+    fn a_plate_without_its_middle_is_refused() {
+        let dot = |x: f64, y: f64, radius_px: f64| Dot {
+            centre_px: [x, y],
+            radius_px,
+            column_px: 0.0,
+        };
+        let mut dots: Vec<Dot> = (0..49)
+            .map(|i| dot(f64::from(i % 7) * 50.0, f64::from(i / 7) * 50.0, 12.0))
+            .collect();
+        assert_eq!(
+            label(&dots, 3),
+            Err(CalibrateError::Keys { view: 3, got: 0 })
+        );
+        // A corner with equal legs belongs to another target.
+        for i in [24, 25, 31] {
+            dots[i].radius_px = 17.0;
+        }
+        assert!(matches!(
+            label(&dots, 3),
+            Err(CalibrateError::KeyShape { view: 3, .. })
+        ));
+    }
+}

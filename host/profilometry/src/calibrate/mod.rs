@@ -1,0 +1,176 @@
+//! Plates with printed dots, seen from many sides, to a head: `flankscope calibrate`.
+//!
+//! ```text
+//!  target: plates on the seat of the die      sums of one view, per core
+//!              │                                        │
+//!              │                    dots: centres, fringe column there
+//!              │                                        │
+//!              │                    label: which dot of the plate each is
+//!              ▼                                        ▼
+//!            adjust: camera, projector, hand-eye, plates and stage errors together ──► head
+//!                                                       │
+//!  views kept aside ───────────────────────► holdout: form and scale by points that took no part
+//! ```
+//!
+//! | file | holds |
+//! |---|---|
+//! | `target` | the artefact: plates, dots, sphere (`target.toml`) |
+//! | `dots` | dots of one view, to hundredths of a pixel |
+//! | `label` | their places on the plate |
+//! | `sighting` | one view: stages, plate, marks |
+//! | `least_squares` | Levenberg and Marquardt |
+//! | `model` | the unknowns, and what they say a mark looks like |
+//! | `adjust` | all unknowns from all marks |
+//! | `form` | planes and spheres through points |
+//! | `holdout` | plates measured with the result |
+//! | `record` | what a head file says of its calibration |
+
+mod adjust;
+mod dots;
+mod form;
+mod holdout;
+mod label;
+mod least_squares;
+mod model;
+mod record;
+mod sighting;
+mod target;
+
+pub use adjust::{Adjusted, adjust};
+pub use holdout::{HoldOut, hold_out};
+pub use record::{CalibrationRecord, RecordError};
+pub use sighting::{Mark, Sighting, StagePose};
+pub use target::{Dots, KEYS, Plate, Sphere, Target};
+
+/// Why there is no calibration.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrateError {
+    /// The head file lacks something that the adjustment starts from.
+    #[error("the starting head has no {what}; give the drawing's values")]
+    HeadLacks {
+        /// What.
+        what: &'static str,
+    },
+    /// A head value beyond its limits.
+    #[error("{key} = {got}: {expected}")]
+    Head {
+        /// Which.
+        key: String,
+        /// Its value.
+        got: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// Hardly any light, or hardly any dots.
+    #[error(
+        "view {view} shows {got} dots, at least {limit} are needed: is the plate there, in focus and evenly lit?"
+    )]
+    FewDots {
+        /// The view.
+        view: usize,
+        /// Dots found.
+        got: usize,
+        /// Least.
+        limit: usize,
+    },
+    /// The large dots that mark the plate's middle.
+    #[error(
+        "view {view} shows {got} large dots, exactly 3 mark the plate's middle: is all of it in the field?"
+    )]
+    Keys {
+        /// The view.
+        view: usize,
+        /// Large dots found.
+        got: usize,
+    },
+    /// Three large dots that are not those of the plate.
+    #[error(
+        "the three large dots of view {view} stand as 1 : {got:.2}, right is 1 : {expected:.2}: is this plate the target's?"
+    )]
+    KeyShape {
+        /// The view.
+        view: usize,
+        /// Ratio of their distances from the corner.
+        got: f64,
+        /// The plate's.
+        expected: f64,
+    },
+    /// A plate that the target does not have.
+    #[error("view {view} is said to show plate {got}, but the target has {plates}")]
+    NoSuchPlate {
+        /// The view.
+        view: usize,
+        /// Plate named.
+        got: usize,
+        /// Plates of the target.
+        plates: usize,
+    },
+    /// Too few views.
+    #[error("{got} views of printed plates, at least {limit} are needed")]
+    FewViews {
+        /// Views.
+        got: usize,
+        /// Least.
+        limit: usize,
+    },
+    /// The views do not determine an unknown.
+    #[error(
+        "the views leave {unknown} uncertain by {sigma:.3}, at most {limit} is allowed: add views of plates that are tilted and turned against the others"
+    )]
+    Degenerate {
+        /// Which.
+        unknown: &'static str,
+        /// Its standard uncertainty.
+        sigma: f64,
+        /// Largest.
+        limit: f64,
+    },
+    /// The equations have no solution at all.
+    #[error(
+        "the views do not determine the head (the normal equations are singular): add views of plates that are tilted and turned against the others"
+    )]
+    Singular,
+    /// The search did not come to an end.
+    #[error(
+        "the adjustment still moves after {limit} steps: are start and target those of this head?"
+    )]
+    NotSettled {
+        /// Steps done.
+        limit: usize,
+    },
+    /// What is left over is more than noise.
+    #[error(
+        "after the adjustment {what} are off by {got_px:.3} px rms, at most {limit_px} px are allowed: is the target this one, and was it at rest?"
+    )]
+    Residual {
+        /// Dots, or fringes.
+        what: &'static str,
+        /// Root mean square.
+        got_px: f64,
+        /// Limit.
+        limit_px: f64,
+    },
+    /// Many marks do not fit.
+    #[error(
+        "{got} of {of} dots do not fit the others, at most {limit_percent} % may: is the plate clean?"
+    )]
+    Outliers {
+        /// Dots left out.
+        got: usize,
+        /// All.
+        of: usize,
+        /// Limit.
+        limit_percent: u32,
+    },
+}
+
+impl From<crate::textfile::BadValue> for CalibrateError {
+    fn from(bad: crate::textfile::BadValue) -> Self {
+        Self::Head {
+            key: bad.key,
+            got: bad.got,
+            expected: bad.expected,
+        }
+    }
+}

@@ -1,0 +1,274 @@
+//! The unknowns of a calibration, and what they say a dot of a plate looks like.
+//!
+//! Shared by all views: camera (focal lengths, principal point, k1 k2 p1 p2), projector (focal length, principal column,
+//! k1 k2 p1 p2), projector from camera, stage from camera. Beside them the place of every plate, which its certificate
+//! gives nearly, and the error of the stages in every view, which their data sheet bounds.
+//!
+//! Fringes vary along the projector's columns only, so they say nothing of its rows: its focal length there keeps the ratio
+//! of the starting values, its principal row stays, and its shift along the rows is felt through distortion alone, hence the
+//! starting value as a weak prior.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+use super::sighting::StagePose;
+use super::target::Target;
+use crate::calibration::{HeadModel, RigidTransform};
+use crate::camera::Pinhole;
+
+/// Unknowns shared by all views.
+pub(crate) const SHARED: usize = 26;
+/// Unknowns of a plate.
+pub(crate) const OF_PLATE: usize = 6;
+/// Unknowns of a view: errors of the rotary and the vertical stage.
+pub(crate) const OF_VIEW: usize = 2;
+/// All unknowns that one view feels.
+pub(crate) const LOCAL: usize = SHARED + OF_PLATE + OF_VIEW;
+
+/// Places among the shared unknowns.
+pub(crate) const CAMERA_FOCAL: usize = 0;
+pub(crate) const CAMERA_PRINCIPAL: usize = 2;
+const CAMERA_DISTORTION: usize = 4;
+pub(crate) const PROJECTOR_FOCAL: usize = 8;
+const PROJECTOR_PRINCIPAL: usize = 9;
+const PROJECTOR_DISTORTION: usize = 10;
+const PROJECTOR_TURN: usize = 14;
+const PROJECTOR_SHIFT: usize = 17;
+const HAND_EYE_TURN: usize = 20;
+const HAND_EYE_SHIFT: usize = 23;
+
+/// How well the starting values are believed where the views say nothing: coefficients of distortion (k1, k2, p1, p2), and
+/// the projector's shift along its rows, mm.
+const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
+const ROW_SHIFT_SIGMA_MM: f64 = 1.0;
+
+/// What one view feels: the shared unknowns, its plate and its stages.
+#[derive(Clone, Debug)]
+pub(crate) struct Scene {
+    pub camera: Pinhole,
+    pub projector: Pinhole,
+    pub projector_from_camera: Isometry3<f64>,
+    pub stage_from_camera: Isometry3<f64>,
+    pub tool_from_plate: Isometry3<f64>,
+    /// Rotation (rad) and height (mm) beyond what the stages were told.
+    pub stage_error: [f64; 2],
+}
+
+/// How a dot looks: pixel column and row, projector column.
+pub(crate) type Look = [f64; 3];
+
+impl Scene {
+    /// The scene of the starting values.
+    pub fn new(head: &HeadModel, stage_from_camera: &RigidTransform) -> Self {
+        let mut camera = head.camera.clone();
+        let mut projector = head.projector.clone();
+        // The sixth-order term of a fibre endoscope's field is not determined by it.
+        camera.distortion[4] = 0.0;
+        projector.distortion[4] = 0.0;
+        Self {
+            camera,
+            projector,
+            projector_from_camera: isometry(&head.projector_from_camera),
+            stage_from_camera: isometry(stage_from_camera),
+            tool_from_plate: Isometry3::identity(),
+            stage_error: [0.0; 2],
+        }
+    }
+
+    /// Moves one unknown.
+    pub fn nudge(&mut self, unknown: usize, by: f64) {
+        let turn = |axis: usize| UnitQuaternion::from_scaled_axis(Vector3::ith(axis, by));
+        match unknown {
+            0 | 1 => self.camera.focal_px[unknown] += by,
+            2 | 3 => self.camera.principal_px[unknown - CAMERA_PRINCIPAL] += by,
+            4..8 => self.camera.distortion[unknown - CAMERA_DISTORTION] += by,
+            PROJECTOR_FOCAL => {
+                let [columns, rows] = self.projector.focal_px;
+                self.projector.focal_px = [columns + by, (columns + by) * rows / columns];
+            }
+            PROJECTOR_PRINCIPAL => self.projector.principal_px[0] += by,
+            10..14 => self.projector.distortion[unknown - PROJECTOR_DISTORTION] += by,
+            14..17 => turn_about_origin(
+                &mut self.projector_from_camera,
+                turn(unknown - PROJECTOR_TURN),
+            ),
+            17..20 => {
+                self.projector_from_camera.translation.vector[unknown - PROJECTOR_SHIFT] += by
+            }
+            20..23 => turn_about_origin(&mut self.stage_from_camera, turn(unknown - HAND_EYE_TURN)),
+            23..26 => self.stage_from_camera.translation.vector[unknown - HAND_EYE_SHIFT] += by,
+            26..29 => turn_about_origin(&mut self.tool_from_plate, turn(unknown - SHARED)),
+            29..32 => self.tool_from_plate.translation.vector[unknown - SHARED - 3] += by,
+            _ => self.stage_error[unknown - SHARED - OF_PLATE] += by,
+        }
+    }
+
+    /// A step that changes what a dot looks like by about a hundredth of a pixel.
+    pub fn small_step(unknown: usize) -> f64 {
+        match unknown {
+            0..4 | PROJECTOR_FOCAL | PROJECTOR_PRINCIPAL => 1e-2,
+            4..8 | 10..14 => 1e-3,
+            17..=19 | 23..=25 | 29..=31 | 33 => 1e-4,
+            _ => 1e-6,
+        }
+    }
+
+    /// Camera frame from plate frame with the stages at `stage`.
+    pub fn camera_from_plate(&self, stage: StagePose) -> Isometry3<f64> {
+        let [turn, lift] = self.stage_error;
+        let stage_from_tool =
+            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), stage.rotation_rad + turn);
+        let lowered = Translation3::new(0.0, 0.0, -(stage.vertical_mm + lift));
+        self.stage_from_camera.inverse() * lowered * stage_from_tool * self.tool_from_plate
+    }
+
+    /// How a dot of radius `radius_mm` at `at_mm` of the plate looks; `None` behind camera or projector.
+    ///
+    /// In perspective the image of a circle is an ellipse whose centre is not the image of the circle's: it is that of
+    /// `at - radius² g / depth`, where `g` is the change of depth along the plate (pole of the line at infinity with
+    /// respect to the image's conic).
+    pub fn look(
+        &self,
+        camera_from_plate: &Isometry3<f64>,
+        at_mm: [f64; 2],
+        radius_mm: f64,
+    ) -> Option<Look> {
+        let depth_mm = (camera_from_plate * Point3::new(at_mm[0], at_mm[1], 0.0)).z;
+        let gradient = camera_from_plate.rotation * Vector3::x();
+        let across = camera_from_plate.rotation * Vector3::y();
+        let back = radius_mm * radius_mm / depth_mm;
+        let seen = Point3::new(
+            at_mm[0] - back * gradient.z,
+            at_mm[1] - back * across.z,
+            0.0,
+        );
+        let p_camera = camera_from_plate * seen;
+        let p_projector = self.projector_from_camera * p_camera;
+        if !(p_camera.z > 0.0 && p_projector.z > 0.0) {
+            return None;
+        }
+        let [u, v] = self
+            .camera
+            .pixel([p_camera.x / p_camera.z, p_camera.y / p_camera.z]);
+        let [column, _] = self
+            .projector
+            .pixel([p_projector.x / p_projector.z, p_projector.y / p_projector.z]);
+        Some([u, v, column])
+    }
+
+    /// What is believed of the shared unknowns before any view: unknown, offset from the starting value, its sigma.
+    pub fn beliefs(&self, start: &Self) -> Vec<(usize, f64, f64)> {
+        let mut beliefs = Vec::new();
+        for (k, sigma) in DISTORTION_SIGMA.into_iter().enumerate() {
+            let off = |now: &Pinhole, then: &Pinhole| now.distortion[k] - then.distortion[k];
+            beliefs.push((
+                CAMERA_DISTORTION + k,
+                off(&self.camera, &start.camera),
+                sigma,
+            ));
+            let projector = off(&self.projector, &start.projector);
+            beliefs.push((PROJECTOR_DISTORTION + k, projector, sigma));
+        }
+        let row_shift = |scene: &Self| scene.projector_from_camera.translation.vector.y;
+        let moved = row_shift(self) - row_shift(start);
+        beliefs.push((PROJECTOR_SHIFT + 1, moved, ROW_SHIFT_SIGMA_MM));
+        beliefs
+    }
+
+    /// The head of these values; what the adjustment does not touch stays as in `start`.
+    pub fn head(&self, start: &HeadModel) -> HeadModel {
+        HeadModel {
+            camera: self.camera.clone(),
+            projector: self.projector.clone(),
+            projector_from_camera: transform(&self.projector_from_camera),
+            stage_from_camera: Some(transform(&self.stage_from_camera)),
+            calibration: None,
+            ..start.clone()
+        }
+    }
+}
+
+/// Turns the axes and leaves the origin.
+fn turn_about_origin(pose: &mut Isometry3<f64>, turn: UnitQuaternion<f64>) {
+    pose.rotation = UnitQuaternion::new_normalize((turn * pose.rotation).into_inner());
+}
+
+/// Places of the plates as their certificates give them.
+pub(crate) fn certified(target: &Target) -> Vec<Isometry3<f64>> {
+    target
+        .plate
+        .iter()
+        .map(|plate| isometry(&plate.tool_from_plate))
+        .collect()
+}
+
+pub(crate) fn isometry(file: &RigidTransform) -> Isometry3<f64> {
+    let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
+    // A file's nine digits are not quite a rotation: the nearest one is.
+    let rotation = UnitQuaternion::from_matrix_eps(&matrix, 1e-15, 100, UnitQuaternion::identity());
+    Isometry3::from_parts(
+        Translation3::from(Vector3::from(file.translation_mm)),
+        rotation,
+    )
+}
+
+pub(crate) fn transform(pose: &Isometry3<f64>) -> RigidTransform {
+    let matrix: Rotation3<f64> = pose.rotation.to_rotation_matrix();
+    RigidTransform {
+        rotation: std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])),
+        translation_mm: pose.translation.vector.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The centre of an ellipse lies midway between its leftmost and rightmost points, whose tangents are parallel.
+    #[test]
+    fn a_tilted_circle_looks_like_an_ellipse_with_this_centre() {
+        let lens = Pinhole {
+            width_px: 1920,
+            height_px: 1200,
+            focal_px: [2530.0, 2530.0],
+            principal_px: [960.0, 600.0],
+            distortion: [0.0; 5],
+        };
+        let scene = Scene {
+            camera: lens.clone(),
+            projector: lens,
+            projector_from_camera: Isometry3::identity(),
+            stage_from_camera: Isometry3::identity(),
+            tool_from_plate: Isometry3::from_parts(
+                Translation3::new(0.7, -0.4, 22.0),
+                UnitQuaternion::from_euler_angles(0.4, -0.5, 0.3),
+            ),
+            stage_error: [0.0; 2],
+        };
+        let stages = StagePose {
+            rotation_rad: 0.0,
+            vertical_mm: 0.0,
+        };
+        let pose = scene.camera_from_plate(stages);
+        let (at, radius) = ([1.5, -2.0], 0.5);
+        let rim: Vec<[f64; 2]> = (0..2_000_000)
+            .map(|i| {
+                let (sin, cos) = (f64::from(i) * 1e-6 * std::f64::consts::PI).sin_cos();
+                let p = pose * Point3::new(at[0] + radius * cos, at[1] + radius * sin, 0.0);
+                scene.camera.pixel([p.x / p.z, p.y / p.z])
+            })
+            .collect();
+        let by = |a: &&[f64; 2], b: &&[f64; 2]| a[0].total_cmp(&b[0]);
+        let (left, right) = (
+            rim.iter().min_by(by).unwrap(),
+            rim.iter().max_by(by).unwrap(),
+        );
+        let [u, v, _] = scene.look(&pose, at, radius).unwrap();
+        let [centre_u, centre_v, _] = scene.look(&pose, at, 0.0).unwrap();
+        assert!((u - 0.5 * (left[0] + right[0])).abs() < 1e-4);
+        assert!((v - 0.5 * (left[1] + right[1])).abs() < 1e-3);
+        assert!(
+            (u - centre_u).hypot(v - centre_v) > 0.1,
+            "the difference matters"
+        );
+    }
+}

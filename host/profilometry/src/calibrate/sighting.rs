@@ -1,0 +1,101 @@
+//! One view of a printed plate: where the stages stood, and which dot was seen where.
+
+use super::CalibrateError;
+use super::dots::{self, Scale};
+use super::label::label;
+use super::target::Target;
+use crate::calibration::HeadModel;
+use crate::cloud::CellColumn;
+
+/// What the stages were told, rotary and vertical.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StagePose {
+    /// Angle by which the seat is turned.
+    pub rotation_rad: f64,
+    /// Height by which the head is raised.
+    pub vertical_mm: f64,
+}
+
+/// One dot, seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// Column and row on the plate, counted from its middle.
+    pub place: [i32; 2],
+    /// Centre of its image: column, row of the camera.
+    pub pixel: [f64; 2],
+    /// Projector column that lights it.
+    pub column_px: f64,
+}
+
+/// One view of one plate.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// Which plate of the target.
+    pub plate: usize,
+    /// Where the stages stood.
+    pub stage: StagePose,
+    /// The dots.
+    pub marks: Vec<Mark>,
+}
+
+/// With fewer dots a view says too little.
+const LEAST_DOTS: usize = 30;
+
+impl Sighting {
+    /// Finds and labels the dots in a view's cells; `view` is its number in messages. `flat_e` is the light that each
+    /// cell gets from the blank plate.
+    ///
+    /// # Errors
+    /// The plate or its middle is not there.
+    pub fn new(
+        view: usize,
+        plate: usize,
+        stage: StagePose,
+        cells: &[CellColumn],
+        flat_e: &[f64],
+        target: &Target,
+        head: &HeadModel,
+    ) -> Result<Self, CalibrateError> {
+        let volume = head
+            .volume
+            .ok_or(CalibrateError::HeadLacks { what: "[volume]" })?;
+        if plate >= target.plate.len() {
+            return Err(CalibrateError::NoSuchPlate {
+                view,
+                got: plate,
+                plates: target.plate.len(),
+            });
+        }
+        let px_per_mm = 2.0 * head.camera.focal_px[0] / (volume.near_mm + volume.far_mm);
+        let scale = Scale {
+            pitch_px: px_per_mm * target.dots.pitch_mm,
+            radius_px: 0.5 * px_per_mm * target.dots.diameter_mm,
+        };
+        let dots = dots::find(cells, flat_e, scale);
+        let few = |got| CalibrateError::FewDots {
+            view,
+            got,
+            limit: LEAST_DOTS,
+        };
+        if dots.len() < LEAST_DOTS {
+            return Err(few(dots.len()));
+        }
+        let labelled = label(&dots, view)?;
+        if labelled.len() < LEAST_DOTS {
+            return Err(few(labelled.len()));
+        }
+        let marks = labelled
+            .into_iter()
+            .map(|(place, dot)| Mark {
+                place,
+                pixel: dots[dot].centre_px,
+                column_px: dots[dot].column_px,
+            })
+            .collect();
+        Ok(Self {
+            plate,
+            stage,
+            marks,
+        })
+    }
+}

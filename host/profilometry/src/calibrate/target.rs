@@ -1,0 +1,172 @@
+//! The artefact: plates with printed dots where the die sits (`target.toml`, see `docs/formats.md`).
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::calibration::RigidTransform;
+use crate::textfile::{self, BadValue, TextFileError};
+
+/// Plates and a sphere on a carrier that sits where the die does. Millimetres, radians.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Target {
+    /// Free text.
+    pub name: String,
+    /// Exposure at which the white of the plates comes near saturation but does not reach it.
+    pub exposure_us: u32,
+    /// Standard uncertainty of each plate's place, from its certificate.
+    pub pose_sigma_mm: f64,
+    /// Standard uncertainty of each plate's orientation.
+    pub pose_sigma_rad: f64,
+    /// What is printed on the plates.
+    pub dots: Dots,
+    /// A white plate without print: shows the cores, and how evenly the head lights.
+    pub blank: Plate,
+    /// The printed plates.
+    pub plate: Vec<Plate>,
+    /// A matt sphere for the self-test.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sphere: Option<Sphere>,
+}
+
+/// A square grid of dark dots, centred on the plate; three of them are larger and mark the middle: those at column and row
+/// (0, 0), (2, 0) and (0, 1).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dots {
+    /// From dot to dot.
+    pub pitch_mm: f64,
+    /// Diameter of a dot.
+    pub diameter_mm: f64,
+    /// Diameter of the three larger ones.
+    pub key_diameter_mm: f64,
+}
+
+/// Places of the three larger dots, in pitches.
+pub const KEYS: [[i32; 2]; 3] = [[0, 0], [2, 0], [0, 1]];
+
+impl Dots {
+    /// Radius of the dot at a column and row.
+    pub fn radius_mm(&self, place: [i32; 2]) -> f64 {
+        let key = KEYS.contains(&place);
+        0.5 * if key {
+            self.key_diameter_mm
+        } else {
+            self.diameter_mm
+        }
+    }
+}
+
+/// One plate. Its frame lies in its surface with z out of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Plate {
+    /// Where it sits.
+    pub tool_from_plate: RigidTransform,
+}
+
+/// A sphere.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sphere {
+    /// Its centre in the tool frame.
+    pub centre_mm: [f64; 3],
+    /// Certified diameter.
+    pub diameter_mm: f64,
+}
+
+impl Target {
+    /// Reads `target.toml`.
+    ///
+    /// # Errors
+    /// [`TextFileError`] with file, line and what would be right.
+    pub fn load(path: &Path) -> Result<Self, TextFileError> {
+        let text = textfile::read(path)?;
+        let target: Self = textfile::parse_toml(path, &text)?;
+        target.check().map_err(|bad| bad.in_file(path, &text))?;
+        Ok(target)
+    }
+
+    /// The content of a `target.toml`.
+    ///
+    /// # Errors
+    /// The writer's.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        let Dots {
+            pitch_mm,
+            diameter_mm,
+            key_diameter_mm,
+        } = self.dots;
+        let within = |key: &str, got: f64, low: f64, high: f64, expected| {
+            // Written so that a NaN fails.
+            if got > low && got < high {
+                Ok(())
+            } else {
+                Err(BadValue::new(key, got, expected))
+            }
+        };
+        within(
+            "dots.pitch_mm",
+            pitch_mm,
+            0.0,
+            1e3,
+            "must be positive millimetres",
+        )?;
+        within(
+            "dots.diameter_mm",
+            diameter_mm,
+            0.0,
+            0.7 * pitch_mm,
+            "must be positive and at most 0.7 of the pitch",
+        )?;
+        within(
+            "dots.key_diameter_mm",
+            key_diameter_mm,
+            1.25 * diameter_mm,
+            0.85 * pitch_mm,
+            "must exceed the other dots by a quarter, and be at most 0.85 of the pitch",
+        )?;
+        let small = "must be positive and small: the plate's certificate says how well it is known";
+        within("pose_sigma_mm", self.pose_sigma_mm, 0.0, 1.0, small)?;
+        within("pose_sigma_rad", self.pose_sigma_rad, 0.0, 0.1, small)?;
+        if self.exposure_us == 0 {
+            return Err(BadValue::new(
+                "exposure_us",
+                0,
+                "must be positive microseconds",
+            ));
+        }
+        self.blank.tool_from_plate.check("blank.tool_from_plate")?;
+        for (index, plate) in self.plate.iter().enumerate() {
+            plate
+                .tool_from_plate
+                .check(&format!("plate[{index}].tool_from_plate"))?;
+        }
+        if let Some(Sphere {
+            centre_mm,
+            diameter_mm,
+        }) = self.sphere
+        {
+            within(
+                "sphere.diameter_mm",
+                diameter_mm,
+                0.0,
+                1e3,
+                "must be positive millimetres",
+            )?;
+            if centre_mm.iter().any(|x| !(x.abs() < 1e4)) {
+                return Err(BadValue::new(
+                    "sphere.centre_mm",
+                    centre_mm,
+                    "must be finite millimetres",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
