@@ -125,9 +125,10 @@ impl Leaf {
 }
 
 impl Leaf {
-    /// As [`Leaf::distances2`], of one triangle from several queries.
+    /// As [`Leaf::distances2`], of one triangle from several queries; and bit i set when the i-th query's foot on the
+    /// triangle's plane lies inside by more than its slack, so that this foot is the closest point for certain.
     #[inline(always)]
-    pub fn distances2_of(&self, lane: usize, q: &[Each; 3]) -> Each {
+    pub fn distances2_of(&self, lane: usize, q: &[Each; 3], slack: &Each) -> (Each, u8) {
         let at = |lanes: &[Lanes; 3]| [lanes[0][lane], lanes[1][lane], lanes[2][lane]];
         let (origin, along, across, normal) = (
             at(&self.origin),
@@ -140,6 +141,7 @@ impl Leaf {
         let [third_u, third_v, third] = at(&self.third);
         let beyond = |s: f32, length: f32| s - smaller(larger(s, 0.0), length);
         let mut distances2 = [0.0; QUERIES];
+        let mut margin = [0.0; QUERIES];
         for i in 0..QUERIES {
             let (dx, dy, dz) = (
                 q[0][i] - origin[0],
@@ -158,10 +160,14 @@ impl Leaf {
                 ),
                 edge(across_3, beyond(third_u * u + third_v * v, third)),
             );
-            let inside = smaller(smaller(v, across_2), across_3) >= 0.0;
-            distances2[i] = h * h + if inside { 0.0 } else { outline };
+            margin[i] = smaller(smaller(v, across_2), across_3);
+            distances2[i] = h * h + if margin[i] >= 0.0 { 0.0 } else { outline };
         }
-        distances2
+        let mut inside = 0;
+        for i in 0..QUERIES {
+            inside |= u8::from(margin[i] > slack[i]) << i;
+        }
+        (distances2, inside)
     }
 }
 

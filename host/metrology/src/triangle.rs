@@ -114,7 +114,13 @@ impl Prepared {
             let point = self.a + self.ab + (self.ac - self.ab) * t;
             return self.at(p, point, Feature::Edge(1));
         }
-        let height = self.normal.dot(&ap);
+        self.foot(p)
+    }
+
+    /// What [`Prepared::nearest`] finds for a point whose foot on the triangle's plane lies inside.
+    #[inline(always)]
+    pub fn foot(&self, p: Vector3<f64>) -> Nearest {
+        let height = self.normal.dot(&(p - self.a));
         Nearest {
             point: p - self.normal * height,
             distance2_mm2: height * height,

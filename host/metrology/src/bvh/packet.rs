@@ -18,9 +18,17 @@ pub(crate) type Each = [f32; QUERIES];
 /// What a packet leaves to the next: memory, and where the last query ended.
 pub(crate) struct PacketScratch {
     stack: Vec<(f32, u32, u32)>,
-    /// Places, with the estimated squared distances of every query.
-    candidates: Vec<(u32, Each)>,
+    candidates: Vec<Candidate>,
     leaf: u32,
+}
+
+/// A triangle that may be nearest to some query.
+struct Candidate {
+    place: u32,
+    /// Bit i: the i-th query's foot lies inside for certain.
+    inside: u8,
+    /// Estimated squared distances.
+    estimates: Each,
 }
 
 impl PacketScratch {
@@ -119,15 +127,26 @@ impl Bvh {
             }
         }
         let mut best = [None::<Found>; QUERIES];
-        for (place, estimates) in candidates.iter() {
+        for Candidate {
+            place,
+            inside,
+            estimates,
+        } in candidates.iter()
+        {
             let mut promising = 0u32;
             for i in 0..QUERIES {
                 promising |= u32::from(estimates[i] <= limit[i]) << i;
             }
+            let triangle = &self.triangles[*place as usize];
             while promising != 0 {
                 let i = promising.trailing_zeros() as usize % QUERIES;
                 promising &= promising - 1;
-                let nearest = self.triangles[*place as usize].nearest(Vector3::from(points[i]));
+                let point = Vector3::from(points[i]);
+                let nearest = if inside >> i & 1 == 1 {
+                    triangle.foot(point)
+                } else {
+                    triangle.nearest(point)
+                };
                 if best[i].is_none_or(|b| nearest.distance2_mm2 < b.nearest.distance2_mm2) {
                     best[i] = Some(Found {
                         place: *place,
@@ -156,11 +175,11 @@ impl Bvh {
         slack: &Each,
         least: &mut Each,
         limit: &mut Each,
-        candidates: &mut Vec<(u32, Each)>,
+        candidates: &mut Vec<Candidate>,
     ) {
         let of_leaf = &self.leaves[leaf as usize];
         for lane in 0..LANES {
-            let estimates = of_leaf.distances2_of(lane, q);
+            let (estimates, inside) = of_leaf.distances2_of(lane, q, slack);
             let mut promising = false;
             for i in 0..QUERIES {
                 promising |= estimates[i] <= limit[i];
@@ -168,7 +187,11 @@ impl Bvh {
             if !promising {
                 continue;
             }
-            candidates.push((leaf * LANES as u32 + lane as u32, estimates));
+            candidates.push(Candidate {
+                place: leaf * LANES as u32 + lane as u32,
+                inside,
+                estimates,
+            });
             for i in 0..QUERIES {
                 least[i] = smaller(least[i], estimates[i]);
                 let reach = least[i].sqrt() * (1.0 + 4e-7) + slack[i];

@@ -89,8 +89,28 @@ struct Fit {
     pose: Isometry3<f64>,
     samples: Vec<Sample>,
     noise: f64,
-    /// How far the pose went since the points were last laid on the surface, mm.
-    drift_mm: f64,
+    /// Small steps taken together since the points were laid on the surface, in scaled variables.
+    since: Vector6<f64>,
+}
+
+impl Fit {
+    /// The sample's row of the design matrix: how its distance grows with each of the scaled variables.
+    #[inline(always)]
+    fn row(sample: &Sample, inverse_arm: f64) -> [f64; 6] {
+        let turn = sample.arm.cross(&sample.normal) * inverse_arm;
+        let n = sample.normal;
+        [turn.x, turn.y, turn.z, n.x, n.y, n.z]
+    }
+
+    /// The sample's distance after the small steps: every point keeps its normal.
+    #[inline(always)]
+    fn distance(&self, sample: &Sample, row: &[f64; 6]) -> f64 {
+        let mut distance = sample.distance;
+        for (row, since) in row.iter().zip(self.since.iter()) {
+            distance += row * since;
+        }
+        distance
+    }
 }
 
 impl<'a> Problem<'a> {
@@ -192,21 +212,23 @@ impl<'a> Problem<'a> {
                 let noise = current.noise.min(TYPICAL_NOISE_MM);
                 let step = self.step(&current, reach, noise, damping);
                 let size_mm = step.norm();
-                let small = current.drift_mm + size_mm < LINEAR_MM;
-                let moved = if small {
-                    self.advanced(&current, &step)
-                } else {
-                    let pose = self.moved(&current.pose, &step);
-                    self.lay(&subset, pose)
-                };
                 iterations += 1;
                 last_step = size_mm;
-                let better = small || self.cost_change(&current, &moved, reach, noise) <= 0.0;
                 // Only a full step may end the search: a damped one is short for another reason.
                 settled = damping == 0.0 && last_step < limit;
-                if better || settled {
-                    current = moved;
-                }
+                let pose = self.moved(&current.pose, &step);
+                let better = if (current.since + step).norm() < LINEAR_MM {
+                    current.since += step;
+                    current.pose = pose;
+                    true
+                } else {
+                    let moved = self.lay(&subset, pose);
+                    let better = self.cost_change(&current, &moved, reach, noise) <= 0.0;
+                    if better || settled {
+                        current = moved;
+                    }
+                    better
+                };
                 if settled {
                     break;
                 }
@@ -277,27 +299,7 @@ impl<'a> Problem<'a> {
             pose,
             samples,
             noise,
-            drift_mm: 0.0,
-        }
-    }
-
-    /// The fit after a small step, without asking the surface again: every point keeps its normal.
-    fn advanced(&self, fit: &Fit, step: &Vector6<f64>) -> Fit {
-        let turn = Vector3::new(step[0], step[1], step[2]) / self.arm;
-        let shift = Vector3::new(step[3], step[4], step[5]);
-        let mut samples = fit.samples.clone();
-        samples.par_chunks_mut(4 * CHUNK).for_each(|samples| {
-            for sample in samples {
-                let moved = turn.cross(&sample.arm) + shift;
-                sample.arm += moved;
-                sample.distance += sample.normal.dot(&moved);
-            }
-        });
-        Fit {
-            pose: self.moved(&fit.pose, step),
-            samples,
-            noise: fit.noise,
-            drift_mm: fit.drift_mm + step.norm(),
+            since: Vector6::zeros(),
         }
     }
 
@@ -331,15 +333,14 @@ impl<'a> Problem<'a> {
                 let mut information = [0.0; 21];
                 let mut gradient = [0.0; 6];
                 for sample in chunk.iter().filter(|s| s.weight > 0.0) {
-                    let x = sample.distance / reach;
+                    let row = Fit::row(sample, inverse_arm);
+                    let distance = fit.distance(sample, &row);
+                    let x = distance / reach;
                     let weight = sample.weight * (-0.5 * x * x).exp();
-                    let turn = sample.arm.cross(&sample.normal) * inverse_arm;
-                    let n = sample.normal;
-                    let row = [turn.x, turn.y, turn.z, n.x, n.y, n.z];
                     let mut at = 0;
                     for i in 0..6 {
                         let weighted = weight * row[i];
-                        gradient[i] += weighted * sample.distance;
+                        gradient[i] += weighted * distance;
                         for &other in &row[..=i] {
                             information[at] += weighted * other;
                             at += 1;
@@ -389,19 +390,20 @@ impl<'a> Problem<'a> {
     /// How much half the weighted sum of squares (with Welsch's bound, plus the prior's share) grows from one fit to the
     /// next. Points that take part in only one of them are left out: they came or went, the fit did not change by them.
     fn cost_change(&self, from: &Fit, to: &Fit, reach: f64, noise: f64) -> f64 {
-        let cost = |s: &Sample| {
-            let x = s.distance / reach;
-            s.weight * -(-0.5 * x * x).exp_m1()
+        let cost = |fit: &Fit, sample: &Sample| {
+            let x = fit.distance(sample, &Fit::row(sample, 1.0 / self.arm)) / reach;
+            sample.weight * -(-0.5 * x * x).exp_m1()
         };
         let parts: Vec<f64> = from
             .samples
             .par_chunks(4 * CHUNK)
             .zip(to.samples.par_chunks(4 * CHUNK))
-            .map(|(from, to)| {
-                from.iter()
-                    .zip(to)
+            .map(|(before, after)| {
+                before
+                    .iter()
+                    .zip(after)
                     .filter(|(a, b)| a.weight > 0.0 && b.weight > 0.0)
-                    .map(|(a, b)| cost(b) - cost(a))
+                    .map(|(a, b)| cost(to, b) - cost(from, a))
                     .sum()
             })
             .collect();
@@ -425,14 +427,14 @@ impl<'a> Problem<'a> {
     fn report(&self, fit: Fit, iterations: usize, last_step: f64, converged: bool) -> Registration {
         let options = self.options;
         let reach_mm = (3.0 * fit.noise).min(options.most_inlier_mm);
-        let on_surface = |s: &&Sample| s.distance.abs() <= reach_mm;
-        let inliers = fit.samples.iter().filter(on_surface).count();
-        let sum: f64 = fit
-            .samples
-            .iter()
-            .filter(on_surface)
-            .map(|s| s.distance * s.distance)
-            .sum();
+        let (mut inliers, mut sum) = (0, 0.0);
+        for sample in &fit.samples {
+            let distance = fit.distance(sample, &Fit::row(sample, 1.0 / self.arm));
+            if distance.abs() <= reach_mm {
+                inliers += 1;
+                sum += distance * distance;
+            }
+        }
         let rms_mm = (sum / inliers.max(1) as f64).sqrt();
 
         let stated = self.sigma_mm.as_ref().map(|_| self.mean_weight.powf(-0.5));
