@@ -1,17 +1,17 @@
 //! Bounding volume hierarchy for closest-point queries on triangles.
 //!
-//! Built top-down by the surface area heuristic (binned), then collapsed to four children per node whose boxes lie side
-//! by side in f32, rounded outwards: one node test is twelve vector operations on any processor. Boxes only decide what
+//! Built top-down by the surface area heuristic (binned), then collapsed to eight children per node whose boxes lie side
+//! by side in f32, rounded outwards: one node test is a dozen vector operations. Boxes only decide what
 //! is visited, so they may be coarse; triangles are f64 and decide the answer.
 
 mod packet;
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use wide::f32x4;
+use wide::{f32x4, f32x8};
 
 use crate::leaf::{ERROR_RATIO, LANES, Leaf};
-use crate::triangle::{Nearest, Prepared};
+use crate::triangle::{Feature, Nearest, Prepared};
 pub(crate) use packet::{Each, PacketScratch, QUERIES, larger, smaller};
 
 /// Axis-aligned box in f64, mm.
@@ -76,8 +76,13 @@ impl Aabb {
     #[inline(always)]
     pub(crate) fn grow(&mut self, other: &Self) {
         for k in 0..3 {
-            self.low[k] = self.low[k].min(other.low[k]);
-            self.high[k] = self.high[k].max(other.high[k]);
+            // Numbers only, so that a comparison does what `min` and `max` need three for.
+            if other.low[k] < self.low[k] {
+                self.low[k] = other.low[k];
+            }
+            if other.high[k] > self.high[k] {
+                self.high[k] = other.high[k];
+            }
         }
     }
 
@@ -87,13 +92,13 @@ impl Aabb {
     }
 }
 
-const WIDTH: usize = 4;
+const WIDTH: usize = 8;
 const LEAF_TRIANGLES: usize = LANES;
 const BINS: usize = 16;
 /// Below this many triangles a subtree is built on the current thread.
 const PARALLEL_FROM: usize = 1 << 13;
 
-/// Four child boxes side by side, and what they hold.
+/// Eight child boxes side by side, and what they hold.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 struct Node {
@@ -121,12 +126,13 @@ impl Node {
         self.count[slot] = count;
     }
 
-    /// Squared distances from `q` to the four boxes.
+    /// Squared distances from the box between `from` and `to` to the eight boxes.
     #[inline(always)]
-    fn distances2(&self, q: &[f32x4; 3]) -> f32x4 {
+    fn distances2(&self, from: &[f32; 3], to: &[f32; 3]) -> f32x8 {
         let outside = |k: usize| {
-            let (low, high) = (f32x4::from(self.low[k]), f32x4::from(self.high[k]));
-            (low - q[k]).fast_max(q[k] - high).fast_max(f32x4::ZERO)
+            let (low, high) = (f32x8::from(self.low[k]), f32x8::from(self.high[k]));
+            let (below, above) = (low - f32x8::splat(to[k]), f32x8::splat(from[k]) - high);
+            below.fast_max(above).fast_max(f32x8::ZERO)
         };
         let [x, y, z] = [outside(0), outside(1), outside(2)];
         x * x + y * y + z * z
@@ -150,6 +156,17 @@ pub(crate) struct Bvh {
 pub(crate) struct Found {
     pub place: u32,
     pub nearest: Nearest,
+}
+
+impl Found {
+    pub const NONE: Self = Self {
+        place: 0,
+        nearest: Nearest {
+            point: Vector3::new(0.0, 0.0, 0.0),
+            distance2_mm2: f64::INFINITY,
+            feature: Feature::Face,
+        },
+    };
 }
 
 enum Tree {
@@ -242,14 +259,14 @@ impl Bvh {
             // Finite, or the empty slots of a node, infinitely far away, would be entered.
             (reach * reach * (1.0 + 4e-7)).min(f32::MAX)
         };
-        let q = q.map(f32x4::splat);
+        let wide = q.map(f32x4::splat);
         let mut best = Found {
             place: 0,
             nearest: self.triangles[0].nearest(p64),
         };
         let mut limit = limit_of(best.nearest.distance2_mm2);
-        // (squared distance, child, count); depth is bounded by the build, with three siblings left behind per level.
-        let mut stack = [(0.0, 0, 0); 3 * MAX_DEPTH + WIDTH];
+        // (squared distance, child, count); depth is bounded by the build, with all siblings but one left behind per level.
+        let mut stack = [(0.0, 0, 0); STACK];
         let mut top = 1;
         while top > 0 {
             top -= 1;
@@ -258,7 +275,7 @@ impl Bvh {
                 continue;
             }
             if count > 0 {
-                let estimates = self.leaves[child as usize].distances2(&q);
+                let estimates = self.leaves[child as usize].distances2(&wide);
                 let mut promising = estimates.simd_le(f32x4::splat(limit)).to_bitmask();
                 promising &= (1 << count) - 1;
                 while promising != 0 {
@@ -276,8 +293,8 @@ impl Bvh {
                 continue;
             }
             let node = &self.nodes[child as usize];
-            let distances2 = node.distances2(&q);
-            let mut near = distances2.simd_le(f32x4::splat(limit)).to_bitmask();
+            let distances2 = node.distances2(&q, &q);
+            let mut near = distances2.simd_le(f32x8::splat(limit)).to_bitmask();
             let distances2 = distances2.to_array();
             let first = top;
             while near != 0 {
@@ -308,6 +325,8 @@ fn coarse(coordinate: f64) -> f32 {
 }
 
 const MAX_DEPTH: usize = 64;
+/// Room for a way down, on which every level leaves all children but one for later.
+const STACK: usize = (WIDTH - 1) * MAX_DEPTH + WIDTH;
 
 fn split(references: &mut [Reference], offset: u32) -> Tree {
     split_at_depth(references, offset, 0)
@@ -421,7 +440,7 @@ fn bin_of(centre: f64, low: f64, extent: f64) -> usize {
     (((centre - low) / extent * BINS as f64) as usize).min(BINS - 1)
 }
 
-/// Collapses the binary tree to four children per node; the root is node 0.
+/// Collapses the binary tree to eight children per node; the root is node 0.
 fn flatten(
     tree: &Tree,
     references: &[Reference],

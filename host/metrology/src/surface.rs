@@ -217,10 +217,9 @@ impl Surface {
             #[inline(always)]
             || {
                 let mut scratch = PacketScratch::new();
+                let mut found = [Found::NONE; QUERIES];
                 for (points, with) in points.chunks(QUERIES).zip(with.chunks_mut(QUERIES)) {
-                    // The last packet is filled with its last point.
-                    let packet = std::array::from_fn(|i| points[i.min(points.len() - 1)]);
-                    let found = self.bvh.closest_packet(&packet, &mut scratch);
+                    self.bvh.closest_packet(points, &mut scratch, &mut found);
                     for ((&point, found), own) in points.iter().zip(&found).zip(with) {
                         visit(point, found, own);
                     }

@@ -298,10 +298,9 @@ fn a_part_of_the_surface_measures_like_the_whole_near_by() {
         let expected = whole.closest(p);
         if expected.point[0] < wall - 1e-6 {
             compared += 1;
-            assert_eq!(
-                part.closest(p).signed_distance_mm,
-                expected.signed_distance_mm
-            );
+            // A point on the surface is 1e-15 mm off it to either side, by the triangle that is asked first.
+            let off = part.closest(p).signed_distance_mm - expected.signed_distance_mm;
+            assert!(off.abs() < 1e-12, "{off}");
         }
     }
     assert!(compared > 500);

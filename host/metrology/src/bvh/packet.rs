@@ -1,12 +1,16 @@
 //! Closest points of several queries at once: neighbours share their way through the hierarchy.
 //!
-//! Each query of a packet keeps its own bound; a box is entered when any of them might find something in it. Everything
+//! Each query of a packet keeps its own bound; a box is entered when any of them might find something in it,
+//! which is asked only of those that are near the packet's own box. Everything
 //! up to the choice of candidates is f32, one lane per query, in loops that the compiler turns into vectors of whatever
 //! width the processor has. What is chosen is measured in f64, query by query, as in [`Bvh::closest`].
 
-use nalgebra::Vector3;
+use std::hint::black_box;
 
-use super::{Bvh, Found, MAX_DEPTH, WIDTH, coarse};
+use nalgebra::Vector3;
+use wide::f32x8;
+
+use super::{Bvh, Found, STACK, WIDTH, coarse};
 use crate::leaf::{ERROR_RATIO, LANES};
 
 /// Queries per packet.
@@ -25,7 +29,7 @@ pub(crate) struct PacketScratch {
 /// A triangle that may be nearest to some query.
 struct Candidate {
     place: u32,
-    /// Bit i: the i-th query's foot lies inside for certain.
+    /// Bit i: the i-th query's foot on its plane lies inside for certain.
     inside: u8,
     /// Estimated squared distances.
     estimates: Each,
@@ -34,7 +38,7 @@ struct Candidate {
 impl PacketScratch {
     pub fn new() -> Self {
         Self {
-            stack: Vec::with_capacity(3 * MAX_DEPTH + WIDTH),
+            stack: Vec::with_capacity(STACK),
             candidates: Vec::with_capacity(256),
             leaf: 0,
         }
@@ -53,15 +57,42 @@ pub(crate) fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
+/// The extreme of a packet, halving it: a chain from the first to the last would keep the compiler from using vectors.
+#[inline(always)]
+fn reduce(each: &Each, extreme: impl Fn(f32, f32) -> f32) -> f32 {
+    let mut half = [0.0; QUERIES / 2];
+    for i in 0..QUERIES / 2 {
+        half[i] = extreme(each[i], each[i + QUERIES / 2]);
+    }
+    extreme(extreme(half[0], half[2]), extreme(half[1], half[3]))
+}
+
 impl Bvh {
-    /// The closest triangle to each of the finite points, which should be near each other.
+    /// The closest triangle to each of the finite points, at most [`QUERIES`], which should be near each other: the first
+    /// of `found`.
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "several arrays run side by side"
+    )]
     #[inline(always)]
     pub fn closest_packet(
         &self,
-        points: &[[f64; 3]; QUERIES],
+        points: &[[f64; 3]],
         scratch: &mut PacketScratch,
-    ) -> [Found; QUERIES] {
-        let q: [Each; 3] = [0, 1, 2].map(|k| points.map(|p| coarse(p[k])));
+        found: &mut [Found; QUERIES],
+    ) {
+        let Some(last) = points.len().checked_sub(1) else {
+            return;
+        };
+        // Plain loops, here and below: what `array::map` makes of these is not vectors.
+        let mut q: [Each; 3] = [[0.0; QUERIES]; 3];
+        for i in 0..QUERIES {
+            // A packet that is not full is filled with its last point.
+            let point = &points[i.min(last)];
+            for k in 0..3 {
+                q[k][i] = coarse(point[k]);
+            }
+        }
         // What f32 may lose. An estimate is off by one slack at most, so that the nearest triangle's is at most two above
         // the smallest.
         let mut slack: Each = [0.0; QUERIES];
@@ -69,8 +100,19 @@ impl Bvh {
             let size = q[0][i].abs() + q[1][i].abs() + q[2][i].abs();
             slack[i] = 2.0 * ERROR_RATIO * (self.extent + size);
         }
-        let mut least: Each = [f32::INFINITY; QUERIES];
-        let mut limit: Each = [f32::INFINITY; QUERIES];
+        let (mut from, mut to) = ([0.0; 3], [0.0; 3]);
+        for k in 0..3 {
+            (from[k], to[k]) = (reduce(&q[k], smaller), reduce(&q[k], larger));
+        }
+        let (mut least, mut limit): (Each, Each) =
+            ([f32::INFINITY; QUERIES], [f32::INFINITY; QUERIES]);
+        // Kept in memory: split into registers one by one, they are put together again in odd shapes, not in whole vectors.
+        let (q, slack, least, limit) = (
+            black_box(&q),
+            black_box(&slack),
+            black_box(&mut least),
+            black_box(&mut limit),
+        );
         let PacketScratch {
             stack,
             candidates,
@@ -78,47 +120,44 @@ impl Bvh {
         } = scratch;
         candidates.clear();
         let first = (*hint).min(self.leaves.len() as u32 - 1);
-        self.try_leaf(first, &q, &slack, &mut least, &mut limit, candidates);
+        let mut widest = self.try_leaf(first, q, slack, least, limit, candidates);
         stack.clear();
         stack.push((0.0, 0, 0));
         while let Some((nearest, child, count)) = stack.pop() {
-            // The bounds may have shrunk since: `nearest` is the smallest distance of any query.
-            let mut widest = 0.0;
-            for limit in limit {
-                widest = larger(widest, limit);
-            }
+            // The bounds may have shrunk since.
             if nearest > widest {
                 continue;
             }
             if count > 0 {
                 if child != first {
-                    self.try_leaf(child, &q, &slack, &mut least, &mut limit, candidates);
+                    widest = self.try_leaf(child, q, slack, least, limit, candidates);
                 }
                 continue;
             }
             let node = &self.nodes[child as usize];
+            let distances2 = node.distances2(&from, &to);
+            let mut near = distances2.simd_le(f32x8::splat(widest)).to_bitmask();
+            let distances2 = distances2.to_array();
             let begin = stack.len();
-            for slot in 0..WIDTH {
-                let (low, high) = (
-                    [0, 1, 2].map(|k: usize| node.low[k][slot]),
-                    [0, 1, 2].map(|k: usize| node.high[k][slot]),
-                );
-                let mut nearest = f32::INFINITY;
+            while near != 0 {
+                let slot = near.trailing_zeros() as usize % WIDTH;
+                near &= near - 1;
+                // Near the packet's box; near any of its points?
                 let mut entered = false;
                 for i in 0..QUERIES {
                     let mut distance2 = 0.0;
                     for k in 0..3 {
-                        let outside = larger(larger(low[k] - q[k][i], q[k][i] - high[k]), 0.0);
+                        let (low, high) = (node.low[k][slot], node.high[k][slot]);
+                        let outside = larger(larger(low - q[k][i], q[k][i] - high), 0.0);
                         distance2 += outside * outside;
                     }
                     entered |= distance2 <= limit[i];
-                    nearest = smaller(nearest, distance2);
                 }
                 if !entered {
                     continue;
                 }
                 // Insertion into the new part of the stack, nearest on top.
-                stack.push((nearest, node.child[slot], node.count[slot]));
+                stack.push((distances2[slot], node.child[slot], node.count[slot]));
                 let mut at = stack.len() - 1;
                 while at > begin && stack[at - 1].0 < stack[at].0 {
                     stack.swap(at - 1, at);
@@ -126,47 +165,45 @@ impl Bvh {
                 }
             }
         }
-        let mut best = [None::<Found>; QUERIES];
-        for Candidate {
-            place,
-            inside,
-            estimates,
-        } in candidates.iter()
-        {
+        let wanted = (1 << points.len().min(QUERIES)) - 1;
+        let mut have = 0u32;
+        for candidate in candidates.iter() {
             let mut promising = 0u32;
             for i in 0..QUERIES {
-                promising |= u32::from(estimates[i] <= limit[i]) << i;
+                promising |= u32::from(candidate.estimates[i] <= limit[i]) << i;
             }
-            let triangle = &self.triangles[*place as usize];
+            promising &= wanted;
+            let triangle = &self.triangles[candidate.place as usize];
             while promising != 0 {
                 let i = promising.trailing_zeros() as usize % QUERIES;
                 promising &= promising - 1;
                 let point = Vector3::from(points[i]);
-                let nearest = if inside >> i & 1 == 1 {
+                let nearest = if candidate.inside >> i & 1 == 1 {
                     triangle.foot(point)
                 } else {
                     triangle.nearest(point)
                 };
-                if best[i].is_none_or(|b| nearest.distance2_mm2 < b.nearest.distance2_mm2) {
-                    best[i] = Some(Found {
-                        place: *place,
+                if have >> i & 1 == 0 || nearest.distance2_mm2 < found[i].nearest.distance2_mm2 {
+                    have |= 1 << i;
+                    found[i] = Found {
+                        place: candidate.place,
                         nearest,
-                    });
+                    };
                 }
             }
         }
-        let found = std::array::from_fn(|i| {
-            // Estimates of finite points are finite, so every query has a candidate.
-            best[i].unwrap_or_else(|| Found {
-                place: 0,
-                nearest: self.triangles[0].nearest(Vector3::from(points[i])),
-            })
-        });
-        *hint = found[QUERIES - 1].place / LANES as u32;
-        found
+        // Estimates of finite points are finite, so every query has had a candidate; if not, any is better than none.
+        let mut without = wanted & !have;
+        while without != 0 {
+            let i = without.trailing_zeros() as usize % QUERIES;
+            without &= without - 1;
+            found[i] = self.closest(points[i]);
+        }
+        *hint = found[last.min(QUERIES - 1)].place / LANES as u32;
     }
 
-    /// Estimates the leaf's triangles, keeps those that may be nearest to some query, and tightens the bounds.
+    /// Estimates the leaf's triangles, keeps those that may be nearest to some query, and tightens the bounds,
+    /// of which the widest is returned.
     #[inline(always)]
     fn try_leaf(
         &self,
@@ -176,7 +213,7 @@ impl Bvh {
         least: &mut Each,
         limit: &mut Each,
         candidates: &mut Vec<Candidate>,
-    ) {
+    ) -> f32 {
         let of_leaf = &self.leaves[leaf as usize];
         for lane in 0..LANES {
             let (estimates, inside) = of_leaf.distances2_of(lane, q, slack);
@@ -198,5 +235,6 @@ impl Bvh {
                 limit[i] = reach * reach * (1.0 + 4e-7);
             }
         }
+        reduce(limit, larger)
     }
 }
