@@ -171,3 +171,113 @@ fn a_no_go_outlives_a_restart_until_it_is_acknowledged() {
         shown.json
     );
 }
+
+fn replay(file: &Path, id: &str, arguments: &[&str]) -> Run {
+    let mut command = flankscope();
+    command
+        .arg("replay")
+        .arg(file)
+        .args([id, "--quiet", "--json", "-"])
+        .args(arguments);
+    run(&mut command)
+}
+
+#[test]
+fn a_stored_verdict_is_computed_again_bit_for_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (file, baseline) = (path("press.db"), path("new.json"));
+    let check =
+        |arguments: &[&str]| inspect(&[&["--teeth", "40", "--history", &file], arguments].concat());
+    // A go, a no-go with pixels as points, wear since a baseline, and a view whose frames do not pair.
+    assert_eq!(
+        check(&["--seed", "3", "--record-baseline", &baseline]).code,
+        0
+    );
+    assert_eq!(check(&["--wear", "40:left:80", "--grid", "pixel"]).code, 1);
+    assert_eq!(
+        check(&[
+            "--seed",
+            "4",
+            "--wear",
+            "40:left:40",
+            "--baseline",
+            &baseline
+        ])
+        .code,
+        4
+    );
+    let lost = check(&["--frame-fault", "lose:7"]);
+    assert_eq!(lost.code, 2, "{}", lost.json["reason"]);
+    let history = Path::new(&file);
+    for (id, code, captures) in [("1", 0, 1), ("2", 1, 1), ("3", 4, 1), ("4", 2, 0)] {
+        let again = replay(history, id, &[]);
+        assert_eq!(
+            again.code, code,
+            "check {id}: {} {}",
+            again.json, again.stderr
+        );
+        assert_eq!(again.json["same"], true, "check {id}: {}", again.json);
+        assert_eq!(again.json["captures"], captures, "check {id}");
+    }
+    let none = replay(history, "5", &[]);
+    assert_eq!(none.code, 3);
+    assert!(none.stderr.contains("checks up to 4"), "{}", none.stderr);
+
+    // Another tool file of the same tool: what follows from it differs, by name.
+    let tool = path("tool");
+    let made = flankscope()
+        .args(["bench", "demo-tool", "--out", &tool])
+        .status();
+    assert!(made.is_ok_and(|status| status.success()));
+    let text = std::fs::read_to_string(path("tool/tool.toml")).unwrap();
+    let strict = text.replace("warn_um = 30", "warn_um = 1");
+    assert_ne!(strict, text);
+    std::fs::write(path("tool/tool.toml"), strict).unwrap();
+    let changed = replay(history, "1", &["--tool", &tool]);
+    assert_eq!(
+        (changed.code, &changed.json["same"]),
+        (2, &Value::Bool(false)),
+        "{}",
+        changed.stderr
+    );
+    let named: Vec<&str> = changed.json["differences"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter_map(|difference| difference["what"].as_str())
+        .collect();
+    for what in ["hashes.tool", "features.0.warn_um", "verdict"] {
+        assert!(named.contains(&what), "{what} among {named:?}");
+    }
+    assert!(!named.contains(&"features.0.wear_um"), "{named:?}");
+
+    // Phasors that are not what they were, or not there.
+    let phasors = |id: &str| {
+        let connection = rusqlite::Connection::open(&file).unwrap();
+        let hash: String = connection
+            .query_row(
+                "SELECT json_extract(document, '$.evidence[0].phasors[0]') FROM inspection WHERE id = ?1",
+                [id],
+                |row| row.get(0),
+            )
+            .unwrap();
+        Path::new(&format!("{file}.phasors")).join(format!("{hash}.zz"))
+    };
+    let damaged = phasors("1");
+    let mut bytes = std::fs::read(&damaged).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x10;
+    std::fs::write(&damaged, bytes).unwrap();
+    let missing = phasors("3");
+    std::fs::remove_file(&missing).unwrap();
+    for (id, file) in [("1", damaged), ("3", missing)] {
+        let refused = replay(history, id, &[]);
+        assert_eq!(refused.code, 3, "{}", refused.json);
+        assert!(
+            refused.stderr.contains(file.to_str().unwrap()),
+            "{}",
+            refused.stderr
+        );
+    }
+}

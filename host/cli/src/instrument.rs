@@ -46,6 +46,9 @@ pub struct Source {
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
     #[arg(long, value_name = "N", requires = "history")]
     pub tool_cycles: Option<u32>,
+    /// Remove the phasors of a go after N later checks; other verdicts keep theirs
+    #[arg(long, value_name = "N", default_value_t = 1000, requires = "history")]
+    pub keep_phasors: u32,
 }
 
 /// What only the simulated bench knows.
@@ -121,7 +124,12 @@ impl Instrument {
                 let mut station = Station::open(subject, source.teeth.as_deref(), root)?;
                 if let Some(path) = &source.history {
                     let history = History::open(path)?;
-                    station.keep(Keeper::new(history, source.tool_cycles, operator()))?;
+                    station.keep(Keeper::new(
+                        history,
+                        source.tool_cycles,
+                        source.keep_phasors,
+                        operator(),
+                    ))?;
                 }
                 Ok(station)
             },
@@ -211,6 +219,16 @@ impl<S> Instrument<S> {
         let _ = quiet;
         Ok(None)
     }
+}
+
+/// Reads tool and head from a folder, or the demo's.
+pub fn subject(tool: Option<&Path>) -> anyhow::Result<Subject> {
+    let scratch = Scratch::new()?;
+    let folder = match tool {
+        Some(folder) => folder.to_path_buf(),
+        None => demo_tool(scratch.path())?,
+    };
+    load(&folder, scratch.path())
 }
 
 /// Reads tool and head, and hashes what was read.

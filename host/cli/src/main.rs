@@ -15,6 +15,7 @@ mod instrument;
 mod merge;
 mod output;
 mod register;
+mod replay;
 mod sample;
 mod scan;
 mod watch;
@@ -46,6 +47,7 @@ enum Command {
     Merge(merge::Args),
     Gear(gear::Args),
     History(history::Args),
+    Replay(replay::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true)]
@@ -84,6 +86,7 @@ fn main() -> ExitCode {
         Command::Merge(args) => merge::run(&args),
         Command::Gear(args) => gear::run(&args),
         Command::History(args) => history::run(&args),
+        Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
     };

@@ -280,6 +280,11 @@ impl Accumulator {
         })
     }
 
+    /// Counts as a whole view from here on: its sums were put there.
+    pub(crate) fn complete(&mut self) {
+        self.next = self.planned();
+    }
+
     /// The phasor of a cell, as merged so far.
     pub fn phasor(&self, set: usize, cell: usize) -> Option<Phasor> {
         let band = self

@@ -7,7 +7,7 @@ use inspections::inspection;
 use rusqlite::Connection;
 
 fn keeper(history: History) -> Keeper {
-    Keeper::new(history, None, "tester".into())
+    Keeper::new(history, None, 3, "tester".into())
 }
 
 #[test]
@@ -160,6 +160,49 @@ fn a_verdict_that_cannot_be_stored_is_no_go() {
     let mut again = inspection(3, "go", "all is well");
     keeper.keep(&mut again);
     assert_eq!((again.id, again.verdict.as_str()), (Some(2), "go"));
+}
+
+#[test]
+fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let mut keeper = keeper(History::open(&path).unwrap());
+    let mut stored = Vec::new();
+    for (number, verdict) in (1..).zip(["go", "no-go", "indeterminate", "go", "go", "go", "warn"]) {
+        let mut check = inspection(number, verdict, "");
+        stored.push((check.phasors[0].clone(), verdict));
+        keeper.keep(&mut check);
+        assert!(check.id.is_some());
+    }
+    let history = History::read(&path).unwrap();
+    for (at, (phasors, verdict)) in stored.iter().enumerate() {
+        let found = history.phasors(&phasors.blake3, phasors.bytes.len());
+        // Seven are stored: those of a go that has three or more after it are gone.
+        let gone = *verdict == "go" && at + 3 < stored.len();
+        match found {
+            Ok(found) => {
+                assert!(!gone, "check {}", at + 1);
+                assert_eq!(found.bytes, phasors.bytes);
+            }
+            Err(error) => {
+                assert!(gone, "check {}: {error}", at + 1);
+                assert!(error.to_string().contains(&phasors.blake3), "{error}");
+            }
+        }
+    }
+    // A damaged file is named.
+    let file = history
+        .phasors_folder()
+        .join(format!("{}.zz", stored[1].0.blake3));
+    let mut bytes = std::fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&file, bytes).unwrap();
+    let error = history
+        .phasors(&stored[1].0.blake3, 4096)
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains(&stored[1].0.blake3), "{error}");
 }
 
 #[test]

@@ -37,7 +37,7 @@ fn store(path: &Path, checks: u32) {
         Ok(history) => history,
         Err(error) => return println!("none could-not-run {error}"),
     };
-    let mut keeper = Keeper::new(history, None, "tester".into());
+    let mut keeper = Keeper::new(history, None, u32::MAX, "tester".into());
     let process = std::process::id();
     for number in 0..checks {
         let mut check = inspection(number, "go", &format!("{number} of {process}"));
@@ -75,7 +75,8 @@ fn assert_kept(path: &Path, given: &[Said]) {
         .query_row("PRAGMA integrity_check", [], |row| row.get(0))
         .unwrap();
     assert_eq!(whole, "ok");
-    let checks = History::read(path).unwrap().checks("die").unwrap();
+    let history = History::read(path).unwrap();
+    let checks = history.checks("die").unwrap();
     assert!(
         checks.iter().all(|check| check.flanks.len() == 6),
         "none is stored in part"
@@ -90,6 +91,11 @@ fn assert_kept(path: &Path, given: &[Said]) {
             (&check.verdict, &check.reason),
             (&said.verdict, &said.reason)
         );
+        let phasors = &inspection(check.press_cycles as u32, "go", "").phasors[0];
+        let found = history
+            .phasors(&phasors.blake3, phasors.bytes.len())
+            .unwrap();
+        assert_eq!(found.bytes, phasors.bytes, "of check {id}");
     }
 }
 

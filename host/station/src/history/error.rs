@@ -48,6 +48,24 @@ pub enum HistoryError {
         /// Cause.
         source: serde_json::Error,
     },
+    /// Phasors that cannot be written or read.
+    #[error("phasors {}: {source}", path.display())]
+    Phasors {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Phasors that are not what was stored.
+    #[error("phasors {} are damaged: their BLAKE3 is {got}, stored was {expected}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Of the file.
+        got: String,
+        /// Of the check.
+        expected: String,
+    },
     /// No such check.
     #[error("history {} has no check {id}; it has {}", path.display(), match last {
         Some(last) => format!("checks up to {last}"),

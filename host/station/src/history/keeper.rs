@@ -1,6 +1,9 @@
 //! A check counts once it is stored: what cannot be kept is not said.
 
+use rayon::prelude::*;
+
 use super::error::HistoryError;
+use super::phasors::pack;
 use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::Inspection;
@@ -12,17 +15,26 @@ pub struct Keeper {
     history: History,
     /// Cycles of the tool at the next check, where somebody said so.
     tool_cycles: Option<u32>,
+    /// Checks that ended in go keep their phasors until so many later ones are stored.
+    keep_phasors: u32,
     operator: String,
 }
 
 impl Keeper {
     /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
-    /// better than from the last check; `operator` is who runs the instrument.
+    /// better than from the last check. Of a go, the phasors are removed after `keep_phasors` later checks; other verdicts
+    /// keep theirs. `operator` is who runs the instrument.
     #[must_use]
-    pub fn new(history: History, tool_cycles: Option<u32>, operator: String) -> Self {
+    pub fn new(
+        history: History,
+        tool_cycles: Option<u32>,
+        keep_phasors: u32,
+        operator: String,
+    ) -> Self {
         Self {
             history,
             tool_cycles,
+            keep_phasors,
             operator,
         }
     }
@@ -44,7 +56,7 @@ impl Keeper {
 
     /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
     pub fn keep(&mut self, inspection: &mut Inspection) {
-        match self.history.record(inspection, self.tool_cycles) {
+        match self.store(inspection) {
             Ok(id) => {
                 inspection.id = Some(id);
                 self.tool_cycles = None;
@@ -59,6 +71,32 @@ impl Keeper {
                 }
             }
         }
+    }
+
+    /// Stores a check; its phasors first, so that a stored check always has them.
+    fn store(&mut self, inspection: &mut Inspection) -> Result<i64, HistoryError> {
+        let phasors = std::mem::take(&mut inspection.phasors);
+        let history = &self.history;
+        let packed: Vec<_> = phasors.par_iter().map(|p| pack(&p.bytes)).collect();
+        for (phasors, packed) in phasors.iter().zip(packed) {
+            let packed = packed.map_err(|source| HistoryError::Phasors {
+                path: history.phasors_folder(),
+                source,
+            })?;
+            history.keep_phasors(&phasors.blake3, &packed)?;
+        }
+        let id = self.history.record(inspection, self.tool_cycles)?;
+        match self
+            .history
+            .phasors_of_go(id - i64::from(self.keep_phasors))
+        {
+            Ok(old) => old
+                .iter()
+                .for_each(|hash| self.history.forget_phasors(hash)),
+            // The check is stored; that old phasors stay as well does no harm.
+            Err(error) => tracing::warn!(%error, "old phasors are not removed"),
+        }
+        Ok(id)
     }
 
     /// Notes an acknowledgement, by the operator unless somebody gave a name.

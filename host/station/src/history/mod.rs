@@ -16,13 +16,17 @@
 //! | `remaining` | how many cycles are left |
 //! | `outlook` | all of that for one flank |
 //! | `export` | CSV |
+//! | `phasors` | what verdicts were computed from, in files beside the store |
+//! | `replay` | a stored verdict, computed again |
 
 mod change;
 mod error;
 mod export;
 mod keeper;
 mod outlook;
+mod phasors;
 mod remaining;
+mod replay;
 mod schema;
 mod series;
 mod store;
@@ -34,6 +38,7 @@ pub use export::csv;
 pub use keeper::Keeper;
 pub use outlook::Outlook;
 pub use remaining::Passage;
+pub use replay::{Difference, Replay, ReplayError};
 pub use series::{Point, Series, series};
 pub use store::{Acknowledgement, Check, FlankRow, History};
 pub use trend::{LEAST_POINTS, Trend};

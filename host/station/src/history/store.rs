@@ -426,6 +426,31 @@ impl History {
         }
     }
 
+    /// The text of a baseline, by its hash.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn baseline(&self, blake3: &str) -> Result<Option<String>, HistoryError> {
+        self.connection
+            .query_row(
+                "SELECT document FROM baseline WHERE blake3 = ?1",
+                [blake3],
+                |row| row.get(0),
+            )
+            .optional()
+            .map_err(self.because("read a baseline"))
+    }
+
+    /// Hashes of the phasors of a check that ended in go; none for another verdict, or when there is no such check.
+    pub(super) fn phasors_of_go(&self, id: i64) -> Result<Vec<String>, HistoryError> {
+        self.rows(
+            "SELECT phasors.value FROM inspection, json_each(document, '$.evidence') AS view, \
+             json_each(view.value, '$.phasors') AS phasors WHERE inspection.id = ?1 AND verdict = 'go'",
+            [id],
+            |row| row.get(0),
+        )
+    }
+
     /// The acknowledgements of a tool, in order.
     ///
     /// # Errors

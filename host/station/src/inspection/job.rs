@@ -21,14 +21,15 @@ use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, FaultCode, Pl
 use tokio::sync::mpsc as channel;
 use tokio::time::Instant;
 
+use super::evidence::{Phasors, Recipe};
+use super::findings::Findings;
 use super::pairing::pair;
 use super::plan::{Itinerary, PlanningError, capture_plan};
 use super::recorder::{
     CapturedView, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings, ViewError,
 };
-use super::result::{Feature, FrameCount, Handover, Inspection, Pictures, Timing};
+use super::result::{FrameCount, Handover, Inspection, Pictures, Timing};
 use super::run::Run;
-use super::verdict::{self, Judged};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::baseline::Baseline;
 use crate::capture::{Arm, Frame, FrameReceiver, ServiceError, SharedRoot, monotonic_ns};
@@ -153,7 +154,11 @@ impl Station {
         )?;
         let decoder = Arc::new(decoder);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
-        let evaluate = move |view, sums: &Accumulator| evaluator.evaluate(view, sums);
+        let evaluate = move |view, sums: &Accumulator| {
+            let mut outcome = evaluator.evaluate(view, sums);
+            outcome.phasors.push(Phasors::of(sums));
+            outcome
+        };
         Self::start(subject, itinerary, decoder, root, evaluate)
     }
 
@@ -230,32 +235,13 @@ impl Station {
         begun_ns: u64,
         client: &Client,
     ) -> Inspection {
-        let mut judged: Vec<Judged> = Vec::new();
-        let mut registration = Vec::new();
-        let mut fields = Vec::new();
-        let mut pictures = Pictures {
-            frame: run.picture,
-            ..Pictures::default()
-        };
-        for (view, planned) in self.itinerary.views.iter().enumerate() {
-            match run.outcomes.get(&view) {
-                Some(outcome) => {
-                    judged.extend(outcome.flanks.iter().cloned());
-                    registration.push(outcome.registration.clone());
-                    fields.extend(outcome.fields.iter().cloned());
-                    pictures.maps.extend(outcome.maps.iter().cloned());
-                    pictures
-                        .deviations_um
-                        .extend_from_slice(&outcome.deviations_um);
-                }
-                None => {
-                    let why = run.problems.get(&view).cloned().or_else(|| stopped.clone());
-                    let why = why.unwrap_or_else(|| "the view was not captured".into());
-                    judged.extend(verdict::unmeasured(planned.tooth, &self.subject.tool, &why));
-                }
-            }
-        }
-        let (verdict, reason) = verdict::of_tool(&judged, stopped.as_deref());
+        let found = Findings::of(
+            &self.subject.tool,
+            &self.itinerary,
+            std::mem::take(&mut run.outcomes),
+            &run.problems,
+            stopped.as_deref(),
+        );
         let positioning = run.timeline.positioning_ms();
         let exposure = run.timeline.exposure_ms();
         let mut versions = BTreeMap::new();
@@ -267,12 +253,14 @@ impl Station {
         );
         versions.insert("firmware", format!("{major}.{minor}.{patch}"));
         let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
-        pictures.lanes = run.timeline.lanes();
+        let recipe = Recipe::of(&self.subject, &self.itinerary);
+        let mut hashes = self.subject.hashes.clone();
+        hashes.insert("recipe", recipe.hash());
         Inspection {
             id: None,
-            verdict: verdict.to_string(),
-            reason,
-            features: judged.into_iter().map(Feature::from).collect(),
+            verdict: found.verdict.to_string(),
+            reason: found.reason,
+            features: found.features,
             timing_ms: Timing {
                 total: since(begun_ns, monotonic_ns()),
                 positioning,
@@ -288,13 +276,22 @@ impl Station {
             },
             press_cycles: run.press_cycles,
             peak_memory_mb: peak_memory_mb(),
-            registration,
+            registration: found.registration,
             tool: self.subject.tool.name.clone(),
             temperature_degc: self.subject.temperature_degc,
             versions,
-            hashes: self.subject.hashes.clone(),
-            fields,
-            pictures,
+            hashes,
+            recipe,
+            evidence: found.evidence,
+            stopped,
+            phasors: found.phasors,
+            fields: found.fields,
+            pictures: Pictures {
+                maps: found.maps,
+                deviations_um: found.deviations_um,
+                lanes: run.timeline.lanes(),
+                frame: run.picture,
+            },
         }
     }
 }

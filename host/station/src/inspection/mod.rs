@@ -8,10 +8,14 @@
 //! | `recorder` | the capture thread: frames summed where they lie |
 //! | `pairing` | triggers against frames |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `findings` | all views to what is said of the tool |
+//! | `evidence` | what a verdict was computed from |
 //! | `verdict` | flanks to one verdict |
 //! | `timeline` | what the devices did when |
 //! | `result` | the JSON document and the report's material |
 
+mod evidence;
+mod findings;
 mod influence;
 mod job;
 mod pairing;
@@ -23,6 +27,8 @@ mod timeline;
 mod verdict;
 mod views;
 
+pub use evidence::{Evidence, Phasors, Recipe};
+pub(crate) use findings::Findings;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Progress, Station, Subject};
 pub use pairing::{PairingError, pair};

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::baseline::Reference;
 
+use super::evidence::{Evidence, Phasors, Recipe};
 pub use super::recorder::Picture;
 
 /// One inspected flank: a row of the table.
@@ -198,8 +199,18 @@ pub struct Inspection {
     pub temperature_degc: Option<f64>,
     /// Host, protocol, firmware.
     pub versions: BTreeMap<&'static str, String>,
-    /// BLAKE3 of what went in: CAD, tool file, head file.
+    /// BLAKE3 of what went in: CAD, tool file, head file, core map, baseline, recipe.
     pub hashes: BTreeMap<&'static str, String>,
+    /// How the check looked at the tool, beside what the files say.
+    pub recipe: Recipe,
+    /// What the verdict on each view was computed from.
+    pub evidence: Vec<Evidence>,
+    /// Why the check ended early, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<String>,
+    /// The sums of every capture, to be stored.
+    #[serde(skip)]
+    pub phasors: Vec<Phasors>,
     /// Deviation from CAD of every measured flank, cell by cell: what a baseline is made of.
     #[serde(skip)]
     pub fields: Vec<Reference>,

@@ -16,6 +16,7 @@ use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
+use super::evidence::Phasors;
 use super::influence::Fitted;
 use super::job::Subject;
 use super::plan::Itinerary;
@@ -80,6 +81,8 @@ pub struct ViewOutcome {
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
     pub deviations_um: Vec<f64>,
+    /// What it was computed from, where that is kept.
+    pub phasors: Vec<Phasors>,
 }
 
 /// Where a view is taken from, and the surface it can see.
@@ -330,6 +333,7 @@ impl Evaluator {
             fields,
             maps,
             deviations_um,
+            phasors: Vec::new(),
         }
     }
 
@@ -441,6 +445,7 @@ impl Evaluator {
             fields: Vec::new(),
             maps: Vec::new(),
             deviations_um: Vec::new(),
+            phasors: Vec::new(),
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Results of checks that nobody made.
 
-use flankscope_station::inspection::{Feature, FrameCount, Inspection, Pictures, Timing};
+use flankscope_station::inspection::{
+    Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
+};
 
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
 pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection {
@@ -19,6 +21,13 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         reason: None,
         code: None,
     };
+    let bytes: Vec<u8> = (0..1024)
+        .flat_map(|i| (i ^ press_cycles).to_le_bytes())
+        .collect();
+    let phasors = Phasors {
+        blake3: flankscope_station::files::hash(&bytes),
+        bytes,
+    };
     Inspection {
         id: None,
         verdict: verdict.into(),
@@ -36,6 +45,14 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         temperature_degc: None,
         versions: [("host", "0.1.0".to_owned())].into(),
         hashes: [("cad", "0".repeat(64))].into(),
+        recipe: Recipe::default(),
+        evidence: vec![Evidence {
+            tooth: 12,
+            phasors: vec![phasors.blake3.clone()],
+            problem: None,
+        }],
+        stopped: None,
+        phasors: vec![phasors],
         fields: Vec::new(),
         pictures: Pictures::default(),
     }

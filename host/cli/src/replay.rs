@@ -1,0 +1,79 @@
+//! `flankscope replay`: a stored verdict, computed again.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use flankscope_station::history::{History, Replay};
+use serde_json::json;
+
+use crate::instrument;
+use crate::output::{Common, Outcome};
+
+/// Compute a stored verdict again from its phasors, and name whatever is not the same to the last bit.
+///
+/// Tool, head and CAD are read from --tool as they are now; teeth, temperature, grid and baseline are those of the check.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope inspect --history press.db\n  flankscope replay press.db 1\n\
+    computes the first check of the history again\n\n\
+    Exit code: that of the verdict when nothing differs: 0 go, 1 no-go, 2 indeterminate, 4 warn; 2 when something differs, \
+    3 could not run: phasors are missing or damaged"
+)]
+pub struct Args {
+    /// File that inspect or watch wrote with --history
+    file: PathBuf,
+    /// Number of the check
+    id: i64,
+    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
+    #[arg(long, value_name = "DIR")]
+    tool: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let history = History::read(&args.file)?;
+    let subject = instrument::subject(args.tool.as_deref())?;
+    let replay = Replay::of(&history, args.id, subject)?;
+    let same = replay.differences.is_empty();
+    let mut document = serde_json::to_value(&replay)?;
+    document["same"] = json!(same);
+    args.common.write_json(&document)?;
+    if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+        print(&replay)?;
+    }
+    Ok(if same {
+        Outcome::of_verdict(&replay.verdict)
+    } else {
+        Outcome::Indeterminate
+    })
+}
+
+fn print(replay: &Replay) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(
+        out,
+        "check {}: {} stored, {} from {} captures: {}",
+        replay.id, replay.stored_verdict, replay.verdict, replay.captures, replay.reason
+    )?;
+    for difference in &replay.versions {
+        writeln!(
+            out,
+            "{}: {} then, {} now",
+            difference.what, difference.stored, difference.now
+        )?;
+    }
+    for difference in &replay.differences {
+        writeln!(
+            out,
+            "DIFFERS {}: stored {}, now {}",
+            difference.what, difference.stored, difference.now
+        )?;
+    }
+    match replay.differences.len() {
+        0 => writeln!(out, "every figure is the same to the last bit")?,
+        count => writeln!(out, "{count} differences")?,
+    }
+    Ok(())
+}

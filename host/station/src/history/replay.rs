@@ -1,0 +1,260 @@
+//! A stored verdict, computed again from its phasors, and every difference by name.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, PhasorsError};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use super::error::HistoryError;
+use super::store::History;
+use crate::baseline::Baseline;
+use crate::inspection::{
+    Evaluator, EvaluatorError, Evidence, Findings, Itinerary, PlanningError, Recipe, Subject,
+};
+
+/// Why a check cannot be computed again.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplayError {
+    /// Its row, its phasors or its baseline are not there, or not what was stored.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// The stored document lacks what a replay needs.
+    #[error("the document of check {id} cannot be read: {source}")]
+    Document {
+        /// Check.
+        id: i64,
+        /// Cause.
+        source: serde_json::Error,
+    },
+    /// The baseline is not the one that was stored.
+    #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
+    Baseline {
+        /// Check.
+        id: i64,
+        /// Its BLAKE3.
+        expected: String,
+    },
+    /// The phasors do not fit head and patterns.
+    #[error("phasors {blake3} of tooth {tooth}: {source}")]
+    Phasors {
+        /// Hash of the phasors.
+        blake3: String,
+        /// Tooth of the view.
+        tooth: u32,
+        /// Cause.
+        source: PhasorsError,
+    },
+    /// No views from this tool and head.
+    #[error(transparent)]
+    Planning(#[from] PlanningError),
+    /// The head model cannot decode.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// The tool cannot be evaluated.
+    #[error(transparent)]
+    Evaluator(#[from] EvaluatorError),
+}
+
+/// Something that is not as it was stored.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Where in the document, for example `features.0.wear_um`.
+    pub what: String,
+    /// Stored.
+    pub stored: Value,
+    /// Now.
+    pub now: Value,
+}
+
+/// A check computed again.
+#[derive(Clone, Debug, Serialize)]
+pub struct Replay {
+    /// Its number.
+    pub id: i64,
+    /// The stored verdict.
+    pub stored_verdict: String,
+    /// The verdict as computed now.
+    pub verdict: String,
+    /// Its reason.
+    pub reason: String,
+    /// Captures that it was computed from.
+    pub captures: usize,
+    /// Releases that are not those of the check; they explain a difference, but are none.
+    pub versions: Vec<Difference>,
+    /// What differs; none when every figure is the same to the last bit.
+    pub differences: Vec<Difference>,
+}
+
+/// What a replay reads of the stored document.
+#[derive(Deserialize)]
+struct Stored {
+    verdict: String,
+    recipe: Recipe,
+    evidence: Vec<Evidence>,
+    stopped: Option<String>,
+    hashes: BTreeMap<String, String>,
+}
+
+impl Replay {
+    /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline
+    /// are those of the check.
+    ///
+    /// # Errors
+    /// Something that the verdict was computed from is missing or damaged.
+    pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
+        let in_document = |source| ReplayError::Document { id, source };
+        let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
+        let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
+        subject.temperature_degc = stored.recipe.temperature_degc;
+        if stored.recipe.grid == "pixel" {
+            Arc::make_mut(&mut subject.head).core_map = None;
+        }
+        if let Some(expected) = stored.hashes.get("baseline") {
+            let baseline = baseline(history, expected)?.ok_or_else(|| ReplayError::Baseline {
+                id,
+                expected: expected.clone(),
+            })?;
+            subject.hashes.insert("baseline", baseline.hash());
+            subject.baseline = Some(Arc::new(baseline));
+        }
+        let itinerary = Arc::new(Itinerary::new(
+            &subject.tool,
+            &subject.head,
+            Some(&stored.recipe.teeth),
+        )?);
+        let decoder = Arc::new(Decoder::new(
+            &subject.head,
+            &itinerary.patterns,
+            &itinerary.exposures_us,
+            DecodeOptions::for_head(&subject.head),
+        )?);
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        let mut outcomes = BTreeMap::new();
+        let mut problems = BTreeMap::new();
+        let mut captures = 0;
+        let mut sums = decoder.begin();
+        for (view, evidence) in stored.evidence.iter().enumerate() {
+            if let Some(problem) = &evidence.problem {
+                problems.insert(view, problem.clone());
+            }
+            for blake3 in &evidence.phasors {
+                let phasors = history.phasors(blake3, sums.byte_count())?;
+                sums.restore(&phasors.bytes)
+                    .map_err(|source| ReplayError::Phasors {
+                        blake3: blake3.clone(),
+                        tooth: evidence.tooth,
+                        source,
+                    })?;
+                captures += 1;
+                let mut outcome = evaluator.evaluate(view, &sums);
+                outcome.phasors.push(phasors);
+                outcomes.insert(view, outcome);
+            }
+        }
+        let recipe = Recipe::of(&subject, &itinerary);
+        subject.hashes.insert("recipe", recipe.hash());
+        let found = Findings::of(
+            &subject.tool,
+            &itinerary,
+            outcomes,
+            &problems,
+            stored.stopped.as_deref(),
+        );
+        let now = json!({
+            "verdict": found.verdict,
+            "reason": found.reason,
+            "features": found.features,
+            "registration": found.registration,
+            "evidence": found.evidence,
+            "recipe": recipe,
+            "hashes": subject.hashes,
+        });
+        let mut differences = Vec::new();
+        if let Some(now) = now.as_object() {
+            for (key, now) in now {
+                compare(key, &document[key], now, &mut differences);
+            }
+        }
+        let mut versions = Vec::new();
+        let host = json!(env!("CARGO_PKG_VERSION"));
+        compare(
+            "versions.host",
+            &document["versions"]["host"],
+            &host,
+            &mut versions,
+        );
+        Ok(Self {
+            id,
+            stored_verdict: stored.verdict,
+            verdict: found.verdict.into(),
+            reason: found.reason,
+            captures,
+            versions,
+            differences,
+        })
+    }
+}
+
+/// The baseline with this hash, if it is in the history as it was stored.
+fn baseline(history: &History, blake3: &str) -> Result<Option<Baseline>, HistoryError> {
+    let text = history.baseline(blake3)?;
+    let read = |text: String| serde_json::from_str::<Baseline>(&text).ok();
+    Ok(text.and_then(read).filter(|b| b.hash() == blake3))
+}
+
+/// Every leaf that is not the same. How long something took is no finding.
+fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Difference>) {
+    match (stored, now) {
+        (Value::Object(a), Value::Object(b)) => {
+            let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+            for key in keys.into_iter().filter(|key| *key != "elapsed_ms") {
+                let at = |map: &serde_json::Map<String, Value>| {
+                    map.get(key).cloned().unwrap_or(Value::Null)
+                };
+                compare(&format!("{what}.{key}"), &at(a), &at(b), differences);
+            }
+        }
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            for (i, (a, b)) in a.iter().zip(b).enumerate() {
+                compare(&format!("{what}.{i}"), a, b, differences);
+            }
+        }
+        _ if same(stored, now) => {}
+        _ => differences.push(Difference {
+            what: what.to_owned(),
+            stored: stored.clone(),
+            now: now.clone(),
+        }),
+    }
+}
+
+/// Numbers are compared as they are, to the last bit.
+fn same(a: &Value, b: &Value) -> bool {
+    match (a.as_f64(), b.as_f64()) {
+        (Some(a), Some(b)) => a.to_bits() == b.to_bits(),
+        _ => a == b,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_difference_is_named_and_times_are_none() {
+        let stored =
+            json!({ "a": [1.0, { "b": 2.5, "elapsed_ms": 7 }], "gone": "x", "same": null });
+        let now = json!({ "a": [1.0, { "b": f64::from_bits(2.5_f64.to_bits() + 1), "elapsed_ms": 9 }], "new": 1 });
+        let mut differences = Vec::new();
+        compare("r", &stored, &now, &mut differences);
+        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
+        assert_eq!(names, ["r.a.1.b", "r.gone", "r.new"]);
+        differences.clear();
+        compare("r", &json!([1, 2]), &json!([1]), &mut differences);
+        compare("r", &json!(0.0), &json!(-0.0), &mut differences);
+        assert_eq!(differences.len(), 2);
+    }
+}

@@ -1,0 +1,76 @@
+//! What a verdict was computed from: enough to compute it again, and to notice when something is not the same.
+
+use flankscope_profilometry::Accumulator;
+use serde::{Deserialize, Serialize};
+
+use super::job::Subject;
+use super::plan::Itinerary;
+use crate::files;
+
+/// How a check looks at a tool, beside what its files say.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Teeth in the middle of the views.
+    pub teeth: Vec<u32>,
+    /// Patterns.
+    pub pattern_set: String,
+    /// Exposures, µs.
+    pub exposures_us: Vec<u32>,
+    /// What a point is made of: `core` or `pixel`.
+    pub grid: String,
+    /// Temperature of the tool, degrees C, where it is known.
+    pub temperature_degc: Option<f64>,
+}
+
+impl Recipe {
+    pub(crate) fn of(subject: &Subject, itinerary: &Itinerary) -> Self {
+        let grid = if subject.head.core_map.is_some() {
+            "core"
+        } else {
+            "pixel"
+        };
+        Self {
+            teeth: itinerary.views.iter().map(|view| view.tooth).collect(),
+            pattern_set: itinerary.patterns.name.clone(),
+            exposures_us: itinerary.exposures_us.clone(),
+            grid: grid.into(),
+            temperature_degc: subject.temperature_degc,
+        }
+    }
+
+    /// BLAKE3 of its JSON.
+    pub(crate) fn hash(&self) -> String {
+        files::hash(&serde_json::to_vec(self).unwrap_or_default())
+    }
+}
+
+/// Where the verdict on one view comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    /// Tooth in the middle of the view.
+    pub tooth: u32,
+    /// BLAKE3 of the phasors of each capture of the view, in order; none when it was not captured whole.
+    pub phasors: Vec<String>,
+    /// Why there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub problem: Option<String>,
+}
+
+/// The sums of one capture of one view.
+#[derive(Clone, Debug)]
+pub struct Phasors {
+    /// BLAKE3 of the bytes.
+    pub blake3: String,
+    /// See [`flankscope_profilometry::phasors`].
+    pub bytes: Vec<u8>,
+}
+
+impl Phasors {
+    pub(crate) fn of(sums: &Accumulator) -> Self {
+        let bytes = sums.to_bytes();
+        Self {
+            blake3: files::hash(&bytes),
+            bytes,
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! All views of a check to what is said of the tool: the same for a check that runs and for one that is computed again.
+
+use std::collections::BTreeMap;
+
+use flankscope_metrology::tool::Tool;
+
+use super::evidence::{Evidence, Phasors};
+use super::plan::Itinerary;
+use super::result::{Feature, FlankMap, ViewRegistration};
+use super::verdict::{self, Judged};
+use super::views::ViewOutcome;
+use crate::baseline::Reference;
+
+/// What a check found.
+#[derive(Debug)]
+pub(crate) struct Findings {
+    pub verdict: &'static str,
+    pub reason: String,
+    pub features: Vec<Feature>,
+    pub registration: Vec<ViewRegistration>,
+    pub evidence: Vec<Evidence>,
+    pub phasors: Vec<Phasors>,
+    pub fields: Vec<Reference>,
+    pub maps: Vec<FlankMap>,
+    pub deviations_um: Vec<f64>,
+}
+
+impl Findings {
+    /// Joins the outcomes of the views. A view without one has its reason among `problems`, or shares that for which the
+    /// check `stopped`.
+    pub fn of(
+        tool: &Tool,
+        itinerary: &Itinerary,
+        mut outcomes: BTreeMap<usize, ViewOutcome>,
+        problems: &BTreeMap<usize, String>,
+        stopped: Option<&str>,
+    ) -> Self {
+        let mut judged: Vec<Judged> = Vec::new();
+        let mut registration = Vec::new();
+        let mut evidence = Vec::new();
+        let mut phasors = Vec::new();
+        let mut fields = Vec::new();
+        let mut maps = Vec::new();
+        let mut deviations_um = Vec::new();
+        for (view, &super::PlannedView { tooth, .. }) in itinerary.views.iter().enumerate() {
+            if let Some(outcome) = outcomes.remove(&view) {
+                let hashes = outcome.phasors.iter().map(|p| p.blake3.clone());
+                evidence.push(Evidence {
+                    tooth,
+                    phasors: hashes.collect(),
+                    problem: None,
+                });
+                judged.extend(outcome.flanks);
+                registration.push(outcome.registration);
+                phasors.extend(outcome.phasors);
+                fields.extend(outcome.fields);
+                maps.extend(outcome.maps);
+                deviations_um.extend(outcome.deviations_um);
+            } else {
+                let why = problems.get(&view).map(String::as_str).or(stopped);
+                let why = why.unwrap_or("the view was not captured");
+                judged.extend(verdict::unmeasured(tooth, tool, why));
+                evidence.push(Evidence {
+                    tooth,
+                    phasors: Vec::new(),
+                    problem: Some(why.to_owned()),
+                });
+            }
+        }
+        let (verdict, reason) = verdict::of_tool(&judged, stopped);
+        Self {
+            verdict,
+            reason,
+            features: judged.into_iter().map(Feature::from).collect(),
+            registration,
+            evidence,
+            phasors,
+            fields,
+            maps,
+            deviations_um,
+        }
+    }
+}
