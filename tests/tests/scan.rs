@@ -71,6 +71,15 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
             "{what}: {got} µm, {truth_um} µm was put in"
         );
     }
+    // Teeth across the bore, where both were seen: as far apart as the die is oval there.
+    let spacing = whole.json["spacing"].as_array().unwrap();
+    assert!(spacing.len() >= 12, "{} pairs", spacing.len());
+    for pair in spacing {
+        let tooth = pair["teeth"][0].as_f64().unwrap();
+        let angle = (tooth - 0.5) * std::f64::consts::TAU / 84.0;
+        let error_um = pair["deviation_um"].as_f64().unwrap() - 20.0 * (2.0 * angle).cos();
+        assert!(error_um.abs() <= 8.0, "{pair}: {error_um} µm off");
+    }
     // The die was put down 0.5 mm off and 0.2 degrees askew. One view knows its place to some µm, 24 of them better; the
     // tilt is that over the 33 mm between the layers.
     let eccentric = figure(&whole, "/joint/found/eccentricity_mm");

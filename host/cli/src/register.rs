@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let prepared = Instant::now();
     let found = match args.method {
         Method::Surface => register(&surface, &cloud.points, None, &options),
-        Method::Paper => register_paper(&mesh, &cloud.points, &initial, &PaperOptions::default()),
+        Method::Paper => register_paper(&mesh, &cloud.points, &initial, &PaperOptions::default()).0,
     };
     let aligned = Instant::now();
     if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {

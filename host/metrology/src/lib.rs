@@ -44,6 +44,7 @@ pub mod ply;
 mod random;
 pub mod registration;
 mod simd;
+pub mod spacing;
 pub mod surface;
 pub mod tool;
 mod triangle;

@@ -12,6 +12,7 @@
 //! | `bench --instructions` | instructions of the hot kernels, counted by valgrind; fails where one became dearer |
 //! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
 //! | `study [--captures N]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
+//! | `study --scan` | what a scan keeps of the die's form by either method, five seeds: `docs/study/scan.md` |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
@@ -20,6 +21,7 @@ mod deps;
 mod elf;
 mod firmware;
 mod prerequisites;
+mod scan_study;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -42,11 +44,12 @@ fn main() -> ExitCode {
             Err(_) => Err(format!("--checks {count}: a number is needed")),
         },
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
+        ["study", "--scan"] => scan_study::run(&root()),
         ["study", rest @ ..] => study(rest),
         ["demo"] => demo(),
         ["ci"] => ci(),
         _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
-             --instructions | --checks N] | study [--captures N] | demo | ci"
+             --instructions | --checks N] | study [--captures N | --scan] | demo | ci"
             .into()),
     };
     match result {

@@ -14,7 +14,7 @@ mod response;
 mod solve;
 
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
-pub use paper::{PaperOptions, register_paper};
+pub use paper::{PaperOptions, PaperReference, register_paper};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;
 pub use prior::Prior;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::pairs::{Pair, fit_pairs};
 use super::{Reason, Registration, Status};
 use crate::alpha::{Region, centre_of_mass};
-use crate::deviation::SampleTree;
+use crate::deviation::{Order, SampleTree};
 use crate::frames::{Cloud, Rigid, Tool};
 use crate::mesh::TriMesh;
 
@@ -53,56 +53,90 @@ impl Default for PaperOptions {
     }
 }
 
-/// Lays finite `points` (mm) on random points of the mesh as the article does.
-pub fn register_paper(
-    mesh: &TriMesh,
-    points: &[[f64; 3]],
-    initial: &Rigid<Tool, Cloud>,
-    options: &PaperOptions,
-) -> Registration {
-    let refused = |reason| Registration::refused(*initial, reason);
-    let too_few = || Reason::TooFewPoints {
-        points: points.len(),
-        least: options.least_points,
-    };
-    if points.len() < options.least_points {
-        return refused(too_few());
-    }
-    let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
-    let Some(centre) = centre_of_mass(&start) else {
-        return refused(too_few());
-    };
-    let disjoint = Reason::Disjoint {
-        ratio: 0.0,
-        least_ratio: options.inlier_ratio,
-        capture_mm: options.region.half_height_mm,
-    };
-    let region = &options.region;
-    let Ok(reference) = region.sample(centre, mesh, options.samples, options.seed) else {
-        return refused(disjoint);
-    };
-    let Ok(tree) = SampleTree::new(&reference) else {
-        return refused(disjoint);
-    };
+/// Random CAD points in the window about a view.
+pub struct PaperReference {
+    points: Vec<[f64; 3]>,
+    tree: SampleTree,
+}
 
-    let kept = ((points.len() as f64 * options.inlier_ratio) as usize).max(3);
-    let mut pose = *initial;
-    let mut result = refused(disjoint);
-    for iteration in 1..=options.most_iterations {
+impl PaperReference {
+    /// Draws the points in the window about `centre` (tool coordinates, mm); none when no surface is there.
+    pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &PaperOptions) -> Option<Self> {
+        let region = &options.region;
+        let points = region.sample(centre, mesh, options.samples, options.seed);
+        let points = points.ok()?;
+        let tree = SampleTree::new(&points).ok()?;
+        Some(Self { points, tree })
+    }
+
+    /// Distance of every point (tool coordinates, mm) to the nearest of them, mm.
+    pub fn distances(&self, points: &[[f64; 3]], order: Order) -> Vec<f64> {
+        self.tree.distances(points, order)
+    }
+
+    /// Pairs of a cloud at a pose with their nearest reference points: the nearest `kept` of them, in the cloud's order.
+    fn pairs(&self, points: &[[f64; 3]], pose: &Rigid<Tool, Cloud>, kept: usize) -> Vec<Pair> {
         let mut pairs: Vec<(f64, u32, Pair)> = points
             .par_iter()
             .with_min_len(1024)
             .enumerate()
             .map(|(index, point)| {
-                let (nearest, distance2) = tree.nearest(&pose.apply(*point));
-                (distance2, index as u32, (*point, reference[nearest]))
+                let (nearest, distance2) = self.tree.nearest(&pose.apply(*point));
+                (distance2, index as u32, (*point, self.points[nearest]))
             })
             .collect();
         // The index breaks ties, so that the same pairs are kept on every run.
         pairs.select_nth_unstable_by(kept - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         pairs.truncate(kept);
         pairs.sort_unstable_by_key(|pair| pair.1);
-        let chosen: Vec<Pair> = pairs.iter().map(|pair| pair.2).collect();
+        pairs.into_iter().map(|pair| pair.2).collect()
+    }
+}
+
+/// Lays finite `points` (mm) on random points of the mesh as the article does. Returns these points too, unless nothing of
+/// the mesh is where the cloud starts.
+pub fn register_paper(
+    mesh: &TriMesh,
+    points: &[[f64; 3]],
+    initial: &Rigid<Tool, Cloud>,
+    options: &PaperOptions,
+) -> (Registration, Option<PaperReference>) {
+    let refused = |reason| Registration::refused(*initial, reason);
+    let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
+    let centre = centre_of_mass(&start).filter(|_| points.len() >= options.least_points);
+    let Some(centre) = centre else {
+        let too_few = Reason::TooFewPoints {
+            points: points.len(),
+            least: options.least_points,
+        };
+        return (refused(too_few), None);
+    };
+    let disjoint = refused(Reason::Disjoint {
+        ratio: 0.0,
+        least_ratio: options.inlier_ratio,
+        capture_mm: options.region.half_height_mm,
+    });
+    match PaperReference::new(mesh, centre, options) {
+        None => (disjoint, None),
+        Some(reference) => {
+            let found = settle(&reference, points, disjoint, centre, options);
+            (found, Some(reference))
+        }
+    }
+}
+
+/// Point-to-point ICP from the pose of `result`.
+fn settle(
+    reference: &PaperReference,
+    points: &[[f64; 3]],
+    mut result: Registration,
+    centre: [f64; 3],
+    options: &PaperOptions,
+) -> Registration {
+    let kept = ((points.len() as f64 * options.inlier_ratio) as usize).max(3);
+    let mut pose = result.tool_from_cloud;
+    for iteration in 1..=options.most_iterations {
+        let chosen = reference.pairs(points, &pose, kept);
         let Ok(next) = fit_pairs(&chosen) else {
             break;
         };

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::joint::{JointError, Stages};
 use flankscope_metrology::merge::{MergeError, check_voxel_size};
+use flankscope_metrology::spacing::opposite;
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{DecodeOptions, Decoder};
@@ -15,7 +16,7 @@ use flankscope_profilometry::{DecodeOptions, Decoder};
 use super::comparison::{self, Method};
 use super::grid::Grid;
 use super::paper::{self, PaperSettings};
-use super::result::{Form, Joint, Scan, ScanRegistration, StageErrors};
+use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors};
 use super::session::{Session, SessionError};
 use super::stitch::{Stitched, empty_map, first_information, stitch};
 use super::view::{ScannedView, ViewScanner};
@@ -323,6 +324,7 @@ impl Scanner {
         });
         let registration: Vec<_> = registration.collect();
         let (features, judged) = self.features(&map);
+        let spacing = opposite(&self.gear, map.cells());
         let mut verdict = combine(judged).to_string();
         let mut reason = match verdict.as_str() {
             "go" => "every flank that was seen is below the warning limit".to_string(),
@@ -363,6 +365,7 @@ impl Scanner {
             reason,
             features,
             form: form.filter(|_| registered >= LEAST_REGISTERED),
+            spacing: spacing.into_iter().map(OppositeTeeth::from).collect(),
             timing_ms: Timing::default(),
             last_view_to_result_ms: 0.0,
             frames: FrameCount::default(),

@@ -31,5 +31,5 @@ pub use comparison::{LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend}
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};
 pub use paper::PaperSettings;
-pub use result::{Form, Joint, Scan, ScanRegistration, StageErrors};
+pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors};
 pub use session::SessionError;

@@ -62,7 +62,7 @@ impl Default for PaperSettings {
 
 /// Views that were laid on random CAD points one by one.
 pub(super) struct PaperStitched {
-    /// Views that took part, with the root mean square of the pairs that counted, mm.
+    /// Views that took part, with the root mean square distance of their points to the nearest reference points, mm.
     pub views: Vec<(usize, f64)>,
     /// Views that did not settle on the CAD.
     pub refused: Vec<(usize, String)>,
@@ -106,11 +106,14 @@ pub(super) fn stitch(
             seed,
             ..PaperOptions::default()
         };
-        let found = register_paper(&tool.mesh, &xyz, &Rigid::from_isometry(start), &options);
-        if let Status::Indeterminate(reason) = found.status {
-            refused.push((view, reason.to_string()));
+        let start = Rigid::from_isometry(start);
+        let (found, reference) = register_paper(&tool.mesh, &xyz, &start, &options);
+        let Some(reference) = reference.filter(|_| found.is_registered()) else {
+            if let Status::Indeterminate(reason) = found.status {
+                refused.push((view, reason.to_string()));
+            }
             continue;
-        }
+        };
         let mut pose = *found.tool_from_cloud.isometry();
         let laid: Vec<[f64; 3]> = xyz
             .iter()
@@ -124,14 +127,13 @@ pub(super) fn stitch(
         stage_from_camera = Some(moved.inverse() * pose);
         let pose = Rigid::<ToolFrame, Cloud>::from_isometry(pose);
         let laid: Vec<[f64; 3]> = xyz.iter().map(|&p| pose.apply(p)).collect();
-        if one_view.is_none() {
-            let region = &options.region;
-            let reference = region.sample(centre, &tool.mesh, options.samples, seed);
-            one_view = nearest(&laid, &reference.unwrap_or_default(), settings.order);
-        }
+        let Some(distances) = statistics(&reference.distances(&laid, settings.order)) else {
+            continue;
+        };
+        one_view.get_or_insert(distances);
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         map.add_view(&tool.surface.closest_many(&laid), &sigma);
-        views.push((view, found.rms_mm));
+        views.push((view, distances.rms_mm));
         cloud.extend(laid);
     }
     let merged = voxel_centroids(&cloud, settings.voxel_mm)?;

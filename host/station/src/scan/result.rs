@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use flankscope_metrology::cylinder::{BoreForm, CylinderMap};
+use flankscope_metrology::spacing::Spacing;
 
 use super::comparison::MethodResult;
 use super::paper::PaperStitched;
@@ -21,6 +22,8 @@ pub struct Scan {
     pub features: Vec<Feature>,
     /// Size, ovality and taper of the bore; absent when too little was seen.
     pub form: Option<Form>,
+    /// Distances of teeth from those across the bore, where both were seen.
+    pub spacing: Vec<OppositeTeeth>,
     /// Where the time went.
     pub timing_ms: Timing,
     /// From the last view's last exposure to this result, ms.
@@ -61,6 +64,7 @@ impl Scan {
         self.verdict = "indeterminate".into();
         self.reason = "the article's method claims no uncertainty, so it gives no verdict; --method surface does".into();
         self.features.clear();
+        self.spacing.clear();
         self.form = figures.form;
         let mut refused: BTreeMap<usize, String> = laid.refused.into_iter().collect();
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
@@ -99,6 +103,27 @@ pub struct Form {
     pub ovality_deg: f64,
     /// Growth of the radius from bottom to top.
     pub taper_um: f64,
+}
+
+/// Two teeth across the bore.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct OppositeTeeth {
+    /// The teeth.
+    pub teeth: [u32; 2],
+    /// Distance of the points on their centre lines at the pitch circle, mm.
+    pub distance_mm: f64,
+    /// The same less that of the CAD, µm.
+    pub deviation_um: f64,
+}
+
+impl From<Spacing> for OppositeTeeth {
+    fn from(of: Spacing) -> Self {
+        Self {
+            teeth: of.teeth,
+            distance_mm: of.distance_mm,
+            deviation_um: of.deviation_mm * 1e3,
+        }
+    }
 }
 
 /// How one view was laid on the CAD.
