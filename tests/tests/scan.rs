@@ -99,7 +99,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
         assert!(!whole.json[key].is_null(), "{key} is missing");
     }
     let page = std::fs::read_to_string(report.join("report.html")).unwrap();
-    assert_eq!(page.matches("data:image/png;base64,").count(), 2);
+    assert_eq!(page.matches("data:image/png;base64,").count(), 4);
     let cloud = std::fs::read(report.join("map.ply")).unwrap();
     assert!(cloud.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
 

@@ -2,14 +2,15 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_metrology::deviation::Order;
+use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::scan::{
     Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner,
 };
 
-use crate::geometry::{MinkowskiOrder, pose_of_pairs};
+use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::instrument::{BenchArgs, Instrument, Scene};
 use crate::output::{Common, Outcome, write_whole};
 
@@ -39,6 +40,15 @@ pub struct Args {
     /// Write report.html, scan.json and map.ply into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
+    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen
+    #[arg(long, value_name = "FILE")]
+    mesh: Option<PathBuf>,
+    /// Also unroll and subtract as the article proposes, and say how far that is from the exact deviations
+    #[arg(long)]
+    raster: bool,
+    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
+    #[arg(long, value_enum, value_name = "GRID")]
+    grid: Option<crate::grid::Grid>,
     #[command(flatten)]
     paper: PaperArgs,
     #[command(flatten)]
@@ -164,18 +174,24 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &args.bench,
         scene,
         quiet,
-        |subject, root| {
+        |mut subject, root| {
+            if let Some(grid) = args.grid {
+                grid.impose(Arc::make_mut(&mut subject.head))?;
+            }
             let scanner = Scanner::open(subject, args.views, session, root)?;
             Ok(scanner.by_method(method, paper)?)
         },
     )?;
-    let scan = instrument
+    let mut scan = instrument
         .station
         .scan(&instrument.port, instrument.settings, |progress| {
             if !quiet {
                 show(progress);
             }
         })?;
+    if args.report.is_some() || args.raster {
+        instrument.station.compare(&mut scan, args.raster)?;
+    }
     let mut document = serde_json::to_value(&scan)?;
     if let Some(truth) = instrument.close(quiet)? {
         document["truth"] = truth;
@@ -189,6 +205,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         write_whole(&report.join("scan.json"), text.as_bytes())?;
         flankscope_station::files::stream_whole(&report.join("map.ply"), |file| {
             flankscope_station::report::scan_ply(&scan, file)
+        })?;
+    }
+    if let Some(mesh) = &args.mesh {
+        write_file(mesh, |file| {
+            flankscope_station::report::scan_mesh(&scan, file)
         })?;
     }
     args.common.write_json(&document)?;
@@ -229,6 +250,19 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
             out,
             "ovality {:.1} µm (largest at {:.0}°), taper {:.1} µm",
             form.ovality_um, form.ovality_deg, form.taper_um
+        )?;
+    }
+    if let Some(error) = scan.metrics.as_ref().and_then(|m| m.raster.as_ref()) {
+        let spread = |of: &Option<Statistics>| {
+            of.map_or("-".into(), |s| {
+                format!("{:.1} ± {:.1} µm", 1e3 * s.mean_mm, 1e3 * s.std_mm)
+            })
+        };
+        writeln!(
+            out,
+            "cylinder raster against the exact distance: {} on lands, {} on flanks",
+            spread(&error.lands),
+            spread(&error.flanks)
         )?;
     }
     if let [_, _, ..] = &scan.methods[..] {

@@ -3,16 +3,16 @@
 //! Points of one view in one cell share its pose, so they count as one measurement of it: views, not points, are the
 //! independent witnesses. Between-view variance after DerSimonian and Laird (Controlled Clinical Trials 7, 1986).
 
-use nalgebra::{SMatrix, SVector};
+mod quality;
+mod witness;
 
-use crate::surface::Closest;
+pub use quality::FieldQuality;
+pub use witness::{Witness, witnesses};
+
+use nalgebra::{SMatrix, SVector};
 
 /// Views whose mean over a cell is surer than this are not believed to be, mm: what their poses leave open.
 const LEAST_VIEW_SIGMA_MM: f64 = 1e-3;
-/// Points farther off than this are no part of the surface, mm.
-const REACH_MM: f64 = 0.5;
-/// At sharp edges a distance belongs to neither face.
-const LEAST_SMOOTHNESS: f64 = 0.985;
 
 /// Size of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,6 +55,13 @@ pub struct Cell {
     pub inconsistent: bool,
 }
 
+impl Cell {
+    /// Where the surface was measured: off the foot by the deviation, mm.
+    pub fn measured(&self) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.point[axis] + self.deviation_mm * self.normal[axis])
+    }
+}
+
 /// Size, ovality and taper of a bore, from its deviations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoreForm {
@@ -66,6 +73,29 @@ pub struct BoreForm {
     pub ovality_rad: f64,
     /// Growth of the radius over the whole height, mm.
     pub taper_mm: f64,
+}
+
+impl Layout {
+    /// Number of the cell that a place belongs to; none above and below the grid.
+    fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
+        let around = y.atan2(x) / std::f64::consts::TAU + 0.5;
+        let column = ((around * self.columns as f64) as usize).min(self.columns - 1);
+        Some(self.row_of(z)? * self.columns + column)
+    }
+
+    /// Row of a height; none above and below the grid.
+    pub fn row_of(&self, z_mm: f64) -> Option<usize> {
+        let [low, high] = self.height_mm;
+        let along = (z_mm - low) / (high - low);
+        (0.0..1.0)
+            .contains(&along)
+            .then(|| ((along * self.rows as f64) as usize).min(self.rows - 1))
+    }
+
+    /// Middle angle of a column, rad, from −π to π.
+    pub fn angle_rad(&self, column: usize) -> f64 {
+        std::f64::consts::TAU * ((column as f64 + 0.5) / self.columns as f64 - 0.5)
+    }
 }
 
 /// The grid.
@@ -87,68 +117,32 @@ impl CylinderMap {
         self.layout
     }
 
-    /// Adds one view: its points laid on the surface, and the standard uncertainty of each, mm.
-    pub fn add_view(&mut self, closest: &[Closest], sigma_mm: &[f32]) {
-        // Cell, weight, weighted deviation, foot and normal of every point that counts, brought together by cell.
-        let mut hits: Vec<(usize, f64, &Closest)> = closest
-            .iter()
-            .zip(sigma_mm)
-            .filter(|(hit, _)| {
-                hit.smoothness >= LEAST_SMOOTHNESS && hit.signed_distance_mm.abs() <= REACH_MM
-            })
-            .filter_map(|(hit, &sigma)| {
-                let weight = f64::from(sigma).powi(-2);
-                let cell = self.cell_of(hit.point)?;
-                (weight.is_finite() && weight > 0.0).then_some((cell, weight, hit))
-            })
-            .collect();
-        hits.sort_unstable_by_key(|(cell, ..)| *cell);
-        for of_cell in hits.chunk_by(|a, b| a.0 == b.0) {
-            let Some(&(cell, ..)) = of_cell.first() else {
+    /// Adds one view: what it says of the cells that it saw, and what stands behind each witness's deviation beside its own
+    /// scatter, a variance in mm².
+    pub fn add_view(&mut self, view: &[Witness], further_mm2: impl Fn(&Witness) -> f64) {
+        for witness in view {
+            let Some(sums) = self.sums.get_mut(witness.cell as usize) else {
                 continue;
             };
-            let weight: f64 = of_cell.iter().map(|(_, w, _)| w).sum();
-            let mean = |value: fn(&Closest) -> f64| {
-                of_cell.iter().map(|(_, w, h)| w * value(h)).sum::<f64>() / weight
-            };
-            let deviation = mean(|h| h.signed_distance_mm);
-            let variance = 1.0 / weight + LEAST_VIEW_SIGMA_MM * LEAST_VIEW_SIGMA_MM;
-            let sums = &mut self.sums[cell];
-            let weight = 1.0 / variance;
+            let weight = 1.0 / (witness.variance_mm2() + further_mm2(witness));
+            let deviation = f64::from(witness.deviation_mm);
             sums.views += 1;
             sums.weight += weight;
             sums.weight2 += weight * weight;
             sums.weighted_mm += weight * deviation;
             sums.weighted_mm2 += weight * deviation * deviation;
-            let point = [
-                mean(|h| h.point[0]),
-                mean(|h| h.point[1]),
-                mean(|h| h.point[2]),
-            ];
-            let normal = [
-                mean(|h| h.normal[0]),
-                mean(|h| h.normal[1]),
-                mean(|h| h.normal[2]),
-            ];
             for axis in 0..3 {
-                sums.point[axis] += weight * point[axis];
-                sums.normal[axis] += weight * normal[axis];
+                sums.point[axis] += weight * f64::from(witness.point[axis]);
+                sums.normal[axis] += weight * f64::from(witness.normal[axis]);
             }
         }
     }
 
-    fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
-        let Layout {
-            columns,
-            rows,
-            height_mm: [low, high],
-        } = self.layout;
-        let around = y.atan2(x) / std::f64::consts::TAU + 0.5;
-        let column = ((around * columns as f64) as usize).min(columns - 1);
-        let along = (z - low) / (high - low);
-        (0.0..1.0)
-            .contains(&along)
-            .then(|| (along * rows as f64) as usize * columns + column)
+    /// The mean of a witness's cell and the witness's share in it, where another view saw the cell too.
+    fn mean_and_leverage(&self, witness: &Witness) -> Option<(f64, f64)> {
+        let sums = self.sums.get(witness.cell as usize)?;
+        let leverage = 1.0 / witness.variance_mm2() / sums.weight;
+        (sums.views > 1).then(|| (sums.weighted_mm / sums.weight, leverage))
     }
 
     /// What is known of a cell; `None` where no view looked.

@@ -281,6 +281,18 @@ impl GearData {
         }
     }
 
+    /// Area of the toothing without end faces, mm²: lands and involutes; the root's rounding is not in the data.
+    pub fn area_mm2(&self) -> f64 {
+        let land = |radius_mm: f64, tip: bool| {
+            let tooth = 2.0 * self.half_tooth_rad(radius_mm).unwrap_or(0.0);
+            radius_mm * if tip { tooth } else { self.pitch_rad() - tooth }
+        };
+        let flank = self.profile_mm(self.root_radius_mm) - self.profile_mm(self.tip_radius_mm);
+        let profile =
+            2.0 * flank.abs() + land(self.tip_radius_mm, true) + land(self.root_radius_mm, false);
+        f64::from(self.teeth) * profile * (self.height_mm[1] - self.height_mm[0])
+    }
+
     /// Length of the involute from the base circle to a radius, mm.
     pub fn profile_mm(&self, radius_mm: f64) -> f64 {
         let base = self.base_radius_mm();

@@ -42,6 +42,7 @@ mod order;
 pub mod outlier;
 pub mod ply;
 mod random;
+pub mod raster;
 pub mod registration;
 mod simd;
 pub mod spacing;

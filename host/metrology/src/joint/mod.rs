@@ -11,4 +11,4 @@ mod view;
 
 pub use model::{PARAMETERS, Pose, Stages};
 pub use solve::{JointError, Local, Solution, Weak, solve};
-pub use view::{ViewInformation, compress};
+pub use view::{ViewInformation, compress, compress_laid};

@@ -82,6 +82,15 @@ impl Stages {
         self.value(0).hypot(self.value(1))
     }
 
+    /// Where the rotation axis passes the die's plane at a height, mm in the tool frame; the origin for a die that runs true.
+    pub fn axis_at_mm(&self, height_mm: f64) -> [f64; 2] {
+        let above = height_mm - self.value(5);
+        [
+            self.value(3) + self.value(1) * above,
+            self.value(4) - self.value(0) * above,
+        ]
+    }
+
     /// Turn (rad) and shift (mm) of the head against its file.
     pub fn head_error(&self) -> ([f64; 3], [f64; 3]) {
         (

@@ -136,6 +136,16 @@ impl Solution {
         }
     }
 
+    /// Pose of one more view in its best place: what all share, and its own stray motion as far as its stages can be off.
+    /// `None` when its information is not positive.
+    pub fn settle(&self, view: &ViewInformation) -> Option<Isometry3<f64>> {
+        let centre = Vector3::from(view.centre_mm);
+        let pose = self.stages.tool_from_camera(view.at);
+        let away = offset(&view.tool_from_camera, &pose, centre);
+        let stray = Reduced::new(view, self.local)?.stray(view, &away);
+        Some(moved(&pose, &stray, centre))
+    }
+
     /// Where another view should be, and how well that is known.
     pub fn predict(&self, at: Pose) -> Prior {
         let pose = self.stages.tool_from_camera(at);
@@ -186,7 +196,7 @@ pub fn solve(
         .map(|(view, reduced)| {
             let pose = stages.tool_from_camera(view.at);
             let away = offset(&view.tool_from_camera, &pose, view.centre_mm.into());
-            -reduced.gain * (view.information * away + view.gradient)
+            reduced.stray(view, &away)
         })
         .collect();
     let poses = views
@@ -242,6 +252,11 @@ impl Reduced {
             gradient: kept * view.gradient,
             gain: stray * prior * seen,
         })
+    }
+
+    /// What the view adds to the pose that all share, which is `away` from where it was laid.
+    fn stray(&self, view: &ViewInformation, away: &Vector6<f64>) -> Vector6<f64> {
+        -self.gain * (view.information * away + view.gradient)
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 
 use super::model::Pose;
-use crate::surface::Surface;
+use crate::surface::{Closest, Surface};
 
 /// Points farther off the surface than this say nothing about the pose, mm.
 const REACH_MM: f64 = 0.15;
@@ -46,11 +46,21 @@ pub fn compress(
         .iter()
         .map(|&p| (tool_from_camera * Point3::from(p)).into())
         .collect();
-    let sum: Vector3<f64> = there.iter().map(|&p| Vector3::from(p)).sum();
-    let centre = sum / (there.len().max(1) as f64);
+    compress_laid(&there, &surface.closest_many(&there), at, tool_from_camera)
+}
+
+/// As [`compress`], of points (tool frame, mm) that were laid on the surface before.
+pub fn compress_laid(
+    points: &[[f64; 3]],
+    closest: &[Closest],
+    at: Pose,
+    tool_from_camera: Isometry3<f64>,
+) -> Option<ViewInformation> {
+    let sum: Vector3<f64> = points.iter().map(|&p| Vector3::from(p)).sum();
+    let centre = sum / (points.len().max(1) as f64);
     let (mut information, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
     let (mut count, mut squares) = (0.0_f64, 0.0);
-    for (p, hit) in there.iter().zip(surface.closest_many(&there)) {
+    for (p, hit) in points.iter().zip(closest) {
         let off_mm = hit.signed_distance_mm;
         if hit.smoothness < LEAST_SMOOTHNESS || off_mm.abs() > REACH_MM {
             continue;

@@ -12,6 +12,8 @@ pub enum Column<'a> {
     Carried(&'a Extra),
     /// A computed quantity, stored as `float`.
     Float(&'a str, &'a [f64]),
+    /// A share of 255, stored as `uchar`: one channel of a colour.
+    Byte(&'a str, &'a [u8]),
 }
 
 impl Column<'_> {
@@ -19,22 +21,39 @@ impl Column<'_> {
         match self {
             Self::Carried(extra) => extra.bytes.len() / extra.kind.size(),
             Self::Float(_, values) => values.len(),
+            Self::Byte(_, values) => values.len(),
         }
     }
 }
 
 /// Writes points in their order with further columns.
 ///
-/// `coordinate` is the type of x, y, z: [`Scalar::F64`] keeps everything, [`Scalar::F32`] suits points that were read as float.
+/// As [`write_mesh`] without triangles.
 ///
 /// # Errors
-/// Those of `out`; `InvalidInput` when a column is not as long as the points.
+/// As [`write_mesh`].
 pub fn write_table(
     out: &mut dyn Write,
     comment: &str,
     points: &[[f64; 3]],
     coordinate: Scalar,
     columns: &[Column<'_>],
+) -> io::Result<()> {
+    write_mesh(out, comment, (points, coordinate), columns, &[])
+}
+
+/// Writes points in their order with further columns, and triangles between them, if there are any.
+///
+/// `coordinate` is the type of x, y, z: [`Scalar::F64`] keeps everything, [`Scalar::F32`] suits points that were read as float.
+///
+/// # Errors
+/// Those of `out`; `InvalidInput` when a column is not as long as the points.
+pub fn write_mesh(
+    out: &mut dyn Write,
+    comment: &str,
+    (points, coordinate): (&[[f64; 3]], Scalar),
+    columns: &[Column<'_>],
+    triangles: &[[u32; 3]],
 ) -> io::Result<()> {
     if columns.iter().any(|column| column.len() != points.len()) {
         return Err(io::Error::new(
@@ -54,7 +73,15 @@ pub fn write_table(
         match column {
             Column::Carried(extra) => writeln!(out, "property {} {}", extra.kind, extra.name)?,
             Column::Float(name, _) => writeln!(out, "property float {name}")?,
+            Column::Byte(name, _) => writeln!(out, "property uchar {name}")?,
         }
+    }
+    if !triangles.is_empty() {
+        writeln!(
+            out,
+            "element face {}\nproperty list uchar uint vertex_indices",
+            triangles.len()
+        )?;
     }
     writeln!(out, "end_header")?;
     let mut block = Vec::new();
@@ -74,8 +101,22 @@ pub fn write_table(
                     Column::Float(_, values) => {
                         block.extend_from_slice(&(values[index] as f32).to_le_bytes());
                     }
+                    Column::Byte(_, values) => block.push(values[index]),
                 }
             }
+        }
+        out.write_all(&block)?;
+    }
+    write_faces(out, triangles)
+}
+
+fn write_faces(out: &mut dyn Write, triangles: &[[u32; 3]]) -> io::Result<()> {
+    let mut block = Vec::new();
+    for chunk in triangles.chunks(1 << 12) {
+        block.clear();
+        for triangle in chunk {
+            block.push(3);
+            block.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
         }
         out.write_all(&block)?;
     }
@@ -92,27 +133,5 @@ pub fn write_triangles(
     vertices: &[[f64; 3]],
     triangles: &[[u32; 3]],
 ) -> io::Result<()> {
-    write!(
-        out,
-        "ply\nformat binary_little_endian 1.0\ncomment {comment}\nelement vertex {}\n\
-         property double x\nproperty double y\nproperty double z\nelement face {}\n\
-         property list uchar uint vertex_indices\nend_header\n",
-        vertices.len(),
-        triangles.len()
-    )?;
-    let mut block = Vec::new();
-    for chunk in vertices.chunks(1 << 12) {
-        block.clear();
-        block.extend(chunk.iter().flatten().flat_map(|v| v.to_le_bytes()));
-        out.write_all(&block)?;
-    }
-    for chunk in triangles.chunks(1 << 12) {
-        block.clear();
-        for triangle in chunk {
-            block.push(3);
-            block.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
-        }
-        out.write_all(&block)?;
-    }
-    Ok(())
+    write_mesh(out, comment, (vertices, Scalar::F64), &[], triangles)
 }

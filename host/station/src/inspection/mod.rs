@@ -41,4 +41,4 @@ pub use result::{
 pub(crate) use run::Run;
 pub use verdict::Judged;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
-pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, hand_eye};
+pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye};

@@ -490,7 +490,7 @@ fn summary(
 }
 
 /// Half the field's width per distance, from the camera's image circle or its sensor.
-fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
+pub(crate) fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
     let camera = &head.camera;
     let radius_px = head.image_circle.map_or(
         0.5 * f64::from(camera.width_px.max(camera.height_px)),

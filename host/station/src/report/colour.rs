@@ -15,6 +15,15 @@ pub fn diverging(share: f64) -> [u8; 3] {
     std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * t).round() as u8)
 }
 
+/// Colour of an amount as a share of full scale, 0..1: the lighter, the less.
+#[must_use]
+pub fn sequential(share: f64) -> [u8; 3] {
+    const NONE: [f64; 3] = [238.0, 243.0, 248.0];
+    const FULL: [f64; 3] = [18.0, 52.0, 110.0];
+    let share = share.clamp(0.0, 1.0);
+    std::array::from_fn(|i| (NONE[i] + (FULL[i] - NONE[i]) * share).round() as u8)
+}
+
 /// Colour of a cell without a measured point.
 pub const NO_DATA: [u8; 3] = [120, 124, 130];
 

@@ -3,13 +3,16 @@
 mod chart;
 mod colour;
 mod history;
+mod plot;
 mod scan;
+mod scan_files;
 
 use askama::Template;
 
 pub use chart::{Lane, Span};
 pub use history::{history_html, rate, remaining};
-pub use scan::{scan_html, scan_ply};
+pub use scan::scan_html;
+pub use scan_files::{scan_mesh, scan_ply};
 
 use crate::inspection::{FlankMap, Inspection};
 

@@ -1,15 +1,22 @@
-//! The report of a scan: the unrolled map, what saw it, how it is spread, and every point as PLY.
+//! The report of a scan: the unrolled map, what saw it, how it is spread, and how die, head and stages stand.
 
-use std::io::{self, Write};
+use std::fmt::Write as _;
 
 use askama::Template;
-use flankscope_metrology::cloud::write_ply;
+use flankscope_metrology::cylinder::Cell;
+use flankscope_metrology::deviation::Statistics;
 
+use super::plot::{Axes, Series, binned};
 use super::{chart, colour};
-use crate::scan::Scan;
+use crate::inspection::Feature;
+use crate::scan::{Metrics, Scan};
 
 /// Smallest full scale of the pictures, µm.
 const LEAST_FULL_UM: f64 = 20.0;
+/// Width of the wide pictures, px.
+const WIDE: f64 = 1150.0;
+/// Flanks in the table: those that lost most.
+const WORST_FLANKS: usize = 10;
 
 #[derive(Template)]
 #[template(path = "scan.html")]
@@ -17,12 +24,26 @@ struct Page<'a> {
     scan: &'a Scan,
     registered: usize,
     deviation: String,
+    colour_bar: String,
+    rms_picture: String,
+    rms_lines: String,
+    histograms: Vec<Histogram>,
+    axis: String,
+    harmonics: String,
     coverage: String,
     most_views: u32,
-    colour_bar: String,
-    histogram: String,
-    rms: String,
+    quality: String,
+    quality_worst_um: f64,
+    raster: Option<String>,
+    worst: Vec<&'a Feature>,
     lost: Vec<(usize, &'a str)>,
+}
+
+/// A histogram with its caption.
+struct Histogram {
+    name: String,
+    svg: String,
+    caption: String,
 }
 
 /// Writes the page of a scan.
@@ -30,39 +51,37 @@ struct Page<'a> {
 /// # Errors
 /// The template engine's, which formatting into memory never raises.
 pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
-    let mut deviations_um: Vec<f64> = scan.map.cells().map(|c| c.deviation_mm * 1e3).collect();
-    let full_um = full_scale_um(&mut deviations_um);
-    let layout = scan.map.layout();
+    let full_um = full_scale_um(scan);
     let most_views = scan.map.cells().map(|cell| cell.views).max().unwrap_or(0);
-    let picture = |colour_of: &dyn Fn(flankscope_metrology::cylinder::Cell) -> [u8; 3]| {
-        let pixels: Vec<[u8; 3]> = (0..layout.rows)
-            .rev()
-            .flat_map(|row| (0..layout.columns).map(move |column| (row, column)))
-            .map(|(row, column)| {
-                scan.map
-                    .cell(row, column)
-                    .map_or(colour::NO_DATA, colour_of)
-            })
-            .collect();
-        colour::rgb_data_uri(layout.columns, layout.rows, &pixels)
-    };
     let lost = scan
         .registration
         .iter()
         .filter(|r| r.status != "registered");
+    let mut worst: Vec<&Feature> = scan.features.iter().collect();
+    let loss = |feature: &Feature| feature.wear_um.unwrap_or(f64::NEG_INFINITY);
+    worst.sort_by(|a, b| loss(b).total_cmp(&loss(a)));
+    worst.truncate(WORST_FLANKS);
+    let (quality, quality_worst_um) = quality(scan);
     let page = Page {
         scan,
         registered: scan.registration.len() - lost.clone().count(),
-        deviation: picture(&|cell| colour::diverging(cell.deviation_mm * 1e3 / full_um)),
-        coverage: picture(&|cell| {
-            let share = f64::from(cell.views) / f64::from(most_views.max(1));
-            let grey = (240.0 - 200.0 * share) as u8;
-            [grey, grey, 255]
+        deviation: of_cells(scan, "Deviation over the unrolled bore", |cell| {
+            colour::diverging(cell.deviation_mm * 1e3 / full_um)
+        }),
+        colour_bar: chart::colour_bar(full_um),
+        rms_picture: rms_picture(scan),
+        rms_lines: rms_lines(scan),
+        histograms: histograms(scan, full_um),
+        axis: axis(scan),
+        harmonics: harmonics(scan),
+        coverage: of_cells(scan, "Views of every cell", |cell| {
+            colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)))
         }),
         most_views,
-        colour_bar: chart::colour_bar(full_um),
-        histogram: chart::histogram(&deviations_um, full_um, &[]),
-        rms: rms_table(scan),
+        quality,
+        quality_worst_um,
+        raster: scan.metrics.as_ref().and_then(|m| raster(scan, m, full_um)),
+        worst,
         lost: lost
             .map(|r| (r.view, r.reason.as_deref().unwrap_or("not captured")))
             .collect(),
@@ -71,68 +90,299 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
 }
 
 /// Half of the pictures' range: what 99 of 100 cells stay within, on a round number.
-fn full_scale_um(deviations_um: &mut [f64]) -> f64 {
-    let at = deviations_um.len() * 99 / 100;
-    let mut sizes: Vec<f64> = deviations_um.iter().map(|d| d.abs()).collect();
+pub(super) fn full_scale_um(scan: &Scan) -> f64 {
+    let mut sizes: Vec<f64> = scan
+        .map
+        .cells()
+        .map(|cell| (cell.deviation_mm * 1e3).abs())
+        .collect();
     if sizes.is_empty() {
         return LEAST_FULL_UM;
     }
+    let at = sizes.len() * 99 / 100;
     let (_, size, _) = sizes.select_nth_unstable_by(at, f64::total_cmp);
     (*size / 10.0).ceil().max(LEAST_FULL_UM / 10.0) * 10.0
 }
 
-/// Root mean square distance of every view, layer by layer: a picture of one pixel per view.
-fn rms_table(scan: &Scan) -> String {
-    let full_um = 20.0;
+/// The unrolled bore with its axes, a pixel per cell.
+fn of_cells(scan: &Scan, title: &str, colour_of: impl Fn(&Cell) -> [u8; 3]) -> String {
+    let columns = scan.map.layout().columns;
+    let of = |index: usize| scan.map.cell(index / columns, index % columns);
+    unrolled(scan, title, |index| of(index).map(|cell| colour_of(&cell)))
+}
+
+fn unrolled(scan: &Scan, title: &str, colour_of: impl Fn(usize) -> Option<[u8; 3]>) -> String {
+    let layout = scan.map.layout();
+    let pixels: Vec<[u8; 3]> = (0..layout.rows)
+        .rev()
+        .flat_map(|row| (0..layout.columns).map(move |column| row * layout.columns + column))
+        .map(|index| colour_of(index).unwrap_or(colour::NO_DATA))
+        .collect();
+    let picture = colour::rgb_data_uri(layout.columns, layout.rows, &pixels);
+    Axes {
+        title,
+        size: [WIDE, 330.0],
+        x: ([-180.0, 180.0], "angle in the die / °"),
+        y: (layout.height_mm, "height / mm"),
+    }
+    .draw(&[Series::Picture(picture)])
+}
+
+/// A figure over the angle in the die, in order.
+type OverAngle = Vec<(f64, Option<f64>)>;
+
+/// Layers by height from the bottom, each with the RMS of its views.
+fn layers(scan: &Scan) -> Vec<(f64, OverAngle)> {
     let mut heights: Vec<f64> = scan.registration.iter().map(|r| r.vertical_mm).collect();
     heights.sort_by(f64::total_cmp);
     heights.dedup();
-    let mut rows = String::new();
-    for height in heights.iter().rev() {
-        let mut layer: Vec<_> = scan
+    let of_layer = |height: f64| {
+        let mut layer: OverAngle = scan
             .registration
             .iter()
-            .filter(|r| r.vertical_mm == *height)
+            .filter(|r| r.vertical_mm == height)
+            // The die turns by the commanded angle: seen from it, the head turns the other way.
+            .map(|r| (-r.rotation_deg, r.rms_um))
             .collect();
-        layer.sort_by(|a, b| a.rotation_deg.total_cmp(&b.rotation_deg));
-        rows.push_str(&format!("<tr><th>{height:.1} mm</th>"));
-        for view in layer {
-            let [r, g, b] = view
-                .rms_um
-                .map_or(colour::NO_DATA, |rms| colour::diverging(rms / full_um));
-            let title = view
-                .rms_um
-                .map_or("lost".into(), |rms| format!("{rms:.1} µm"));
-            rows.push_str(&format!(
-                r#"<td title="{:.1}°: {title}" style="background:rgb({r},{g},{b})"></td>"#,
-                view.rotation_deg
-            ));
-        }
-        rows.push_str("</tr>");
-    }
-    rows
+        layer.sort_by(|a, b| a.0.total_cmp(&b.0));
+        (height, layer)
+    };
+    heights.into_iter().map(of_layer).collect()
 }
 
-/// Writes every cell of the map as a point: deviation and standard uncertainty in mm, number of views, normal.
-///
-/// # Errors
-/// Those of `out`.
-pub fn scan_ply(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
-    let cells: Vec<_> = scan.map.cells().collect();
-    let points: Vec<[f64; 3]> = cells.iter().map(|cell| cell.point).collect();
-    let column = |of: fn(&flankscope_metrology::cylinder::Cell) -> f64| -> Vec<f64> {
-        cells.iter().map(of).collect()
+/// Upper end of the RMS scale, µm.
+fn rms_full_um(scan: &Scan) -> f64 {
+    let most = scan.registration.iter().filter_map(|r| r.rms_um);
+    (most.fold(1.0, f64::max) / 5.0).ceil() * 5.0
+}
+
+/// Root mean square distance of every view by layer and position: a pixel per view.
+fn rms_picture(scan: &Scan) -> String {
+    let layers = layers(scan);
+    let full_um = rms_full_um(scan);
+    let columns = layers.first().map_or(1, |(_, layer)| layer.len()).max(1);
+    let pixels: Vec<[u8; 3]> = layers
+        .iter()
+        .rev()
+        .flat_map(|(_, layer)| layer)
+        .map(|(_, rms)| rms.map_or(colour::NO_DATA, |um| colour::sequential(um / full_um)))
+        .collect();
+    let rows = pixels.len() / columns;
+    Axes {
+        title: "RMS of every view by layer and position",
+        size: [WIDE, 70.0 + 22.0 * rows as f64],
+        x: ([-180.0, 180.0], "angle in the die / °"),
+        y: ([0.5, rows as f64 + 0.5], "layer"),
+    }
+    .draw(&[Series::Picture(colour::rgb_data_uri(
+        columns, rows, &pixels,
+    ))])
+}
+
+fn rms_lines(scan: &Scan) -> String {
+    let layers = layers(scan);
+    let shade = |layer: usize| {
+        let share = (layer + 1) as f64 / layers.len().max(1) as f64;
+        let [r, g, b] = colour::sequential(0.25 + 0.75 * share);
+        format!("rgb({r},{g},{b})")
     };
-    write_ply(
-        out,
-        &points,
-        &[
-            ("nx", &column(|c| c.normal[0])),
-            ("ny", &column(|c| c.normal[1])),
-            ("nz", &column(|c| c.normal[2])),
-            ("deviation", &column(|c| c.deviation_mm)),
-            ("sigma", &column(|c| c.sigma_mm)),
-            ("views", &column(|c| f64::from(c.views))),
-        ],
-    )
+    let series: Vec<Series<'_>> = layers
+        .iter()
+        .enumerate()
+        .map(|(layer, (_, points))| Series::Line(points, shade(layer)))
+        .collect();
+    Axes {
+        title: "RMS of every view over the angle, a line per layer",
+        size: [WIDE, 240.0],
+        x: (
+            [-180.0, 180.0],
+            "angle in the die / ° (darker: higher layer)",
+        ),
+        y: ([0.0, rms_full_um(scan)], "RMS / µm"),
+    }
+    .draw(&series)
+}
+
+/// One view and the merged map in both metrics; the merged map alone where nothing was compared.
+fn histograms(scan: &Scan, full_um: f64) -> Vec<Histogram> {
+    let Some(metrics) = &scan.metrics else {
+        let merged: Vec<f64> = scan.map.cells().map(|c| c.deviation_mm * 1e3).collect();
+        return vec![signed("merged, exact".into(), &merged, full_um, None)];
+    };
+    let Metrics {
+        view,
+        one_view,
+        merged,
+        ..
+    } = metrics;
+    let nearest_um = merged
+        .nearest
+        .map_or(200.0, |s| 1e3 * (s.mean_mm + 3.5 * s.std_mm));
+    vec![
+        signed(
+            format!("view {view}, exact distance to the surface"),
+            &one_view.exact_um,
+            full_um,
+            one_view.exact,
+        ),
+        signed(
+            "merged, exact distance to the surface".into(),
+            &merged.exact_um,
+            full_um,
+            merged.exact,
+        ),
+        unsigned(
+            format!("view {view}, distance to the nearest random point on the CAD"),
+            &one_view.nearest_um,
+            nearest_um,
+            one_view.nearest,
+        ),
+        unsigned(
+            "merged, distance to the nearest random point on the CAD".into(),
+            &merged.nearest_um,
+            nearest_um,
+            merged.nearest,
+        ),
+    ]
+}
+
+fn signed(name: String, um: &[f64], full_um: f64, of: Option<Statistics>) -> Histogram {
+    let tint = |centre: f64| colour::diverging(centre / full_um);
+    histogram(name, um, [-full_um, full_um], of, &tint)
+}
+
+fn unsigned(name: String, um: &[f64], full_um: f64, of: Option<Statistics>) -> Histogram {
+    histogram(name, um, [0.0, full_um], of, &|_| [120, 140, 165])
+}
+
+fn histogram(
+    name: String,
+    um: &[f64],
+    range: [f64; 2],
+    of: Option<Statistics>,
+    colour_of: &dyn Fn(f64) -> [u8; 3],
+) -> Histogram {
+    const BINS: usize = 60;
+    let (counts, beyond) = binned(um, range, BINS);
+    let total = um.len().max(1) as f64;
+    let width = (range[1] - range[0]) / BINS as f64;
+    let bars: Vec<(f64, String)> = counts
+        .iter()
+        .enumerate()
+        .map(|(bin, count)| {
+            let [r, g, b] = colour_of(range[0] + (bin as f64 + 0.5) * width);
+            (100.0 * count / total, format!("rgb({r},{g},{b})"))
+        })
+        .collect();
+    let most = bars.iter().map(|(share, _)| *share).fold(0.1, f64::max);
+    let svg = Axes {
+        title: &name,
+        size: [0.48 * WIDE, 230.0],
+        x: (range, "µm"),
+        y: ([0.0, 1.05 * most], "points / %"),
+    }
+    .draw(&[Series::Bars(&bars)]);
+    let mut caption = of.map_or(String::new(), |s| {
+        format!(
+            "{:.1} ± {:.1} µm, {} points",
+            s.mean_mm * 1e3 + 0.0,
+            s.std_mm * 1e3,
+            s.count
+        )
+    });
+    if beyond > 0 {
+        let _ = write!(caption, ", {beyond} beyond the axis");
+    }
+    Histogram { name, svg, caption }
+}
+
+/// The rotation axis in the die, from its lower to its upper end, seen from above.
+fn axis(scan: &Scan) -> String {
+    let ends = scan.joint.found.axis_mm;
+    let reach = ends.iter().flatten().fold(0.05_f64, |r, c| r.max(c.abs())) * 1.25;
+    let line: OverAngle = ends.iter().map(|[x, y]| (*x, Some(*y))).collect();
+    let point = |[x, y]: [f64; 2]| [(x, y)];
+    let (lower, upper) = (point(ends[0]), point(ends[1]));
+    Axes {
+        title: "Rotation axis in the die",
+        size: [380.0, 380.0],
+        x: ([-reach, reach], "x in the die / mm"),
+        y: ([-reach, reach], "y in the die / mm"),
+    }
+    .draw(&[
+        Series::Dots(&[(0.0, 0.0)], "var(--muted)".into()),
+        Series::Line(&line, "var(--no-go)".into()),
+        Series::Dots(&lower, "var(--ink)".into()),
+        Series::Dots(&upper, "var(--no-go)".into()),
+    ])
+}
+
+/// The encoder's error over a turn: its harmonics as a line, and every view.
+fn harmonics(scan: &Scan) -> String {
+    let pairs = scan.joint.found.harmonics_mdeg;
+    let error_mdeg = |deg: f64| -> f64 {
+        (1_u8..)
+            .zip(pairs)
+            .map(|(order, [cosine, sine])| {
+                let (sin, cos) = (f64::from(order) * deg.to_radians()).sin_cos();
+                cosine * cos + sine * sin
+            })
+            .sum()
+    };
+    let line: OverAngle = (-180..=180)
+        .step_by(2)
+        .map(|deg| (f64::from(deg), Some(error_mdeg(f64::from(deg)))))
+        .collect();
+    let views: Vec<(f64, f64)> = scan
+        .registration
+        .iter()
+        .filter_map(|r| {
+            let at = r.rotation_deg;
+            Some((at, error_mdeg(at) + r.stray_turn_mdeg?))
+        })
+        .collect();
+    let most = views
+        .iter()
+        .map(|(_, error)| error.abs())
+        .fold(5.0, f64::max)
+        * 1.1;
+    Axes {
+        title: "Error of the rotary encoder",
+        size: [WIDE - 400.0, 380.0],
+        x: ([-180.0, 180.0], "commanded angle / °"),
+        y: ([-most, most], "encoder error / millidegrees"),
+    }
+    .draw(&[
+        Series::Dots(&views, "#7a93b8".into()),
+        Series::Line(&line, "var(--no-go)".into()),
+    ])
+}
+
+/// What calibration adds to the noise over the field of view, and the worst of it, µm.
+fn quality(scan: &Scan) -> (String, f64) {
+    let sigma_um: Vec<Option<f64>> = scan
+        .quality
+        .sigma_mm()
+        .map(|sigma| sigma.map(|mm| mm * 1e3))
+        .collect();
+    let worst = sigma_um.iter().flatten().fold(0.0_f64, |a, b| a.max(*b));
+    let pixels: Vec<[u8; 3]> = sigma_um
+        .iter()
+        .map(|um| {
+            um.map_or(colour::NO_DATA, |um| {
+                colour::sequential(um / worst.max(1.0))
+            })
+        })
+        .collect();
+    let side = scan.quality.side();
+    (colour::rgb_data_uri(side, side, &pixels), worst)
+}
+
+fn raster(scan: &Scan, metrics: &Metrics, full_um: f64) -> Option<String> {
+    metrics.raster.as_ref()?;
+    let of = |index: usize| {
+        let mm = metrics.raster_mm.get(index).copied().flatten()?;
+        Some(colour::diverging(mm * 1e3 / full_um))
+    };
+    Some(unrolled(scan, "Unrolled and subtracted", of))
 }

@@ -5,8 +5,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{JointError, Stages};
+use flankscope_metrology::joint::{JointError, Stages, ViewInformation};
 use flankscope_metrology::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::spacing::opposite;
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
@@ -15,16 +17,19 @@ use flankscope_profilometry::{DecodeOptions, Decoder};
 
 use super::comparison::{self, Method};
 use super::grid::Grid;
+use super::lay::layout;
+use super::metrics::{self, MetricsError};
 use super::paper::{self, PaperSettings};
-use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors};
+use super::patches::Patches;
+use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 use super::session::{Session, SessionError};
-use super::stitch::{Stitched, empty_map, first_information, stitch};
+use super::stitch::{Stitched, first_information, stitch};
 use super::view::{ScannedView, ViewScanner};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     EvaluatorError, Feature, FrameCount, Handover, InspectError, Progress as CheckProgress, Run,
-    Station, Subject, Timing, hand_eye, peak_memory_mb,
+    Station, Subject, Timing, field_slope, hand_eye, peak_memory_mb,
 };
 
 /// Fewer registered views than this share do not describe the die.
@@ -78,6 +83,9 @@ pub enum Progress {
 pub struct Scanner {
     station: Station<ScannedView>,
     session: Session,
+    patches: Patches,
+    /// Information of the views that are done, each where it was laid on.
+    known: BTreeMap<usize, ViewInformation>,
     grid: Grid,
     gear: GearData,
     nominal: Stages,
@@ -110,9 +118,8 @@ impl Scanner {
             .collect();
         of.insert("views".into(), grid.to_string());
         let session = Session::open(folder, of)?;
-        let known: BTreeMap<_, _> = first_information(&session, &subject.tool, &itinerary)?
-            .into_iter()
-            .collect();
+        let patches = Patches::new(session.folder())?;
+        let known = first_information(&session, &subject.tool, &itinerary)?;
         let decoder = Decoder::new(
             &subject.head,
             &itinerary.patterns,
@@ -126,13 +133,16 @@ impl Scanner {
         let resumed = known.len();
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
         let (to_decode, views) = (Arc::clone(&decoder), Arc::clone(&itinerary));
-        let mut scanner = ViewScanner::new(&subject, to_decode, views, known).map_err(unfit)?;
+        let mut scanner =
+            ViewScanner::new(&subject, to_decode, views, known.clone()).map_err(unfit)?;
         let station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
             scanner.scan(view, sums)
         })?;
         Ok(Self {
             station,
             session,
+            patches,
+            known,
             grid,
             gear,
             nominal,
@@ -203,6 +213,16 @@ impl Scanner {
         Ok(scan)
     }
 
+    /// Adds to a finished scan what the article's metrics say of it, and with `raster` its unrolled comparison.
+    ///
+    /// # Errors
+    /// The CAD has no surface where the gear is, or the session folder cannot be read.
+    pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
+        let tool = &self.station.subject.tool;
+        scan.metrics = metrics::compare(scan, &self.session, tool, &self.gear, raster)?;
+        Ok(())
+    }
+
     /// Captures every view that the session does not hold, a lost one once more; returns why views stayed lost.
     async fn capture_all(
         &mut self,
@@ -230,12 +250,13 @@ impl Scanner {
                     .await?;
                 for &view in &open {
                     let why = match run.outcomes.remove(&view) {
-                        Some(scanned) if scanned.refused.is_none() => {
-                            self.session.keep(view, &scanned)?;
-                            lost.remove(&view);
-                            continue;
-                        }
-                        Some(scanned) => scanned.refused,
+                        Some(scanned) => match self.keep(view, scanned)? {
+                            Ok(()) => {
+                                lost.remove(&view);
+                                continue;
+                            }
+                            Err(why) => Some(why),
+                        },
                         None => run.problems.get(&view).cloned().or_else(|| stopped.clone()),
                     };
                     lost.insert(
@@ -262,12 +283,15 @@ impl Scanner {
     }
 
     /// Stitches by our method, and by the article's if it was asked for.
-    fn stitch_all(&self, lost: &BTreeMap<usize, String>) -> Result<Scan, ScanError> {
-        let (tool, itinerary) = (&self.station.subject.tool, &self.station.itinerary);
-        let (height_mm, teeth) = (self.gear.height_mm, self.gear.teeth);
+    fn stitch_all(&mut self, lost: &BTreeMap<usize, String>) -> Result<Scan, ScanError> {
+        let first = std::mem::take(&mut self.known);
+        let subject = &self.station.subject;
+        let (tool, itinerary) = (&subject.tool, &self.station.itinerary);
         let (session, nominal, planned) = (&self.session, &self.nominal, &itinerary.views);
+        let layout = layout(&self.gear);
+        let over = (layout, field_slope(&subject.head));
         let begun = Instant::now();
-        let ours = stitch(session, tool, itinerary, nominal, height_mm, teeth)?;
+        let ours = stitch(session, &mut self.patches, first, tool, nominal, over)?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
         let mut scan = self.describe(ours, lost);
@@ -276,7 +300,7 @@ impl Scanner {
             return Ok(scan);
         }
         let begun = Instant::now();
-        let map = empty_map(height_mm, teeth);
+        let map = CylinderMap::new(layout);
         let laid = paper::stitch(session, tool, itinerary, nominal, map, &self.paper)?;
         let figures = comparison::of_paper(&laid, &self.paper, planned, begun.elapsed());
         if self.method == Method::Paper {
@@ -286,6 +310,20 @@ impl Scanner {
         Ok(scan)
     }
 
+    /// Keeps a view that lies on the CAD, or returns why it does not.
+    fn keep(&mut self, view: usize, scanned: ScannedView) -> Result<Result<(), String>, ScanError> {
+        let laid = match scanned.laid {
+            Ok(laid) => laid,
+            Err(why) => return Ok(Err(why)),
+        };
+        self.session
+            .keep(view, &scanned.points, scanned.tool_from_camera)?;
+        self.patches
+            .keep(view, laid.information.tool_from_camera, &laid.witnesses)?;
+        self.known.insert(view, laid.information);
+        Ok(Ok(()))
+    }
+
     fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
         let Stitched {
             views,
@@ -293,17 +331,17 @@ impl Scanner {
             joint,
             rounds,
             settled,
+            relaid,
             map,
+            quality,
+            elapsed_ms,
         } = stitched;
         let mut lost = lost.clone();
         lost.extend(refused);
-        let laid: BTreeMap<usize, (f64, f64)> = views
+        let laid: BTreeMap<usize, _> = views
             .iter()
-            .zip(&joint.strays)
-            .map(|((view, info), stray)| {
-                let stray = stray.fixed_rows::<3>(3).norm();
-                (*view, (info.rms_mm * 1e3, stray * 1e3))
-            })
+            .zip(joint.strays.iter().zip(&joint.poses))
+            .map(|((view, info), (stray, pose))| (*view, (info.rms_mm, stray, pose)))
             .collect();
         let planned = &self.station.itinerary.views;
         let registration = planned.iter().enumerate().map(|(view, at)| {
@@ -318,8 +356,11 @@ impl Scanner {
                     "lost"
                 },
                 reason: lost.get(&view).cloned(),
-                rms_um: found.map(|(rms, _)| *rms),
-                stray_um: found.map(|(_, stray)| *stray),
+                rms_um: found.map(|(rms_mm, ..)| rms_mm * 1e3),
+                stray_um: found.map(|(_, stray, _)| stray.fixed_rows::<3>(3).norm() * 1e3),
+                stray_turn_mdeg: found.map(|(_, stray, _)| stray[2].to_degrees() * 1e3),
+                tool_from_camera: found
+                    .map(|(.., pose)| Rigid::<ToolFrame, Camera>::from_isometry(**pose).to_rows()),
             }
         });
         let registration: Vec<_> = registration.collect();
@@ -375,6 +416,10 @@ impl Scanner {
             coverage_ratio: map.coverage(),
             inconsistent_ratio: map.inconsistent(),
             registration,
+            stitching: Stitching {
+                relaid_views: relaid,
+                elapsed_ms,
+            },
             joint: Joint {
                 rounds,
                 settled,
@@ -382,6 +427,7 @@ impl Scanner {
                 weak: joint.weak.iter().map(|w| (w.name, w.prior_share)).collect(),
                 found: StageErrors {
                     eccentricity_mm: joint.stages.eccentricity_mm(),
+                    axis_mm: self.gear.height_mm.map(|z| joint.stages.axis_at_mm(z)),
                     tilt_deg: joint.stages.tilt_rad().to_degrees(),
                     head_turn_deg: turn.map(f64::to_degrees),
                     head_shift_mm: shift,
@@ -392,10 +438,12 @@ impl Scanner {
                 },
             },
             methods: Vec::new(),
+            metrics: None,
             tool: self.station.subject.tool.name.clone(),
             versions,
             hashes: self.station.subject.hashes.clone(),
             map,
+            quality,
         }
     }
 

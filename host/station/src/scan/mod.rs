@@ -1,27 +1,33 @@
 //! The scan of the whole die: many views, laid on the CAD together, merged into one map.
 //!
 //! ```text
-//!  grid ──► captures of up to 16 views ──► view: points, pose, information ──► session folder
-//!                                            ▲ joint solve so far                   │
-//!                                            └──────────────────────────────────────┤
-//!                              scan document ◄── map ◄── joint solve, re-associated ┘
+//!  grid ──► captures of up to 16 views ──► view: points, pose, information, cells ──► session folder, patches
+//!                                            ▲ joint solve so far                         │
+//!                                            └────────────────────────────────────────────┤
+//!                scan document ◄── map ◄── patches, moved ◄── joint solve, re-associated ◄┘
 //! ```
 //!
 //! | file | holds |
 //! |---|---|
 //! | `grid` | which views, in which order |
 //! | `view` | one view's sums to points and a first pose |
+//! | `lay` | a view's points on the CAD, gathered by cells of the unrolled bore |
+//! | `patches` | those cells of every view, kept on the disk until all poses are known |
 //! | `session` | what is kept of a scan that is killed |
 //! | `stitch` | all views to one map |
 //! | `paper` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
+//! | `metrics` | what the article's ways of measuring a distance would have said |
 //! | `job` | orders and captures from hello to result |
 //! | `result` | the JSON document |
 
 mod comparison;
 mod grid;
 mod job;
+mod lay;
+mod metrics;
 mod paper;
+mod patches;
 mod result;
 mod session;
 mod stitch;
@@ -30,6 +36,7 @@ mod view;
 pub use comparison::{LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};
+pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use paper::PaperSettings;
-pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors};
+pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 pub use session::SessionError;

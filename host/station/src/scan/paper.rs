@@ -10,7 +10,7 @@
 //! slip (which side the initial transformation stands on, the reflection case), the geometrically right one is taken.
 
 use flankscope_metrology::alpha::{self, centre_of_mass};
-use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::cylinder::{CylinderMap, witnesses};
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::frames::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::joint::Stages;
@@ -132,7 +132,8 @@ pub(super) fn stitch(
         };
         one_view.get_or_insert(distances);
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
-        map.add_view(&tool.surface.closest_many(&laid), &sigma);
+        let closest = tool.surface.closest_many(&laid);
+        map.add_view(&witnesses(&map.layout(), &closest, &sigma), |_| 0.0);
         views.push((view, distances.rms_mm));
         cloud.extend(laid);
     }

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use flankscope_metrology::cylinder::{BoreForm, CylinderMap};
+use flankscope_metrology::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::spacing::Spacing;
 
 use super::comparison::MethodResult;
+use super::metrics::Metrics;
 use super::paper::PaperStitched;
 use crate::inspection::{Feature, FrameCount, Timing};
 
@@ -42,10 +43,15 @@ pub struct Scan {
     pub inconsistent_ratio: f64,
     /// One entry per view.
     pub registration: Vec<ScanRegistration>,
+    /// How the views became one map.
+    pub stitching: Stitching,
     /// What all views share.
     pub joint: Joint,
     /// The ways in which these views were stitched, side by side.
     pub methods: Vec<MethodResult>,
+    /// The article's metrics on the same points; absent unless a report or the raster was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics: Option<Metrics>,
     /// Tool name.
     pub tool: String,
     /// Host, protocol, firmware.
@@ -55,6 +61,9 @@ pub struct Scan {
     /// Deviations over the unrolled bore.
     #[serde(skip)]
     pub map: CylinderMap,
+    /// What the head's calibration adds to the noise in each part of its field.
+    #[serde(skip)]
+    pub quality: FieldQuality,
 }
 
 impl Scan {
@@ -144,6 +153,19 @@ pub struct ScanRegistration {
     pub rms_um: Option<f64>,
     /// How far it strays from what all views share, µm.
     pub stray_um: Option<f64>,
+    /// How far its rotary stage strays from what all views share, millidegrees.
+    pub stray_turn_mdeg: Option<f64>,
+    /// Its final pose, row by row: tool frame from camera frame, mm.
+    pub tool_from_camera: Option<[[f64; 4]; 4]>,
+}
+
+/// How the views became one map.
+#[derive(Clone, Debug, Serialize)]
+pub struct Stitching {
+    /// Views that were laid on the CAD once more, because they ended up elsewhere.
+    pub relaid_views: usize,
+    /// Time of the joint solve, of laying views on once more, and of the merge, ms.
+    pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
 /// What all views share.
@@ -166,6 +188,8 @@ pub struct Joint {
 pub struct StageErrors {
     /// Die off the rotation axis, mm.
     pub eccentricity_mm: f64,
+    /// Where the rotation axis passes the die's lower and upper end, x and y in the tool frame, mm.
+    pub axis_mm: [[f64; 2]; 2],
     /// Die's axis against the rotation axis, degrees.
     pub tilt_deg: f64,
     /// Turn of the head against its file, degrees, camera axes.

@@ -4,12 +4,13 @@
 //! folder says what is done.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::frames::{Camera, Rigid, Tool};
 use serde::{Deserialize, Serialize};
 
-use super::view::{Kept, ScannedView};
+use super::view::Kept;
 use crate::files::{hash, write_whole};
 
 const MANIFEST: &str = "manifest.json";
@@ -179,15 +180,20 @@ impl Session {
         Some(*pose.isometry())
     }
 
-    /// Keeps a view.
-    pub fn keep(&mut self, view: usize, scanned: &ScannedView) -> Result<(), SessionError> {
-        let bytes: &[u8] = bytemuck::cast_slice(&scanned.points);
+    /// Keeps a view's points and first pose.
+    pub fn keep(
+        &mut self,
+        view: usize,
+        points: &[Kept],
+        tool_from_camera: nalgebra::Isometry3<f64>,
+    ) -> Result<(), SessionError> {
+        let bytes: &[u8] = bytemuck::cast_slice(points);
         let path = self.file(view);
         write_whole(&path, bytes).map_err(|error| SessionError::Io { path, error })?;
-        let pose = Rigid::<Tool, Camera>::from_isometry(scanned.tool_from_camera);
+        let pose = Rigid::<Tool, Camera>::from_isometry(tool_from_camera);
         let entry = Entry {
             blake3: hash(bytes),
-            points: scanned.points.len(),
+            points: points.len(),
             tool_from_camera: pose.to_rows(),
         };
         self.manifest.views.insert(view, entry);
@@ -202,6 +208,24 @@ impl Session {
             SessionError::Manifest { path, error }
         })?;
         write_whole(&path, &text).map_err(|error| SessionError::Io { path, error })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// A fair sample of a view that is done: its first points. Not checked against the hash, which was when the session was
+    /// opened or the view was kept.
+    pub fn sample(&self, view: usize, most: usize) -> Result<Vec<Kept>, SessionError> {
+        let path = self.file(view);
+        let mut bytes = Vec::with_capacity(most * size_of::<Kept>());
+        let read = std::fs::File::open(&path).and_then(|file| {
+            file.take((most * size_of::<Kept>()) as u64)
+                .read_to_end(&mut bytes)
+        });
+        read.map_err(|error| SessionError::Io { path, error })?;
+        Ok(points_of(&bytes))
     }
 
     /// The points of a view that is done, checked against their hash.
@@ -224,7 +248,11 @@ impl Session {
                 expected: expected.into(),
             });
         }
-        let kept = bytes.chunks_exact(size_of::<Kept>());
-        Ok(kept.map(bytemuck::pod_read_unaligned).collect())
+        Ok(points_of(&bytes))
     }
+}
+
+fn points_of(bytes: &[u8]) -> Vec<Kept> {
+    let kept = bytes.chunks_exact(size_of::<Kept>());
+    kept.map(bytemuck::pod_read_unaligned).collect()
 }

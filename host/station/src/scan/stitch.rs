@@ -1,22 +1,33 @@
 //! All views of a session to one map: joint solve, laid on the CAD anew until nothing moves, merged by quality.
+//!
+//! What needs all points of a view was done when it was captured. Here the joint solve works on the views' 6x6 information and
+//! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
+//! laid on the CAD again.
 
-use flankscope_metrology::cylinder::{CylinderMap, Layout};
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use flankscope_metrology::cylinder::{CylinderMap, FieldQuality, Layout, Witness};
 use flankscope_metrology::joint::{Local, Solution, Stages, ViewInformation, compress, solve};
 use flankscope_metrology::tool::Tool;
 use nalgebra::{Isometry3, Point3};
+use rayon::prelude::*;
 
 use super::job::ScanError;
-use super::session::Session;
-use super::view::{Kept, SAMPLE, coordinates, place, unlike_cad};
+use super::lay::Laid;
+use super::patches::Patches;
+use super::session::{Session, SessionError};
+use super::view::{SAMPLE, coordinates, place, unlike_cad};
 use crate::inspection::Itinerary;
 
 /// Rounds of solving and laying on.
 const MOST_ROUNDS: usize = 6;
-/// Poses that move less than this have settled, mm.
-const SETTLED_MM: f64 = 0.1e-3;
-/// Cells around per tooth, and their height, mm.
-const COLUMNS_PER_TOOTH: usize = 24;
-const ROW_MM: f64 = 0.25;
+/// A view that moved across the axis by less than this need not be laid on anew, mm: its information is linear to some nm.
+const SETTLED_MM: f64 = 1e-3;
+/// A view that moved across the axis by more is laid on the CAD again with all its points, mm.
+const RELAY_MM: f64 = 10e-3;
+/// From the middle of a view to its edge, about, mm.
+const FIELD_MM: f64 = 5.0;
 
 /// Views that were laid on the CAD together.
 pub(super) struct Stitched {
@@ -27,7 +38,12 @@ pub(super) struct Stitched {
     pub joint: Solution,
     pub rounds: usize,
     pub settled: bool,
+    /// Views that were laid on the CAD once more.
+    pub relaid: usize,
     pub map: CylinderMap,
+    pub quality: FieldQuality,
+    /// Time of each part, ms.
+    pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
 /// The information of views that are done, each at its first pose.
@@ -35,94 +51,156 @@ pub(super) fn first_information(
     session: &Session,
     tool: &Tool,
     itinerary: &Itinerary,
-) -> Result<Vec<(usize, ViewInformation)>, ScanError> {
-    let mut found = Vec::new();
-    for (view, _) in session.views() {
+) -> Result<BTreeMap<usize, ViewInformation>, ScanError> {
+    let done: Vec<usize> = session.views().map(|(view, _)| view).collect();
+    let found = done.into_par_iter().map(|view| {
         let Some(pose) = session.pose(view).filter(|_| view < itinerary.views.len()) else {
-            continue;
+            return Ok(None);
         };
-        let sample = coordinates(&session.points(view)?, SAMPLE);
+        let sample = coordinates(&session.sample(view, SAMPLE)?, SAMPLE);
         let at = place(itinerary, view);
-        found.extend(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)));
-    }
-    Ok(found)
+        Ok(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)))
+    });
+    let found: Result<Vec<_>, ScanError> = found.collect();
+    Ok(found?.into_iter().flatten().collect())
 }
 
-/// Stitches the session's views.
+/// Stitches views, as each was laid on first.
 pub(super) fn stitch(
     session: &Session,
+    patches: &mut Patches,
+    first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
-    itinerary: &Itinerary,
     nominal: &Stages,
-    height_mm: [f64; 2],
-    teeth: u32,
+    (layout, field_slope): (Layout, f64),
 ) -> Result<Stitched, ScanError> {
-    let mut views = first_information(session, tool, itinerary)?;
-    let solved = |views: &[(usize, ViewInformation)], start: &Stages| {
-        let informations: Vec<ViewInformation> =
-            views.iter().map(|(_, info)| info.clone()).collect();
-        solve(start, &informations, Local::default())
+    let mut elapsed_ms = BTreeMap::new();
+    let mut clock = Instant::now();
+    let mut lap = |what| {
+        elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
+        clock = Instant::now();
     };
+    let mut views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
     let mut joint = solved(&views, nominal)?;
     let mut refused = Vec::new();
     let (mut rounds, mut settled) = (1, false);
     while rounds < MOST_ROUNDS && !settled {
-        let mut laid = Vec::with_capacity(views.len());
-        for ((view, info), pose) in views.iter().zip(&joint.poses) {
-            let sample = coordinates(&session.points(*view)?, SAMPLE);
-            match compress(&tool.surface, &sample, info.at, *pose) {
-                None => refused.push((*view, "no point lies on the CAD".to_string())),
-                Some(info) => match unlike_cad(&info) {
-                    Some(why) => refused.push((*view, why)),
-                    None => laid.push((*view, info)),
-                },
-            }
-        }
+        let (laid, dropped) = laid_anew(session, tool, &views, &joint)?;
+        // A view that drops out moves the others: another round then.
+        let whole = dropped.is_empty();
+        refused.extend(dropped);
         let next = solved(&laid, &joint.stages)?;
-        // A view that dropped out moves the others: another round then.
-        settled = laid.len() == views.len()
-            && laid
-                .iter()
-                .zip(&next.poses)
-                .all(|((_, info), pose)| moved_mm(info, pose) < SETTLED_MM);
         (views, joint) = (laid, next);
+        let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
+            moved_mm(info, &info.tool_from_camera, pose)
+        };
+        settled = whole
+            && views
+                .iter()
+                .zip(&joint.poses)
+                .map(moved)
+                .all(|mm| mm < SETTLED_MM);
         rounds += 1;
     }
-    let mut map = empty_map(height_mm, teeth);
-    for ((view, _), pose) in views.iter().zip(&joint.poses) {
-        let points = session.points(*view)?;
-        let located: Vec<[f64; 3]> = points.iter().map(|p| located(pose, p)).collect();
-        let sigma: Vec<f32> = points.iter().map(|p| p[3]).collect();
-        map.add_view(&tool.surface.closest_many(&located), &sigma);
+    lap("solve");
+    let mut relaid = 0;
+    for ((view, info), pose) in views.iter().zip(&joint.poses) {
+        let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
+        if moved.is_none_or(|mm| mm > RELAY_MM) {
+            let points = session.points(*view)?;
+            let laid = Laid::new(&tool.surface, *pose, &points);
+            patches.keep(*view, *pose, &laid.witnesses(&layout, &points))?;
+            relaid += 1;
+        }
     }
+    lap("lay");
+    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)| {
+        for ((view, _), pose) in views.iter().zip(&joint.poses) {
+            take(pose, patches.moved_to(*view, pose, &layout)?);
+        }
+        Ok::<_, SessionError>(())
+    };
+    let (map, quality) = merge(layout, field_slope, of_views)?;
+    lap("merge");
     Ok(Stitched {
         views,
         refused,
         joint,
         rounds,
         settled,
+        relaid,
         map,
+        quality,
+        elapsed_ms,
     })
 }
 
-/// The unrolled bore with nothing seen of it yet.
-pub(super) fn empty_map(height_mm: [f64; 2], teeth: u32) -> CylinderMap {
-    CylinderMap::new(Layout {
-        columns: COLUMNS_PER_TOOTH * teeth as usize,
-        rows: ((height_mm[1] - height_mm[0]) / ROW_MM)
-            .ceil()
-            .clamp(1.0, 1e4) as usize,
-        height_mm,
-    })
+/// Merges views by what their noise says first, learns from that what calibration adds in which part of the field, and merges
+/// once more by both.
+fn merge(
+    layout: Layout,
+    field_slope: f64,
+    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)) -> Result<(), SessionError>,
+) -> Result<(CylinderMap, FieldQuality), SessionError> {
+    let in_camera = |pose: &Isometry3<f64>, witness: &Witness| -> [f64; 3] {
+        let point = Point3::from(witness.point.map(f64::from));
+        pose.inverse_transform_point(&point).into()
+    };
+    let mut by_noise = CylinderMap::new(layout);
+    of_views(&mut |_, view| by_noise.add_view(&view, |_| 0.0))?;
+    let mut quality = FieldQuality::new(field_slope);
+    of_views(&mut |pose, view| quality.add_view(&by_noise, &view, |w| in_camera(pose, w)))?;
+    let mut map = CylinderMap::new(layout);
+    of_views(&mut |pose, view| {
+        map.add_view(&view, |w| quality.variance_mm2(in_camera(pose, w)));
+    })?;
+    Ok((map, quality))
 }
 
-fn located(pose: &Isometry3<f64>, &[x, y, z, ..]: &Kept) -> [f64; 3] {
-    (pose * Point3::new(f64::from(x), f64::from(y), f64::from(z))).into()
+fn solved(views: &[(usize, ViewInformation)], start: &Stages) -> Result<Solution, ScanError> {
+    let views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
+    Ok(solve(start, &views, Local::default())?)
 }
 
-/// How far the middle of a view moves from where it was laid on to `pose`, mm.
-fn moved_mm(info: &ViewInformation, pose: &Isometry3<f64>) -> f64 {
+type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, String)>);
+
+/// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
+/// why.
+fn laid_anew(
+    session: &Session,
+    tool: &Tool,
+    views: &[(usize, ViewInformation)],
+    joint: &Solution,
+) -> Result<LaidAnew, SessionError> {
+    let fits: Result<Vec<_>, SessionError> = views
+        .par_iter()
+        .zip(&joint.poses)
+        .map(|((view, info), pose)| {
+            if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
+                return Ok((*view, Ok(info.clone())));
+            }
+            let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
+            let laid = match compress(&tool.surface, &sample, info.at, *pose) {
+                None => Err("no point lies on the CAD".to_string()),
+                Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
+            };
+            Ok((*view, laid))
+        })
+        .collect();
+    let (mut laid, mut refused) = (Vec::new(), Vec::new());
+    for (view, fit) in fits? {
+        match fit {
+            Ok(info) => laid.push((view, info)),
+            Err(why) => refused.push((view, why)),
+        }
+    }
+    Ok((laid, refused))
+}
+
+/// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the teeth
+/// are straight.
+fn moved_mm(info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
     let centre = Point3::from(info.centre_mm);
-    let here = pose * info.tool_from_camera.inverse_transform_point(&centre);
-    (here - centre).norm()
+    let motion = to * from.inverse();
+    (motion * centre - centre).xy().norm() + motion.rotation.angle() * FIELD_MM
 }

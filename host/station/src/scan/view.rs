@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_metrology::cylinder::{Layout, Witness};
 use flankscope_metrology::frames::Rigid;
 use flankscope_metrology::joint::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
@@ -13,6 +14,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
+use super::lay::{Laid, layout};
 use crate::inspection::{
     EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
 };
@@ -47,8 +49,17 @@ pub(crate) struct ScannedView {
     pub points: Vec<Kept>,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: Isometry3<f64>,
-    /// Why it must not be used.
-    pub refused: Option<String>,
+    /// What became of it on the CAD, or why it must not be used.
+    pub laid: Result<LaidView, String>,
+}
+
+/// A view on the CAD.
+#[derive(Debug)]
+pub(crate) struct LaidView {
+    /// What it says about its pose, at the best one by what was known of the others at the time.
+    pub information: ViewInformation,
+    /// What it says of the map, there.
+    pub witnesses: Vec<Witness>,
 }
 
 /// The compute thread's state.
@@ -56,6 +67,7 @@ pub(super) struct ViewScanner {
     tool: Arc<Tool>,
     teeth: u32,
     pitch_mm: f64,
+    layout: Layout,
     decoder: Arc<Decoder>,
     itinerary: Arc<Itinerary>,
     joint: Solution,
@@ -78,6 +90,7 @@ impl ViewScanner {
             tool: Arc::clone(&subject.tool),
             teeth: gear.teeth,
             pitch_mm: gear.pitch_rad() * gear.pitch_radius_mm(),
+            layout: layout(gear),
             decoder,
             itinerary,
             joint: Solution::prior(nominal, Local::default()),
@@ -98,7 +111,7 @@ impl ViewScanner {
                 return ScannedView {
                     points: Vec::new(),
                     tool_from_camera: expected,
-                    refused: Some(error.to_string()),
+                    laid: Err(error.to_string()),
                 };
             }
         };
@@ -135,21 +148,35 @@ impl ViewScanner {
         let tool_from_camera = *registration.tool_from_cloud.isometry();
         let sample = coordinates(&points, SAMPLE);
         let information = compress(surface, &sample, at, tool_from_camera);
-        let refused = match (&registration.status, &information) {
-            (Status::Indeterminate(reason), _) => Some(reason.to_string()),
-            (_, None) => Some("no point lies on the CAD".into()),
-            (_, Some(view)) => unlike_cad(view),
+        let laid = match (&registration.status, information) {
+            (Status::Indeterminate(reason), _) => Err(reason.to_string()),
+            (_, None) => Err("no point lies on the CAD".into()),
+            (_, Some(information)) => match unlike_cad(&information) {
+                Some(why) => Err(why),
+                None => Ok(self.lay(view, information, &points)),
+            },
         };
-        if let (None, Some(information)) = (&refused, information) {
-            self.known.insert(view, information);
-            if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
-                self.solve();
-            }
-        }
         ScannedView {
             points,
             tool_from_camera,
-            refused,
+            laid,
+        }
+    }
+
+    /// Adds a view to what is known of all, and lays its points where it then is.
+    fn lay(&mut self, view: usize, information: ViewInformation, points: &[Kept]) -> LaidView {
+        self.known.insert(view, information.clone());
+        if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
+            self.solve();
+        }
+        let settled = self.joint.settle(&information);
+        let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
+        let laid = Laid::new(&self.tool.surface, tool_from_camera, points);
+        let information = laid.information(information.at).unwrap_or(information);
+        self.known.insert(view, information.clone());
+        LaidView {
+            witnesses: laid.witnesses(&self.layout, points),
+            information,
         }
     }
 

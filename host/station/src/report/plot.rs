@@ -1,0 +1,170 @@
+//! A chart with two axes as inline SVG: bars, lines and dots over round numbers.
+
+use std::fmt::Write as _;
+
+use super::chart::{open, ticks};
+
+const LEFT: f64 = 58.0;
+const RIGHT: f64 = 12.0;
+const TOP: f64 = 10.0;
+const BOTTOM: f64 = 40.0;
+
+/// What is drawn.
+pub enum Series<'a> {
+    /// A bar from zero over each of equally wide bins, with its own colour.
+    Bars(&'a [(f64, String)]),
+    /// A line through the points in order; it breaks where a value is missing.
+    Line(&'a [(f64, Option<f64>)], String),
+    /// A dot at each point.
+    Dots(&'a [(f64, f64)], String),
+    /// A picture (`data:` address) over the whole area between the axes.
+    Picture(String),
+}
+
+/// The axes of a chart.
+pub struct Axes<'a> {
+    /// What it shows, for those who cannot see it.
+    pub title: &'a str,
+    /// Width and height, px.
+    pub size: [f64; 2],
+    /// Range and label along the bottom.
+    pub x: ([f64; 2], &'a str),
+    /// Range and label along the side.
+    pub y: ([f64; 2], &'a str),
+}
+
+impl Axes<'_> {
+    /// Draws the axes and what lies over them.
+    #[must_use]
+    pub fn draw(&self, series: &[Series<'_>]) -> String {
+        let [width, height] = self.size;
+        let ([x_from, x_to], x_label) = self.x;
+        let ([y_from, y_to], y_label) = self.y;
+        let (right, bottom) = (width - RIGHT, height - BOTTOM);
+        let x = |value: f64| LEFT + (value - x_from) / (x_to - x_from) * (right - LEFT);
+        let y = |value: f64| bottom - (value - y_from) / (y_to - y_from) * (bottom - TOP);
+        let mut svg = open(width, height, self.title);
+        for tick in ticks(x_from, x_to) {
+            let _ = write!(
+                svg,
+                r#"<line x1="{0:.1}" y1="{TOP}" x2="{0:.1}" y2="{bottom}" class="grid"/><text x="{0:.1}" y="{1:.1}" text-anchor="middle">{tick}</text>"#,
+                x(tick),
+                bottom + 15.0
+            );
+        }
+        for tick in ticks(y_from, y_to) {
+            let _ = write!(
+                svg,
+                r#"<line x1="{LEFT}" y1="{0:.1}" x2="{right}" y2="{0:.1}" class="grid"/><text x="{1:.1}" y="{2:.1}" text-anchor="end">{tick}</text>"#,
+                y(tick),
+                LEFT - 6.0,
+                y(tick) + 4.0
+            );
+        }
+        let _ = write!(
+            svg,
+            r#"<text x="{:.1}" y="{:.1}" text-anchor="middle">{x_label}</text><text transform="translate(13 {:.1}) rotate(-90)" text-anchor="middle">{y_label}</text>"#,
+            0.5 * (LEFT + right),
+            height - 8.0,
+            0.5 * (TOP + bottom)
+        );
+        for series in series {
+            match series {
+                Series::Bars(bars) => {
+                    let each = (right - LEFT) / bars.len().max(1) as f64;
+                    for (bin, (value, colour)) in bars.iter().enumerate() {
+                        let top = y(value.clamp(y_from, y_to));
+                        let _ = write!(
+                            svg,
+                            r#"<rect x="{:.2}" y="{top:.2}" width="{each:.2}" height="{:.2}" fill="{colour}" stroke="var(--muted)" stroke-width=".3"/>"#,
+                            LEFT + bin as f64 * each,
+                            bottom - top
+                        );
+                    }
+                }
+                Series::Line(points, colour) => {
+                    for piece in points.split(|(_, value)| value.is_none()) {
+                        let path: Vec<String> = piece
+                            .iter()
+                            .filter_map(|&(at, value)| {
+                                Some(format!("{:.1},{:.1}", x(at), y(value?.clamp(y_from, y_to))))
+                            })
+                            .collect();
+                        let _ = write!(
+                            svg,
+                            r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="1.6"/>"#,
+                            path.join(" ")
+                        );
+                    }
+                }
+                Series::Picture(address) => {
+                    let _ = write!(
+                        svg,
+                        r#"<image href="{address}" x="{LEFT}" y="{TOP}" width="{:.1}" height="{:.1}" preserveAspectRatio="none" style="image-rendering:pixelated"/>"#,
+                        right - LEFT,
+                        bottom - TOP
+                    );
+                }
+                Series::Dots(points, colour) => {
+                    for &(at, value) in *points {
+                        let _ = write!(
+                            svg,
+                            r#"<circle cx="{:.1}" cy="{:.1}" r="1.8" fill="{colour}"/>"#,
+                            x(at),
+                            y(value.clamp(y_from, y_to))
+                        );
+                    }
+                }
+            }
+        }
+        svg.push_str("</svg>");
+        svg
+    }
+}
+
+/// Counts per bin, and how many values lie beyond the range.
+pub fn binned(values: &[f64], [from, to]: [f64; 2], bins: usize) -> (Vec<f64>, usize) {
+    let mut counts = vec![0.0; bins];
+    let mut beyond = 0;
+    for &value in values {
+        let bin = ((value - from) / (to - from) * bins as f64).floor();
+        match counts.get_mut(bin as usize) {
+            Some(count) if bin >= 0.0 => *count += 1.0,
+            _ => beyond += 1,
+        }
+    }
+    (counts, beyond)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_is_binned_or_beyond() {
+        let (counts, beyond) = binned(&[0.0, 0.5, 9.99, 10.0, -0.1, f64::NAN], [0.0, 10.0], 10);
+        assert_eq!((counts[0], counts[9], beyond), (2.0, 1.0, 3));
+        assert_eq!(counts.iter().sum::<f64>(), 3.0);
+    }
+
+    #[test]
+    fn a_line_breaks_where_nothing_was_seen_and_stays_inside() {
+        let points = [
+            (0.0, Some(1.0)),
+            (1.0, Some(99.0)),
+            (2.0, None),
+            (3.0, Some(2.0)),
+            (4.0, Some(3.0)),
+        ];
+        let axes = Axes {
+            title: "test",
+            size: [400.0, 200.0],
+            x: ([0.0, 4.0], "x"),
+            y: ([0.0, 10.0], "y"),
+        };
+        let svg = axes.draw(&[Series::Line(&points, "red".into())]);
+        assert_eq!(svg.matches("<polyline").count(), 2);
+        // 99 is drawn at the upper edge.
+        assert!(svg.contains(",10.0\""), "{svg}");
+    }
+}

@@ -1,0 +1,70 @@
+//! A view's points on the CAD, gathered by the cells of the unrolled bore.
+
+use flankscope_metrology::cylinder::{Layout, Witness, witnesses};
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::joint::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::surface::{Closest, Surface};
+use nalgebra::{Isometry3, Point3};
+
+use super::view::Kept;
+
+/// Cells around per tooth, and their height, mm.
+const COLUMNS_PER_TOOTH: usize = 24;
+const ROW_MM: f64 = 0.25;
+
+/// The grid over a gear's bore.
+pub(super) fn layout(gear: &GearData) -> Layout {
+    let [low, high] = gear.height_mm;
+    Layout {
+        columns: COLUMNS_PER_TOOTH * gear.teeth as usize,
+        rows: ((high - low) / ROW_MM).ceil().clamp(1.0, 1e4) as usize,
+        height_mm: gear.height_mm,
+    }
+}
+
+/// A view's points on the surface.
+pub(super) struct Laid {
+    tool_from_camera: Isometry3<f64>,
+    /// Where the points lie, tool frame, mm.
+    located: Vec<[f64; 3]>,
+    closest: Vec<Closest>,
+}
+
+impl Laid {
+    /// Lays points on the surface.
+    pub fn new(surface: &Surface, tool_from_camera: Isometry3<f64>, points: &[Kept]) -> Self {
+        let located: Vec<[f64; 3]> = points
+            .iter()
+            .map(|&[x, y, z, ..]| {
+                let point = Point3::new(f64::from(x), f64::from(y), f64::from(z));
+                (tool_from_camera * point).into()
+            })
+            .collect();
+        Self {
+            tool_from_camera,
+            closest: surface.closest_many(&located),
+            located,
+        }
+    }
+
+    /// What the view says of the cells.
+    pub fn witnesses(&self, layout: &Layout, points: &[Kept]) -> Vec<Witness> {
+        let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
+        witnesses(layout, &self.closest, &sigma_mm)
+    }
+
+    /// What the view says of its pose.
+    pub fn information(&self, at: Pose) -> Option<ViewInformation> {
+        compress_laid(&self.located, &self.closest, at, self.tool_from_camera)
+    }
+
+    /// The points within `reach_mm` of the surface, tool frame, and their signed distances, mm.
+    pub fn near(&self, reach_mm: f64) -> (Vec<[f64; 3]>, Vec<f64>) {
+        self.located
+            .iter()
+            .zip(&self.closest)
+            .filter(|(_, hit)| hit.signed_distance_mm.abs() <= reach_mm)
+            .map(|(point, hit)| (*point, hit.signed_distance_mm))
+            .unzip()
+    }
+}

@@ -1,0 +1,155 @@
+//! What the article's ways of measuring a distance would have said of the same points.
+//!
+//! The distance to the nearest of many random points on the CAD is half their spacing for a perfect piece and a perfect
+//! instrument, so a histogram of it shows the reference cloud rather than the piece; beside it stands the exact distance.
+
+use flankscope_metrology::alpha::{Region, SampleError, centre_of_mass};
+use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, Statistics, statistics};
+use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::raster::{self, RasterError};
+use flankscope_metrology::tool::Tool;
+use serde::Serialize;
+
+use super::lay::Laid;
+use super::result::Scan;
+use super::session::{Session, SessionError};
+
+/// Reference points of one view in the article's window.
+const VIEW_SAMPLES: usize = 100_000;
+/// Reference points of the whole bore, per mm²: with these its mean deviation is that of the article's merged cloud.
+const BORE_SAMPLES_PER_MM2: f64 = 50.0;
+/// Reference points of the raster, per cell of the unrolled bore.
+const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
+/// Points farther off are strangers in any metric, mm.
+const STRANGER_MM: f64 = 0.5;
+
+/// Why nothing was compared.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MetricsError {
+    /// No reference points.
+    #[error(transparent)]
+    Sample(#[from] SampleError),
+    /// No search among them.
+    #[error(transparent)]
+    Tree(#[from] SampleTreeError),
+    /// No points of the view.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+}
+
+/// Both metrics on the same points.
+#[derive(Clone, Debug, Serialize)]
+pub struct TwoMetrics {
+    /// Signed distance to the surface.
+    pub exact: Option<Statistics>,
+    /// Distance to the nearest reference point.
+    pub nearest: Option<Statistics>,
+    /// Signed distances, µm.
+    #[serde(skip)]
+    pub exact_um: Vec<f64>,
+    /// Distances to the nearest reference point, µm.
+    #[serde(skip)]
+    pub nearest_um: Vec<f64>,
+}
+
+/// The article's metrics beside the exact one.
+#[derive(Clone, Debug, Serialize)]
+pub struct Metrics {
+    /// Number of the view in `one_view`.
+    pub view: usize,
+    /// All points of one view in its final pose.
+    pub one_view: TwoMetrics,
+    /// One point per cell of the map.
+    pub merged: TwoMetrics,
+    /// How far the unrolled and subtracted picture is from the exact deviations; only if it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub raster: Option<RasterError>,
+    /// That picture, mm, row by row from the bottom.
+    #[serde(skip)]
+    pub raster_mm: Vec<Option<f64>>,
+}
+
+/// Compares; `None` when no view was registered.
+pub(super) fn compare(
+    scan: &Scan,
+    session: &Session,
+    tool: &Tool,
+    gear: &GearData,
+    with_raster: bool,
+) -> Result<Option<Metrics>, MetricsError> {
+    let registered: Vec<_> = scan
+        .registration
+        .iter()
+        .filter_map(|r| Some((r.view, r.tool_from_camera?)))
+        .collect();
+    let Some(&(view, rows)) = registered.get(registered.len() / 2) else {
+        return Ok(None);
+    };
+    let Ok(pose) = Rigid::<ToolFrame, Camera>::from_rows(&rows) else {
+        return Ok(None);
+    };
+    let laid = Laid::new(&tool.surface, *pose.isometry(), &session.points(view)?);
+    let (points, exact_mm) = laid.near(STRANGER_MM);
+    let centre = centre_of_mass(&points).unwrap_or_default();
+    let region = Region {
+        radial_threshold_mm: gear.radial_threshold_mm,
+        ..Region::default()
+    };
+    let reference = region.sample(centre, &tool.mesh, VIEW_SAMPLES, 1)?;
+    let one_view = spread(&points, &exact_mm, &reference)?;
+
+    let points = merged_points(&scan.map);
+    let exact_mm: Vec<f64> = scan.map.cells().map(|cell| cell.deviation_mm).collect();
+    let whole = Region {
+        half_height_mm: f64::MAX,
+        half_angle_rad: std::f64::consts::PI,
+        radial_threshold_mm: gear.radial_threshold_mm,
+    };
+    let middle = [1.0, 0.0, 0.0];
+    let count = (BORE_SAMPLES_PER_MM2 * gear.area_mm2()).clamp(1.0, 1e7) as usize;
+    let reference = whole.sample(middle, &tool.mesh, count, 2)?;
+    let merged = spread(&points, &exact_mm, &reference)?;
+
+    let mut raster_mm = Vec::new();
+    if with_raster {
+        let layout = scan.map.layout();
+        let cells = (layout.columns * layout.rows) as f64;
+        let count = (RASTER_SAMPLES_PER_CELL * cells).clamp(1.0, 2e7) as usize;
+        let reference = whole.sample(middle, &tool.mesh, count, 3)?;
+        raster_mm = raster::subtract(
+            gear.kind,
+            &raster::unroll(&layout, &points),
+            &raster::unroll(&layout, &reference),
+        );
+    }
+    Ok(Some(Metrics {
+        view,
+        one_view,
+        merged,
+        raster: with_raster.then(|| raster::compare(&raster_mm, &scan.map)),
+        raster_mm,
+    }))
+}
+
+/// The measured place of every cell, mm.
+fn merged_points(map: &CylinderMap) -> Vec<[f64; 3]> {
+    map.cells().map(|cell| cell.measured()).collect()
+}
+
+fn spread(
+    points: &[[f64; 3]],
+    exact_mm: &[f64],
+    reference: &[[f64; 3]],
+) -> Result<TwoMetrics, MetricsError> {
+    let nearest_mm = SampleTree::new(reference)?.distances(points, Order::Two);
+    let um = |mm: &[f64]| mm.iter().map(|d| d * 1e3).collect();
+    Ok(TwoMetrics {
+        exact: statistics(exact_mm),
+        nearest: statistics(&nearest_mm),
+        exact_um: um(exact_mm),
+        nearest_um: um(&nearest_mm),
+    })
+}
