@@ -67,6 +67,27 @@ impl Aabb {
         sum
     }
 
+    /// Squared distance to a point.
+    #[inline(always)]
+    pub(crate) fn distance2_to(&self, point: &[f64; 3]) -> f64 {
+        let mut sum = 0.0;
+        for (k, c) in point.iter().enumerate() {
+            let (below, above) = (self.low[k] - c, c - self.high[k]);
+            let gap = if below > above { below } else { above };
+            let gap = if gap > 0.0 { gap } else { 0.0 };
+            sum += gap * gap;
+        }
+        sum
+    }
+
+    /// Larger by `margin` on every side.
+    pub(crate) fn widened(&self, margin: f64) -> Self {
+        Self {
+            low: self.low.map(|c| c - margin),
+            high: self.high.map(|c| c + margin),
+        }
+    }
+
     /// Squared length of the diagonal.
     #[inline(always)]
     pub(crate) fn diagonal2(&self) -> f64 {
@@ -77,12 +98,13 @@ impl Aabb {
     pub(crate) fn grow(&mut self, other: &Self) {
         for k in 0..3 {
             // Numbers only, so that a comparison does what `min` and `max` need three for.
-            if other.low[k] < self.low[k] {
-                self.low[k] = other.low[k];
-            }
-            if other.high[k] > self.high[k] {
-                self.high[k] = other.high[k];
-            }
+            let (low, high) = (other.low[k], other.high[k]);
+            self.low[k] = if low < self.low[k] { low } else { self.low[k] };
+            self.high[k] = if high > self.high[k] {
+                high
+            } else {
+                self.high[k]
+            };
         }
     }
 

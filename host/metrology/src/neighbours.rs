@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
-use wide::f64x4;
+use wide::f32x8;
 
 use crate::bvh::Aabb;
 use crate::simd;
@@ -21,9 +21,11 @@ struct Entry {
 
 /// The cloud, ordered so that every box's points lie together.
 struct Boxes {
-    points: Columns,
+    points: Vec<[f64; 3]>,
     /// Number in the cloud of every point.
     index: Vec<u32>,
+    /// First point of every box, and the end.
+    starts: Vec<u32>,
     /// Implicit binary tree: node i has the children 2 i + 1 and 2 i + 2, the last level is the boxes.
     nodes: Vec<Aabb>,
     /// Number of boxes, a power of two.
@@ -31,9 +33,9 @@ struct Boxes {
 }
 
 impl Boxes {
-    /// Boxes of at most `most` points.
+    /// Boxes of `most` to twice as many points.
     fn new(points: &[[f64; 3]], most: usize) -> Self {
-        let leaves = points.len().div_ceil(most).next_power_of_two();
+        let leaves = 1 << points.len().div_ceil(most).ilog2();
         let entry = |(index, &point): (usize, &[f64; 3])| Entry {
             point,
             index: index as u32,
@@ -42,8 +44,11 @@ impl Boxes {
         order(&mut entries, leaves);
         let mut nodes = vec![Aabb::EMPTY; 2 * leaves - 1];
         let n = entries.len();
+        let starts: Vec<u32> = (0..=leaves)
+            .map(|leaf| start(leaf, leaves, n) as u32)
+            .collect();
         for leaf in 0..leaves {
-            for entry in &entries[start(leaf, leaves, n)..start(leaf + 1, leaves, n)] {
+            for entry in &entries[starts[leaf] as usize..starts[leaf + 1] as usize] {
                 nodes[leaves - 1 + leaf].grow(&Aabb::at(entry.point));
             }
         }
@@ -52,14 +57,10 @@ impl Boxes {
             nodes[node].grow(&left);
             nodes[node].grow(&right);
         }
-        let column = |k: usize| entries.iter().map(|e| e.point[k]).collect();
         Self {
-            points: Columns {
-                x: column(0),
-                y: column(1),
-                z: column(2),
-            },
+            points: entries.iter().map(|e| e.point).collect(),
             index: entries.iter().map(|e| e.index).collect(),
+            starts,
             nodes,
             leaves,
         }
@@ -67,22 +68,20 @@ impl Boxes {
 
     #[inline(always)]
     fn of(&self, leaf: usize) -> Range<usize> {
-        let n = self.index.len();
-        start(leaf, self.leaves, n)..start(leaf + 1, self.leaves, n)
+        self.starts[leaf] as usize..self.starts[leaf + 1] as usize
     }
 
     /// Gathers the points within `reach2` (squared) of the box.
     #[inline(always)]
-    fn gather(&self, around: &Aabb, reach2: f64, into: &mut Columns) {
-        into.clear();
+    fn gather(&self, around: &Aabb, reach2: f64, into: &mut Vec<[f64; 3]>) {
         let mut stack = [0u32; 64];
         let mut top = 1;
         while top > 0 {
             top -= 1;
             let node = stack[top] as usize;
             if node >= self.leaves - 1 {
-                let range = self.of(node + 1 - self.leaves);
-                into.extend_near(&self.points, range, around, reach2);
+                let points = &self.points[self.of(node + 1 - self.leaves)];
+                extend_near(into, points, around, reach2);
                 continue;
             }
             for child in [2 * node + 1, 2 * node + 2] {
@@ -136,96 +135,101 @@ fn order(entries: &mut [Entry], leaves: usize) {
     }
 }
 
-/// Points side by side.
-#[derive(Default)]
-struct Columns {
-    x: Vec<f64>,
-    y: Vec<f64>,
-    z: Vec<f64>,
+/// Adds those points that lie within `reach2` (squared) of a box. All are written and the end moves only past those that
+/// stay, because a branch per point would be guessed wrongly half the time.
+#[inline(always)]
+fn extend_near(into: &mut Vec<[f64; 3]>, points: &[[f64; 3]], around: &Aabb, reach2: f64) {
+    let mut kept = into.len();
+    into.resize(kept + points.len(), [0.0; 3]);
+    for point in points {
+        into[kept] = *point;
+        kept += usize::from(around.distance2_to(point) <= reach2);
+    }
+    into.truncate(kept);
 }
 
-impl Columns {
-    fn clear(&mut self) {
-        self.x.clear();
-        self.y.clear();
-        self.z.clear();
-    }
+/// The candidates in f32, relative to a place among them, to tell cheaply which are near. Only those are measured in f64:
+/// an error of rounding costs a needless measurement, never an answer.
+#[derive(Default)]
+struct Coarse {
+    origin: [f64; 3],
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    /// Distances are off by less than this, mm, plus [`ROUNDING`] of themselves.
+    slack: f32,
+    /// Squared distances from the last point measured.
+    distances2: Vec<f32>,
+}
 
-    fn at(&self, index: usize) -> [f64; 3] {
-        [self.x[index], self.y[index], self.z[index]]
-    }
+/// A dozen roundings in f32.
+const ROUNDING: f32 = 1e-6;
+/// No search when the first guess leaves at most so many more than wanted.
+const SPARE: usize = 6;
 
-    /// Adds those points of a range that lie within `reach2` (squared) of a box. All are written and the end moves only
-    /// past those that stay, because a branch per point would be guessed wrongly half the time.
+impl Coarse {
+    /// `around` is the candidates' box.
     #[inline(always)]
-    fn extend_near(&mut self, from: &Self, range: Range<usize>, around: &Aabb, reach2: f64) {
-        let (x, y, z) = (
-            &from.x[range.clone()],
-            &from.y[range.clone()],
-            &from.z[range],
-        );
-        let (n, old) = (x.len(), self.x.len());
-        self.x.resize(old + n, 0.0);
-        self.y.resize(old + n, 0.0);
-        self.z.resize(old + n, 0.0);
-        let mut kept = old;
-        for i in 0..n {
-            let point = [x[i], y[i], z[i]];
-            [self.x[kept], self.y[kept], self.z[kept]] = point;
-            kept += usize::from(around.distance2(&Aabb::at(point)) <= reach2);
+    fn set(&mut self, candidates: &[[f64; 3]], around: &Aabb) {
+        self.origin = around.centre();
+        for (axis, column) in [&mut self.x, &mut self.y, &mut self.z]
+            .into_iter()
+            .enumerate()
+        {
+            let origin = self.origin[axis];
+            column.clear();
+            column.extend(candidates.iter().map(|c| (c[axis] - origin) as f32));
         }
-        self.x.truncate(kept);
-        self.y.truncate(kept);
-        self.z.truncate(kept);
+        // Two coordinates, each at most half a diagonal and rounded once, along three axes.
+        self.slack = ROUNDING * around.diagonal2().sqrt() as f32;
     }
-}
 
-/// Squared distances from one point to all candidates.
-#[derive(Default)]
-struct Distances {
-    all: Vec<f64>,
-    near: Vec<f64>,
-}
-
-impl Distances {
+    /// Measures all candidates from `point` and counts those within `limit2` (squared).
     #[inline(always)]
-    fn measure(&mut self, from: &Columns, [px, py, pz]: [f64; 3]) {
-        let n = from.x.len();
-        self.all.resize(n, 0.0);
-        let (x, y, z) = (&from.x[..n], &from.y[..n], &from.z[..n]);
-        let all = &mut self.all[..n];
+    fn measure(&mut self, point: [f64; 3], limit2: f32) -> usize {
+        let n = self.x.len();
+        self.distances2.resize(n, 0.0);
+        let (x, y, z) = (&self.x[..n], &self.y[..n], &self.z[..n]);
+        let distances2 = &mut self.distances2[..n];
+        let [px, py, pz] = [0, 1, 2].map(|k: usize| (point[k] - self.origin[k]) as f32);
+        let mut count = 0u32;
         for i in 0..n {
             let (dx, dy, dz) = (x[i] - px, y[i] - py, z[i] - pz);
-            all[i] = dx * dx + dy * dy + dz * dz;
-        }
-    }
-
-    #[inline(always)]
-    fn count_to(&self, limit2: f64) -> usize {
-        let mut count = 0u64;
-        for &distance2 in &self.all {
-            count += u64::from(distance2 <= limit2);
+            distances2[i] = dx * dx + dy * dy + dz * dz;
+            count += u32::from(distances2[i] <= limit2);
         }
         count as usize
     }
 
-    /// Mean of the `k` distances after the smallest, which is the point's own; none when fewer than `k + 1` lie within
-    /// `limit2` (squared).
-    ///
-    /// On a surface the number of neighbours grows with the squared distance, so the limit that leaves exactly `k + 1` is
-    /// found by interpolation in a few sweeps, each a handful of vector comparisons.
     #[inline(always)]
-    fn mean_of_nearest(&mut self, k: usize, limit2: f64) -> Option<f64> {
+    fn count_to(&self, limit2: f32) -> usize {
+        let mut count = 0u32;
+        for &distance2 in &self.distances2 {
+            count += u32::from(distance2 <= limit2);
+        }
+        count as usize
+    }
+
+    /// A squared distance within which there are `wanted` candidates or a few more of those measured last; none when
+    /// there are not so many within `reach2`. `limit2` holds `count` of them: the first guess.
+    ///
+    /// On a surface the number of neighbours grows with the squared distance, so that interpolation finds it in a few
+    /// sweeps, each a handful of vector comparisons.
+    #[inline(always)]
+    fn limit_for(&self, wanted: usize, limit2: f32, count: usize, reach2: f32) -> Option<f32> {
         const MOST_SWEEPS: usize = 12;
-        let wanted = k + 1;
-        let (mut low, mut low_count) = (0.0, 0usize);
-        let (mut high, mut high_count) = (limit2, self.count_to(limit2));
-        if high_count < wanted {
-            return None;
+        let (mut low, mut low_count) = (0.0, 0);
+        let (mut high, mut high_count) = (limit2, count);
+        if count < wanted {
+            (low, low_count) = (limit2, count);
+            (high, high_count) = (reach2, self.count_to(reach2));
+            if high_count < wanted {
+                return None;
+            }
         }
         let mut sweeps = 0;
-        while high_count > wanted && sweeps < MOST_SWEEPS {
-            let share = (wanted as f64 + 0.5 - low_count as f64) / (high_count - low_count) as f64;
+        while high_count > wanted + SPARE && sweeps < MOST_SWEEPS {
+            let share = (wanted + SPARE / 2 - low_count) as f32 / (high_count - low_count) as f32;
             let middle = low + share.clamp(0.02, 0.98) * (high - low);
             let count = self.count_to(middle);
             if count < wanted {
@@ -235,43 +239,104 @@ impl Distances {
             }
             sweeps += 1;
         }
-        let n = self.all.len();
-        self.near.resize(n, 0.0);
-        let near = &mut self.near[..n];
-        let mut kept = 0;
-        for all in self.all.chunks(64) {
+        Some(high)
+    }
+}
+
+/// Measures the mean distance from points among candidates to the nearest of them.
+#[derive(Default)]
+struct Nearest {
+    coarse: Coarse,
+    near: Vec<f64>,
+}
+
+impl Nearest {
+    /// Mean of the `k` distances after the smallest, which is the point's own; none when fewer than `k + 1` lie within
+    /// `reach2` (squared). `guess2` is where the search begins, and where it ended.
+    #[inline(always)]
+    fn mean(
+        &mut self,
+        candidates: &[[f64; 3]],
+        point: [f64; 3],
+        k: usize,
+        reach2: f64,
+        guess2: &mut f32,
+    ) -> Option<f64> {
+        let wanted = k + 1;
+        let count = self.coarse.measure(point, *guess2);
+        *guess2 = self
+            .coarse
+            .limit_for(wanted, *guess2, count, reach2 as f32)?;
+        // Whoever is truly as near as the farthest of these appears to be within twice the slack.
+        let radius = guess2.sqrt() * (1.0 + 2.0 * ROUNDING) + 2.0 * self.coarse.slack;
+        let limit2 = radius * radius * (1.0 + ROUNDING);
+        self.near.resize(candidates.len(), 0.0);
+        let (mut place, mut kept) = (0, 0);
+        for all in self.coarse.distances2.chunks(64) {
             // One in ten or fewer stays: they are marked many at once, then only they are visited.
-            let mut staying = within(all, high);
+            let mut staying = within(all, limit2);
             while staying != 0 {
-                // There is room: `kept` counts some of the distances before this one.
-                near[kept] = all[staying.trailing_zeros() as usize];
+                self.near[kept] = distance2(
+                    &candidates[place + staying.trailing_zeros() as usize],
+                    &point,
+                );
                 kept += 1;
                 staying &= staying - 1;
             }
+            place += 64;
         }
-        if kept > wanted {
+        if kept < wanted {
+            // Coordinates that f32 has no room for.
+            return None;
+        }
+        let near = &mut self.near[..kept];
+        if near.len() > wanted + 2 * SPARE {
             // Equal distances, or an uneven crowd.
-            near[..kept].select_nth_unstable_by(k, f64::total_cmp);
+            near.select_nth_unstable_by(k, f64::total_cmp);
+        } else {
+            drop_largest(near, wanted);
         }
         let near = &mut near[..wanted];
+        let mut farthest2 = 0.0_f64;
         for distance2 in near.iter_mut() {
+            farthest2 = farthest2.max(*distance2);
             *distance2 = distance2.sqrt();
         }
-        Some(near.iter().sum::<f64>() / k as f64)
+        (farthest2 <= reach2).then(|| near.iter().sum::<f64>() / k as f64)
+    }
+}
+
+#[inline(always)]
+fn distance2(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+    x * x + y * y + z * z
+}
+
+/// Moves the largest values behind the first `wanted`.
+#[inline(always)]
+fn drop_largest(values: &mut [f64], wanted: usize) {
+    for last in (wanted..values.len()).rev() {
+        let (mut at, mut largest) = (last, values[last]);
+        for (i, &value) in values[..last].iter().enumerate() {
+            if value > largest {
+                (at, largest) = (i, value);
+            }
+        }
+        values.swap(at, last);
     }
 }
 
 /// Bit i is set when the i-th of up to 64 values does not exceed `limit`.
 #[inline(always)]
-fn within(values: &[f64], limit: f64) -> u64 {
-    let (fours, rest) = values.as_chunks::<4>();
+fn within(values: &[f32], limit: f32) -> u64 {
+    let (eights, rest) = values.as_chunks::<8>();
     let mut bits = 0;
-    for (i, four) in fours.iter().enumerate() {
-        let low = f64x4::from(*four).simd_le(f64x4::splat(limit));
-        bits |= u64::from(low.to_bitmask()) << (4 * i);
+    for (i, eight) in eights.iter().enumerate() {
+        let low = f32x8::from(*eight).simd_le(f32x8::splat(limit));
+        bits |= u64::from(low.to_bitmask()) << (8 * i);
     }
     for (i, value) in rest.iter().enumerate() {
-        bits |= u64::from(*value <= limit) << (4 * fours.len() + i);
+        bits |= u64::from(*value <= limit) << (8 * eights.len() + i);
     }
     bits
 }
@@ -302,34 +367,43 @@ pub(crate) fn mean_distances(points: &[[f64; 3]], k: usize) -> Option<Vec<f64>> 
 }
 
 /// Points per box, at least, and boxes per parallel task.
-const LEAST_BOX: usize = 32;
+const LEAST_BOX: usize = 16;
 const LEAVES_PER_TASK: usize = 64;
-/// Squared reach around a box over the squared distance from its middle to the k-th neighbour. Of 1.2, 1.35, 1.6 and 2.0 the
-/// best compromise between random clouds (larger: fewer points asked again alone) and rasters (smaller: fewer candidates).
-const REACH_RATIO: f64 = 1.6;
+/// Squared reach around a box over the squared distance from its middle to the k-th neighbour. Larger:
+/// fewer points asked again alone (random clouds); smaller: fewer candidates (rasters).
+const REACH_RATIO: f64 = 1.4;
 
 /// Mean distances of the points of some boxes, in their order.
 #[inline(always)]
 fn means_of_leaves(boxes: &Boxes, leaves: Range<usize>, k: usize) -> Vec<f64> {
-    let (mut candidates, mut distances) = (Columns::default(), Distances::default());
+    let (mut candidates, mut nearest) = (Vec::new(), Nearest::default());
     let mut means = Vec::new();
     for leaf in leaves {
         let own = boxes.of(leaf);
         let around = boxes.nodes[boxes.leaves - 1 + leaf];
         // How far the k-th neighbour is: about as far as from the box's middle, and a little more for its other points.
-        candidates.clear();
-        candidates.extend_near(&boxes.points, own.clone(), &around, f64::INFINITY);
-        distances.measure(&candidates, around.centre());
-        let reach2 = if own.len() > k {
-            REACH_RATIO * *distances.all.select_nth_unstable_by(k, f64::total_cmp).1
+        let middle = around.centre();
+        nearest.near.clear();
+        let from_middle = |point| distance2(point, &middle);
+        nearest
+            .near
+            .extend(boxes.points[own.clone()].iter().map(from_middle));
+        let (guess2, ratio) = if own.len() > k {
+            let middle = nearest.near.select_nth_unstable_by(k, f64::total_cmp);
+            (*middle.1, REACH_RATIO)
         } else {
-            around.diagonal2()
+            (around.diagonal2(), 1.0)
         };
+        let reach2 = ratio * guess2;
+        candidates.clear();
         boxes.gather(&around, reach2, &mut candidates);
+        nearest
+            .coarse
+            .set(&candidates, &around.widened(reach2.sqrt()));
+        let mut guess2 = guess2 as f32;
         for index in own {
-            let point = boxes.points.at(index);
-            distances.measure(&candidates, point);
-            let mean = distances.mean_of_nearest(k, reach2);
+            let point = boxes.points[index];
+            let mean = nearest.mean(&candidates, point, k, reach2, &mut guess2);
             means.push(match mean {
                 Some(mean) => mean,
                 None => alone(boxes, point, k, reach2),
@@ -339,20 +413,26 @@ fn means_of_leaves(boxes: &Boxes, leaves: Range<usize>, k: usize) -> Vec<f64> {
     means
 }
 
-/// A point whose neighbours are farther than its box's: the reach doubles until they are inside.
+/// A point whose neighbours are farther than its box's: the reach grows until they are inside.
 #[cold]
 #[inline(never)]
 fn alone(boxes: &Boxes, point: [f64; 3], k: usize, mut reach2: f64) -> f64 {
-    let (mut candidates, mut distances) = (Columns::default(), Distances::default());
+    let (mut candidates, mut distances2) = (Vec::new(), Vec::new());
     // From zero (coinciding points) it grows to the smallest step that the coordinates resolve, then on.
     let least2 = 1e-24 * boxes.nodes[0].diagonal2();
     loop {
-        reach2 = if reach2 > 0.0 { 4.0 * reach2 } else { least2 };
+        reach2 = if reach2 > 0.0 { 2.0 * reach2 } else { least2 };
+        candidates.clear();
         boxes.gather(&Aabb::at(point), reach2, &mut candidates);
-        distances.measure(&candidates, point);
-        if let Some(mean) = distances.mean_of_nearest(k, reach2) {
-            return mean;
+        if candidates.len() <= k {
+            continue;
         }
+        distances2.clear();
+        distances2.extend(candidates.iter().map(|at| distance2(at, &point)));
+        let (nearer, farthest, _) = distances2.select_nth_unstable_by(k, f64::total_cmp);
+        // `gather` takes what is as near as that, so that nothing nearer was left out.
+        let sum = nearer.iter().map(|d| d.sqrt()).sum::<f64>() + farthest.sqrt();
+        return sum / k as f64;
     }
 }
 
