@@ -27,15 +27,22 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
+/// Writes the demo calibration target's folder and returns it.
+pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
+    let folder = scratch.join("target");
+    flankscope_bench::demo::write_target(&folder).context("cannot write the demo target")?;
+    Ok(folder)
+}
+
 impl Bench {
-    /// Starts the bench for a tool folder, with its camera sending frames below `root`.
+    /// Starts the bench for the folder of a tool or a target, with its camera sending frames below `root`.
     ///
     /// `controller` is `sim` for the controller in the bench's own process, `qemu` for its image in the emulator.
     pub fn start(
         args: &BenchArgs,
         controller: &str,
         scene: Scene<'_>,
-        tool: &Path,
+        folder: &Path,
         root: &SharedRoot,
     ) -> anyhow::Result<Self> {
         let program =
@@ -46,8 +53,8 @@ impl Bench {
             .arg("run")
             .arg("--root")
             .arg(root.path())
-            .arg("--tool")
-            .arg(tool)
+            .arg(if scene.target { "--target" } else { "--tool" })
+            .arg(folder)
             .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         for wear in &args.wear {

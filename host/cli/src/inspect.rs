@@ -76,14 +76,15 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 /// Tells on standard error how far the check is.
-struct Watcher {
+pub struct Watcher {
     quiet: bool,
     start: Instant,
     open_line: bool,
 }
 
 impl Watcher {
-    fn new(quiet: bool) -> Self {
+    /// Silent if `quiet`.
+    pub fn new(quiet: bool) -> Self {
         Self {
             quiet,
             start: Instant::now(),
@@ -91,7 +92,8 @@ impl Watcher {
         }
     }
 
-    fn show(&mut self, progress: Progress) {
+    /// Tells of a step.
+    pub fn show(&mut self, progress: Progress) {
         if self.quiet {
             return;
         }
@@ -127,7 +129,8 @@ impl Watcher {
         self.open_line = true;
     }
 
-    fn finish(&mut self) {
+    /// Ends the open line.
+    pub fn finish(&mut self) {
         if std::mem::take(&mut self.open_line) {
             eprintln!();
         }

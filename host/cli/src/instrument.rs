@@ -23,6 +23,9 @@ pub struct Source {
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
     pub tool: Option<PathBuf>,
+    /// Head file instead of the tool folder's, for example a fresh calibration
+    #[arg(long, value_name = "HEAD.toml")]
+    pub head: Option<PathBuf>,
     /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
     /// port such as /dev/ttyACM0
     #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
@@ -80,6 +83,8 @@ pub struct Scene<'a> {
     pub press: Option<&'a PressArgs>,
     /// A die put there by hand, with a form of its own.
     pub die: Option<&'a DieArgs>,
+    /// A calibration target instead of a die.
+    pub target: bool,
 }
 
 /// A station with its threads running, and the controller's port.
@@ -104,9 +109,12 @@ impl Instrument {
         press: Option<&PressArgs>,
         quiet: bool,
     ) -> anyhow::Result<Self> {
-        let scene = Scene { press, die: None };
+        let scene = Scene {
+            press,
+            ..Scene::default()
+        };
         Self::start(
-            source.tool.as_deref(),
+            [source.tool.as_deref(), source.head.as_deref()],
             &source.link,
             bench,
             scene,
@@ -139,8 +147,10 @@ impl Instrument {
 
 impl<S> Instrument<S> {
     /// Reads tool and head, starts what `station` makes of them, then the bench or nothing.
+    ///
+    /// The files are the tool's folder and a head file instead of the one in it.
     pub fn start(
-        tool: Option<&Path>,
+        [tool, head]: [Option<&Path>; 2],
         link: &str,
         bench: &BenchArgs,
         scene: Scene<'_>,
@@ -152,12 +162,27 @@ impl<S> Instrument<S> {
             Some(folder) => folder.to_path_buf(),
             None => demo_tool(scratch.path())?,
         };
-        let subject = load(&folder, scratch.path())?;
+        let subject = load(&folder, head, scratch.path())?;
+        Self::before(&folder, link, bench, scene, quiet, scratch, |root| {
+            station(subject, root)
+        })
+    }
+
+    /// Starts what `station` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
+    pub fn before(
+        folder: &Path,
+        link: &str,
+        bench: &BenchArgs,
+        scene: Scene<'_>,
+        quiet: bool,
+        scratch: Scratch,
+        station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
+    ) -> anyhow::Result<Self> {
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
-        let station = station(subject, Arc::clone(&root))?;
+        let station = station(Arc::clone(&root))?;
         if matches!(link, "sim" | "qemu") {
-            return Self::with_bench(station, (link, bench), scene, &folder, root, scratch);
+            return Self::with_bench(station, (link, bench), scene, folder, root, scratch);
         }
         if !quiet {
             eprintln!("frames are expected in {}", root.path().display());
@@ -232,10 +257,11 @@ pub fn subject(tool: Option<&Path>) -> anyhow::Result<Subject> {
 }
 
 /// Reads tool and head, and hashes what was read.
-fn load(folder: &Path, scratch: &Path) -> anyhow::Result<Subject> {
+fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
-    let mut head_path = tool.path.with_file_name("head.toml");
-    if !head_path.exists() {
+    let beside = tool.path.with_file_name("head.toml");
+    let mut head_path = head.map_or(beside, Path::to_path_buf);
+    if head.is_none() && !head_path.exists() {
         // A tool folder may leave the head out: the demo head then looks at it.
         head_path = demo_tool(scratch)?.join("head.toml");
     }
@@ -284,17 +310,19 @@ fn operator() -> String {
 }
 
 /// A folder of this run alone, gone afterwards.
-struct Scratch(PathBuf);
+pub struct Scratch(PathBuf);
 
 impl Scratch {
-    fn new() -> anyhow::Result<Self> {
+    /// Makes the folder.
+    pub fn new() -> anyhow::Result<Self> {
         let path = std::env::temp_dir().join(format!("flankscope-run-{}", std::process::id()));
         std::fs::create_dir_all(&path)
             .with_context(|| format!("cannot make {}", path.display()))?;
         Ok(Self(path))
     }
 
-    fn path(&self) -> &Path {
+    /// Where it is.
+    pub fn path(&self) -> &Path {
         &self.0
     }
 }

@@ -4,6 +4,7 @@
 
 #[cfg(feature = "bench")]
 mod bench_link;
+mod calibrate;
 mod decode;
 mod deviation;
 mod gear;
@@ -40,6 +41,7 @@ enum Command {
     Inspect(inspect::Args),
     Watch(watch::Args),
     Scan(scan::Args),
+    Calibrate(calibrate::Args),
     Decode(decode::Args),
     Sample(sample::Args),
     Register(register::Args),
@@ -79,6 +81,7 @@ fn main() -> ExitCode {
         Command::Inspect(args) => inspect::run(&args),
         Command::Watch(args) => watch::run(&args),
         Command::Scan(args) => scan::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),
         Command::Register(args) => register::run(&args),

@@ -167,9 +167,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let scene = Scene {
         press: None,
         die: Some(&args.die),
+        ..Scene::default()
     };
     let mut instrument = Instrument::start(
-        args.tool.as_deref(),
+        [args.tool.as_deref(), None],
         &args.link,
         &args.bench,
         scene,

@@ -116,6 +116,7 @@ fn target(tilts: &[[f64; 2]]) -> Target {
     Target {
         name: "plates".into(),
         exposure_us: 1,
+        retract_mm: 90.0,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 5e-5,
         dots: Dots {

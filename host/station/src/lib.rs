@@ -7,6 +7,7 @@
 //! ```
 
 pub mod baseline;
+pub mod calibration;
 pub mod capture;
 pub mod controller;
 pub mod files;

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::{HeadModel, PatternSet};
 use flankscope_station::capture::{Overflow, SharedRoot};
 use serde::{Deserialize, Serialize};
@@ -19,7 +20,7 @@ use crate::demo;
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::qemu::{Figures, Machine, find_image};
 use crate::truth::Truth;
-use crate::world::{Form, Mount, PatternSpec, Wear, World};
+use crate::world::{Form, Mount, PatternSpec, Wear, World, WorldConfig};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -42,6 +43,12 @@ enum Command {
     Esp301(Esp301Args),
     /// Measure how often the verdict is right; write tables and plots.
     Study(crate::study::Args),
+    /// Write the demo calibration target's folder: target.toml, and head.toml with the drawing's values.
+    DemoTarget {
+        /// Folder to write into.
+        #[arg(long, short)]
+        out: PathBuf,
+    },
     /// Write the demo tool's folder: CAD, tool.toml, head.toml.
     DemoTool {
         /// Folder to write into.
@@ -71,8 +78,11 @@ struct RunArgs {
     #[arg(long)]
     root: PathBuf,
     /// Tool folder; its head.toml, else the demo head.
-    #[arg(long)]
-    tool: PathBuf,
+    #[arg(long, required_unless_present = "target")]
+    tool: Option<PathBuf>,
+    /// Folder of a calibration target instead of a tool; before the demo head, whatever the folder says of one.
+    #[arg(long, conflicts_with = "tool")]
+    target: Option<PathBuf>,
     /// Seed of stage errors, surface grain and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -207,6 +217,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Run(args) => simulate(args),
         Command::Esp301(args) => stages(args),
         Command::Study(args) => crate::study::run(args),
+        Command::DemoTarget { out } => Ok(demo::write_target(out)?),
         Command::DemoTool { out } => Ok(demo::write_tool(out)?),
     }
 }
@@ -219,6 +230,44 @@ fn stages(args: &Esp301Args) -> anyhow::Result<()> {
     out.flush()?;
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
     Ok(())
+}
+
+/// What stands before which head.
+struct Exhibit {
+    config: WorldConfig,
+    head: HeadModel,
+    /// How high it reaches.
+    top_mm: Option<f64>,
+}
+
+fn exhibit(args: &RunArgs) -> anyhow::Result<Exhibit> {
+    if let Some(folder) = &args.target {
+        let target = Target::load(&folder.join("target.toml"))?;
+        return Ok(Exhibit {
+            config: demo::target_world(&target, args.seed),
+            head: demo::head(),
+            top_mm: None,
+        });
+    }
+    let Some(path) = &args.tool else {
+        anyhow::bail!("--tool or --target is needed")
+    };
+    let tool = Tool::load(path)?;
+    let beside = if path.is_dir() {
+        path.join("head.toml")
+    } else {
+        path.with_file_name("head.toml")
+    };
+    let head = if beside.exists() {
+        HeadModel::load(&beside)?
+    } else {
+        demo::head()
+    };
+    Ok(Exhibit {
+        config: demo::world_of(&tool, &head)?,
+        head,
+        top_mm: tool.gear.as_ref().map(|gear| gear.height_mm[1]),
+    })
 }
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {
@@ -242,18 +291,11 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         }
     };
     let gives_way = matches!(controller, Controller::Emulated(_));
-    let tool = Tool::load(&args.tool)?;
-    let beside = if args.tool.is_dir() {
-        args.tool.join("head.toml")
-    } else {
-        args.tool.with_file_name("head.toml")
-    };
-    let head = if beside.exists() {
-        HeadModel::load(&beside)?
-    } else {
-        demo::head()
-    };
-    let mut config = demo::world_of(&tool, &head)?;
+    let Exhibit {
+        mut config,
+        head,
+        top_mm,
+    } = exhibit(args)?;
     let ageing = Ageing {
         initial: args.wear.clone(),
         per_cycle: args.wear_rate.clone(),
@@ -299,9 +341,9 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     config.devices.seed = args.seed;
     config.devices.press.strokes_per_minute = args.strokes_per_minute;
     config.devices.press.open_share = args.open_share;
-    if let Some(gear) = &tool.gear {
+    if let Some(top_mm) = top_mm {
         // The switch is set up with the die, a little below where the head retracts to.
-        config.devices.press.switch_mm = gear.height_mm[1] + SWITCH_CLEARANCE_MM;
+        config.devices.press.switch_mm = top_mm + SWITCH_CLEARANCE_MM;
     }
     let instrument = devices::run_with(config, controller, camera)?;
     // The controller counts the host's silence in virtual time, the host lives in real time.

@@ -15,6 +15,8 @@ pub struct Target {
     pub name: String,
     /// Exposure at which the white of the plates comes near saturation but does not reach it.
     pub exposure_us: u32,
+    /// Height of the vertical stage at which the head is out of the target.
+    pub retract_mm: f64,
     /// Standard uncertainty of each plate's place, from its certificate.
     pub pose_sigma_mm: f64,
     /// Standard uncertainty of each plate's orientation.
@@ -134,6 +136,13 @@ impl Target {
         let small = "must be positive and small: the plate's certificate says how well it is known";
         within("pose_sigma_mm", self.pose_sigma_mm, 0.0, 1.0, small)?;
         within("pose_sigma_rad", self.pose_sigma_rad, 0.0, 0.1, small)?;
+        within(
+            "retract_mm",
+            self.retract_mm,
+            -1e4,
+            1e4,
+            "must be millimetres",
+        )?;
         if self.exposure_us == 0 {
             return Err(BadValue::new(
                 "exposure_us",

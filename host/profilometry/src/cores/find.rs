@@ -4,7 +4,9 @@ use rayon::prelude::*;
 
 use super::buckets::Buckets;
 use super::map::CoreMap;
+use crate::accumulate::Accumulator;
 use crate::frame::{FrameError, FrameView};
+use crate::grid::Grid;
 
 /// Why no cores were found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -13,6 +15,11 @@ pub enum FindError {
     /// No frame was added.
     #[error("no flat-field frame: at least one is needed")]
     NoFrame,
+    /// Not pixels.
+    #[error(
+        "the flat field was summed in cells: cores show in single pixels only (pixel grid, binning 1)"
+    )]
+    Cells,
     /// Too bright.
     #[error(
         "{got} pixels of the flat field are saturated (above {limit_dn} counts), none may be: expose shorter"
@@ -91,6 +98,52 @@ impl FlatField {
             offset_dn,
             saturation_limit_dn,
         }
+    }
+
+    /// The sums of a whole view of an evenly white target: over the steps of a frequency its fringes cancel. The view must
+    /// have been summed pixel by pixel.
+    ///
+    /// # Errors
+    /// [`FindError::Cells`] for a view summed otherwise.
+    pub fn of_view(view: &Accumulator, offset_dn: f64) -> Result<Self, FindError> {
+        let layout = &*view.layout;
+        let Grid::Blocks(grid) = &layout.grid else {
+            return Err(FindError::Cells);
+        };
+        if grid.binning != 1 {
+            return Err(FindError::Cells);
+        }
+        let per_exposure: u32 = layout.steps.iter().sum();
+        let frames = per_exposure * layout.exposures as u32;
+        // Where nothing was summed it counts as dark.
+        let dark = (f64::from(frames) * offset_dn) as f32;
+        let mut flat = Self {
+            sums: vec![dark; layout.width * layout.height],
+            frames,
+            ..Self::new(
+                layout.width,
+                layout.height,
+                offset_dn,
+                layout.saturation_limit_dn,
+            )
+        };
+        for band in &view.bands {
+            for row in band.rows.clone() {
+                let span = grid.span(row);
+                for column in span.begin..span.end {
+                    let cell = span.first_cell + column - span.begin - band.first_cell;
+                    let sets = (0..layout.steps.len()).map(|set| band.phasor(set, cell));
+                    let (mut sum, mut whole) = (0.0, true);
+                    for phasor in sets {
+                        sum += phasor.sum;
+                        whole &= usize::from(phasor.exposures) == layout.exposures;
+                    }
+                    flat.sums[row * layout.width + column] = sum;
+                    flat.saturated += usize::from(!whole);
+                }
+            }
+        }
+        Ok(flat)
     }
 
     /// Adds a frame.

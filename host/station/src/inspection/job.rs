@@ -121,8 +121,8 @@ pub enum Progress {
 ///
 /// Made before the camera process starts, so that the services are there when it comes.
 #[derive(Debug)]
-pub struct Station<O = ViewOutcome> {
-    pub(crate) subject: Subject,
+pub struct Station<O = ViewOutcome, S = Subject> {
+    pub(crate) subject: S,
     orders: Option<Orders>,
     recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
@@ -296,10 +296,10 @@ impl Station {
     }
 }
 
-impl<O: Send + 'static> Station<O> {
+impl<O: Send + 'static, S> Station<O, S> {
     /// Starts the capture thread, and the compute thread with what it makes of a view's sums.
     pub(crate) fn start(
-        subject: Subject,
+        subject: S,
         itinerary: Arc<Itinerary>,
         decoder: Arc<Decoder>,
         root: Arc<SharedRoot>,
@@ -581,7 +581,7 @@ impl<O: Send + 'static> Station<O> {
     }
 }
 
-impl<O> Drop for Station<O> {
+impl<O, S> Drop for Station<O, S> {
     fn drop(&mut self) {
         // The threads end when their orders end.
         self.orders = None;

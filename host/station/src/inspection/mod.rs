@@ -42,3 +42,4 @@ pub(crate) use run::Run;
 pub use verdict::Judged;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
 pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye};
+pub(crate) use views::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};

@@ -25,9 +25,9 @@ use super::verdict::Judged;
 use crate::baseline::{Baseline, Reference};
 
 /// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
-const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
+pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
 /// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
-const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
+pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
 /// What remains of hand-eye and axis after their calibration: position and tilt. An estimate, stated in the report.
 const MOUNT_SIGMA_MM: f64 = 10e-3;
 const MOUNT_SIGMA_RAD: f64 = 0.2e-3;

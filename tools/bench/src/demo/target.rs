@@ -31,6 +31,8 @@ const PRINTED: [([f64; 2], f64); 6] = [
 const BLANK_RADIUS_MM: f64 = 41.5;
 /// The white of the plates comes to two thirds of the full well.
 const EXPOSURE_US: u32 = 12_000;
+/// Where the head clears the target: as far up as above the die.
+const RETRACT_MM: f64 = 86.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
@@ -55,6 +57,7 @@ pub fn target() -> Target {
     Target {
         name: "six dot plates, a blank one and a sphere".into(),
         exposure_us: EXPOSURE_US,
+        retract_mm: RETRACT_MM,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 50e-6,
         dots: Dots {

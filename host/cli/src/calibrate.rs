@@ -1,0 +1,197 @@
+//! `flankscope calibrate`: captures of a target to a head file.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::{Context, ensure};
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::calibrate::{CalibrationRecord, Target};
+use flankscope_profilometry::date::Date;
+use flankscope_station::calibration::{Calibrated, CoreSearch, PlateSurvey, ViewReport};
+use flankscope_station::capture::SharedRoot;
+use serde::Serialize;
+
+use crate::inspect::Watcher;
+use crate::instrument::{BenchArgs, Instrument, Scene, Scratch};
+use crate::output::{Common, Outcome};
+
+/// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
+///
+/// The target sits where the die does: plates with printed dots, a blank one beside them. Its folder holds target.toml and
+/// head.toml, the values of the drawing to start from. Without options the demo target on the simulated bench is used. Plates
+/// that took no part in the adjustment are measured with the result; what they show is in the head file, with the day on which
+/// the calibration expires.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope calibrate --speed max -o head.toml\n  flankscope inspect --head head.toml\n\
+    calibrates the demo head and checks the demo die with it\n\n\
+    Exit code: 0 done, 3 could not run or no calibration"
+)]
+pub struct Args {
+    /// Folder with target.toml and the head.toml to start from [default: the demo target]
+    #[arg(long, value_name = "DIR")]
+    target: Option<PathBuf>,
+    /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
+    #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
+    link: String,
+    /// Where the head goes; its core map is written beside it
+    #[arg(long, short, value_name = "HEAD.toml")]
+    output: PathBuf,
+    /// Days until the calibration expires
+    #[arg(long, value_name = "DAYS", default_value_t = 180, value_parser = clap::value_parser!(u32).range(1..=3650))]
+    valid_days: u32,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    bench: BenchArgs,
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    head: &'a Path,
+    calibration: &'a CalibrationRecord,
+    cores: Option<usize>,
+    views: &'a [ViewReport],
+    elapsed_ms: Elapsed,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    truth: Option<serde_json::Value>,
+}
+
+#[derive(Serialize)]
+struct Elapsed {
+    cores: f64,
+    plates: f64,
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let quiet = args.common.quiet;
+    ensure!(
+        args.output
+            .parent()
+            .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
+        "cannot write {}: its folder does not exist",
+        args.output.display()
+    );
+    let passing = tempfile::tempdir().context("cannot make a folder for the demo target")?;
+    let folder = match &args.target {
+        Some(folder) => folder.clone(),
+        None => demo_target(passing.path())?,
+    };
+    let target = Target::load(&folder.join("target.toml")).context("target")?;
+    let mut head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+    let begun = Instant::now();
+    if head.core_map.is_none() && head.binning > 1 {
+        let mut search = open(args, &folder, |root| {
+            Ok(CoreSearch::open(&head, &target, root)?)
+        })?;
+        let mut watcher = Watcher::new(quiet);
+        let map = search
+            .station
+            .find(&search.port, search.settings, |p| watcher.show(p))?;
+        watcher.finish();
+        search.close(true)?;
+        head.core_map = Some(map.into());
+    }
+    let with_cores = Instant::now();
+    let mut survey = open(args, &folder, |root| {
+        Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
+    })?;
+    let mut watcher = Watcher::new(quiet);
+    let calibrated = survey
+        .station
+        .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
+    watcher.finish();
+    let truth = survey.close(quiet)?;
+    let record = calibrated.save(&args.output, Date::today(), args.valid_days)?;
+    let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
+    let document = Document {
+        head: &args.output,
+        calibration: &record,
+        cores: calibrated.cores(),
+        views: &calibrated.views,
+        elapsed_ms: Elapsed {
+            cores: milliseconds(begun, with_cores),
+            plates: milliseconds(with_cores, Instant::now()),
+        },
+        truth,
+    };
+    args.common.write_json(&document)?;
+    if !quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+        print(&calibrated, &record, &args.output)?;
+    }
+    Ok(Outcome::Go)
+}
+
+fn open<S>(
+    args: &Args,
+    folder: &Path,
+    station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
+) -> anyhow::Result<Instrument<S>> {
+    let scene = Scene {
+        target: true,
+        ..Scene::default()
+    };
+    let (link, quiet) = (args.link.as_str(), args.common.quiet);
+    Instrument::before(
+        folder,
+        link,
+        &args.bench,
+        scene,
+        quiet,
+        Scratch::new()?,
+        station,
+    )
+}
+
+fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out)?;
+    for view in &calibrated.views {
+        writeln!(
+            out,
+            "plate {} at {:>8.3}° and {:>7.3} mm: {} dots{}",
+            view.plate + 1,
+            view.rotation_deg,
+            view.vertical_mm,
+            view.dots,
+            if view.kept_aside { ", kept aside" } else { "" }
+        )?;
+    }
+    if let Some(cores) = calibrated.cores() {
+        writeln!(out, "\n{cores} cores")?;
+    }
+    writeln!(
+        out,
+        "{} dots in {} views, {} left out; left over {:.3} px of the dots, {:.3} px of the fringes",
+        record.dots, record.views, record.dropped, record.camera_rms_px, record.projector_rms_px
+    )?;
+    writeln!(
+        out,
+        "a point's standard uncertainty by the calibration: {:.1} µm in depth, {:.1} µm across",
+        record.depth_sigma_um, record.lateral_sigma_um
+    )?;
+    if let Some(aside) = &record.hold_out {
+        writeln!(
+            out,
+            "{} plates kept aside: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
+            aside.views, aside.flatness_rms_um, aside.flatness_um, aside.dots_rms_um
+        )?;
+    }
+    writeln!(out, "{}: counts until {}", path.display(), record.expires)?;
+    Ok(())
+}
+
+#[cfg(feature = "bench")]
+fn demo_target(folder: &Path) -> anyhow::Result<PathBuf> {
+    crate::bench_link::demo_target(folder)
+}
+
+#[cfg(not(feature = "bench"))]
+fn demo_target(_folder: &Path) -> anyhow::Result<PathBuf> {
+    anyhow::bail!(
+        "this build has no demo target: name a folder with target.toml and head.toml by --target"
+    )
+}

@@ -1,0 +1,260 @@
+//! From captures to a head: cores first, then dots and their adjustment.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use flankscope_profilometry::calibrate::{
+    Adjusted, CalibrateError, CalibrationRecord, HoldOut, Sighting, StagePose, Target, adjust,
+    hold_out,
+};
+use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
+use flankscope_profilometry::date::Date;
+use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
+use serde::Serialize;
+
+use super::survey::{SurveyError, Surveyor};
+use super::views::{self, PlateView};
+use crate::capture::SharedRoot;
+use crate::controller::ClientSettings;
+use crate::files;
+use crate::inspection::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrationError {
+    /// No captures.
+    #[error(transparent)]
+    Survey(#[from] SurveyError),
+    /// A view cannot be decoded.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// No cores.
+    #[error(transparent)]
+    Cores(#[from] FindError),
+    /// No head from these captures.
+    #[error(transparent)]
+    Calibrate(#[from] CalibrateError),
+    /// The starting head cannot count electrons.
+    #[error("the starting head says nothing about its sensor: give [sensor]")]
+    NoSensor,
+}
+
+/// The head cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SaveError {
+    /// The operating system refused.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Not a TOML document.
+    #[error("the head cannot be put into words: {0}")]
+    Toml(#[from] toml::ser::Error),
+}
+
+/// The search for the bundle's cores on the blank plate, photographed pixel by pixel.
+#[derive(Debug)]
+pub struct CoreSearch(Surveyor<Result<FlatField, FindError>>);
+
+impl CoreSearch {
+    /// Starts the threads, with frames arriving below `root`.
+    ///
+    /// # Errors
+    /// The head is unfit, or shared memory is refused.
+    pub fn open(
+        start: &HeadModel,
+        target: &Target,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let sensor = start.sensor.ok_or(CalibrationError::NoSensor)?;
+        // Cores lie up to the bundle's rim, wherever the drawing puts it.
+        let mut head = start.clone();
+        head.image_circle = None;
+        let options = DecodeOptions {
+            grid: GridKind::Pixel,
+            binning: 1,
+            ..DecodeOptions::for_head(&head)
+        };
+        let at = [views::facing(&target.blank)];
+        let to_flat =
+            move |_: &Decoder, sums: &Accumulator| FlatField::of_view(sums, sensor.offset_dn);
+        Ok(Self(Surveyor::open(
+            &head, options, target, &at, root, to_flat,
+        )?))
+    }
+
+    /// Photographs the plate and finds the cores.
+    ///
+    /// # Errors
+    /// The capture failed, or shows no cores.
+    pub fn find(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<CoreMap, CalibrationError> {
+        let flats = self.0.survey(port, settings, watch)?;
+        let flat = flats.into_iter().next().unwrap_or(Err(FindError::NoFrame));
+        Ok(cores::find(&flat?)?)
+    }
+}
+
+/// The capture of all plates, and the head that follows from it.
+#[derive(Debug)]
+pub struct PlateSurvey {
+    surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
+    start: HeadModel,
+    target: Target,
+    views: Vec<PlateView>,
+}
+
+impl PlateSurvey {
+    /// Starts the threads, with frames arriving below `root`; `start` knows its cores by now, if it has any.
+    ///
+    /// # Errors
+    /// The head is unfit, or shared memory is refused.
+    pub fn open(
+        start: HeadModel,
+        target: Target,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let views = views::of_target(&target);
+        let blank = views::facing(&target.blank);
+        let at: Vec<StagePose> = [blank]
+            .into_iter()
+            .chain(views.iter().map(|view| view.at))
+            .collect();
+        let options = DecodeOptions::for_head(&start);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
+        Ok(Self {
+            surveyor: Surveyor::open(&start, options, &target, &at, root, to_cells)?,
+            start,
+            target,
+            views,
+        })
+    }
+
+    /// Photographs all plates and adjusts the head to them.
+    ///
+    /// # Errors
+    /// A capture failed, dots are not found, or do not determine the head.
+    pub fn calibrate(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Calibrated, CalibrationError> {
+        let Self {
+            surveyor,
+            start,
+            target,
+            views,
+        } = self;
+        let mut captured = surveyor.survey(port, settings, watch)?.into_iter();
+        let blank = captured.next().unwrap_or(Ok(Vec::new()))?;
+        let flat_e: Vec<f64> = blank.iter().map(|cell| cell.mean_e).collect();
+        let (mut sightings, mut kept_aside, mut reports) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, (view, cells)) in views.iter().zip(captured).enumerate() {
+            let (plate, cells) = (view.plate, cells?);
+            let sighting = Sighting::new(number, plate, view.at, &cells, &flat_e, target, start)?;
+            reports.push(ViewReport {
+                plate,
+                rotation_deg: view.at.rotation_rad.to_degrees(),
+                vertical_mm: view.at.vertical_mm,
+                dots: sighting.marks.len(),
+                kept_aside: view.kept_aside,
+            });
+            if view.kept_aside {
+                kept_aside.push((sighting, cells));
+            } else {
+                sightings.push(sighting);
+            }
+        }
+        let stage_sigma = [ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM];
+        let adjusted = adjust(start, target, &sightings, stage_sigma)?;
+        Ok(Calibrated {
+            hold_out: hold_out(&adjusted.head, target, &kept_aside),
+            adjusted,
+            target: target.name.clone(),
+            views: reports,
+        })
+    }
+}
+
+/// One view of a printed plate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ViewReport {
+    /// Plate of the target.
+    pub plate: usize,
+    /// Angle told to the rotary stage.
+    pub rotation_deg: f64,
+    /// Height told to the vertical stage.
+    pub vertical_mm: f64,
+    /// Dots found.
+    pub dots: usize,
+    /// Whether it took no part in the adjustment.
+    pub kept_aside: bool,
+}
+
+/// A head, and how it came about.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// The adjustment.
+    pub adjusted: Adjusted,
+    /// Plates kept aside, measured with the head.
+    pub hold_out: Option<HoldOut>,
+    /// Name of the target.
+    pub target: String,
+    /// What was seen in each view.
+    pub views: Vec<ViewReport>,
+}
+
+impl Calibrated {
+    /// Cores of the bundle, for a head that has one.
+    #[must_use]
+    pub fn cores(&self) -> Option<usize> {
+        let map = self.adjusted.head.core_map.as_ref()?;
+        Some(map.positions_px.len())
+    }
+
+    /// Writes the head's file, and beside it its core map, if it has one; returns what the file says of the calibration.
+    ///
+    /// # Errors
+    /// [`SaveError`].
+    pub fn save(
+        &self,
+        path: &Path,
+        date: Date,
+        valid_days: u32,
+    ) -> Result<CalibrationRecord, SaveError> {
+        let write = |path: PathBuf, bytes: &[u8]| {
+            files::write_whole(&path, bytes).map_err(|source| SaveError::Write { path, source })
+        };
+        let mut head = self.adjusted.head.clone();
+        if let Some(map) = &head.core_map {
+            let name = path.with_extension("cores.csv");
+            let name = PathBuf::from(name.file_name().unwrap_or_default());
+            let (csv, reference) = map.to_csv(&name, date);
+            write(path.with_file_name(&name), csv.as_bytes())?;
+            head.cores = Some(reference);
+        }
+        let record = CalibrationRecord::new(
+            &self.adjusted,
+            &head,
+            &self.target,
+            self.hold_out,
+            date,
+            valid_days,
+        );
+        head.calibration = Some(record.clone());
+        write(path.to_owned(), head.to_toml()?.as_bytes())?;
+        Ok(record)
+    }
+}

@@ -1,0 +1,19 @@
+//! A head calibrated by the instrument itself: captures of a target's plates, to a head file.
+//!
+//! ```text
+//!  blank plate, pixel by pixel ──► cores ──► plates, core by core ──► dots ──► adjustment ──► head
+//!                                                └── some kept aside ──────────► hold-out ──► record
+//! ```
+//!
+//! | file | holds |
+//! |---|---|
+//! | `survey` | captures of a list of stage positions, each handed on as it comes |
+//! | `views` | which positions a target asks for |
+//! | `job` | from the captures to the head |
+
+mod job;
+mod survey;
+mod views;
+
+pub use job::{Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport};
+pub use survey::{SurveyError, Surveyor};
