@@ -246,14 +246,14 @@ impl<S> Instrument<S> {
     }
 }
 
-/// Reads tool and head from a folder, or the demo's.
-pub fn subject(tool: Option<&Path>) -> anyhow::Result<Subject> {
+/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's.
+pub fn subject(tool: Option<&Path>, head: Option<&Path>) -> anyhow::Result<Subject> {
     let scratch = Scratch::new()?;
     let folder = match tool {
         Some(folder) => folder.to_path_buf(),
         None => demo_tool(scratch.path())?,
     };
-    load(&folder, scratch.path())
+    load(&folder, head, scratch.path())
 }
 
 /// Reads tool and head, and hashes what was read.

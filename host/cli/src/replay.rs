@@ -27,6 +27,9 @@ pub struct Args {
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
     tool: Option<PathBuf>,
+    /// Head file instead of the tool folder's, as inspect was given it
+    #[arg(long, value_name = "HEAD.toml")]
+    head: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -34,7 +37,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let history = History::read(&args.file)?;
-    let subject = instrument::subject(args.tool.as_deref())?;
+    let subject = instrument::subject(args.tool.as_deref(), args.head.as_deref())?;
     let replay = Replay::of(&history, args.id, subject)?;
     let same = replay.differences.is_empty();
     let mut document = serde_json::to_value(&replay)?;
