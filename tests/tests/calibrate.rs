@@ -29,6 +29,9 @@ fn a_calibrated_head_checks_the_die() {
     assert_eq!(record["hold_out"]["views"], 6, "{record}");
     eprintln!("{record:#}");
 
+    let size = &calibrated.json["self_test"]["probing_size_um"];
+    assert!(size.as_f64().is_some_and(|um| um.abs() < 8.0), "{size}");
+
     let checked = inspect(&["--head", path, "--wear", "40:left:80"]);
     assert_eq!(
         checked.code, 1,
@@ -43,6 +46,53 @@ fn a_calibrated_head_checks_the_die() {
         .find(|f| f["verdict"] == "no-go")
         .and_then(|f| f["wear_um"].as_f64());
     assert!(wear.is_some_and(|um| (um - 80.0).abs() < 5.0), "{wear:?}");
+
+    let tested = run(flankscope().args([
+        "calibrate",
+        "--quiet",
+        "--speed",
+        "max",
+        "--seed",
+        "4",
+        "--check",
+        path,
+        "--json",
+        "-",
+    ]));
+    assert_eq!(tested.code, 0, "{}", tested.stderr);
+    assert_eq!(tested.json["fit"], true, "{}", tested.json);
+
+    // Nothing is measured with a head that must not judge.
+    let refused = |why: &str| {
+        let run = inspect(&["--head", path]);
+        assert_eq!(run.code, 2, "{why}: {} {}", run.json["reason"], run.stderr);
+        let reason = run.json["reason"].as_str().unwrap_or_default();
+        assert!(reason.contains(why), "{reason}");
+        assert_eq!(run.json["frames"]["triggered"], 0);
+    };
+    let test_path = folder.path().join("head.check.toml");
+    let test = std::fs::read_to_string(&test_path).unwrap();
+    let edited = |from: &str, to: &str| {
+        let line = test.lines().find(|line| line.starts_with(from)).unwrap();
+        std::fs::write(&test_path, test.replacen(line, to, 1)).unwrap();
+    };
+    edited("flatness_um", "flatness_um = 400.0");
+    refused("failed: flatness");
+    edited("due", "due = \"2001-01-01\"");
+    refused("counted until 2001-01-01");
+    std::fs::remove_file(&test_path).unwrap();
+    refused("never tested");
+    let text = std::fs::read_to_string(&head).unwrap();
+    let old: String = text
+        .lines()
+        .map(|line| match line.split(' ').next() {
+            Some("date") => "date = \"2001-01-01\"\n".into(),
+            Some("expires") => "expires = \"2001-06-30\"\n".into(),
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    std::fs::write(&head, old).unwrap();
+    refused("expired after 2001-06-30");
 }
 
 #[test]

@@ -5,11 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{CalibrationRecord, Target};
+use flankscope_profilometry::calibrate::{CalibrationRecord, SelfTest, Target};
 use flankscope_profilometry::date::Date;
-use flankscope_station::calibration::{Calibrated, CoreSearch, PlateSurvey, ViewReport};
+use flankscope_station::calibration::{
+    Calibrated, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
+};
 use flankscope_station::capture::SharedRoot;
 use serde::Serialize;
 
@@ -22,12 +24,15 @@ use crate::output::{Common, Outcome};
 /// The target sits where the die does: plates with printed dots, a blank one beside them. Its folder holds target.toml and
 /// head.toml, the values of the drawing to start from. Without options the demo target on the simulated bench is used. Plates
 /// that took no part in the adjustment are measured with the result; what they show is in the head file, with the day on which
-/// the calibration expires.
+/// the calibration expires. A self-test on a plane and a sphere follows; it is due again every few days, by --check. A check with
+/// a head whose calibration expired, or whose self-test failed or is overdue, is indeterminate.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope calibrate --speed max -o head.toml\n  flankscope inspect --head head.toml\n\
-    calibrates the demo head and checks the demo die with it\n\n\
-    Exit code: 0 done, 3 could not run or no calibration"
+    calibrates the demo head and checks the demo die with it\n\n  \
+    flankscope calibrate --check head.toml\n\
+    says whether the head is fit today\n\n\
+    Exit code: 0 done or fit, 2 not fit, 3 could not run or no calibration"
 )]
 pub struct Args {
     /// Folder with target.toml and the head.toml to start from [default: the demo target]
@@ -36,9 +41,17 @@ pub struct Args {
     /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
     #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
     link: String,
-    /// Where the head goes; its core map is written beside it
-    #[arg(long, short, value_name = "HEAD.toml")]
-    output: PathBuf,
+    /// Where the head goes; its core map and its first self-test are written beside it
+    #[arg(
+        long,
+        short,
+        value_name = "HEAD.toml",
+        required_unless_present = "check"
+    )]
+    output: Option<PathBuf>,
+    /// Only test this calibrated head on plane and sphere; the result is written beside it
+    #[arg(long, value_name = "HEAD.toml", conflicts_with = "output")]
+    check: Option<PathBuf>,
     /// Days until the calibration expires
     #[arg(long, value_name = "DAYS", default_value_t = 180, value_parser = clap::value_parser!(u32).range(1..=3650))]
     valid_days: u32,
@@ -49,9 +62,20 @@ pub struct Args {
 }
 
 #[derive(Serialize)]
+struct CheckDocument<'a> {
+    head: &'a Path,
+    fit: bool,
+    reason: Option<String>,
+    self_test: &'a SelfTest,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    truth: Option<serde_json::Value>,
+}
+
+#[derive(Serialize)]
 struct Document<'a> {
     head: &'a Path,
     calibration: &'a CalibrationRecord,
+    self_test: Option<&'a SelfTest>,
     cores: Option<usize>,
     views: &'a [ViewReport],
     elapsed_ms: Elapsed,
@@ -63,28 +87,85 @@ struct Document<'a> {
 struct Elapsed {
     cores: f64,
     plates: f64,
+    self_test: f64,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let quiet = args.common.quiet;
-    ensure!(
-        args.output
-            .parent()
-            .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
-        "cannot write {}: its folder does not exist",
-        args.output.display()
-    );
     let passing = tempfile::tempdir().context("cannot make a folder for the demo target")?;
     let folder = match &args.target {
         Some(folder) => folder.clone(),
         None => demo_target(passing.path())?,
     };
     let target = Target::load(&folder.join("target.toml")).context("target")?;
+    match (&args.check, &args.output) {
+        (Some(head), _) => check(args, &folder, target, head),
+        (None, Some(output)) => calibrate(args, &folder, target, output),
+        (None, None) => bail!("--output or --check is needed"),
+    }
+}
+
+/// Tests a head; one that fails cannot tell anything, hence indeterminate.
+fn check(args: &Args, folder: &Path, target: Target, path: &Path) -> anyhow::Result<Outcome> {
+    let mut head = HeadModel::load(path).context("head")?;
+    let (test, truth) = self_test(args, folder, &head, target)?;
+    save_self_test(&test, path)?;
+    head.self_test = Some(test.clone());
+    let unfit = head.fit_on(Date::today()).err();
+    args.common.write_json(&CheckDocument {
+        head: path,
+        fit: unfit.is_none(),
+        reason: unfit.as_ref().map(ToString::to_string),
+        self_test: &test,
+        truth,
+    })?;
+    if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+        let mut out = std::io::stdout().lock();
+        print_self_test(&mut out, &test)?;
+        if let Some(unfit) = &unfit {
+            writeln!(out, "UNFIT: {unfit}")?;
+        }
+    }
+    Ok(if unfit.is_none() {
+        Outcome::Go
+    } else {
+        Outcome::Indeterminate
+    })
+}
+
+fn self_test(
+    args: &Args,
+    folder: &Path,
+    head: &HeadModel,
+    target: Target,
+) -> anyhow::Result<(SelfTest, Option<serde_json::Value>)> {
+    let quiet = args.common.quiet;
+    let mut survey = open(args, folder, |root| {
+        Ok(FitnessSurvey::open(head.clone(), target, root)?)
+    })?;
+    let mut watcher = Watcher::new(quiet);
+    let test = survey
+        .station
+        .test(&survey.port, survey.settings, Date::today(), |p| {
+            watcher.show(p);
+        })?;
+    watcher.finish();
+    Ok((test, survey.close(quiet)?))
+}
+
+fn calibrate(args: &Args, folder: &Path, target: Target, output: &Path) -> anyhow::Result<Outcome> {
+    let quiet = args.common.quiet;
+    ensure!(
+        output
+            .parent()
+            .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
+        "cannot write {}: its folder does not exist",
+        output.display()
+    );
     let mut head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
     let begun = Instant::now();
     if head.core_map.is_none() && head.binning > 1 {
-        let mut search = open(args, &folder, |root| {
+        let mut search = open(args, folder, |root| {
             Ok(CoreSearch::open(&head, &target, root)?)
         })?;
         let mut watcher = Watcher::new(quiet);
@@ -96,7 +177,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         head.core_map = Some(map.into());
     }
     let with_cores = Instant::now();
-    let mut survey = open(args, &folder, |root| {
+    let mut survey = open(args, folder, |root| {
         Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
     })?;
     let mut watcher = Watcher::new(quiet);
@@ -105,22 +186,35 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
     watcher.finish();
     let truth = survey.close(quiet)?;
-    let record = calibrated.save(&args.output, Date::today(), args.valid_days)?;
+    let record = calibrated.save(output, Date::today(), args.valid_days)?;
+    let plates_done = Instant::now();
+    let tested = if target.sphere.is_some() && target.limits.is_some() {
+        let (test, _) = self_test(args, folder, &HeadModel::load(output)?, target)?;
+        save_self_test(&test, output)?;
+        Some(test)
+    } else {
+        None
+    };
     let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
     let document = Document {
-        head: &args.output,
+        head: output,
         calibration: &record,
+        self_test: tested.as_ref(),
         cores: calibrated.cores(),
         views: &calibrated.views,
         elapsed_ms: Elapsed {
             cores: milliseconds(begun, with_cores),
-            plates: milliseconds(with_cores, Instant::now()),
+            plates: milliseconds(with_cores, plates_done),
+            self_test: milliseconds(plates_done, Instant::now()),
         },
         truth,
     };
     args.common.write_json(&document)?;
     if !quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print(&calibrated, &record, &args.output)?;
+        print(&calibrated, &record, output)?;
+        if let Some(test) = &tested {
+            print_self_test(&mut std::io::stdout().lock(), test)?;
+        }
     }
     Ok(Outcome::Go)
 }
@@ -184,6 +278,21 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
     Ok(())
 }
 
+fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()> {
+    let limits = test.limits;
+    writeln!(
+        out,
+        "self-test: flatness {:.1} µm (limit {}), probing form {:.1} µm (limit {}), probing size {:+.2} µm (limit ±{}); counts until {}",
+        test.flatness_um,
+        limits.flatness_um,
+        test.probing_form_um,
+        limits.probing_form_um,
+        test.probing_size_um,
+        limits.probing_size_um,
+        test.due
+    )
+}
+
 #[cfg(feature = "bench")]
 fn demo_target(folder: &Path) -> anyhow::Result<PathBuf> {
     crate::bench_link::demo_target(folder)
@@ -191,7 +300,5 @@ fn demo_target(folder: &Path) -> anyhow::Result<PathBuf> {
 
 #[cfg(not(feature = "bench"))]
 fn demo_target(_folder: &Path) -> anyhow::Result<PathBuf> {
-    anyhow::bail!(
-        "this build has no demo target: name a folder with target.toml and head.toml by --target"
-    )
+    bail!("this build has no demo target: name a folder with target.toml and head.toml by --target")
 }

@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::calibrate::CalibrationRecord;
+use crate::calibrate::{CalibrationRecord, SelfTest, Unfit};
 pub use crate::camera::Pinhole;
 use crate::cores::{CoreMap, CoreMapError, CoreMapFile};
+use crate::date::Date;
 use crate::textfile::{self, BadValue};
 
 /// One measuring head. Millimetres, radians, pixels (centres at integers), electrons, microseconds.
@@ -54,6 +55,9 @@ pub struct HeadModel {
     /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationRecord>,
+    /// The last test of that calibration, `<head>.check.toml` beside the file; [`HeadModel::load`] reads it.
+    #[serde(skip)]
+    pub self_test: Option<SelfTest>,
     /// The core map itself; [`HeadModel::load`] reads it.
     #[serde(skip)]
     pub core_map: Option<Arc<CoreMap>>,
@@ -274,7 +278,24 @@ impl HeadModel {
             let map = cores.load(path, head.camera.width_px, head.camera.height_px)?;
             head.core_map = Some(Arc::new(map));
         }
+        if head.calibration.is_some() {
+            head.self_test = SelfTest::load(path)?;
+        }
         Ok(head)
+    }
+
+    /// Whether a calibrated head may judge on a day: its calibration counts, and its last self-test was passed and is not
+    /// overdue. Of a head without `[calibration]` nothing was promised.
+    ///
+    /// # Errors
+    /// [`Unfit`]: why not.
+    pub fn fit_on(&self, today: Date) -> Result<(), Unfit> {
+        let Some(record) = &self.calibration else {
+            return Ok(());
+        };
+        record.counts_on(today)?;
+        let test = self.self_test.as_ref().ok_or(Unfit::Untested)?;
+        test.allows(&record.blake3, today)
     }
 
     /// The content of a `head.toml`.

@@ -79,6 +79,7 @@ pub(crate) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         image_circle: None,
         cores: None,
         calibration: None,
+        self_test: None,
         core_map: None,
     })
 }

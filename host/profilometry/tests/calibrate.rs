@@ -81,6 +81,7 @@ fn truth() -> HeadModel {
         }),
         cores: None,
         calibration: None,
+        self_test: None,
         core_map: None,
     }
 }
@@ -127,6 +128,7 @@ fn target(tilts: &[[f64; 2]]) -> Target {
         blank: plate((7, &[0.0; 2])),
         plate: tilts.iter().enumerate().map(plate).collect(),
         sphere: None,
+        limits: None,
     }
 }
 

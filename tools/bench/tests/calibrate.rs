@@ -5,7 +5,7 @@ use std::sync::Arc;
 use flankscope_bench::demo;
 use flankscope_bench::world::{PatternSpec, World};
 use flankscope_profilometry::calibrate::{
-    CalibrationRecord, RecordError, Sighting, StagePose, Target, adjust, hold_out,
+    CalibrationRecord, RecordError, SelfTest, Sighting, StagePose, Target, Unfit, adjust, hold_out,
 };
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::date::Date;
@@ -22,6 +22,8 @@ struct Captures {
     start: HeadModel,
     sightings: Vec<Sighting>,
     kept_aside: Vec<(Sighting, Vec<CellColumn>)>,
+    blank: Vec<CellColumn>,
+    sphere: Vec<CellColumn>,
 }
 
 /// Where the stages stand beyond facing a plate: rad, mm.
@@ -79,11 +81,14 @@ fn capture(seed: u64) -> Captures {
             kept_aside.push((sighting.expect("dots"), cells));
         }
     }
+    let (_, sphere) = shoot(7, [0.0; 2]);
     Captures {
         target,
         start,
         sightings,
         kept_aside,
+        blank,
+        sphere,
     }
 }
 
@@ -162,6 +167,8 @@ fn the_target_gives_the_head() {
         start,
         sightings,
         kept_aside,
+        blank,
+        sphere,
     } = capture(3);
     let adjusted = adjust(&start, &target, &sightings, STAGE_SIGMA).expect("a calibration");
     let truth = demo::head();
@@ -196,6 +203,35 @@ fn the_target_gives_the_head() {
     let mut head = adjusted.head.clone();
     let record = CalibrationRecord::new(&adjusted, &head, &target.name, Some(got), today, 90);
     head.calibration = Some(record.clone());
+    assert_eq!(head.fit_on(today), Err(Unfit::Untested));
+
+    // Plane and sphere of a fit head, and of one whose lens has been knocked out of place since.
+    let test = SelfTest::of(&head, &target, &blank, &sphere, today).expect("a self-test");
+    eprintln!("{test:?}");
+    let limits = test.limits;
+    assert!(test.plane_points > 60_000 && test.sphere_points > 1_000);
+    // The plane's points scatter by what the fresh plates show; of 99.7 % of a normal distribution the range is 6 sigma.
+    assert!((3.0..12.0).contains(&(test.flatness_um / got.flatness_rms_um)));
+    assert!(test.probing_size_um.abs() < limits.probing_size_um);
+    let fit = |test: &SelfTest, day: Date| {
+        let mut head = head.clone();
+        head.self_test = Some(test.clone());
+        head.fit_on(day)
+    };
+    assert_eq!(fit(&test, today.plus_days(limits.every_days)), Ok(()));
+    assert!(matches!(
+        fit(&test, today.plus_days(limits.every_days + 1)),
+        Err(Unfit::Overdue { .. })
+    ));
+    let mut other = test.clone();
+    other.geometry_blake3.clear();
+    assert_eq!(fit(&other, today), Err(Unfit::Foreign { date: today }));
+    let mut knocked = head.clone();
+    knocked.camera.focal_px = knocked.camera.focal_px.map(|focal| 1.01 * focal);
+    let failed = SelfTest::of(&knocked, &target, &blank, &sphere, today).expect("a self-test");
+    eprintln!("{failed:?}");
+    assert!(matches!(fit(&failed, today), Err(Unfit::Failed { .. })));
+
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("head.toml");
     let text = head.to_toml().expect("text");

@@ -1,6 +1,6 @@
-//! Planes through measured points, and how far the points lie off them.
+//! Planes and spheres through measured points, and how far the points lie off them.
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vector4};
 
 /// What is left over after a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -116,9 +116,95 @@ pub(crate) fn rigid_rms_mm(pairs: &[Pair]) -> Option<f64> {
     Some((squares / count).sqrt())
 }
 
+/// A fitted sphere.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FittedSphere {
+    pub centre_mm: Point3<f64>,
+    pub radius_mm: f64,
+    pub residuals: Residuals,
+}
+
+/// The sphere with the least squared distances, radius free, by Gauss and Newton from the algebraic fit; `None` for points
+/// that show no curvature.
+pub(crate) fn sphere(points: &[[f64; 3]]) -> Option<FittedSphere> {
+    if points.len() < 10 {
+        return None;
+    }
+    let (mean, _) = moments(points);
+    // |p|^2 = 2 p c + (r^2 - |c|^2), about the mean of the points.
+    let mut matrix = Matrix4::<f64>::zeros();
+    let mut right = Vector4::<f64>::zeros();
+    for &p in points {
+        let p = Vector3::from(p) - mean;
+        let row = (2.0 * p).push(1.0);
+        matrix += row * row.transpose();
+        right += row * p.norm_squared();
+    }
+    let start = matrix.cholesky()?.solve(&right);
+    let mut centre = start.xyz();
+    let mut radius_mm = (start.w + centre.norm_squared()).sqrt();
+    for _ in 0..50 {
+        let mut matrix = Matrix4::<f64>::zeros();
+        let mut right = Vector4::<f64>::zeros();
+        for &p in points {
+            let away = Vector3::from(p) - mean - centre;
+            let distance = away.norm();
+            let row = (-away / distance).push(-1.0);
+            matrix += row * row.transpose();
+            right -= row * (distance - radius_mm);
+        }
+        let step = matrix.cholesky()?.solve(&right);
+        centre += step.xyz();
+        radius_mm += step.w;
+        if step.norm() < 1e-9 {
+            let off = |&p: &[f64; 3]| (Vector3::from(p) - mean - centre).norm() - radius_mm;
+            return Some(FittedSphere {
+                centre_mm: Point3::from(mean + centre),
+                radius_mm,
+                residuals: Residuals {
+                    off_mm: points.iter().map(off).collect(),
+                },
+            });
+        }
+    }
+    None
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_cap_of_a_sphere_gives_the_whole_sphere() {
+        let mut points = Vec::new();
+        for i in 0..40 {
+            for j in 0..10 {
+                let (azimuth, polar) = (f64::from(i) * 0.157, 0.08 * f64::from(j + 1));
+                let (sin, cos) = polar.sin_cos();
+                points.push([
+                    5.0 + 1.2 * sin * azimuth.cos(),
+                    -3.0 + 1.2 * sin * azimuth.sin(),
+                    20.0 - 1.2 * cos,
+                ]);
+            }
+        }
+        let found = sphere(&points).unwrap();
+        assert!((found.centre_mm - Point3::new(5.0, -3.0, 20.0)).norm() < 1e-9);
+        assert!((found.radius_mm - 1.2).abs() < 1e-9);
+        assert!(found.residuals.range_mm() < 1e-9);
+        // Of 400 points one may be left out: of two dents of 3 um, one shows in full.
+        let centre = Vector3::new(5.0, -3.0, 20.0);
+        for i in [7, 209] {
+            let away = Vector3::from(points[i]) - centre;
+            points[i] = (centre + (1.0 - 0.003 / 1.2) * away).into();
+        }
+        let dent = sphere(&points).unwrap().residuals;
+        assert!(
+            (dent.range_mm() - 0.003).abs() < 1e-4,
+            "{}",
+            dent.range_mm()
+        );
+    }
 
     #[test]
     fn a_tilted_plane_and_a_rigid_motion_leave_nothing() {

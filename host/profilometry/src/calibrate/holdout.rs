@@ -2,12 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::eye::Eye;
 use super::form;
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
 use crate::calibration::HeadModel;
 use crate::cloud::CellColumn;
-use crate::triangulate::Triangulator;
 
 /// What a head makes of plates that it was not fitted to.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,29 +29,18 @@ pub fn hold_out(
     target: &Target,
     views: &[(Sighting, Vec<CellColumn>)],
 ) -> Option<HoldOut> {
-    let triangulator = Triangulator::new(head);
-    let point = |pixel: [f64; 2], column_px: f64| -> Option<[f64; 3]> {
-        let [x, y] = head.camera.undistort(pixel)?;
-        let z = triangulator.intersect([x, y], column_px)?.depth_mm;
-        let inside = head
-            .volume
-            .is_none_or(|volume| (volume.near_mm..=volume.far_mm).contains(&z));
-        inside.then_some([x * z, y * z, z])
-    };
+    let eye = Eye::new(head);
     let (mut points, mut squares, mut worst) = (0.0, 0.0, 0.0_f64);
     let (mut dots, mut dot_squares) = (0.0, 0.0);
     for (sighting, cells) in views {
-        let cloud: Vec<[f64; 3]> = cells
-            .iter()
-            .filter_map(|cell| point(cell.pixel, cell.column_px?))
-            .collect();
+        let cloud = eye.points(cells);
         let off = form::plane(&cloud)?;
         points += cloud.len() as f64;
         squares += off.rms_mm().powi(2) * cloud.len() as f64;
         worst = worst.max(off.range_mm());
         let printed = |mark: &Mark| {
             let [x, y] = mark.place.map(|n| f64::from(n) * target.dots.pitch_mm);
-            Some((point(mark.pixel, mark.column_px)?, [x, y, 0.0]))
+            Some((eye.point(mark.pixel, mark.column_px)?, [x, y, 0.0]))
         };
         let pairs: Vec<_> = sighting.marks.iter().filter_map(printed).collect();
         dots += pairs.len() as f64;

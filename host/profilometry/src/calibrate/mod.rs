@@ -23,22 +23,27 @@
 //! | `adjust` | all unknowns from all marks |
 //! | `form` | planes and spheres through points |
 //! | `holdout` | plates measured with the result |
+//! | `eye` | triangulation with a head |
+//! | `self_test` | whether the head is fit today |
 //! | `record` | what a head file says of its calibration |
 
 mod adjust;
 mod dots;
+mod eye;
 mod form;
 mod holdout;
 mod label;
 mod least_squares;
 mod model;
 mod record;
+mod self_test;
 mod sighting;
 mod target;
 
 pub use adjust::{Adjusted, adjust};
 pub use holdout::{HoldOut, hold_out};
 pub use record::{CalibrationRecord, RecordError};
+pub use self_test::{Limits, SelfTest, SelfTestError, Unfit};
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Plate, Sphere, Target};
 

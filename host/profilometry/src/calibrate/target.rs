@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::self_test::Limits;
 use crate::calibration::RigidTransform;
 use crate::textfile::{self, BadValue, TextFileError};
 
@@ -30,6 +31,9 @@ pub struct Target {
     /// A matt sphere for the self-test.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
+    /// What the self-test allows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limits: Option<Limits>,
 }
 
 /// A square grid of dark dots, centred on the plate; three of them are larger and mark the middle: those at column and row
@@ -176,6 +180,6 @@ impl Target {
                 ));
             }
         }
-        Ok(())
+        self.limits.as_ref().map_or(Ok(()), Limits::check)
     }
 }

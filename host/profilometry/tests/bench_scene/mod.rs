@@ -60,6 +60,7 @@ pub fn head() -> HeadModel {
         image_circle: None,
         cores: None,
         calibration: None,
+        self_test: None,
         core_map: None,
     }
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use flankscope_profilometry::calibrate::{
-    Adjusted, CalibrateError, CalibrationRecord, HoldOut, Sighting, StagePose, Target, adjust,
-    hold_out,
+    Adjusted, CalibrateError, CalibrationRecord, HoldOut, SelfTestError, Sighting, StagePose,
+    Target, adjust, hold_out,
 };
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
@@ -37,6 +37,9 @@ pub enum CalibrationError {
     /// No head from these captures.
     #[error(transparent)]
     Calibrate(#[from] CalibrateError),
+    /// No self-test from these captures.
+    #[error(transparent)]
+    SelfTest(#[from] SelfTestError),
     /// The starting head cannot count electrons.
     #[error("the starting head says nothing about its sensor: give [sensor]")]
     NoSensor,
@@ -57,6 +60,11 @@ pub enum SaveError {
     /// Not a TOML document.
     #[error("the head cannot be put into words: {0}")]
     Toml(#[from] toml::ser::Error),
+}
+
+/// Writes a file whole or not at all.
+pub(super) fn write(path: PathBuf, bytes: &[u8]) -> Result<(), SaveError> {
+    files::write_whole(&path, bytes).map_err(|source| SaveError::Write { path, source })
 }
 
 /// The search for the bundle's cores on the blank plate, photographed pixel by pixel.
@@ -234,9 +242,6 @@ impl Calibrated {
         date: Date,
         valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
-        let write = |path: PathBuf, bytes: &[u8]| {
-            files::write_whole(&path, bytes).map_err(|source| SaveError::Write { path, source })
-        };
         let mut head = self.adjusted.head.clone();
         if let Some(map) = &head.core_map {
             let name = path.with_extension("cores.csv");

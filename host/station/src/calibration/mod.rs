@@ -10,10 +10,13 @@
 //! | `survey` | captures of a list of stage positions, each handed on as it comes |
 //! | `views` | which positions a target asks for |
 //! | `job` | from the captures to the head |
+//! | `fitness` | plane and sphere measured with it, today and every week |
 
+mod fitness;
 mod job;
 mod survey;
 mod views;
 
+pub use fitness::{FitnessSurvey, save_self_test};
 pub use job::{Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport};
 pub use survey::{SurveyError, Surveyor};

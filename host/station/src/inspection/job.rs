@@ -16,6 +16,7 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use flankscope_profilometry::date::Date;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, FrameKind};
 use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, FaultCode, PlanError, State};
 use tokio::sync::mpsc as channel;
@@ -208,9 +209,15 @@ impl Station {
         let limits = client.identity().limits;
         let order = self.itinerary.order_from(rotation_rad);
         let mut run = Run::new(order.clone(), hold_limit);
-        let mut stopped = self
-            .capture(client, &mut run, &order, &limits, watch)
-            .await?;
+        // What a head that must not judge would measure is not worth the press's time.
+        let unfit = self.subject.head.fit_on(Date::today()).err();
+        let mut stopped = match unfit {
+            Some(unfit) => Some(unfit.to_string()),
+            None => {
+                self.capture(client, &mut run, &order, &limits, watch)
+                    .await?
+            }
+        };
         let again = run.missing();
         if stopped.is_none() && !again.is_empty() {
             for &view in &again {

@@ -118,6 +118,7 @@ pub fn head() -> HeadModel {
         }),
         cores: None,
         calibration: None,
+        self_test: None,
         core_map: None,
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use flankscope_gear_cad::Mesh;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, KEYS, Plate, Target};
+use flankscope_profilometry::calibrate::{Dots, KEYS, Limits, Plate, Sphere, Target};
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -33,6 +33,11 @@ const BLANK_RADIUS_MM: f64 = 41.5;
 const EXPOSURE_US: u32 = 12_000;
 /// Where the head clears the target: as far up as above the die.
 const RETRACT_MM: f64 = 86.0;
+/// The sphere: its front stands half a millimetre before best focus.
+const SPHERE_DIAMETER_MM: f64 = 3.0;
+const SPHERE_CENTRE_RADIUS_MM: f64 = 42.5;
+/// It is sunk into a matt ground, which keeps the picture lit.
+const SPHERE_GROUND_RADIUS_MM: f64 = 43.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
@@ -45,6 +50,35 @@ fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     let place = Translation3::new(radius_mm, 0.0, HEIGHT_MM);
     let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), STATION_RAD * station as f64);
     turned * Isometry3::from_parts(place, facing)
+}
+
+/// A place on the carrier at mid-height.
+fn station(number: usize, radius_mm: f64) -> Vector3<f64> {
+    let (sin, cos) = (STATION_RAD * number as f64).sin_cos();
+    Vector3::new(radius_mm * cos, radius_mm * sin, HEIGHT_MM)
+}
+
+/// A sphere's facets, rows of latitude about z: chords of 0.1 um on a radius of 1.5 mm.
+fn sphere(centre: Vector3<f64>, radius_mm: f64, mesh: &mut Mesh) {
+    const ROWS: u32 = 136;
+    let first = mesh.vertices.len() as u32;
+    let step_rad = std::f64::consts::PI / f64::from(ROWS);
+    for row in 0..=ROWS {
+        let (sin, cos) = (step_rad * f64::from(row)).sin_cos();
+        for column in 0..2 * ROWS {
+            let (y, x) = (step_rad * f64::from(column)).sin_cos();
+            let vertex = centre + radius_mm * Vector3::new(sin * x, sin * y, -cos);
+            mesh.vertices.push(vertex.into());
+        }
+    }
+    for row in 0..ROWS {
+        for column in 0..2 * ROWS {
+            let at = |row: u32, column: u32| first + row * 2 * ROWS + column % (2 * ROWS);
+            let [a, b] = [at(row, column), at(row, column + 1)];
+            let [c, d] = [at(row + 1, column + 1), at(row + 1, column)];
+            mesh.triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
 }
 
 /// The target as its certificate describes it.
@@ -69,7 +103,16 @@ pub fn target() -> Target {
         plate: printed
             .map(|(station, &(tilt, radius_mm))| file(plate(station, tilt, radius_mm)))
             .collect(),
-        sphere: None,
+        sphere: Some(Sphere {
+            centre_mm: station(PRINTED.len() + 1, SPHERE_CENTRE_RADIUS_MM).into(),
+            diameter_mm: SPHERE_DIAMETER_MM,
+        }),
+        limits: Some(Limits {
+            flatness_um: 45.0,
+            probing_form_um: 45.0,
+            probing_size_um: 8.0,
+            every_days: 7,
+        }),
     }
 }
 
@@ -92,7 +135,8 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         vertices: Vec::new(),
         triangles: Vec::new(),
     };
-    for pose in printed.iter().chain([&blank]) {
+    let ground = plate(PRINTED.len() + 1, [0.0; 2], SPHERE_GROUND_RADIUS_MM);
+    for pose in printed.iter().chain([&blank, &ground]) {
         let first = mesh.vertices.len() as u32;
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         for [x, y] in corners {
@@ -101,6 +145,10 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         }
         mesh.triangles
             .extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|i| first + i)));
+    }
+    if let Some(artefact) = &target.sphere {
+        let radius_mm = 0.5 * artefact.diameter_mm;
+        sphere(artefact.centre_mm.into(), radius_mm, &mut mesh);
     }
     let mut config = WorldConfig::new(mesh, gear());
     // Lithography on ceramic: matt, and even to a percent.

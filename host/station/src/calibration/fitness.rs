@@ -1,0 +1,83 @@
+//! Whether a calibrated head is fit today: the target's blank plate and its sphere, captured and measured.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use flankscope_profilometry::calibrate::{SelfTest, SelfTestError, Target};
+use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::date::Date;
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
+
+use super::job::{CalibrationError, SaveError, write};
+use super::survey::Surveyor;
+use super::views;
+use crate::capture::SharedRoot;
+use crate::controller::ClientSettings;
+use crate::inspection::Progress;
+
+/// The capture of plane and sphere, and what follows from it.
+#[derive(Debug)]
+pub struct FitnessSurvey {
+    surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
+    head: HeadModel,
+    target: Target,
+}
+
+impl FitnessSurvey {
+    /// Starts the threads, with frames arriving below `root`.
+    ///
+    /// # Errors
+    /// The head is unfit or the target has no sphere, or shared memory is refused.
+    pub fn open(
+        head: HeadModel,
+        target: Target,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let lacks = SelfTestError::Lacks {
+            what: "[sphere] in the target",
+        };
+        let sphere = target.sphere.ok_or(lacks)?;
+        let at = [
+            views::facing(&target.blank),
+            views::before(sphere.centre_mm),
+        ];
+        let options = DecodeOptions::for_head(&head);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
+        Ok(Self {
+            surveyor: Surveyor::open(&head, options, &target, &at, root, to_cells)?,
+            head,
+            target,
+        })
+    }
+
+    /// Photographs both and measures them.
+    ///
+    /// # Errors
+    /// A capture failed, or shows too little.
+    pub fn test(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        date: Date,
+        watch: impl FnMut(Progress),
+    ) -> Result<SelfTest, CalibrationError> {
+        let mut captured = self.surveyor.survey(port, settings, watch)?.into_iter();
+        let mut next = || captured.next().unwrap_or(Ok(Vec::new()));
+        let (plane, sphere) = (next()?, next()?);
+        Ok(SelfTest::of(
+            &self.head,
+            &self.target,
+            &plane,
+            &sphere,
+            date,
+        )?)
+    }
+}
+
+/// Writes a self-test beside the head's file.
+///
+/// # Errors
+/// [`SaveError`].
+pub fn save_self_test(test: &SelfTest, head: &Path) -> Result<(), SaveError> {
+    write(SelfTest::path_of(head), test.to_toml()?.as_bytes())
+}
