@@ -115,6 +115,12 @@ impl Watcher {
                 return;
             }
             Progress::Recapture(view) => format!("view {} is captured again", view + 1),
+            Progress::Repeat(view) => {
+                format!(
+                    "view {} is too near to a limit, it is measured again",
+                    view + 1
+                )
+            }
             Progress::Retracting => "head retracts".to_string(),
             Progress::Evaluated(view) => format!("view {} evaluated", view + 1),
         };

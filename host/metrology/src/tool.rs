@@ -13,6 +13,8 @@ use crate::wear::{Settings, Zone};
 pub const FILE_NAME: &str = "tool.toml";
 /// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
 const AGREEMENT_MM: f64 = 0.1;
+/// More repetitions than this halve no uncertainty any more that fewer have not.
+const MOST_REPEATS: u32 = 10;
 
 /// A tool, ready to inspect.
 #[derive(Debug, Clone)]
@@ -85,6 +87,9 @@ pub struct Inspect {
     /// What a figure too near to a limit ends in.
     #[serde(default)]
     pub undecided: Undecided,
+    /// How often a view with such a figure is measured again, if there is time and it can help.
+    #[serde(default = "default_remeasure")]
+    pub remeasure: u32,
 }
 
 impl Inspect {
@@ -147,6 +152,10 @@ impl Temperature {
 
 fn default_drift() -> f64 {
     0.5
+}
+
+fn default_remeasure() -> u32 {
+    1
 }
 
 fn default_probability() -> f64 {
@@ -413,6 +422,10 @@ impl File {
         }
         if !(0.5..1.0).contains(&inspect.probability) {
             return refuse("inspect.probability", inspect.probability, "0.5 to below 1");
+        }
+        if inspect.remeasure > MOST_REPEATS {
+            let expected = format!("0 to {MOST_REPEATS}");
+            return refuse("inspect.remeasure", f64::from(inspect.remeasure), &expected);
         }
         if inspect.teeth.is_empty() {
             return refuse("inspect.teeth (count)", 0.0, "at least one tooth");

@@ -258,6 +258,28 @@ pub fn decide(wear_um: f64, u_um: f64, rule: &Rule) -> Verdict {
     }
 }
 
+/// Whether a figure is undecided and measuring it again could decide it: with the noise averaged away, some value within two
+/// standard deviations of the noise would be decided. `um` is the wear, the standard uncertainty of its noise, and that of
+/// everything that repeating does not change.
+pub fn repeating_could_decide([wear_um, noise_um, systematic_um]: [f64; 3], rule: &Rule) -> bool {
+    let rule = Rule {
+        undecided: Undecided::Indeterminate,
+        ..*rule
+    };
+    let undecided = |wear_um, u_um| {
+        matches!(
+            decide(wear_um, u_um, &rule),
+            Verdict::Indeterminate {
+                reason: Reason::Undecidable { .. }
+            }
+        )
+    };
+    undecided(wear_um, noise_um.hypot(systematic_um))
+        && [-2.0, -1.0, 0.0, 1.0, 2.0]
+            .iter()
+            .any(|k| !undecided(wear_um + k * noise_um, systematic_um))
+}
+
 /// The tool's verdict from its features': one no-go is enough; then one indeterminate; then one warning. Without features
 /// there is nothing to say.
 pub fn combine(features: impl IntoIterator<Item = Verdict>) -> Verdict {
@@ -360,6 +382,28 @@ mod tests {
             decide(10.0, 4.0, &absurd),
             Verdict::Indeterminate { .. }
         ));
+    }
+
+    #[test]
+    fn only_what_noise_leaves_open_is_worth_repeating() {
+        let rule = Rule::new(30.0, 50.0);
+        for (wear, noise, systematic, expected) in [
+            (49.0, 2.0, 0.1, true),  // 1 below, guard 3.3: the noise alone is in the way
+            (49.0, 0.1, 2.0, false), // the calibration is in the way, however often it is measured
+            (46.0, 2.0, 2.0, true),  // a value of 44 would be decided
+            (20.0, 2.0, 0.1, false), // decided already
+            (60.0, 2.0, 0.1, false),
+            (f64::NAN, 2.0, 0.1, false),
+            (49.0, f64::NAN, 0.1, false),
+        ] {
+            let um = [wear, noise, systematic];
+            assert_eq!(repeating_could_decide(um, &rule), expected, "{um:?}");
+            let closed = Rule {
+                undecided: Undecided::NoGo,
+                ..rule
+            };
+            assert_eq!(repeating_could_decide(um, &closed), expected, "{um:?}");
+        }
     }
 
     #[test]

@@ -69,6 +69,31 @@ impl Field {
         })
     }
 
+    /// The mean of several captures of one zone, cell by cell, of those that measured the cell; none without a capture, or
+    /// when their grids differ.
+    pub fn mean(captures: &[&Self]) -> Option<Self> {
+        let (first, others) = captures.split_first()?;
+        let shape = |f: &Self| (f.columns, f.rows, f.wear_mm.len());
+        if others.iter().any(|other| shape(other) != shape(first)) {
+            return None;
+        }
+        let mut mean = (*first).clone();
+        for cell in 0..mean.wear_mm.len() {
+            let seen: Vec<&&Self> = captures
+                .iter()
+                .filter(|field| field.wear_mm[cell].is_finite())
+                .collect();
+            let count = seen.len() as f64;
+            let sum = |of: fn(&Self) -> &[f64]| seen.iter().map(|f| of(f)[cell]).sum::<f64>();
+            // Without any, both stay what they are in the first: not measured.
+            if count > 0.0 {
+                mean.wear_mm[cell] = sum(|f| &f.wear_mm) / count;
+                mean.variance_mm2[cell] = sum(|f| &f.variance_mm2) / (count * count);
+            }
+        }
+        Some(mean)
+    }
+
     /// Standard deviation of a cell, as the cells themselves show it: from their stated variances, or from the differences
     /// between neighbours in height when those are larger. Flanks wear evenly along the height but for a few cells, which
     /// the median passes over.
@@ -139,5 +164,41 @@ mod nan_as_null {
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
         let options = Vec::<Option<f64>>::deserialize(deserializer)?;
         Ok(options.into_iter().map(|v| v.unwrap_or(f64::NAN)).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn field(wear_mm: [f64; 3], variance_mm2: [f64; 3]) -> Field {
+        Field {
+            columns: 3,
+            rows: 1,
+            cell_mm: [0.25, 0.25],
+            wear_mm: wear_mm.into(),
+            variance_mm2: variance_mm2.into(),
+        }
+    }
+
+    #[test]
+    fn captures_average_where_they_measured() {
+        let gap = f64::NAN;
+        let captures = [
+            field([1.0, gap, gap], [0.4, gap, gap]),
+            field([2.0, 5.0, gap], [0.8, 0.3, gap]),
+        ];
+        let mean = Field::mean(&[&captures[0], &captures[1]]).unwrap();
+        assert_eq!(mean.wear_mm[..2], [1.5, 5.0]);
+        assert!((mean.variance_mm2[0] - 1.2 / 4.0).abs() < 1e-15);
+        assert_eq!(mean.variance_mm2[1], 0.3);
+        assert!(mean.wear_mm[2].is_nan() && mean.variance_mm2[2].is_nan());
+        let other = Field {
+            columns: 1,
+            rows: 3,
+            ..captures[0].clone()
+        };
+        assert!(Field::mean(&[&captures[0], &other]).is_none());
+        assert!(Field::mean(&[]).is_none());
     }
 }

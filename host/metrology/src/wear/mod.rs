@@ -361,6 +361,35 @@ impl FlankWear {
         Ok(self)
     }
 
+    /// Several captures of one flank as one: noise averages, whatever else is uncertain stays as it is in the worst of
+    /// them. None without a capture, or when their zones differ.
+    #[must_use]
+    pub fn together(captures: &[&Self], settings: &Settings) -> Option<Self> {
+        let (&first, others) = captures.split_first()?;
+        let mut wear = first.clone();
+        if others.is_empty() {
+            return Some(wear);
+        }
+        let fields: Vec<&Field> = captures.iter().map(|wear| &wear.field).collect();
+        wear.field = Field::mean(&fields)?;
+        wear.coverage = wear.field.coverage();
+        wear.points = captures.iter().map(|wear| wear.points).sum();
+        for other in others {
+            wear.budget.registration_mm = wear
+                .budget
+                .registration_mm
+                .max(other.budget.registration_mm);
+            let worse = |a: &Leakage, b: &Leakage| a.worst() > b.worst();
+            if let (Some(a), Some(b)) = (&other.leakage, &wear.leakage)
+                && worse(a, b)
+            {
+                wear.leakage = other.leakage;
+            }
+        }
+        wear.refigure(settings);
+        Some(wear)
+    }
+
     /// The same flank with the fit's leakage and the temperature's share counted in.
     #[must_use]
     pub fn with(mut self, influence: &Influence, settings: &Settings) -> Self {

@@ -12,6 +12,7 @@ use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::{
     Evaluator, EvaluatorError, Evidence, Findings, Itinerary, PlanningError, Recipe, Subject,
+    ViewOutcome,
 };
 
 /// Why a check cannot be computed again.
@@ -151,6 +152,10 @@ impl Replay {
                 captures += 1;
                 let mut outcome = evaluator.evaluate(view, &sums);
                 outcome.phasors.push(phasors);
+                let outcome = match outcomes.remove(&view) {
+                    Some(first) => ViewOutcome::with(first, outcome),
+                    None => outcome,
+                };
                 outcomes.insert(view, outcome);
             }
         }

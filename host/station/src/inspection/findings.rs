@@ -51,7 +51,7 @@ impl Findings {
                     problem: None,
                 });
                 judged.extend(outcome.flanks);
-                registration.push(outcome.registration);
+                registration.extend(outcome.registration);
                 phasors.extend(outcome.phasors);
                 fields.extend(outcome.fields);
                 maps.extend(outcome.maps);

@@ -43,7 +43,7 @@ const EVENT_PATIENCE: Duration = Duration::from_secs(15);
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Part of a hold limit that is kept for the way out: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
-const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
+pub(super) const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -112,6 +112,8 @@ pub enum Progress {
     Exposed(usize, u16, u16),
     /// A view is being captured again.
     Recapture(usize),
+    /// A view's figures are too near to a limit: it is measured again.
+    Repeat(usize),
     /// The stages retract.
     Retracting,
     /// A view's flanks are known.
@@ -226,6 +228,11 @@ impl Station {
             run.recaptured += again.len() as u32;
             stopped = self
                 .capture(client, &mut run, &again, &limits, watch)
+                .await?;
+        }
+        if stopped.is_none() {
+            stopped = self
+                .repeat_open_views(client, &mut run, &limits, watch)
                 .await?;
         }
         let mut inspection = self.conclude(run, stopped, begun_ns, client);
@@ -419,6 +426,7 @@ impl<O: Send + 'static, S> Station<O, S> {
         client.status().await?;
         client.forget_events();
         self.order(Order::Arm(arm_of(&plan)))?;
+        self.armed(run).await?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
             .order(&Command::Start {
@@ -431,6 +439,19 @@ impl<O: Send + 'static, S> Station<O, S> {
             Ok(stopped) => Ok(stopped),
             // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
             Err(error) => Ok(Some(error.to_string())),
+        }
+    }
+
+    /// Waits until frames are labelled for the new plan: an earlier one would count for the old.
+    async fn armed(&mut self, run: &mut Run<O>) -> Result<(), InspectError> {
+        let gone = InspectError::Thread { thread: "capture" };
+        loop {
+            match self.recorded.recv().await {
+                Some(Recorded::Armed) => return Ok(()),
+                Some(Recorded::Picture(picture)) => run.picture = Some(picture),
+                Some(Recorded::View(_) | Recorded::Closed) => {}
+                None => return Err(gone),
+            }
         }
     }
 
@@ -461,6 +482,7 @@ impl<O: Send + 'static, S> Station<O, S> {
                 recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
                     Recorded::View(view) => run.waiting.push(*view),
                     Recorded::Closed => closed = true,
+                    Recorded::Armed => {}
                     Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {

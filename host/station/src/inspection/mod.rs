@@ -4,10 +4,12 @@
 //! |---|---|
 //! | `plan` | which poses, patterns and exposures: from tool and head to a capture plan |
 //! | `job` | orders, events and threads of one check |
+//! | `repeat` | what is too near to a limit is measured again |
 //! | `run` | what a running check has gathered |
 //! | `recorder` | the capture thread: frames summed where they lie |
 //! | `pairing` | triggers against frames |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `judge` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `findings` | all views to what is said of the tool |
 //! | `evidence` | what a verdict was computed from |
 //! | `verdict` | flanks to one verdict |
@@ -18,9 +20,11 @@ mod evidence;
 mod findings;
 mod influence;
 mod job;
+mod judge;
 mod pairing;
 mod plan;
 mod recorder;
+mod repeat;
 mod result;
 mod run;
 mod timeline;

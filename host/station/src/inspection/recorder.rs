@@ -82,6 +82,8 @@ pub struct CapturedView {
 pub enum Recorded {
     /// A view's last frame was added, or the view was given up.
     View(Box<CapturedView>),
+    /// After [`Order::Arm`]: frames are labelled for its plan from here on.
+    Armed,
     /// After [`Order::Close`]: nothing is open any more.
     Closed,
     /// A frame for the report.
@@ -183,6 +185,7 @@ impl<'a> Recorder<'a> {
         if let Err(error) = self.receiver.arm(arm) {
             self.fail(error.into());
         }
+        let _ = self.events.send(Recorded::Armed);
     }
 
     fn add(&mut self, frame: Frame) {

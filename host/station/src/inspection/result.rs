@@ -33,6 +33,9 @@ pub struct Feature {
     pub conformity: Option<f64>,
     /// What else is known of the flank; absent when it could not be measured.
     pub detail: Option<FlankDetail>,
+    /// Where it was measured more than once: the figure of each capture alone, µm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub measurements: Vec<Option<Expanded>>,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
     /// Why it is indeterminate.

@@ -18,6 +18,8 @@ pub struct Timeline {
     state_since: Timestamp,
     latest: Timestamp,
     led_since: Option<Timestamp>,
+    /// Time between two captures of one check, in which the press was free.
+    free_ms: f64,
 }
 
 impl Timeline {
@@ -30,6 +32,7 @@ impl Timeline {
                 match prev {
                     State::Moving | State::Retracting => self.moving.push(span),
                     State::Settling => self.settling.push(span),
+                    State::Ready => self.free_ms += length(&span),
                     _ => {}
                 }
                 self.state_since = at;
@@ -66,10 +69,11 @@ impl Timeline {
         }
     }
 
-    /// From the first event to the latest, by the controller's clock.
+    /// From the first event to the latest by the controller's clock, without the time in which the press was free.
     #[must_use]
     pub fn elapsed(&self) -> Duration {
-        Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)))
+        let all = Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)));
+        all.saturating_sub(Duration::from_secs_f64(self.free_ms / 1e3))
     }
 
     /// Time spent moving and settling, ms.

@@ -21,6 +21,8 @@ pub struct Judged {
     coverage_ratio: f64,
     conformity: Option<f64>,
     detail: Option<FlankDetail>,
+    /// The figure of each capture, where it has one.
+    measurements: Vec<Option<Expanded>>,
     warn_um: f64,
     limit_um: f64,
     verdict: Verdict,
@@ -61,10 +63,23 @@ impl Judged {
             coverage_ratio: wear.coverage,
             conformity: conformity.is_finite().then_some(conformity),
             detail: detail(wear, absolute),
+            measurements: Vec::new(),
             warn_um: inspect.warn_um,
             limit_um: inspect.limit_um,
             verdict,
             unmeasured: None,
+        }
+    }
+
+    /// The same verdict with the figures of the captures that it rests on, where there are several.
+    pub fn from_captures(self, measurements: Vec<Option<Expanded>>) -> Self {
+        Self {
+            measurements: if measurements.len() > 1 {
+                measurements
+            } else {
+                Vec::new()
+            },
+            ..self
         }
     }
 }
@@ -125,6 +140,7 @@ impl From<Judged> for Feature {
             coverage_ratio: judged.coverage_ratio,
             conformity: judged.conformity,
             detail: judged.detail,
+            measurements: judged.measurements,
             warn_um: judged.warn_um,
             limit_um: judged.limit_um,
             verdict: judged.verdict.word().into(),
@@ -156,6 +172,7 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Jud
         coverage_ratio: 0.0,
         conformity: None,
         detail: None,
+        measurements: Vec::new(),
         warn_um,
         limit_um,
         verdict: Verdict::Indeterminate {

@@ -9,9 +9,9 @@ use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::outlier;
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
 use flankscope_metrology::surface::{Closest, Surface};
-use flankscope_metrology::tool::{Datum, Inspect, Tool};
+use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, Figure, FlankWear, Measured, Settings, Zone};
+use flankscope_metrology::wear::{self, FlankWear, Measured, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -19,10 +19,11 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use super::evidence::Phasors;
 use super::influence::Fitted;
 use super::job::Subject;
+use super::judge::Judge;
 use super::plan::Itinerary;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
-use crate::baseline::{Baseline, Reference};
+use crate::baseline::Reference;
 
 /// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
 pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
@@ -73,8 +74,8 @@ pub enum EvaluatorError {
 pub struct ViewOutcome {
     /// The two flanks of the tooth in the middle.
     pub flanks: Vec<Judged>,
-    /// How the points were laid on the CAD.
-    pub registration: ViewRegistration,
+    /// How the points of each capture were laid on the CAD.
+    pub registration: Vec<ViewRegistration>,
     /// Their deviation from CAD, cell by cell.
     pub fields: Vec<Reference>,
     /// Deviation maps of the two flanks.
@@ -83,6 +84,33 @@ pub struct ViewOutcome {
     pub deviations_um: Vec<f64>,
     /// What it was computed from, where that is kept.
     pub phasors: Vec<Phasors>,
+    tooth: u32,
+    /// What each capture measured of the flanks; nothing where it could not.
+    captures: Vec<Vec<FlankWear>>,
+    judge: Arc<Judge>,
+}
+
+impl ViewOutcome {
+    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
+    pub(crate) fn is_open(&self) -> bool {
+        self.captures
+            .last()
+            .is_some_and(|last| last.iter().any(|wear| self.judge.is_open(wear)))
+    }
+
+    /// The outcome of this view and of another capture of it, judged together.
+    #[must_use]
+    pub(crate) fn with(mut self, again: Self) -> Self {
+        self.registration.extend(again.registration);
+        self.phasors.extend(again.phasors);
+        self.captures.extend(again.captures);
+        for (judged, flank) in self.flanks.iter_mut().zip(Flank::BOTH) {
+            if let Some(together) = self.judge.flank(self.tooth, flank, &self.captures) {
+                *judged = together;
+            }
+        }
+        self
+    }
 }
 
 /// Where a view is taken from, and the surface it can see.
@@ -120,16 +148,13 @@ fn stage_prior(expected: Rigid<ToolFrame, Cloud>) -> Prior {
 
 /// Everything that does not change from check to check.
 pub struct Evaluator {
-    tool: Arc<Tool>,
+    judge: Arc<Judge>,
     gear: GearData,
-    inspect: Inspect,
     zone: Zone,
-    settings: Settings,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
     /// Size of the tool relative to its CAD, or why it cannot be judged.
     scale: Result<f64, Reason>,
-    baseline: Option<Arc<Baseline>>,
 }
 
 impl Evaluator {
@@ -201,16 +226,19 @@ impl Evaluator {
         let settings = tool.wear_settings();
         let temperature = tool.temperature.as_ref();
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
-        Ok(Self {
+        let judge = Judge {
             tool,
-            gear,
             inspect,
-            zone,
             settings,
+            baseline: subject.baseline.clone(),
+        };
+        Ok(Self {
+            judge: Arc::new(judge),
+            gear,
+            zone,
             decoder,
             places,
             scale,
-            baseline: subject.baseline.clone(),
         })
     }
 
@@ -269,11 +297,10 @@ impl Evaluator {
         let closest = place.surface.closest_many(&located);
         lap("deviation", &mut elapsed_ms);
         let mut leakage = BTreeMap::new();
-        let mut fields = Vec::new();
+        let mut wears: Vec<FlankWear> = Vec::new();
+        let unmeasured = |why: &str| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
         let flanks = match (&registration.status, &self.scale) {
-            (_, Err(reason)) => {
-                super::verdict::unmeasured(place.tooth, &self.tool, &reason.to_string())
-            }
+            (_, Err(reason)) => unmeasured(&reason.to_string()),
             (Status::Registered, Ok(_)) => {
                 let influences = Fitted {
                     gear: &self.gear,
@@ -283,7 +310,7 @@ impl Evaluator {
                     options: &options,
                     closest: &closest,
                     used: &used,
-                    temperature: self.tool.temperature.as_ref(),
+                    temperature: self.judge.tool.temperature.as_ref(),
                 }
                 .on(place.tooth);
                 leakage.insert("left", influences[0].leakage);
@@ -293,8 +320,8 @@ impl Evaluator {
                     closest: &closest,
                     sigma_mm: Some(&sigma),
                 };
-                let (gear, settings) = (&self.gear, &self.settings);
-                wear::evaluate(
+                let (gear, settings) = (&self.gear, &self.judge.settings);
+                wears = wear::evaluate(
                     gear,
                     &self.zone,
                     &[place.tooth],
@@ -304,56 +331,41 @@ impl Evaluator {
                 )
                 .into_iter()
                 .zip(&influences)
-                .map(|(wear, influence)| {
-                    if wear.figures.is_some() {
-                        fields.push(Reference {
-                            tooth: wear.tooth,
-                            flank: wear.flank,
-                            field: wear.field.clone(),
-                        });
-                    }
-                    self.judge(wear.with(influence, settings))
-                })
-                .collect()
+                .map(|(wear, influence)| wear.with(influence, settings))
+                .collect();
+                let captures = std::slice::from_ref(&wears);
+                let judged = |flank| self.judge.flank(place.tooth, flank, captures);
+                Flank::BOTH.into_iter().filter_map(judged).collect()
             }
             (Status::Indeterminate(reason), Ok(_)) => {
-                let reason = Reason::Registration(reason.clone()).to_string();
-                super::verdict::unmeasured(place.tooth, &self.tool, &reason)
+                unmeasured(&Reason::Registration(reason.clone()).to_string())
             }
         };
+        let fields = wears
+            .iter()
+            .filter(|wear| wear.figures.is_some())
+            .map(|wear| Reference {
+                tooth: wear.tooth,
+                flank: wear.flank,
+                field: wear.field.clone(),
+            })
+            .collect();
         lap("wear", &mut elapsed_ms);
         let (maps, deviations_um) = self.draw(place.tooth, &closest);
         lap("maps", &mut elapsed_ms);
         ViewOutcome {
             flanks,
-            registration: ViewRegistration {
+            registration: vec![ViewRegistration {
                 leakage,
                 ..summary(place, points.len(), &registration, elapsed_ms)
-            },
+            }],
             fields,
             maps,
             deviations_um,
             phasors: Vec::new(),
-        }
-    }
-
-    /// Judges a flank: against the baseline where there is one, else against CAD.
-    fn judge(&self, wear: FlankWear) -> Judged {
-        let absolute = Figure {
-            value: wear.wear_mm,
-            u: wear.u_mm,
-        };
-        let Some(baseline) = &self.baseline else {
-            return Judged::of_wear(&wear, absolute, &self.inspect);
-        };
-        let (tooth, flank) = (wear.tooth, wear.flank);
-        let refused = |why: &str| super::verdict::unmeasured_flank(tooth, flank, &self.tool, why);
-        let Some(reference) = baseline.field(tooth, flank) else {
-            return refused("the baseline lacks this flank; record it again with this tooth");
-        };
-        match wear.since(reference, &self.settings) {
-            Ok(since) => Judged::of_wear(&since, absolute, &self.inspect),
-            Err(mismatch) => refused(&mismatch.to_string()),
+            tooth: place.tooth,
+            captures: vec![wears],
+            judge: Arc::clone(&self.judge),
         }
     }
 
@@ -368,7 +380,7 @@ impl Evaluator {
             self.gear.tip_radius_mm.max(self.gear.root_radius_mm) - margin_mm,
         );
         let on_flank = (low_mm..high_mm).contains(&x.hypot(y));
-        match self.inspect.datum {
+        match self.judge.inspect.datum {
             Datum::Neighbours => !on_flank || self.gear.tooth_at(y.atan2(x)) != place.tooth,
             Datum::Lands => !on_flank,
             Datum::All => true,
@@ -427,8 +439,8 @@ impl Evaluator {
         elapsed_ms: BTreeMap<&'static str, f64>,
     ) -> ViewOutcome {
         ViewOutcome {
-            flanks: super::verdict::unmeasured(place.tooth, &self.tool, why),
-            registration: ViewRegistration {
+            flanks: super::verdict::unmeasured(place.tooth, &self.judge.tool, why),
+            registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
                 reason: Some(why.into()),
@@ -441,11 +453,14 @@ impl Evaluator {
                 leakage: BTreeMap::new(),
                 weak_directions: Vec::new(),
                 elapsed_ms,
-            },
+            }],
             fields: Vec::new(),
             maps: Vec::new(),
             deviations_um: Vec::new(),
             phasors: Vec::new(),
+            tooth: place.tooth,
+            captures: vec![Vec::new()],
+            judge: Arc::clone(&self.judge),
         }
     }
 }

@@ -494,6 +494,7 @@ impl Scanner {
                     limit_um: rule.limit_um,
                     conformity: Some(probability_below(rule.limit_um, mean_um, u_um)),
                     detail: None,
+                    measurements: Vec::new(),
                     verdict: verdict.to_string(),
                     reason,
                     code,

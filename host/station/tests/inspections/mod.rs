@@ -17,6 +17,7 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         limit_um: 50.0,
         conformity: Some(1.0),
         detail: None,
+        measurements: Vec::new(),
         verdict: verdict.into(),
         reason: None,
         code: None,

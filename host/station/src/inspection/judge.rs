@@ -1,0 +1,77 @@
+//! A view's flanks, measured once or several times, against limits and baseline.
+
+use std::sync::Arc;
+
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::tool::{Inspect, Tool};
+use flankscope_metrology::verdict::repeating_could_decide;
+use flankscope_metrology::wear::{Figure, FlankWear, Settings};
+
+use super::result::Expanded;
+use super::verdict::{Judged, unmeasured_flank};
+use crate::baseline::Baseline;
+
+/// What flanks are judged by.
+#[derive(Debug)]
+pub(crate) struct Judge {
+    pub tool: Arc<Tool>,
+    pub inspect: Inspect,
+    pub settings: Settings,
+    pub baseline: Option<Arc<Baseline>>,
+}
+
+impl Judge {
+    /// What is judged of a flank: its loss since the baseline where there is one, else its deviation from CAD.
+    ///
+    /// # Errors
+    /// Why the baseline cannot be used for it.
+    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, String> {
+        let Some(baseline) = &self.baseline else {
+            return Ok(wear.clone());
+        };
+        let reference = baseline
+            .field(wear.tooth, wear.flank)
+            .ok_or("the baseline lacks this flank; record it again with this tooth")?;
+        let since = wear.clone().since(reference, &self.settings);
+        since.map_err(|mismatch| mismatch.to_string())
+    }
+
+    /// Judges a flank by everything that was measured of it.
+    pub fn flank(&self, tooth: u32, flank: Flank, captures: &[Vec<FlankWear>]) -> Option<Judged> {
+        let measured: Vec<&FlankWear> = captures
+            .iter()
+            .flatten()
+            .filter(|wear| (wear.tooth, wear.flank) == (tooth, flank))
+            .collect();
+        let together = FlankWear::together(&measured, &self.settings)?;
+        let absolute = Figure {
+            value: together.wear_mm,
+            u: together.u_mm,
+        };
+        Some(match self.judged_wear(&together) {
+            Ok(wear) => Judged::of_wear(&wear, absolute, &self.inspect)
+                .from_captures(measured.iter().map(|wear| self.figure(wear)).collect()),
+            Err(why) => unmeasured_flank(tooth, flank, &self.tool, &why),
+        })
+    }
+
+    /// A single measurement's figure, µm.
+    fn figure(&self, wear: &FlankWear) -> Option<Expanded> {
+        let wear = self.judged_wear(wear).ok()?;
+        let (value, u95) = (1e3 * wear.wear_mm, 1e3 * wear.u95_mm());
+        (value.is_finite() && u95.is_finite()).then_some(Expanded { value, u95 })
+    }
+
+    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
+    pub fn is_open(&self, wear: &FlankWear) -> bool {
+        self.judged_wear(wear).is_ok_and(|wear| {
+            let um = [
+                wear.wear_mm,
+                wear.budget.noise_mm,
+                wear.budget.systematic_mm(),
+            ];
+            wear.coverage >= self.inspect.least_coverage
+                && repeating_could_decide(um.map(|mm| 1e3 * mm), &self.inspect.rule())
+        })
+    }
+}

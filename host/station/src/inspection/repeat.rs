@@ -1,0 +1,102 @@
+//! A figure too near to a limit is measured again, while there is time.
+
+use std::time::Duration;
+
+use flankscope_protocol::{Event, Limits, Refusal};
+use tokio::time::Instant;
+
+use super::job::{InspectError, Progress, RETRACT_RESERVE, Station};
+use super::run::Run;
+use super::views::ViewOutcome;
+use crate::controller::{Client, ClientError};
+
+/// A press that does not open for so long stands still, or strokes fewer than 12 times a minute.
+const OPENING_PATIENCE: Duration = Duration::from_secs(5);
+/// Openings that are tried for a repetition: each may be over before the order arrives.
+const OPENINGS: u32 = 3;
+
+/// What became of a repetition.
+enum Captured {
+    Whole,
+    /// For this reason.
+    Stopped(String),
+    /// The press stayed closed to the head.
+    NotLetIn,
+}
+
+impl Station {
+    /// Measures again, as often as the tool file allows and while there is time, the views whose figures are too near to a
+    /// limit; returns why that stopped early, if it did.
+    pub(super) async fn repeat_open_views(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        limits: &Limits,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<String>, InspectError> {
+        let inspect = self.subject.tool.inspect.as_ref();
+        // One way in and out, and a visit to each view.
+        let visit = run.timeline.elapsed() / (run.wanted.len() as u32 + 1);
+        for _ in 0..inspect.map_or(0, |inspect| inspect.remeasure) {
+            let is_open = |view: &usize| run.outcomes.get(view).is_some_and(ViewOutcome::is_open);
+            let open: Vec<usize> = run.wanted.iter().copied().filter(is_open).collect();
+            let needed = visit * (open.len() as u32 + 1) + RETRACT_RESERVE;
+            let in_time = run
+                .hold_limit
+                .is_none_or(|limit| run.timeline.elapsed() + needed <= limit);
+            if open.is_empty() || !in_time {
+                return Ok(None);
+            }
+            open.iter().for_each(|&view| watch(Progress::Repeat(view)));
+            let mut outcomes = std::mem::take(&mut run.outcomes);
+            let captured = self
+                .capture_when_open(client, run, &open, limits, watch)
+                .await;
+            // A view that fails now keeps what it had.
+            for (view, again) in std::mem::take(&mut run.outcomes) {
+                let outcome = match outcomes.remove(&view) {
+                    Some(first) => first.with(again),
+                    None => again,
+                };
+                outcomes.insert(view, outcome);
+            }
+            run.outcomes = outcomes;
+            match captured? {
+                Captured::Whole => {}
+                Captured::Stopped(why) => return Ok(Some(why)),
+                Captured::NotLetIn => return Ok(None),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Captures views, at the next opening where the press has gone on.
+    async fn capture_when_open(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        views: &[usize],
+        limits: &Limits,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Captured, InspectError> {
+        for _ in 0..OPENINGS {
+            match self.capture(client, run, views, limits, watch).await {
+                Ok(None) => return Ok(Captured::Whole),
+                Ok(Some(why)) => return Ok(Captured::Stopped(why)),
+                Err(InspectError::Client(ClientError::Refused(Refusal::Interlock { .. }))) => {}
+                Err(error) => return Err(error),
+            }
+            let end = Instant::now() + OPENING_PATIENCE;
+            loop {
+                let patience = end.saturating_duration_since(Instant::now());
+                match client.event(patience).await {
+                    Ok(Event::PressOpen { open: true, .. }) => break,
+                    Ok(_) => {}
+                    Err(ClientError::NoEvent { .. }) => return Ok(Captured::NotLetIn),
+                    Err(error) => return Err(error.into()),
+                }
+            }
+        }
+        Ok(Captured::NotLetIn)
+    }
+}
