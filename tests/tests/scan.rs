@@ -1,6 +1,8 @@
 //! The scan of the whole die, end to end, with few views: form kept, sessions resumed, losses named.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use flankscope_tests::{Run, flankscope, run};
 
@@ -28,6 +30,36 @@ fn oval_and_conical(session: &Path, report: &Path, method: &str) -> Run {
         report.to_str().expect("a path in UTF-8"),
     ];
     scan(&[&form[..], &folders].concat())
+}
+
+/// The same scan, stopped from the keyboard once its first sixteen views are captured; returns how many it kept.
+fn interrupted_after_the_first_capture(session: &Path) -> u64 {
+    let form = ["--views", "12x2", "--ovality-um", "20", "--taper-um", "15"];
+    let mut command = flankscope();
+    command.args(["scan", "--speed", "max", "--session"]);
+    let mut running = command
+        .arg(session)
+        .args(form)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(running.stderr.take().unwrap()).lines();
+    let reached = |line: &String| line.contains("16 of 24 views");
+    lines.by_ref().map(Result::unwrap).find(reached).unwrap();
+    let stopped = Command::new("kill")
+        .args(["-INT", &running.id().to_string()])
+        .status();
+    assert!(stopped.unwrap().success());
+    let last: Vec<String> = lines.map(Result::unwrap).collect();
+    assert_eq!(running.wait().unwrap().code(), Some(3), "{last:?}");
+    let said = last.iter().find(|line| line.contains("interrupted after"));
+    let said = said.unwrap_or_else(|| panic!("{last:?}"));
+    let words: Vec<&str> = said.split_whitespace().collect();
+    let at = words.iter().position(|word| *word == "after").unwrap();
+    let kept = words[at + 1].parse().unwrap();
+    assert!((16..24).contains(&kept), "{said}");
+    kept
 }
 
 fn figure(run: &Run, path: &str) -> f64 {
@@ -61,7 +93,9 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let folder = tempfile::tempdir().unwrap();
     let session = folder.path().join("session");
     let report = folder.path().join("report");
+    let kept = interrupted_after_the_first_capture(&session);
     let whole = oval_and_conical(&session, &report, "both");
+    assert_eq!(whole.json["resumed_views"], kept);
     assert_eq!(whole.code, 0, "{} {}", whole.json["reason"], whole.stderr);
     the_article_loses_the_form(&whole);
     for (what, truth_um) in [("/form/ovality_um", 20.0), ("/form/taper_um", 15.0)] {
@@ -86,7 +120,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert!((eccentric - 0.5).abs() < 0.01, "{eccentric} mm");
     let tilt = figure(&whole, "/joint/found/tilt_deg");
     assert!((tilt - 0.2).abs() < 0.01, "{tilt} degrees");
-    assert_eq!(whole.json["frames"]["received"], 24 * 25);
+    assert_eq!(whole.json["frames"]["received"], (24 - kept) * 25);
     assert_eq!(whole.json["frames"]["bytes_copied"], 0);
     for key in [
         "features",
@@ -99,7 +133,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
         assert!(!whole.json[key].is_null(), "{key} is missing");
     }
     let page = std::fs::read_to_string(report.join("report.html")).unwrap();
-    assert_eq!(page.matches("data:image/png;base64,").count(), 4);
+    assert_eq!(page.matches("data:image/png;base64,").count(), 3);
     let cloud = std::fs::read(report.join("map.ply")).unwrap();
     assert!(cloud.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
 
@@ -132,7 +166,20 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(article.code, 2);
     assert!(figure(&article, "/form/ovality_um") < 10.0);
     assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
-    // Another scan does not mix with it.
+    // Another scan does not mix with it, nor do points of another kind.
+    let session_path = session.to_str().unwrap();
+    let blocks = [
+        "--views",
+        "12x2",
+        "--grid",
+        "pixel",
+        "--session",
+        session_path,
+    ];
+    let blocks = scan(&blocks);
+    assert_eq!(blocks.code, 3);
+    let why = "holds another scan: its points is cores, this scan's is pixels";
+    assert!(blocks.stderr.contains(why), "{}", blocks.stderr);
     let other = scan(&["--views", "12x3", "--session", session.to_str().unwrap()]);
     assert_eq!(other.code, 3);
     assert!(
@@ -148,7 +195,25 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
 fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     // Frame 5 of every capture is lost, so the first view is lost twice.
     let holed = scan(&["--views", "12x1", "--frame-fault", "lose:5"]);
-    assert_eq!(holed.code, 0, "{} {}", holed.json["reason"], holed.stderr);
+    // A twelfth of what was planned is missing: the map stands, but it is no go.
+    assert_eq!(holed.code, 2, "{} {}", holed.json["reason"], holed.stderr);
+    let reason = holed.json["reason"].as_str().unwrap_or_default();
+    assert!(reason.contains("2 of 24 planned flank fields"), "{reason}");
+    let holes = holed.json["coverage"]["holes"].as_array().unwrap();
+    assert_eq!(
+        holes.len(),
+        2,
+        "both flanks of the lost view's tooth: {holes:?}"
+    );
+    assert!(
+        holes.iter().all(|hole| hole["seen_ratio"] == 0.0),
+        "{holes:?}"
+    );
+    assert!(
+        holed.json["features"]
+            .as_array()
+            .is_some_and(|f| f.len() >= 22)
+    );
     assert_eq!(holed.json["frames"]["recaptured_views"], 1);
     let lost: Vec<_> = holed.json["registration"]
         .as_array()

@@ -7,7 +7,7 @@ mod quality;
 mod witness;
 
 pub use quality::FieldQuality;
-pub use witness::{Witness, witnesses};
+pub use witness::{Witness, moved, witnesses};
 
 use nalgebra::{SMatrix, SVector};
 

@@ -31,26 +31,35 @@ impl Witness {
     pub fn variance_mm2(&self) -> f64 {
         1.0 / f64::from(self.weight) + LEAST_VIEW_SIGMA_MM * LEAST_VIEW_SIGMA_MM
     }
+}
 
-    /// The same witness once its view has moved by a little, tool frame: to first order the deviation changes by what the
-    /// points move along the normal, and the cell by what they move along the axis; `None` when that is beyond the grid. A
-    /// shift s along a surface of curvature radius r leaves out s²/2r: for 10 µm on 1 mm that is 0.05 µm.
-    pub fn moved(&self, layout: &Layout, motion: &Isometry3<f64>) -> Option<Self> {
-        let foot = Point3::from(self.point.map(f64::from));
-        let shift = motion * foot - foot;
-        let height = foot.z + shift.z;
-        let row = layout.row_of(height)?;
-        let column = self.cell as usize % layout.columns;
-        let mut point = self.point;
-        point[2] = height as f32;
-        let along = Vector3::from(self.normal.map(f64::from)).dot(&shift);
-        Some(Self {
-            cell: (row * layout.columns + column) as u32,
-            deviation_mm: (f64::from(self.deviation_mm) + along) as f32,
-            point,
-            ..*self
+/// A view once it has moved by a little, tool frame: to first order the deviations change by what the points move along the
+/// normal. A shift s along a surface of curvature radius r leaves out s²/2r: for 10 µm on 1 mm that is 0.05 µm. Along the axis
+/// the whole view moves by the same number of rows, so that no cell is left out and none counts twice; what goes beyond the
+/// grid is dropped.
+pub fn moved(view: &[Witness], layout: &Layout, motion: &Isometry3<f64>) -> Vec<Witness> {
+    let shift = |witness: &Witness| {
+        let foot = Point3::from(witness.point.map(f64::from));
+        motion * foot - foot
+    };
+    let rise_mm = view.iter().map(|w| shift(w).z).sum::<f64>() / view.len().max(1) as f64;
+    let [low, high] = layout.height_mm;
+    let rows = (rise_mm / (high - low) * layout.rows as f64).round() as i64;
+    view.iter()
+        .filter_map(|witness| {
+            let shift = shift(witness);
+            let cell = i64::from(witness.cell) + rows * layout.columns as i64;
+            let cell = u32::try_from(cell).ok()?;
+            let along = Vector3::from(witness.normal.map(f64::from)).dot(&shift);
+            let [x, y, z] = witness.point;
+            ((cell as usize) < layout.columns * layout.rows).then(|| Witness {
+                cell,
+                deviation_mm: (f64::from(witness.deviation_mm) + along) as f32,
+                point: [x, y, (f64::from(z) + shift.z) as f32],
+                ..*witness
+            })
         })
-    }
+        .collect()
 }
 
 /// Gathers one view by cells: its points laid on the surface, and the standard uncertainty of each, mm.
@@ -139,33 +148,55 @@ mod tests {
 
     #[test]
     fn a_view_that_moves_takes_its_deviations_along() {
-        let gone = Isometry3::translation(0.0, 0.0, 6.0);
         // A cylinder about z: points 5 µm proud of it, the view then turns about another axis and shifts.
         let motion = Isometry3::new(
             Vector3::new(4e-3, -6e-3, 2e-3),
             UnitQuaternion::from_euler_angles(1e-4, -5e-5, 1e-4).scaled_axis(),
         );
         let radius = 40.0;
-        assert!(LAYOUT.row_of(5.0) == Some(1) && LAYOUT.row_of(4.99) == Some(0));
         for angle in [0.1_f64, 1.2, -2.5] {
             let outward = Vector3::new(-angle.cos(), -angle.sin(), 0.0);
             let foot = Point3::from(outward * -radius) + Vector3::z() * 5.0;
             let proud = foot + outward * 5e-3;
-            let view = Witness {
+            let view = [Witness {
                 cell: 8 + 3,
                 weight: 1.0,
                 deviation_mm: 5e-3,
                 point: [foot.x as f32, foot.y as f32, foot.z as f32],
                 normal: [outward.x as f32, outward.y as f32, 0.0],
-            };
+            }];
             let exact = radius - (motion * proud).coords.xy().norm();
-            let moved = view.moved(&LAYOUT, &motion).unwrap();
-            let lower = (motion * foot).z < 5.0;
-            assert_eq!(moved.cell, if lower { 3 } else { 8 + 3 });
-            let moved = f64::from(moved.deviation_mm);
-            assert_eq!(view.moved(&LAYOUT, &gone), None);
+            let here = moved(&view, &LAYOUT, &motion)[0];
+            assert_eq!(here.cell, 8 + 3);
+            let moved = f64::from(here.deviation_mm);
             // The stated second order, (8 µm)²/2/40 mm, is below what f32 keeps of 42 mm: 4 nm.
             assert!((moved - exact).abs() < 1e-5, "{moved} against {exact}");
         }
+    }
+
+    #[test]
+    fn a_view_that_slides_along_the_axis_keeps_one_witness_per_cell() {
+        let view: Vec<Witness> = (0..16)
+            .map(|cell| Witness {
+                cell,
+                weight: 1.0,
+                deviation_mm: 1e-3,
+                // Means of points: anywhere within the cell's height of 5 mm.
+                point: [40.0, 0.0, 5.0 * (cell / 8) as f32 + 0.3 * cell as f32],
+                normal: [-1.0, 0.0, 0.0],
+            })
+            .collect();
+        let slid = |mm: f64| moved(&view, &LAYOUT, &Isometry3::translation(0.0, 0.0, mm));
+        let cells = |of: &[Witness]| of.iter().map(|w| w.cell).collect::<Vec<_>>();
+        assert_eq!(cells(&slid(2.4)), cells(&view), "less than half a row");
+        let up = slid(2.6);
+        assert_eq!(
+            cells(&up),
+            (8..16).collect::<Vec<_>>(),
+            "the upper row is gone"
+        );
+        assert!(up.iter().all(|w| w.deviation_mm == 1e-3));
+        assert!((up[0].point[2] - 2.6).abs() < 1e-6);
+        assert!(slid(-11.0).is_empty());
     }
 }

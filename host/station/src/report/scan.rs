@@ -32,11 +32,16 @@ struct Page<'a> {
     harmonics: String,
     coverage: String,
     most_views: u32,
-    quality: String,
-    quality_worst_um: f64,
+    quality: Option<Quality>,
     raster: Option<String>,
     worst: Vec<&'a Feature>,
     lost: Vec<(usize, &'a str)>,
+}
+
+/// What calibration adds over the field of view: a picture, and its darkest tile, µm.
+struct Quality {
+    picture: String,
+    worst_um: f64,
 }
 
 /// A histogram with its caption.
@@ -61,7 +66,6 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let loss = |feature: &Feature| feature.wear_um.unwrap_or(f64::NEG_INFINITY);
     worst.sort_by(|a, b| loss(b).total_cmp(&loss(a)));
     worst.truncate(WORST_FLANKS);
-    let (quality, quality_worst_um) = quality(scan);
     let page = Page {
         scan,
         registered: scan.registration.len() - lost.clone().count(),
@@ -78,8 +82,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
             colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)))
         }),
         most_views,
-        quality,
-        quality_worst_um,
+        quality: quality(scan),
         raster: scan.metrics.as_ref().and_then(|m| raster(scan, m, full_um)),
         worst,
         lost: lost
@@ -358,24 +361,27 @@ fn harmonics(scan: &Scan) -> String {
     ])
 }
 
-/// What calibration adds to the noise over the field of view, and the worst of it, µm.
-fn quality(scan: &Scan) -> (String, f64) {
+/// What was learnt of the field of view; nothing without views that overlap.
+fn quality(scan: &Scan) -> Option<Quality> {
     let sigma_um: Vec<Option<f64>> = scan
         .quality
         .sigma_mm()
         .map(|sigma| sigma.map(|mm| mm * 1e3))
         .collect();
-    let worst = sigma_um.iter().flatten().fold(0.0_f64, |a, b| a.max(*b));
+    let worst_um = sigma_um.iter().flatten().copied().reduce(f64::max)?;
     let pixels: Vec<[u8; 3]> = sigma_um
         .iter()
         .map(|um| {
             um.map_or(colour::NO_DATA, |um| {
-                colour::sequential(um / worst.max(1.0))
+                colour::sequential(um / worst_um.max(1.0))
             })
         })
         .collect();
     let side = scan.quality.side();
-    (colour::rgb_data_uri(side, side, &pixels), worst)
+    Some(Quality {
+        picture: colour::rgb_data_uri(side, side, &pixels),
+        worst_um,
+    })
 }
 
 fn raster(scan: &Scan, metrics: &Metrics, full_um: f64) -> Option<String> {

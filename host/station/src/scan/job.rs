@@ -1,30 +1,31 @@
 //! The scan from hello to result: captures of as many views as a plan holds, kept one by one, stitched at the end.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use flankscope_metrology::cylinder::CylinderMap;
 use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{JointError, Stages, ViewInformation};
+use flankscope_metrology::joint::{JointError, Stages};
 use flankscope_metrology::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::spacing::opposite;
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
-use flankscope_profilometry::mask::MaskOptions;
-use flankscope_profilometry::{DecodeOptions, Decoder};
+use flankscope_protocol::Command;
+use tokio::signal::unix::{SignalKind, signal};
 
 use super::comparison::{self, Method};
+use super::coverage::{Coverage, LEAST_COVERAGE};
 use super::grid::Grid;
 use super::lay::layout;
 use super::metrics::{self, MetricsError};
 use super::paper::{self, PaperSettings};
-use super::patches::Patches;
 use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
-use super::session::{Session, SessionError};
-use super::stitch::{Stitched, first_information, stitch};
-use super::view::{ScannedView, ViewScanner};
+use super::session::SessionError;
+use super::stitch::{Stitched, stitch};
+use super::view::ScannedView;
+use super::workshop::{Store, Workshop};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
@@ -34,11 +35,6 @@ use crate::inspection::{
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
-/// Masks nothing, but has every point say how much the fringes oscillate around it (smoothed over two fibre cores).
-const FRINGES_ONLY: MaskOptions = MaskOptions {
-    threshold_dn: 0.0,
-    smoothing_px: 7.0,
-};
 /// A flank with fewer cells seen is not judged.
 const LEAST_CELLS: usize = 20;
 
@@ -55,6 +51,18 @@ pub enum ScanError {
     /// No common solution.
     #[error(transparent)]
     Joint(#[from] JointError),
+    /// Somebody stopped it.
+    #[error(
+        "interrupted after {done} of {of} views; they are in {folder}: scan into it again to go on"
+    )]
+    Interrupted {
+        /// Views that are kept.
+        done: usize,
+        /// Of how many.
+        of: usize,
+        /// Session folder.
+        folder: PathBuf,
+    },
     /// No merged cloud.
     #[error(transparent)]
     Merge(#[from] MergeError),
@@ -82,10 +90,7 @@ pub enum Progress {
 #[derive(Debug)]
 pub struct Scanner {
     station: Station<ScannedView>,
-    session: Session,
-    patches: Patches,
-    /// Information of the views that are done, each where it was laid on.
-    known: BTreeMap<usize, ViewInformation>,
+    store: Store,
     grid: Grid,
     gear: GearData,
     nominal: Stages,
@@ -109,40 +114,20 @@ impl Scanner {
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
-        let itinerary = grid.itinerary(&subject.tool, &subject.head);
-        let itinerary = Arc::new(itinerary.map_err(InspectError::from)?);
-        let mut of: BTreeMap<String, String> = subject
-            .hashes
-            .iter()
-            .map(|(&name, hash)| (name.to_string(), hash.clone()))
-            .collect();
-        of.insert("views".into(), grid.to_string());
-        let session = Session::open(folder, of)?;
-        let patches = Patches::new(session.folder())?;
-        let known = first_information(&session, &subject.tool, &itinerary)?;
-        let decoder = Decoder::new(
-            &subject.head,
-            &itinerary.patterns,
-            &itinerary.exposures_us,
-            DecodeOptions {
-                mask: Some(FRINGES_ONLY),
-                ..DecodeOptions::for_head(&subject.head)
-            },
-        );
-        let decoder = Arc::new(decoder.map_err(InspectError::from)?);
-        let resumed = known.len();
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
-        let (to_decode, views) = (Arc::clone(&decoder), Arc::clone(&itinerary));
-        let mut scanner =
-            ViewScanner::new(&subject, to_decode, views, known.clone()).map_err(unfit)?;
+        let Workshop {
+            itinerary,
+            decoder,
+            mut views,
+            store,
+        } = Workshop::open(&subject, grid, folder)?;
+        let resumed = store.known.len();
         let station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
-            scanner.scan(view, sums)
+            views.scan(view, sums)
         })?;
         Ok(Self {
             station,
-            session,
-            patches,
-            known,
+            store,
             grid,
             gear,
             nominal,
@@ -219,7 +204,7 @@ impl Scanner {
     /// The CAD has no surface where the gear is, or the session folder cannot be read.
     pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
         let tool = &self.station.subject.tool;
-        scan.metrics = metrics::compare(scan, &self.session, tool, &self.gear, raster)?;
+        scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
         Ok(())
     }
 
@@ -231,11 +216,14 @@ impl Scanner {
     ) -> Result<(Run<ScannedView>, BTreeMap<usize, String>), ScanError> {
         let limits = client.identity().limits;
         let of = self.station.itinerary.views.len();
-        let held: Vec<usize> = self.session.views().map(|(view, _)| view).collect();
+        let held: Vec<usize> = self.store.session.views().map(|(view, _)| view).collect();
         let wanted: Vec<usize> = (0..of).filter(|view| !held.contains(view)).collect();
         let mut run = Run::new(wanted.clone(), None);
         let mut lost = BTreeMap::new();
         let begun = Instant::now();
+        let interrupt = |kind| signal(kind).map_err(|_| InspectError::Thread { thread: "I/O" });
+        let mut stop_key = interrupt(SignalKind::interrupt())?;
+        let mut stop_order = interrupt(SignalKind::terminate())?;
         for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
             let mut open = views.to_vec();
             for attempt in 0..2 {
@@ -244,13 +232,17 @@ impl Scanner {
                         .for_each(|&view| watch(Progress::Recapture(view)));
                     run.recaptured += open.len() as u32;
                 }
-                let stopped = self
-                    .station
-                    .capture(client, &mut run, &open, &limits, &mut |_: CheckProgress| {})
-                    .await?;
+                let (mut interrupted, mut nobody) = (false, |_: CheckProgress| {});
+                let stopped = tokio::select! {
+                    stopped = self.station.capture(
+                        client, &mut run, &open, &limits, &mut nobody,
+                    ) => stopped?,
+                    _ = stop_key.recv() => { interrupted = true; None }
+                    _ = stop_order.recv() => { interrupted = true; None }
+                };
                 for &view in &open {
                     let why = match run.outcomes.remove(&view) {
-                        Some(scanned) => match self.keep(view, scanned)? {
+                        Some(scanned) => match self.store.keep(view, scanned)? {
                             Ok(()) => {
                                 lost.remove(&view);
                                 continue;
@@ -264,13 +256,22 @@ impl Scanner {
                         why.unwrap_or_else(|| "the view was not captured".into()),
                     );
                 }
-                self.session.commit()?;
+                self.store.session.commit()?;
+                if interrupted {
+                    // The head comes out; a link that is gone has already seen to that.
+                    let _ = client.order(&Command::Abort).await;
+                    return Err(ScanError::Interrupted {
+                        done: self.store.session.views().count(),
+                        of,
+                        folder: self.store.session.folder().to_path_buf(),
+                    });
+                }
                 open.retain(|view| lost.contains_key(view));
                 if open.is_empty() {
                     break;
                 }
             }
-            let done = self.session.views().count() + lost.len();
+            let done = self.store.session.views().count() + lost.len();
             let new = done.saturating_sub(self.resumed).max(1);
             let pace = begun.elapsed() / new as u32;
             watch(Progress::Views {
@@ -284,14 +285,14 @@ impl Scanner {
 
     /// Stitches by our method, and by the article's if it was asked for.
     fn stitch_all(&mut self, lost: &BTreeMap<usize, String>) -> Result<Scan, ScanError> {
-        let first = std::mem::take(&mut self.known);
+        let first = std::mem::take(&mut self.store.known);
         let subject = &self.station.subject;
         let (tool, itinerary) = (&subject.tool, &self.station.itinerary);
-        let (session, nominal, planned) = (&self.session, &self.nominal, &itinerary.views);
+        let (session, nominal, planned) = (&self.store.session, &self.nominal, &itinerary.views);
         let layout = layout(&self.gear);
         let over = (layout, field_slope(&subject.head));
         let begun = Instant::now();
-        let ours = stitch(session, &mut self.patches, first, tool, nominal, over)?;
+        let ours = stitch(session, &mut self.store.patches, first, tool, nominal, over)?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
         let mut scan = self.describe(ours, lost);
@@ -308,20 +309,6 @@ impl Scanner {
         }
         scan.methods.push(figures);
         Ok(scan)
-    }
-
-    /// Keeps a view that lies on the CAD, or returns why it does not.
-    fn keep(&mut self, view: usize, scanned: ScannedView) -> Result<Result<(), String>, ScanError> {
-        let laid = match scanned.laid {
-            Ok(laid) => laid,
-            Err(why) => return Ok(Err(why)),
-        };
-        self.session
-            .keep(view, &scanned.points, scanned.tool_from_camera)?;
-        self.patches
-            .keep(view, laid.information.tool_from_camera, &laid.witnesses)?;
-        self.known.insert(view, laid.information);
-        Ok(Ok(()))
     }
 
     fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
@@ -379,6 +366,19 @@ impl Scanner {
                 format!("{other}: {}", named.join(", "))
             }
         };
+        let coverage = Coverage::of(&map, &self.gear, planned, LEAST_COVERAGE);
+        if verdict == "go" && !coverage.holes.is_empty() {
+            reason += &format!(
+                "; {} of {} flank fields were seen to less than {:.0} %",
+                coverage.holes.len(),
+                coverage.fields,
+                100.0 * coverage.least_ratio
+            );
+        }
+        // What is missing takes nothing from a wear that was found.
+        if let Some(why) = coverage.objection().filter(|_| verdict != "no-go") {
+            (verdict, reason) = ("indeterminate".into(), why);
+        }
         let registered = laid.len() as f64 / planned.len() as f64;
         if registered < LEAST_REGISTERED {
             verdict = "indeterminate".into();
@@ -414,6 +414,7 @@ impl Scanner {
             views: self.grid.to_string(),
             resumed_views: self.resumed,
             coverage_ratio: map.coverage(),
+            coverage,
             inconsistent_ratio: map.inconsistent(),
             registration,
             stitching: Stitching {

@@ -22,6 +22,8 @@ const VIEW_SAMPLES: usize = 100_000;
 const BORE_SAMPLES_PER_MM2: f64 = 50.0;
 /// Reference points of the raster, per cell of the unrolled bore.
 const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
+/// Points of an end face lie within this of it, mm.
+const END_MM: f64 = 1e-6;
 /// Points farther off are strangers in any metric, mm.
 const STRANGER_MM: f64 = 0.5;
 
@@ -118,7 +120,10 @@ pub(super) fn compare(
         let layout = scan.map.layout();
         let cells = (layout.columns * layout.rows) as f64;
         let count = (RASTER_SAMPLES_PER_CELL * cells).clamp(1.0, 2e7) as usize;
-        let reference = whole.sample(middle, &tool.mesh, count, 3)?;
+        let mut reference = whole.sample(middle, &tool.mesh, count, 3)?;
+        // An end face is no layer of the toothing.
+        let [low, high] = layout.height_mm;
+        reference.retain(|[_, _, z]| (low + END_MM..high - END_MM).contains(z));
         raster_mm = raster::subtract(
             gear.kind,
             &raster::unroll(&layout, &points),

@@ -17,11 +17,14 @@
 //! | `stitch` | all views to one map |
 //! | `paper` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
+//! | `coverage` | what should have been seen and was not |
 //! | `metrics` | what the article's ways of measuring a distance would have said |
+//! | `workshop` | what is done with a view once its frames are there |
 //! | `job` | orders and captures from hello to result |
 //! | `result` | the JSON document |
 
 mod comparison;
+mod coverage;
 mod grid;
 mod job;
 mod lay;
@@ -32,11 +35,14 @@ mod result;
 mod session;
 mod stitch;
 mod view;
+mod workshop;
 
 pub use comparison::{LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
+pub use coverage::{Coverage, Hole};
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use paper::PaperSettings;
 pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 pub use session::SessionError;
+pub use workshop::{Processing, ProcessingError};

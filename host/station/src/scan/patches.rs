@@ -6,7 +6,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
-use flankscope_metrology::cylinder::{Layout, Witness};
+use flankscope_metrology::cylinder::{Layout, Witness, moved};
 use nalgebra::Isometry3;
 
 use super::session::SessionError;
@@ -87,8 +87,7 @@ impl Patches {
         let read = self.file.read_exact_at(bytes, place.offset);
         read.map_err(|error| self.trouble(error))?;
         let motion = tool_from_camera * place.tool_from_camera.inverse();
-        let moved = witnesses.iter().filter_map(|w| w.moved(layout, &motion));
-        Ok(moved.collect())
+        Ok(moved(&witnesses, layout, &motion))
     }
 
     fn trouble(&self, error: std::io::Error) -> SessionError {

@@ -8,6 +8,7 @@ use flankscope_metrology::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::spacing::Spacing;
 
 use super::comparison::MethodResult;
+use super::coverage::Coverage;
 use super::metrics::Metrics;
 use super::paper::PaperStitched;
 use crate::inspection::{Feature, FrameCount, Timing};
@@ -39,6 +40,8 @@ pub struct Scan {
     pub resumed_views: usize,
     /// Share of the unrolled bore that was seen.
     pub coverage_ratio: f64,
+    /// What the plan promised and the map lacks.
+    pub coverage: Coverage,
     /// Cells in which the views contradict each other, share of those seen.
     pub inconsistent_ratio: f64,
     /// One entry per view.
