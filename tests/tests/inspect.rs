@@ -383,3 +383,18 @@ fn a_baseline_shows_five_micrometres() {
         .unwrap();
     assert_eq!(bad.status.code(), Some(3));
 }
+
+/// Frames that contradict each other are noticed in every core, not averaged into its point.
+#[test]
+fn a_shaking_head_is_indeterminate() {
+    let calm = inspect(&["--teeth", "40"]);
+    let ratio = &calm.json["registration"][0]["inconsistent_ratio"];
+    assert!(
+        ratio.as_f64().is_some_and(|r| r > 0.0 && r < 0.02),
+        "{ratio}"
+    );
+    let shaken = inspect(&["--teeth", "40", "--vibration-um", "2"]);
+    assert_eq!(shaken.code, 2, "{}", shaken.json["reason"]);
+    let reason = shaken.json["reason"].as_str().unwrap_or_default();
+    assert!(reason.contains("vibrates"), "{reason}");
+}

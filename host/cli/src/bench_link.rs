@@ -57,6 +57,7 @@ impl Bench {
             .arg(folder)
             .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
+        command.args(["--vibration-um", &args.vibration_um.to_string()]);
         for wear in &args.wear {
             command.args(["--wear", wear]);
         }

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_profilometry::calibration::{HeadModel, Sensor};
+use flankscope_profilometry::consistency::ConsistencyOptions;
 use flankscope_profilometry::decode::{
     Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
 };
@@ -110,11 +111,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let bits = frames.first().map_or(8, |(_, image)| image.bits);
     let sensor_assumed = plan.sensor.is_none() && head.sensor.is_none();
     head.sensor = plan.sensor.or(head.sensor).or(Some(Sensor::assumed(bits)));
+    // Noise that was only assumed judges nobody.
+    let measured = (!sensor_assumed).then_some(ConsistencyOptions::INSTRUMENT);
     let decoder = Decoder::new(
         &head,
         &plan.patterns,
         &plan.exposures_us,
-        options(args, &head, &plan),
+        DecodeOptions {
+            consistency: measured,
+            ..options(args, &head, &plan)
+        },
     )?;
     let mut accumulator = decoder.begin();
     for (kind, image) in &frames {
@@ -166,6 +172,7 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
         dark_frame: plan.dark_frame,
         min_contrast: args.min_contrast,
         max_sigma_z_mm: args.max_sigma,
+        consistency: defaults.consistency,
         smoothing_px: args.smooth.unwrap_or(smoothing_px),
         coarse_smoothing_px: args.smooth_coarse.unwrap_or(coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {

@@ -67,6 +67,9 @@ pub struct BenchArgs {
     /// How many times faster than real time the bench runs, or max
     #[arg(long, value_name = "1|K|max", default_value = "1")]
     pub speed: String,
+    /// Head and die shift against each other from frame to frame: standard deviation in um
+    #[arg(long, value_name = "UM", default_value_t = 0.0)]
+    pub vibration_um: f64,
     /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
     #[arg(long, value_name = "KIND:FRAME")]
     pub frame_fault: Option<String>,

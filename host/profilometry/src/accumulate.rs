@@ -4,8 +4,9 @@
 //! best estimate. An exposure whose frames saturate anywhere in a cell is dropped for that cell, so the sums of one
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
+//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`crate::consistency`]), if wanted.
+//!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
-//! (A chi-square gate would need one more plane, the sum of squares, beside `sum`.)
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::cell_row::CellRow;
+use crate::consistency::{FrameNoise, Sums, add_chi_square, deviate};
 use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 use crate::grid::Grid;
 use crate::phase::Phasor;
@@ -29,6 +31,8 @@ pub(crate) struct Layout {
     pub dark_frame: bool,
     /// Counts above this are saturated.
     pub saturation_limit_dn: u16,
+    /// What frames scatter by, where that is to be tested.
+    pub noise: Option<FrameNoise>,
 }
 
 impl Layout {
@@ -113,6 +117,8 @@ pub(crate) struct Merged {
     pub planes: Planes,
     /// Exposures that went in, per cell.
     pub exposures: Vec<u8>,
+    /// Chi-square of the exposures that went in, per cell; empty where it is not tested.
+    pub chi_square: Vec<f32>,
 }
 
 /// Some cell rows with all their sums: the unit of parallel work.
@@ -124,6 +130,9 @@ pub(crate) struct Band {
     /// Counts of the dark frame per cell.
     pub dark: Vec<f32>,
     pending: Planes,
+    /// First frame of the frequency, and squares about it; empty where nothing is tested.
+    first: Vec<f32>,
+    squares: Vec<f32>,
     pub merged: Vec<Merged>,
     row: CellRow,
 }
@@ -159,16 +168,20 @@ impl Accumulator {
                 let rows = first_row..(first_row + grid.rows_per_band()).min(grid.rows());
                 let first_cell = grid.cells(first_row).start;
                 let cells = grid.cells(rows.end - 1).end - first_cell;
+                let tested = if layout.noise.is_some() { cells } else { 0 };
                 Band {
                     rows,
                     first_cell,
                     cells,
                     dark: vec![0.0; if layout.dark_frame { cells } else { 0 }],
                     pending: Planes::new(cells),
+                    first: vec![0.0; tested],
+                    squares: vec![0.0; tested],
                     merged: vec![
                         Merged {
                             planes: Planes::new(cells),
-                            exposures: vec![0; cells]
+                            exposures: vec![0; cells],
+                            chi_square: vec![0.0; tested],
                         };
                         layout.steps.len()
                     ],
@@ -298,7 +311,9 @@ impl Accumulator {
 impl Band {
     /// The phasor of the band's `index`-th cell.
     pub fn phasor(&self, set: usize, index: usize) -> Phasor {
-        let Merged { planes, exposures } = &self.merged[set];
+        let Merged {
+            planes, exposures, ..
+        } = &self.merged[set];
         Phasor {
             re: planes.re[index],
             im: planes.im[index],
@@ -357,6 +372,27 @@ impl Band {
                         start(values, re, im, sum, cos, minus_sin);
                     } else {
                         accumulate(values, re, im, sum, cos, minus_sin);
+                    }
+                    if let Some(noise) = &layout.noise {
+                        let first = &mut self.first[cells.clone()];
+                        let squares = &mut self.squares[cells.clone()];
+                        if first_step {
+                            first.copy_from_slice(values);
+                            squares.fill(0.0);
+                        } else {
+                            deviate(values, first, squares);
+                        }
+                        if last_step {
+                            let sums = Sums {
+                                re,
+                                im,
+                                sum,
+                                first,
+                                squares,
+                            };
+                            let into = &mut self.merged[set].chi_square[cells.clone()];
+                            add_chi_square(sums, layout.steps[set], noise, first_exposure, into);
+                        }
                     }
                     if last_step {
                         merge(re, im, sum, &mut self.merged[set], cells, first_exposure);
@@ -446,6 +482,7 @@ mod tests {
                 exposures: 2,
                 dark_frame: true,
                 saturation_limit_dn: 3891,
+                noise: None,
             };
             let wide = Accumulator::new(Arc::new(layout));
             let mut plain = wide.clone();

@@ -66,6 +66,8 @@ pub struct Rejected {
     pub outside_volume: usize,
     /// Predicted uncertainty above the limit.
     pub uncertain_depth: usize,
+    /// The frames do not follow one fringe: vibration, light reflected twice, saturation.
+    pub inconsistent: usize,
     /// Dropped by the mask.
     pub masked: usize,
     /// Part of a small isolated patch.
@@ -81,6 +83,7 @@ impl Rejected {
             + self.outside_projector
             + self.outside_volume
             + self.uncertain_depth
+            + self.inconsistent
             + self.masked
             + self.isolated
     }

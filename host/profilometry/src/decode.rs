@@ -7,13 +7,14 @@ use rayon::prelude::*;
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::calibration::{DepthRange, HeadModel, Sensor};
 pub use crate::cloud::{CellColumn, Cloud, Decoded, Rejected};
+use crate::consistency::{self, FrameNoise};
 use crate::cores::CoreGrid;
 use crate::frame::FrameKind;
 use crate::grid::{CellGrid, Grid};
 use crate::mask;
 use crate::neighbours::{Depths, small_patches};
 pub use crate::options::{DecodeOptions, GridKind, PatchOptions};
-use crate::pattern::PatternSet;
+use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::{self, CellNoise, PhaseEstimate};
 use crate::rays::{Ray, rays};
 use crate::smoothing;
@@ -134,6 +135,8 @@ pub struct Decoder {
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
+    /// Largest chi-square by degrees of freedom; empty where it is not tested.
+    chi_square_limits: Vec<f32>,
     /// Lateral size of a cell per unit of depth.
     cell_by_depth: f64,
 }
@@ -147,6 +150,7 @@ enum Fate {
     OutsideProjector,
     OutsideVolume,
     UncertainDepth,
+    Inconsistent,
     Masked,
     Isolated,
 }
@@ -258,7 +262,19 @@ impl Decoder {
             exposures: exposures_us.len(),
             dark_frame: options.dark_frame,
             saturation_limit_dn: sensor.saturation_limit_dn(),
+            noise: None,
         };
+        let layout = Layout {
+            noise: options
+                .consistency
+                .map(|gate| frame_noise(&sensor, &layout.grid, gate.response_ratio)),
+            ..layout
+        };
+        let chi_square_limits = options.consistency.map_or(Vec::new(), |gate| {
+            let of_set = |set: &FringeSet| set.steps.saturating_sub(3) as usize;
+            let most = exposures_us.len() * patterns.sets.iter().map(of_set).sum::<usize>();
+            consistency::limits(gate.least_probability, most)
+        });
         Ok(Self {
             layout: Arc::new(layout),
             patterns: patterns.clone(),
@@ -268,6 +284,7 @@ impl Decoder {
             projector_width_px: f64::from(head.projector.width_px),
             volume: head.volume,
             rays,
+            chi_square_limits,
             cell_by_depth,
         })
     }
@@ -403,6 +420,9 @@ impl Decoder {
             sigma_rad = own_sigma_rad;
             modulation_e = estimate.modulation_e;
         }
+        if self.is_inconsistent(band, index) {
+            return Err(Fate::Inconsistent);
+        }
         let periods = self.patterns.finest().periods;
         let column_px = self
             .patterns
@@ -415,6 +435,40 @@ impl Decoder {
             sigma_rad,
             modulation_e,
         })
+    }
+
+    /// Whether noise alone hardly ever leaves so much over of a cell's frames.
+    fn is_inconsistent(&self, band: &Band, index: usize) -> bool {
+        let (chi_square, freedom) = self.chi_square(band, index);
+        self.chi_square_limits
+            .get(freedom)
+            .is_some_and(|&limit| chi_square > limit)
+    }
+
+    /// Chi-square of a cell over all frequencies and exposures used, and its degrees of freedom.
+    fn chi_square(&self, band: &Band, index: usize) -> (f32, usize) {
+        let (mut chi_square, mut freedom) = (0.0, 0);
+        for (merged, steps) in band.merged.iter().zip(&self.layout.steps) {
+            // Three steps follow any fringe.
+            if let Some(&own) = merged.chi_square.get(index).filter(|_| *steps > 3) {
+                chi_square += own;
+                freedom += (steps - 3) as usize * usize::from(merged.exposures[index]);
+            }
+        }
+        (chi_square, freedom)
+    }
+
+    /// Chi-square and degrees of freedom of every cell of a complete view, in the grid's order; zeros where nothing is
+    /// tested.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn consistency(&self, accumulator: &Accumulator) -> Result<Vec<(f32, usize)>, DecodeError> {
+        self.admit(accumulator)?;
+        let bands = accumulator.bands.iter();
+        Ok(bands
+            .flat_map(|band| (0..band.cells).map(|index| self.chi_square(band, index)))
+            .collect())
     }
 
     fn noise(&self, band: &Band, index: usize) -> CellNoise {
@@ -556,6 +610,7 @@ impl Decoder {
                     Fate::OutsideProjector => &mut rejected.outside_projector,
                     Fate::OutsideVolume => &mut rejected.outside_volume,
                     Fate::UncertainDepth => &mut rejected.uncertain_depth,
+                    Fate::Inconsistent => &mut rejected.inconsistent,
                     Fate::Masked => &mut rejected.masked,
                     Fate::Isolated => &mut rejected.isolated,
                 };
@@ -567,5 +622,17 @@ impl Decoder {
             cells: results.len(),
             rejected,
         }
+    }
+}
+
+/// What a frame of one cell scatters by.
+fn frame_noise(sensor: &Sensor, grid: &Grid, response_ratio: f64) -> FrameNoise {
+    let pixels = grid.pixels_per_cell() as f64;
+    let gain = sensor.gain_e_per_dn;
+    FrameNoise {
+        offset_dn: (pixels * sensor.offset_dn) as f32,
+        dark_variance_dn2: (pixels * sensor.dark_variance_e2() / (gain * gain)) as f32,
+        variance_per_dn: (1.0 / gain) as f32,
+        response_ratio: response_ratio as f32,
     }
 }

@@ -37,6 +37,7 @@ pub mod calibration;
 pub mod camera;
 mod cell_row;
 pub mod cloud;
+pub mod consistency;
 pub mod cores;
 pub mod date;
 pub mod decode;

@@ -1,6 +1,7 @@
 //! What a decoder keeps and smooths.
 
 use crate::calibration::HeadModel;
+use crate::consistency::ConsistencyOptions;
 use crate::decode::DecodeError;
 use crate::mask::MaskOptions;
 pub use crate::neighbours::PatchOptions;
@@ -31,6 +32,8 @@ pub struct DecodeOptions {
     pub smoothing_px: f64,
     /// The same for all coarser frequencies, whose only task is the fringe order.
     pub coarse_smoothing_px: f64,
+    /// Drops cells whose frames do not follow one fringe.
+    pub consistency: Option<ConsistencyOptions>,
     /// The article's mask.
     pub mask: Option<MaskOptions>,
     /// Drops small isolated patches.
@@ -52,6 +55,8 @@ impl DecodeOptions {
             max_sigma_z_mm: None,
             smoothing_px: 0.0,
             coarse_smoothing_px: 0.0,
+            // Of a sensor that nobody described no noise can be predicted.
+            consistency: head.sensor.map(|_| ConsistencyOptions::INSTRUMENT),
             mask: None,
             // 72 degrees of surface tilt: steeper surfaces hardly return light to a lens.
             patches: Some(PatchOptions {
@@ -107,6 +112,22 @@ impl DecodeOptions {
             && !(limit > 0.0)
         {
             return bad("max_sigma_z_mm", limit, "must be positive");
+        }
+        if let Some(gate) = options.consistency {
+            if !(gate.least_probability > 0.0 && gate.least_probability < 0.5) {
+                return bad(
+                    "consistency.least_probability",
+                    gate.least_probability,
+                    "must be above 0 and below 0.5",
+                );
+            }
+            if !(0.0..0.5).contains(&gate.response_ratio) {
+                return bad(
+                    "consistency.response_ratio",
+                    gate.response_ratio,
+                    "must be at least 0 and below 0.5",
+                );
+            }
         }
         if let Some(mask) = options.mask {
             if !(mask.threshold_dn >= 0.0 && mask.threshold_dn.is_finite()) {

@@ -1,9 +1,10 @@
 //! The sums of a view as bytes and back: what its points were computed from, to compute them again.
 //!
 //! ```text
-//!  "PHASORS1"  cells u32  frequencies u32      planes, one value per cell in the grid's order:
+//!  "PHASORS2"  cells u32  frequencies u32      planes, one value per cell in the grid's order:
 //!  dark f32                                    counts of the dark frame, where one was captured
-//!  re f32, im f32, sum f32, exposures u8       for each frequency, low to high; the last padded to 4 bytes
+//!  re f32, im f32, sum f32, [chi-square f32,] exposures u8
+//!                                              for each frequency, low to high; the last padded to 4 bytes
 //! ```
 //!
 //! All little endian. The phasor of a cell is `re + i im` over `sum`, each summed over steps and over the exposures that did
@@ -11,7 +12,7 @@
 
 use crate::accumulate::{Accumulator, Band};
 
-const MAGIC: &[u8; 8] = b"PHASORS1";
+const MAGIC: &[u8; 8] = b"PHASORS2";
 /// Magic, cells, frequencies.
 const HEAD_BYTES: usize = 16;
 
@@ -55,7 +56,10 @@ impl Accumulator {
     pub fn byte_count(&self) -> usize {
         let cells = self.layout.grid.len();
         let dark = if self.layout.dark_frame { 4 * cells } else { 0 };
-        HEAD_BYTES + dark + self.layout.steps.len() * (12 * cells + cells.next_multiple_of(4))
+        let tested = if self.layout.noise.is_some() { 4 } else { 0 };
+        HEAD_BYTES
+            + dark
+            + self.layout.steps.len() * ((12 + tested) * cells + cells.next_multiple_of(4))
     }
 
     /// Everything that the points of this view depend on, beside head and options.
@@ -76,6 +80,7 @@ impl Accumulator {
             plane(&mut bytes, &|band| &band.merged[set].planes.re);
             plane(&mut bytes, &|band| &band.merged[set].planes.im);
             plane(&mut bytes, &|band| &band.merged[set].planes.sum);
+            plane(&mut bytes, &|band| &band.merged[set].chi_square);
             for band in &self.bands {
                 bytes.extend_from_slice(&band.merged[set].exposures);
             }
@@ -128,6 +133,9 @@ impl Accumulator {
             }
             for band in &mut self.bands {
                 fill(&mut band.merged[set].planes.sum, &mut rest);
+            }
+            for band in &mut self.bands {
+                fill(&mut band.merged[set].chi_square, &mut rest);
             }
             for band in &mut self.bands {
                 let exposures = &mut band.merged[set].exposures;

@@ -91,7 +91,7 @@ fn bytes_of_something_else_are_refused_by_name_and_change_nothing() {
         sums.restore(&long),
         Err(PhasorsError::Length { .. })
     ));
-    let wrong = [b"PHASORS2", &bytes[8..]].concat();
+    let wrong = [b"PHASORS9", &bytes[8..]].concat();
     assert!(matches!(
         sums.restore(&wrong),
         Err(PhasorsError::Magic { .. })

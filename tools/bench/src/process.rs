@@ -110,6 +110,9 @@ struct RunArgs {
     /// Die eccentric and tilted, hand-eye off, encoder with harmonics, axes not parallel; drawn from the seed.
     #[arg(long)]
     by_hand: bool,
+    /// Head and die shift against each other from frame to frame: standard deviation, µm.
+    #[arg(long, default_value_t = 0.0)]
+    vibration_um: f64,
     /// Largest minus smallest radius of the bore, µm.
     #[arg(long, default_value_t = 0.0)]
     ovality_um: f64,
@@ -306,6 +309,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         .filter(|one| one.depth_mm > 0.0)
         .collect();
     config.run_seed = args.seed;
+    config.vibration_um = args.vibration_um;
     config.form = Form {
         ovality_um: args.ovality_um,
         taper_um: args.taper_um,

@@ -146,6 +146,8 @@ pub struct ViewRegistration {
     pub reason: Option<String>,
     /// Points decoded.
     pub points: usize,
+    /// Part of the cells that would be points, but whose frames do not follow one fringe.
+    pub inconsistent_ratio: f64,
     /// Points that the fit used.
     pub inliers: usize,
     /// Robust rms distance of the inliers, mm.

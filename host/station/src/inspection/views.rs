@@ -13,7 +13,7 @@ use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
 use flankscope_metrology::wear::{self, FlankWear, Measured, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
-use flankscope_profilometry::{Accumulator, Decoder};
+use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
@@ -40,6 +40,8 @@ pub(crate) const OUTLIER_NEIGHBOURS: usize = 8;
 pub(crate) const OUTLIER_RATIO: f64 = 3.0;
 /// The registered surface reaches this far beyond the field of view, mm: no point then has its foot on the cut.
 const MARGIN_MM: f64 = 2.0;
+/// Noise alone makes one cell in a thousand inconsistent, edges and highlights a few more; vibration nearly all.
+const MOST_INCONSISTENT: f64 = 0.1;
 /// Cell of the report's deviation maps, mm.
 const MAP_CELL_MM: f64 = 0.1;
 
@@ -257,6 +259,20 @@ impl Evaluator {
             Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
         };
         lap("decode", &mut elapsed_ms);
+        let inconsistent_ratio = inconsistent_ratio(&decoded);
+        if inconsistent_ratio > MOST_INCONSISTENT {
+            let why = format!(
+                "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press \
+                 vibrates, or light comes over a second reflection",
+                100.0 * inconsistent_ratio,
+                100.0 * MOST_INCONSISTENT
+            );
+            let mut outcome = self.unmeasured(place, &why, elapsed_ms);
+            for registration in &mut outcome.registration {
+                registration.inconsistent_ratio = inconsistent_ratio;
+            }
+            return outcome;
+        }
         let kept =
             outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
         let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
@@ -357,6 +373,7 @@ impl Evaluator {
             flanks,
             registration: vec![ViewRegistration {
                 leakage,
+                inconsistent_ratio,
                 ..summary(place, points.len(), &registration, elapsed_ms)
             }],
             fields,
@@ -445,6 +462,7 @@ impl Evaluator {
                 status: "indeterminate".into(),
                 reason: Some(why.into()),
                 points: 0,
+                inconsistent_ratio: 0.0,
                 inliers: 0,
                 rms_mm: 0.0,
                 iterations: 0,
@@ -463,6 +481,12 @@ impl Evaluator {
             judge: Arc::clone(&self.judge),
         }
     }
+}
+
+/// Part of the cells with a fringe and an order whose frames contradict each other.
+fn inconsistent_ratio(decoded: &Decoded) -> f64 {
+    let lost = decoded.rejected.inconsistent as f64;
+    lost / (lost + decoded.cloud.len() as f64).max(1.0)
 }
 
 fn summary(
@@ -486,6 +510,7 @@ fn summary(
         status: status.into(),
         reason,
         points,
+        inconsistent_ratio: 0.0,
         inliers: registration.inliers,
         rms_mm: finite(registration.rms_mm),
         iterations: registration.iterations,

@@ -62,6 +62,9 @@ pub struct WorldConfig {
     pub form: Form,
     /// How die and head sit on the stages.
     pub mount: Mount,
+    /// By how much head and die shift against each other from frame to frame, along the fringes' change: standard
+    /// deviation, µm.
+    pub vibration_um: f64,
     /// Reflectance.
     pub surface: Surface,
     /// What is printed on it, on a calibration target.
@@ -94,6 +97,7 @@ impl WorldConfig {
             growth: 1.0,
             form: Form::default(),
             mount: Mount::perfect(),
+            vibration_um: 0.0,
             surface: Surface::sprayed(),
             print: None,
             optics,
@@ -221,6 +225,7 @@ pub struct World {
     growth: f64,
     optics: HeadOptics,
     mount: Mount,
+    vibration_um: f64,
     form: Form,
     sensor_spec: SensorSpec,
     surface: Surface,
@@ -250,6 +255,7 @@ impl World {
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
         WorldError::check("growth", config.growth, 0.9, 1.1)?;
+        WorldError::check("vibration_um", config.vibration_um, 0.0, 100.0)?;
         config.form.validate()?;
         let field = WearField::new(&config.gear, &config.wear)?;
         let mut die = Die::as_built(&config.cad, field, config.form)?;
@@ -276,6 +282,7 @@ impl World {
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
             mount: config.mount.clone(),
+            vibration_um: config.vibration_um,
             form: config.form,
             sensor_spec: config.sensor.clone(),
             surface: config.surface.clone(),
@@ -388,9 +395,11 @@ impl World {
         let leak = self.optics.dmd_leak_ratio as f32;
         let black = |view: &CoreView| leak * view.light[0];
         let mut per_core = vec![self.core_rates(&views, black)];
-        per_core.extend(patterns.iter().map(|pattern| {
+        let shifts_mm = self.shifts_mm(rotation_rad, vertical_mm);
+        per_core.extend(patterns.iter().zip(shifts_mm).map(|(pattern, shift_mm)| {
+            let shift_rad = pattern.periods * self.turn_per_mm() * shift_mm;
             self.core_rates(&views, |view| {
-                black(view) + scene::brightness(&view.light, pattern, &frequencies)
+                black(view) + scene::brightness(&view.light, pattern, &frequencies, shift_rad)
             })
         }));
         let rates = self.sensor.expose(&per_core);
@@ -398,6 +407,21 @@ impl World {
             rates,
             truth: views.into_iter().filter_map(|view| view.truth).collect(),
         })
+    }
+
+    /// Shifts by vibration, frame by frame of a view.
+    fn shifts_mm(&self, rotation_rad: f64, vertical_mm: f64) -> impl Iterator<Item = f64> {
+        let pose = rotation_rad.to_bits() ^ vertical_mm.to_bits().rotate_left(32);
+        let mut random = Normals::new(stream(self.run_seed ^ pose, Purpose::Vibration));
+        let sigma_mm = 1e-3 * self.vibration_um;
+        std::iter::repeat_with(move || sigma_mm * random.next())
+    }
+
+    /// Phase of a pattern of one period per shift across the projector's view in best focus, rad/mm.
+    fn turn_per_mm(&self) -> f64 {
+        let px_per_mm =
+            self.optics.projector.focal_px[0] / self.optics.projector_objective.focus_mm;
+        std::f64::consts::TAU * px_per_mm / self.optics.projector_size_px[0] as f64
     }
 
     /// Charge rate per mean pixel of each core, e⁻/ms, after gain, cross-talk and the core's own response.

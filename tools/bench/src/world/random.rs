@@ -14,6 +14,7 @@ pub(crate) enum Purpose {
     CoreResponse,
     Mount,
     Target,
+    Vibration,
     Frame(u32),
 }
 
@@ -27,6 +28,7 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
         Purpose::CoreResponse => 5,
         Purpose::Mount => 6,
         Purpose::Target => 7,
+        Purpose::Vibration => 8,
         Purpose::Frame(counter) => (1 << 32) | u64::from(counter),
     };
     let mut bytes = [0u8; 32];

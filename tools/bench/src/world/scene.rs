@@ -322,8 +322,15 @@ pub(crate) fn frequencies(patterns: &[PatternSpec]) -> Vec<f64> {
 }
 
 /// Brightness of one pattern from the lanes of a core: half its even light, and half its fringe moved by the step.
-pub(crate) fn brightness(lanes: &Lanes, pattern: &PatternSpec, frequencies: &[f64]) -> f32 {
-    let (sin, cos) = pattern.step_rad().sin_cos();
+///
+/// `shift_rad` is how far vibration moved the fringe while this frame was exposed.
+pub(crate) fn brightness(
+    lanes: &Lanes,
+    pattern: &PatternSpec,
+    frequencies: &[f64],
+    shift_rad: f64,
+) -> f32 {
+    let (sin, cos) = (pattern.step_rad() + shift_rad).sin_cos();
     match frequencies.iter().position(|&f| f == pattern.periods) {
         Some(i) => 0.5 * (lanes[0] + cos as f32 * lanes[1 + 2 * i] - sin as f32 * lanes[2 + 2 * i]),
         // Evenly lit: the cosine of the step alone.
