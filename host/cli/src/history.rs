@@ -32,6 +32,10 @@ pub struct Args {
     /// Write every figure as comma-separated values to FILE
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Write every figure as an Apache Parquet file
+    #[cfg(feature = "parquet")]
+    #[arg(long, value_name = "FILE")]
+    parquet: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -59,6 +63,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(path) = &args.csv {
         stream_whole(path, |out| csv(&checks, out))
             .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    #[cfg(feature = "parquet")]
+    if let Some(path) = &args.parquet {
+        write_whole(path, &flankscope_station::history::parquet(&checks)?)?;
     }
     if let Some(folder) = &args.report {
         std::fs::create_dir_all(folder)

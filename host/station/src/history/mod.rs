@@ -16,6 +16,7 @@
 //! | `remaining` | how many cycles are left |
 //! | `outlook` | all of that for one flank |
 //! | `export` | CSV |
+//! | `parquet` | the same as Apache Parquet, behind a feature |
 //! | `phasors` | what verdicts were computed from, in files beside the store |
 //! | `replay` | a stored verdict, computed again |
 
@@ -24,6 +25,8 @@ mod error;
 mod export;
 mod keeper;
 mod outlook;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod phasors;
 mod remaining;
 mod replay;
@@ -37,6 +40,8 @@ pub use error::HistoryError;
 pub use export::csv;
 pub use keeper::Keeper;
 pub use outlook::Outlook;
+#[cfg(feature = "parquet")]
+pub use parquet::parquet;
 pub use remaining::Passage;
 pub use replay::{Difference, Replay, ReplayError};
 pub use series::{Point, Series, series};

@@ -1,0 +1,64 @@
+//! A history as a Parquet file, read back by the format's own reader.
+
+mod inspections;
+
+use flankscope_station::history::{History, parquet};
+use inspections::inspection;
+use parquet::file::reader::{FileReader, SerializedFileReader};
+use parquet::record::{Field, Row};
+
+#[test]
+fn every_figure_is_there_and_what_is_missing_is_null() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("press.db")).unwrap();
+    history.record(&inspection(8, "go", ""), None).unwrap();
+    let mut lost = inspection(16, "indeterminate", "");
+    lost.features[0].wear_um = None;
+    lost.features[0].u95_um = None;
+    lost.features[0].code = Some("not_measured");
+    history.record(&lost, None).unwrap();
+    let checks = history.checks("die").unwrap();
+
+    let path = folder.path().join("history.parquet");
+    std::fs::write(&path, parquet(&checks).unwrap()).unwrap();
+    let reader = SerializedFileReader::new(std::fs::File::open(path).unwrap()).unwrap();
+    let rows: Vec<Row> = reader
+        .get_row_iter(None)
+        .unwrap()
+        .collect::<Result<_, _>>()
+        .unwrap();
+    let field = |row: &Row, name: &str| {
+        let mut columns = row.get_column_iter();
+        columns.find(|(of, _)| *of == name).unwrap().1.clone()
+    };
+    let expected: Vec<_> = checks
+        .iter()
+        .flat_map(|check| check.flanks.iter().map(move |flank| (check, flank)))
+        .collect();
+    assert_eq!(rows.len(), expected.len());
+    for (row, (check, flank)) in rows.iter().zip(expected) {
+        let text = |text: &str| Field::Str(text.to_owned());
+        let number = |value: Option<f64>| value.map_or(Field::Null, Field::Double);
+        for (name, value) in [
+            ("check", Field::Long(check.id)),
+            ("at", text(&check.at)),
+            ("tool", text("die")),
+            ("tool_cycles", Field::Long(check.tool_cycles)),
+            ("press_cycles", Field::Long(check.press_cycles)),
+            ("baseline", Field::Null),
+            ("check_verdict", text(&check.verdict)),
+            ("tooth", Field::Int(flank.tooth as i32)),
+            ("flank", text(&flank.flank)),
+            ("wear_um", number(flank.wear_um)),
+            ("u95_um", number(flank.u95_um)),
+            ("warn_um", Field::Double(30.0)),
+            ("limit_um", Field::Double(50.0)),
+            ("verdict", text(&flank.verdict)),
+            ("code", flank.code.as_deref().map_or(Field::Null, text)),
+        ] {
+            assert_eq!(field(row, name), value, "{name} of {flank:?}");
+        }
+    }
+    assert_eq!(field(&rows[6], "wear_um"), Field::Null);
+    assert!(!parquet(&[]).unwrap().is_empty());
+}
