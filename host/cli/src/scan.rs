@@ -289,7 +289,7 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
 fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Result<()> {
     writeln!(
         out,
-        "\n{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>7} {:>8}",
+        "\n{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>12} {:>7}",
         "method",
         "views",
         "ovality µm",
@@ -297,7 +297,7 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
         "exact µm",
         "one view µm",
         "merged µm",
-        "drift",
+        "drift µm",
         "time s"
     )?;
     let spread = |of: Option<flankscope_station::scan::Spread>| {
@@ -313,7 +313,7 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
         };
         writeln!(
             out,
-            "{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>7} {:>8.1}",
+            "{:<8} {:>6} {:>10} {:>9} {:>9} {:>15} {:>15} {:>12} {:>7.1}",
             of.method,
             of.registered_views,
             form(|f| f.ovality_um),
@@ -321,7 +321,10 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
             of.exact.map_or("-".into(), |s| format!("{:.1}", s.rms_um)),
             spread(of.one_view),
             spread(of.merged),
-            if of.drift.drifts { "yes" } else { "none" },
+            of.drift.largest.map_or("none".into(), |c| format!(
+                "{:.0} {}",
+                c.trend_um, c.direction
+            )),
             of.stitching_ms / 1e3
         )?;
     }

@@ -16,12 +16,15 @@ pub struct Drift {
     pub durbin_watson: f64,
     /// How far that is below 2, in standard deviations of a series of independent normal members.
     pub sigmas: f64,
+    /// Standard deviation of the part that neighbours share, in the unit of the series: what is left of the variance when
+    /// half the mean square of the steps, which is what independent members add, is taken off.
+    pub trend: f64,
 }
 
 impl Drift {
-    /// Whether chance is no explanation.
-    pub fn drifts(&self) -> bool {
-        self.sigmas > LIMIT_SIGMAS
+    /// Whether chance is no explanation and the trend is worth more than `least`.
+    pub fn drifts(&self, least: f64) -> bool {
+        self.sigmas > LIMIT_SIGMAS && self.trend > least
     }
 }
 
@@ -43,6 +46,7 @@ pub fn durbin_watson(series: &[f64]) -> Option<Drift> {
     Some(Drift {
         durbin_watson,
         sigmas: (2.0 - durbin_watson) / variance.sqrt(),
+        trend: ((squares - 0.5 * steps) / (n - 1.0)).max(0.0).sqrt(),
     })
 }
 
@@ -61,6 +65,7 @@ mod tests {
         let found = durbin_watson(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
         assert!((found.durbin_watson - 0.4).abs() < 1e-12);
         assert!((found.sigmas - 1.6 / 0.5f64.sqrt()).abs() < 1e-12);
+        assert!((found.trend - 2f64.sqrt()).abs() < 1e-12);
         assert_eq!(durbin_watson(&[1.0, 2.0, 3.0, 4.0]), None);
         assert_eq!(durbin_watson(&[2.0; 9]), None);
         assert_eq!(durbin_watson(&[1.0, 2.0, f64::NAN, 4.0, 5.0]), None);
@@ -90,6 +95,13 @@ mod tests {
         let drifting: Vec<f64> = (0..84)
             .map(|i| normal(1, i) + 4.0 * i as f64 / 83.0)
             .collect();
-        assert!(durbin_watson(&drifting).unwrap().drifts());
+        let found = durbin_watson(&drifting).unwrap();
+        // A ramp of 4 has a standard deviation of 4 / sqrt(12).
+        assert!(found.drifts(0.5) && !found.drifts(3.0));
+        assert!(
+            (found.trend - 4.0 / 12f64.sqrt()).abs() < 0.4,
+            "{}",
+            found.trend
+        );
     }
 }

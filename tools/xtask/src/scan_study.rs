@@ -49,7 +49,7 @@ struct Row {
     exact_um: f64,
     one_view_um: [f64; 2],
     merged_um: [f64; 2],
-    drifting_layers: usize,
+    drift: String,
     stitching_s: f64,
 }
 
@@ -60,17 +60,18 @@ fn number(value: &Value, path: &str) -> Result<f64, String> {
 
 fn row(scan: &Value, method: usize) -> Result<Row, String> {
     let take = |path: &str| number(scan, &format!("/methods/{method}/{path}"));
-    let layers = scan.pointer(&format!("/methods/{method}/drift/layers"));
-    let drifting = |layer: &&Value| layer["with_angle"]["drifts"] == true;
+    let creep = &scan["methods"][method]["drift"]["largest"];
+    let drift = match (creep["trend_um"].as_f64(), creep["direction"].as_str()) {
+        (Some(trend_um), Some(direction)) => format!("{trend_um:.1} {direction}"),
+        _ => "none".into(),
+    };
     Ok(Row {
         ovality_um: take("form/ovality_um")?,
         taper_um: take("form/taper_um")?,
         exact_um: take("exact/rms_um")?,
         one_view_um: [take("one_view/mean_um")?, take("one_view/std_um")?],
         merged_um: [take("merged/mean_um")?, take("merged/std_um")?],
-        drifting_layers: layers
-            .and_then(Value::as_array)
-            .map_or(0, |layers| layers.iter().filter(drifting).count()),
+        drift,
         stitching_s: take("stitching_ms")? / 1e3,
     })
 }
@@ -94,9 +95,11 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
          with a hand-eye known to 1° and 0.5 mm, an encoder with harmonics and axes that are not parallel; {VIEWS} views, \
          every seed with other errors. The same captured views are stitched in one joint solve on the surface (`surface`) and \
          view by view on random CAD points, as in the article (`paper`). `exact` is the root mean square of the exact \
-         distances in the merged map, `one view` and `merged` are mean ± standard deviation by the method's own metric.\n\n\
+         distances in the merged map, `one view` and `merged` are mean ± standard deviation by the method's own metric. A drift is \
+         the part of where the views lie, against what all of them share, that neighbours in a layer have in common \
+         (Durbin–Watson beyond chance).\n\n\
          ```sh\ncargo xtask study --scan\n```\n\n\
-         | seed | method | ovality, µm | taper, µm | exact, µm | one view, µm | merged, µm | layers with drift | stitching, s |\n\
+         | seed | method | ovality, µm | taper, µm | exact, µm | one view, µm | merged, µm | drift of places, µm | stitching, s |\n\
          |---|---|---|---|---|---|---|---|---|\n"
     );
     let mut worst = [[0.0_f64; 2]; 2];
@@ -110,7 +113,7 @@ fn page(scans: &[(u64, Value)]) -> Result<String, String> {
             writeln!(
                 page,
                 "| {seed} | {method} | {:.1} | {:.1} | {:.1} | {one:.1} ± {one_std:.1} | {all:.1} ± {all_std:.1} | {} | {:.1} |",
-                row.ovality_um, row.taper_um, row.exact_um, row.drifting_layers, row.stitching_s
+                row.ovality_um, row.taper_um, row.exact_um, row.drift, row.stitching_s
             )
             .map_err(|error| error.to_string())?;
         }

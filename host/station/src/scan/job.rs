@@ -295,6 +295,7 @@ impl Scanner {
         let ours = stitch(session, &mut self.store.patches, first, tool, nominal, over)?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
+        let shared = ours.joint.stages.clone();
         let mut scan = self.describe(ours, lost);
         scan.methods.push(figures);
         if self.method == Method::Surface {
@@ -303,7 +304,8 @@ impl Scanner {
         let begun = Instant::now();
         let map = CylinderMap::new(layout);
         let laid = paper::stitch(session, tool, itinerary, nominal, map, &self.paper)?;
-        let figures = comparison::of_paper(&laid, &self.paper, planned, begun.elapsed());
+        let took = begun.elapsed();
+        let figures = comparison::of_paper(&laid, &shared, &self.paper, planned, took);
         if self.method == Method::Paper {
             scan.show_instead(laid, &figures);
         }

@@ -37,7 +37,7 @@ mod stitch;
 mod view;
 mod workshop;
 
-pub use comparison::{LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
+pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole};
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};

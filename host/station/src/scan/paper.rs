@@ -17,7 +17,7 @@ use flankscope_metrology::joint::Stages;
 use flankscope_metrology::merge::voxel_centroids;
 use flankscope_metrology::registration::{PaperOptions, Status, register_paper, search_phase};
 use flankscope_metrology::tool::Tool;
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::{Isometry3, Point3, Translation3};
 
 use super::job::ScanError;
 use super::session::Session;
@@ -60,10 +60,20 @@ impl Default for PaperSettings {
     }
 }
 
+/// A view on random CAD points.
+pub(super) struct PaperView {
+    pub view: usize,
+    /// Root mean square distance of its points to the nearest reference points, mm.
+    pub rms_mm: f64,
+    pub tool_from_camera: Isometry3<f64>,
+    /// Centre of its points there, mm.
+    pub centre_mm: Point3<f64>,
+}
+
 /// Views that were laid on random CAD points one by one.
 pub(super) struct PaperStitched {
-    /// Views that took part, with the root mean square distance of their points to the nearest reference points, mm.
-    pub views: Vec<(usize, f64)>,
+    /// Views that took part.
+    pub views: Vec<PaperView>,
     /// Views that did not settle on the CAD.
     pub refused: Vec<(usize, String)>,
     /// Exact distances of the laid points: what the stitching alone makes of the form.
@@ -125,6 +135,7 @@ pub(super) fn stitch(
         let above = *centre_above_mm.get_or_insert(centre[2] - at.vertical_mm);
         pose = Translation3::new(0.0, 0.0, at.vertical_mm + above - centre[2]) * pose;
         stage_from_camera = Some(moved.inverse() * pose);
+        let tool_from_camera = pose;
         let pose = Rigid::<ToolFrame, Cloud>::from_isometry(pose);
         let laid: Vec<[f64; 3]> = xyz.iter().map(|&p| pose.apply(p)).collect();
         let Some(distances) = statistics(&reference.distances(&laid, settings.order)) else {
@@ -134,7 +145,12 @@ pub(super) fn stitch(
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         let closest = tool.surface.closest_many(&laid);
         map.add_view(&witnesses(&map.layout(), &closest, &sigma), |_| 0.0);
-        views.push((view, distances.rms_mm));
+        views.push(PaperView {
+            view,
+            rms_mm: distances.rms_mm,
+            tool_from_camera,
+            centre_mm: Point3::new(centre[0], centre[1], at.vertical_mm + above),
+        });
         cloud.extend(laid);
     }
     let merged = voxel_centroids(&cloud, settings.voxel_mm)?;
