@@ -68,6 +68,10 @@ impl Bench {
             command.arg("--by-hand");
             command.args(["--ovality-um", &die.ovality_um.to_string()]);
             command.args(["--taper-um", &die.taper_um.to_string()]);
+            command.args(["--turned-deg", &die.turned_deg.to_string()]);
+            if let Some(other) = &die.die {
+                command.args(["--die", other]);
+            }
         }
         if let Some(press) = scene.press {
             command.args([

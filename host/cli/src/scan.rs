@@ -144,6 +144,17 @@ pub struct DieArgs {
         allow_negative_numbers = true
     )]
     pub taper_um: f64,
+    /// Another die than the tool file's on the bench: so many teeth of such a module
+    #[arg(long, value_name = "TEETHxMODULE_MM")]
+    pub die: Option<String>,
+    /// The die is put down turned by this angle
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub turned_deg: f64,
 }
 
 /// Runs the subcommand.

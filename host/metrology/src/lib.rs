@@ -46,6 +46,7 @@ pub mod raster;
 pub mod registration;
 mod simd;
 pub mod spacing;
+pub mod stretch;
 pub mod surface;
 pub mod tool;
 mod triangle;

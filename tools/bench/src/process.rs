@@ -12,11 +12,12 @@ use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::{HeadModel, PatternSet};
 use flankscope_station::capture::{Overflow, SharedRoot};
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::ageing::Ageing;
 use crate::camera::{self, FrameFault};
-use crate::demo;
+use crate::demo::{self, OtherDie};
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::qemu::{Figures, Machine, find_image};
 use crate::truth::Truth;
@@ -113,6 +114,12 @@ struct RunArgs {
     /// Head and die shift against each other from frame to frame: standard deviation, µm.
     #[arg(long, default_value_t = 0.0)]
     vibration_um: f64,
+    /// Another die than the tool file's: TEETHxMODULE_MM.
+    #[arg(long)]
+    die: Option<OtherDie>,
+    /// The die is put down turned by this, degrees.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    turned_deg: f64,
     /// Largest minus smallest radius of the bore, µm.
     #[arg(long, default_value_t = 0.0)]
     ovality_um: f64,
@@ -314,9 +321,14 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         ovality_um: args.ovality_um,
         taper_um: args.taper_um,
     };
+    if let Some(other) = args.die {
+        other.replace(&mut config)?;
+    }
     if args.by_hand {
         config.mount = Mount::by_hand(args.seed);
     }
+    config.mount.table_from_die *=
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), args.turned_deg.to_radians());
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
     let sets: Vec<(f64, u32)> = set

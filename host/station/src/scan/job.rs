@@ -24,6 +24,7 @@ use super::paper::{self, PaperSettings};
 use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 use super::session::SessionError;
 use super::stitch::{Stitched, stitch};
+use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::view::ScannedView;
 use super::workshop::{Store, Workshop};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
@@ -296,7 +297,16 @@ impl Scanner {
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
         let shared = ours.joint.stages.clone();
+        let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost);
+        scan.teeth_stretch_ratio = stretch;
+        let turned = turned_rad(&shared, nominal, planned);
+        scan.teeth_turned_deg = turned.to_degrees();
+        let stranger = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
+        if let Some(why) = stranger.or_else(|| ambiguous_teeth(turned, &self.gear)) {
+            scan.disown(why);
+            return Ok(scan);
+        }
         scan.methods.push(figures);
         if self.method == Method::Surface {
             return Ok(scan);
@@ -386,7 +396,8 @@ impl Scanner {
             verdict = "indeterminate".into();
             let first = lost.values().next().cloned().unwrap_or_default();
             reason = format!(
-                "only {} of {} views could be laid on the CAD, at least {:.0} % are needed; the first lost one: {first}",
+                "only {} of {} views could be laid on the CAD, at least {:.0} % are needed: a die with other teeth than the \
+                 CAD's, or one put down turned, looks like this; the first lost one: {first}",
                 laid.len(),
                 planned.len(),
                 100.0 * LEAST_REGISTERED
@@ -441,6 +452,8 @@ impl Scanner {
                 },
             },
             methods: Vec::new(),
+            teeth_stretch_ratio: None,
+            teeth_turned_deg: 0.0,
             metrics: None,
             tool: self.station.subject.tool.name.clone(),
             versions,

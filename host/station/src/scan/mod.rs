@@ -15,6 +15,7 @@
 //! | `patches` | those cells of every view, kept on the disk until all poses are known |
 //! | `session` | what is kept of a scan that is killed |
 //! | `stitch` | all views to one map |
+//! | `stranger` | whether it is the CAD's die at all |
 //! | `paper` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
 //! | `coverage` | what should have been seen and was not |
@@ -34,6 +35,7 @@ mod patches;
 mod result;
 mod session;
 mod stitch;
+mod stranger;
 mod view;
 mod workshop;
 

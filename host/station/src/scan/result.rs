@@ -50,6 +50,11 @@ pub struct Scan {
     pub stitching: Stitching,
     /// What all views share.
     pub joint: Joint,
+    /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
+    pub teeth_stretch_ratio: Option<f64>,
+    /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
+    /// numbered by being nearest: a die turned by a whole tooth cannot be seen, only prevented by how it is put down.
+    pub teeth_turned_deg: f64,
     /// The ways in which these views were stitched, side by side.
     pub methods: Vec<MethodResult>,
     /// The article's metrics on the same points; absent unless a report or the raster was asked for.
@@ -70,6 +75,15 @@ pub struct Scan {
 }
 
 impl Scan {
+    /// It is not the CAD's die: nothing that was measured against the CAD means anything.
+    pub(super) fn disown(&mut self, why: String) {
+        self.verdict = "indeterminate".into();
+        self.reason = why;
+        self.features.clear();
+        self.spacing.clear();
+        self.form = None;
+    }
+
     /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
     /// verdict and no flank is judged.
     pub(super) fn show_instead(&mut self, laid: PaperStitched, figures: &MethodResult) {

@@ -1,10 +1,12 @@
 //! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
 
 mod files;
+mod other;
 mod target;
 mod tile;
 
 pub use files::{head, world_of, write_tool};
+pub use other::{OtherDie, OtherDieError};
 pub use target::{drawn_head, target, target_world, write_target};
 pub use tile::{core_map, flat_field, tile};
 
