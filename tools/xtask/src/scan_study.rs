@@ -9,7 +9,7 @@ use serde_json::Value;
 const OVALITY_UM: f64 = 20.0;
 const TAPER_UM: f64 = 15.0;
 /// Views of each scan.
-const VIEWS: &str = "24x4";
+const VIEWS: &str = "12x4";
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=5;
 
 /// Scans with every seed and writes `docs/study/scan.md`.
