@@ -8,6 +8,10 @@ use std::collections::HashMap;
 /// Whole triangles are asked, not edges: where only one long side of a sliver were wanted, the fan of its parts would
 /// itself be long and wanted, and so on. Every triangle at a halved edge is divided, tagged or not; parts keep the tag of
 /// the whole. New points lie on the old triangles: the surface does not move.
+///
+/// A triangle at the rim that is halved again and again along one side would become a fan of slivers as long as itself, in
+/// which no ray finds its way. So its longest side is halved too as soon as it is more than [`GRADING`] times as long as
+/// the one that is: the pieces grow outwards step by step.
 pub(crate) fn refine<T: Copy>(
     mesh: &mut Mesh,
     tags: &mut Vec<Option<T>>,
@@ -31,6 +35,9 @@ pub(crate) fn refine<T: Copy>(
     }
 }
 
+/// See [`refine`].
+const GRADING: f64 = 1.9;
+
 fn key(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
@@ -48,17 +55,47 @@ fn halved_edges<T: Copy>(
         if !wanted(tag, triangle.map(|v| mesh.vertices[v as usize])) {
             continue;
         }
-        for side in 0..3 {
-            let edge = key(triangle[side], triangle[(side + 1) % 3]);
-            let [p, q] = [edge.0, edge.1].map(|v| mesh.vertices[v as usize]);
-            let length2: f64 = (0..3).map(|k| (p[k] - q[k]).powi(2)).sum();
-            if length2 > longest_mm * longest_mm && !halves.contains_key(&edge) {
-                halves.insert(edge, mesh.vertices.len() as u32);
-                mesh.vertices.push([0, 1, 2].map(|k| 0.5 * (p[k] + q[k])));
+        for edge in sides(*triangle) {
+            if length2(&mesh.vertices, edge) > longest_mm * longest_mm {
+                halve(&mut mesh.vertices, &mut halves, edge);
+            }
+        }
+    }
+    // What is halved for one triangle is halved for its neighbour, whose longest side may then be too long.
+    let mut before = 0;
+    while halves.len() > before {
+        before = halves.len();
+        for triangle in &mesh.triangles {
+            let lengths2 = sides(*triangle).map(|edge| (length2(&mesh.vertices, edge), edge));
+            let longest = lengths2
+                .into_iter()
+                .fold(lengths2[0], |a, b| if b.0 > a.0 { b } else { a });
+            let too_long = |(short2, edge): &(f64, (u32, u32))| {
+                halves.contains_key(edge) && longest.0 > GRADING * GRADING * short2
+            };
+            if lengths2.iter().any(too_long) {
+                halve(&mut mesh.vertices, &mut halves, longest.1);
             }
         }
     }
     halves
+}
+
+fn sides([a, b, c]: [u32; 3]) -> [(u32, u32); 3] {
+    [key(a, b), key(b, c), key(c, a)]
+}
+
+fn length2(vertices: &[[f64; 3]], (p, q): (u32, u32)) -> f64 {
+    let (p, q) = (vertices[p as usize], vertices[q as usize]);
+    (0..3).map(|k| (p[k] - q[k]).powi(2)).sum()
+}
+
+fn halve(vertices: &mut Vec<[f64; 3]>, halves: &mut HashMap<(u32, u32), u32>, edge: (u32, u32)) {
+    let [p, q] = [edge.0, edge.1].map(|v| vertices[v as usize]);
+    halves.entry(edge).or_insert_with(|| {
+        vertices.push([0, 1, 2].map(|k| 0.5 * (p[k] + q[k])));
+        vertices.len() as u32 - 1
+    });
 }
 
 /// Pieces of a triangle whose edges are halved as `halves` says, in the same sense of rotation.
@@ -83,14 +120,63 @@ fn divide(
 
 /// Triangle `a, b, c` with middles `m` on ab and `n` on bc: the corner at b, and the rest along its shorter diagonal.
 fn corner_off(vertices: &[[f64; 3]], [a, m, b, n, c]: [u32; 5], out: &mut Vec<[u32; 3]>) {
-    let distance2 = |p: u32, q: u32| -> f64 {
-        let (p, q) = (vertices[p as usize], vertices[q as usize]);
-        (0..3).map(|k| (p[k] - q[k]).powi(2)).sum()
-    };
     out.push([m, b, n]);
-    if distance2(a, n) < distance2(m, c) {
+    if length2(vertices, (a, n)) < length2(vertices, (m, c)) {
         out.extend([[a, m, n], [a, n, c]]);
     } else {
         out.extend([[a, m, c], [m, n, c]]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rim_of_a_refined_strip_is_no_fan() {
+        // A strip of two long triangles to be refined beside one of two that are not asked.
+        let [x, z] = [0.4, 66.0];
+        let corner = |i: u32| [f64::from(i % 3) * x, 0.0, f64::from(i / 3) * z];
+        let mut mesh = Mesh {
+            vertices: (0..6).map(corner).collect(),
+            triangles: vec![[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]],
+        };
+        let mut tags = vec![Some(()), Some(()), None, None];
+        refine(&mut mesh, &mut tags, 0.1, |(), _| true);
+
+        let area = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|i| nalgebra::Vector3::from(mesh.vertices[i as usize]));
+            0.5 * (b - a).cross(&(c - a)).norm()
+        };
+        let total: f64 = mesh.triangles.iter().map(area).sum();
+        assert!((total - 2.0 * x * z).abs() < 1e-9);
+        for (triangle, tag) in mesh.triangles.iter().zip(&tags) {
+            let longest2 = sides(*triangle).map(|edge| length2(&mesh.vertices, edge));
+            assert!(tag.is_none() || longest2.iter().all(|l| *l <= 0.1 * 0.1));
+        }
+        // An inner edge has two triangles, one of the outline has one: no crack.
+        let mut edges = HashMap::new();
+        let mut around = vec![0; mesh.vertices.len()];
+        for triangle in &mesh.triangles {
+            for edge in sides(*triangle) {
+                *edges.entry(edge).or_insert(0) += 1;
+            }
+            for &vertex in triangle {
+                around[vertex as usize] += 1;
+            }
+        }
+        let on_outline = |v: u32| {
+            let [px, _, pz] = mesh.vertices[v as usize];
+            px == 0.0 || px == 2.0 * x || pz == 0.0 || pz == z
+        };
+        for (&(p, q), &count) in &edges {
+            assert!(count == 2 || count == 1 && on_outline(p) && on_outline(q));
+        }
+        // Halving triangles as grown as these keeps angles away from zero: far from the thousand of a fan.
+        assert!(
+            around.iter().all(|&count| count <= 24),
+            "{:?}",
+            around.iter().max()
+        );
     }
 }
