@@ -19,7 +19,9 @@ fn few_captures_of_each_sort_end_as_they_must() {
         .filter(|case| wanted.contains(&case.name.as_str()))
         .collect();
     assert_eq!(chosen.len(), wanted.len());
-    let cells = measure(&chosen, CAPTURES, 3, |line| println!("{line}")).unwrap();
+    let cells = measure(&chosen, CAPTURES, 3, |line| println!("{line}"))
+        .unwrap()
+        .cells;
     let of = |name: &str| cells.iter().find(|cell| cell.name == name).unwrap();
     assert_eq!(
         of("undamaged").verdicts,

@@ -94,25 +94,40 @@ impl Field {
         Some(mean)
     }
 
-    /// Standard deviation of a cell, as the cells themselves show it: from their stated variances, or from the differences
-    /// between neighbours in height when those are larger. Flanks wear evenly along the height but for a few cells, which
-    /// the median passes over.
+    /// Standard deviation of a cell, in the mean over all; see [`Field::noise_variances_mm2`].
     pub(super) fn noise_mm(&self) -> f64 {
         let measured: Vec<usize> = self.measured().collect();
         let stated = measured.iter().map(|&i| self.variance_mm2[i]).sum::<f64>();
-        let stated = (stated / measured.len().max(1) as f64).sqrt();
-        let mut steps: Vec<f64> = measured
+        self.noise_scale() * (stated / measured.len().max(1) as f64).sqrt()
+    }
+
+    /// Variance of every cell as the cells themselves show it, mm2: those stated, or larger in proportion where neighbours
+    /// in height differ by more than that. Cells at the zone's rim, with few points, are noisier than the others.
+    pub(super) fn noise_variances_mm2(&self) -> Vec<f64> {
+        let scale = self.noise_scale();
+        self.variance_mm2
             .iter()
-            .filter_map(|&i| Some((self.wear_mm[i] - self.wear_mm.get(i + self.columns)?).abs()))
-            .filter(|step| step.is_finite())
-            .collect();
-        if steps.len() < 8 {
-            return stated;
+            .map(|v| scale * scale * v)
+            .collect()
+    }
+
+    /// How much larger than stated the standard deviations are. Flanks wear evenly along the height but for a few cells,
+    /// which the median passes over.
+    fn noise_scale(&self) -> f64 {
+        let step = |i: usize| {
+            let j = i + self.columns;
+            let difference = (self.wear_mm[i] - self.wear_mm.get(j)?).abs();
+            let ratio = difference / (self.variance_mm2[i] + self.variance_mm2[j]).sqrt();
+            ratio.is_finite().then_some(ratio)
+        };
+        let mut ratios: Vec<f64> = self.measured().filter_map(step).collect();
+        if ratios.len() < 8 {
+            return 1.0;
         }
-        let middle = steps.len() / 2;
-        let (_, median, _) = steps.select_nth_unstable_by(middle, f64::total_cmp);
-        // Median of |x| to standard deviation, and the difference of two cells has twice the variance of one.
-        stated.max(1.4826 * *median / std::f64::consts::SQRT_2)
+        let middle = ratios.len() / 2;
+        let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
+        // Median of |x| to standard deviation.
+        (1.4826 * *median).max(1.0)
     }
 
     /// Groups of neighbouring measured cells that pass `member`, of at least `least` cells each.

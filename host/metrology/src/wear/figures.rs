@@ -2,7 +2,7 @@
 //!
 //! A percentile of noisy cells lies above the truth even on a perfect flank. So the cells are first sorted into
 //! populations: connected structures (pits, a worn edge, stuck material) and the rest. Within each population the cells are
-//! shrunk towards its mean by the share of their spread that noise explains (James and Stein 1961): an even flank reports
+//! shrunk towards its mean, each by the share that its own noise has in the spread (Morris 1983): an even flank reports
 //! its mean, an evenly worn patch the mean of the patch, a pit ten times the noise its own depth to 1 %.
 
 use serde::Serialize;
@@ -139,26 +139,35 @@ fn shrunken(field: &Field, measured: &[usize], noise: f64) -> (Vec<f64>, Vec<f64
             .collect(),
     );
 
+    let variances = field.noise_variances_mm2();
     let mut values = Vec::with_capacity(measured.len());
     let mut sigmas = Vec::with_capacity(measured.len());
     for cells in populations.iter().filter(|cells| !cells.is_empty()) {
+        // What the cells differ by beyond their noise; then each goes to the mean by its own noise's share.
         let n = cells.len() as f64;
-        let mean = cells.iter().map(|&i| field.wear_mm[i]).sum::<f64>() / n;
-        let square = |i: &usize| (field.wear_mm[*i] - mean).powi(2);
-        let spread = cells.iter().map(square).sum::<f64>() / (n - 1.0).max(1.0);
-        let keep = if spread > 0.0 {
-            (1.0 - noise * noise / spread).max(0.0)
-        } else {
-            0.0
-        };
-        // A cell that is kept has its own noise, one that is replaced by the mean has the mean's.
-        let sigma = noise * (keep + (1.0 - keep) / n).sqrt();
-        values.extend(
+        let mean_of = |f: &dyn Fn(usize) -> f64| cells.iter().map(|&i| f(i)).sum::<f64>() / n;
+        let mean = mean_of(&|i| field.wear_mm[i]);
+        let spread = mean_of(&|i| (field.wear_mm[i] - mean).powi(2)) * n / (n - 1.0).max(1.0);
+        let between = (spread - mean_of(&|i| variances[i])).max(0.0);
+        let weight = |i: usize| 1.0 / (between + variances[i]);
+        let weights: f64 = cells.iter().map(|&i| weight(i)).sum();
+        // Noisy cells count less in the mean as well. Cells without any noise and difference are their own mean.
+        let mean = if weights.is_finite() {
             cells
                 .iter()
-                .map(|&i| mean + keep * (field.wear_mm[i] - mean)),
-        );
-        sigmas.extend(cells.iter().map(|_| sigma));
+                .map(|&i| weight(i) * field.wear_mm[i])
+                .sum::<f64>()
+                / weights
+        } else {
+            mean
+        };
+        for &i in cells {
+            let total = between + variances[i];
+            let keep = if total > 0.0 { between / total } else { 0.0 };
+            values.push(mean + keep * (field.wear_mm[i] - mean));
+            // A cell that is kept has its own noise, one that is replaced by the mean has the mean's.
+            sigmas.push((keep * keep * variances[i] + (1.0 - keep).powi(2) / weights).sqrt());
+        }
     }
     (values, sigmas)
 }

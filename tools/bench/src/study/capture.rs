@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
 use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
@@ -16,7 +17,9 @@ const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
 const VERTICAL_ERROR_MM: f64 = 5e-3;
 /// Standard deviation of a calibration's errors in the image, px, at the principal point and at the field's edge: image
 /// points known to 0.2 px each, averaged over some fifty that count as independent.
-const CALIBRATION_PX: f64 = 0.03;
+pub(super) const CALIBRATION_PX: f64 = 0.03;
+/// The same of what the head drifts by between a baseline and a later check, px.
+pub(super) const DRIFT_PX: f64 = 0.01;
 
 /// What the host believes: a tool, a head, and the decoding and judging made from them.
 pub(super) struct Instrument {
@@ -38,6 +41,7 @@ impl Instrument {
     pub fn new(
         tool: &Tool,
         head: &HeadModel,
+        grid: GridKind,
         degc: Option<f64>,
         baseline: Option<Baseline>,
     ) -> anyhow::Result<Self> {
@@ -53,7 +57,10 @@ impl Instrument {
             head,
             &itinerary.patterns,
             &itinerary.exposures_us,
-            DecodeOptions::for_head(head),
+            DecodeOptions {
+                grid,
+                ..DecodeOptions::for_head(head)
+            },
         )?);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
         Ok(Self {
@@ -128,22 +135,19 @@ pub(super) fn judged(outcome: &ViewOutcome) -> anyhow::Result<Feature> {
         .context("the left flank is missing")
 }
 
-/// The head as a calibration with its errors would describe it; draw 0 is without error.
-pub(super) fn calibrated(head: &HeadModel, draw: u64) -> HeadModel {
+/// The head as a calibration with errors of `sd_px` would describe it.
+pub(super) fn calibrated(head: &HeadModel, draw: u64, sd_px: f64) -> HeadModel {
     let mut head = head.clone();
-    if draw == 0 {
-        return head;
-    }
     let mut random = Random::new(draw, 2);
     for lens in [&mut head.camera, &mut head.projector] {
         for k in 0..2 {
-            lens.principal_px[k] += CALIBRATION_PX * random.normal();
+            lens.principal_px[k] += sd_px * random.normal();
         }
         // At the edge of the field, 500 px from its centre.
         let edge = 500.0 / lens.focal_px[0];
-        let stretch = 1.0 + CALIBRATION_PX / 500.0 * random.normal();
+        let stretch = 1.0 + sd_px / 500.0 * random.normal();
         lens.focal_px = lens.focal_px.map(|f| f * stretch);
-        lens.distortion[0] += CALIBRATION_PX / (500.0 * edge * edge) * random.normal();
+        lens.distortion[0] += sd_px / (500.0 * edge * edge) * random.normal();
     }
     head
 }
