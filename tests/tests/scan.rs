@@ -92,7 +92,8 @@ fn the_article_loses_the_form(run: &Run) {
             run,
             &format!("/methods/1/drift/layers/{layer}/place/2/trend_um"),
         );
-        assert!((up / rises_um - 1.0).abs() < 0.4, "{up} µm");
+        // Twelve views that stray by about as much tell it to some 30 %: well above none, and not far beyond all of it.
+        assert!((0.3..1.7).contains(&(up / rises_um)), "{up} µm");
         for axis in 0..3 {
             let ours = run
                 .json

@@ -67,9 +67,13 @@ pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figur
         let rank = (percent / 100.0).clamp(0.0, 1.0) * (order.len() - 1) as f64;
         let (low, share) = (rank.floor() as usize, rank.fract());
         let (a, b) = (order[low], order[(low + 1).min(order.len() - 1)]);
+        // Another capture would have put a neighbour in rank there: the noise of a twentieth of the cells to either side.
+        let near = order.len() / 20;
+        let around = &order[low.saturating_sub(near)..(low + 2 + near).min(order.len())];
+        let variance = around.iter().map(|&i| sigmas[i] * sigmas[i]).sum::<f64>();
         Figure {
             value: values[a] + share * (values[b] - values[a]),
-            u: sigmas[a].max(sigmas[b]),
+            u: (variance / around.len() as f64).sqrt(),
         }
     };
     let depth_mm = at(percent);

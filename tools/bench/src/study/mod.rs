@@ -306,25 +306,29 @@ pub fn measure(
     Ok(Outcome { stated_um, cells })
 }
 
-/// What calibrations with errors of `sd_px` do to the depth of an undamaged flank, µm: the root of the mean square of its
-/// change, all else the same (a Monte Carlo evaluation as in JCGM 101). The draws are not those of the cells.
+/// What calibrations with errors of `sd_px` do to the depth of an undamaged flank, µm: its standard deviation over draws,
+/// each with a capture of its own (a Monte Carlo evaluation as in JCGM 101, with the noise of one capture in it). The draws are
+/// not those of the cells.
 fn depth_error_um(tool: &Tool, head: &HeadModel, sd_px: f64, seed: u64) -> anyhow::Result<f64> {
     const DRAWS: u32 = 40;
+    /// Captures beyond those of the cells.
+    const FIRST: u32 = 1 << 20;
     let mut config = demo::world_of(tool, head)?;
     config.run_seed = seed;
     let world = World::new(&config)?;
-    let depth_um = |head: &HeadModel| -> anyhow::Result<f64> {
+    let depth_um = |head: &HeadModel, number: u32| -> anyhow::Result<f64> {
         let instrument = Instrument::new(tool, head, GridKind::Core, None, None)?;
-        let feature = judged(&instrument.capture(&world, 1, Trouble::default())?)?;
+        let feature = judged(&instrument.capture(&world, number, Trouble::default())?)?;
         feature.wear_um.context("an undamaged flank has no figure")
     };
-    let right = depth_um(head)?;
-    let mut sum = 0.0;
-    for draw in 0..DRAWS {
-        let draw = (seed << 20) + u64::from(draw) + (1 << 50);
-        sum += (depth_um(&calibrated(head, draw, sd_px))? - right).powi(2);
+    let mut depths = Vec::new();
+    for number in 0..DRAWS {
+        let draw = (seed << 20) + u64::from(number) + (1 << 50);
+        depths.push(depth_um(&calibrated(head, draw, sd_px), FIRST + number)?);
     }
-    Ok((sum / f64::from(DRAWS)).sqrt())
+    let mean = depths.iter().sum::<f64>() / f64::from(DRAWS);
+    let squares: f64 = depths.iter().map(|depth| (depth - mean).powi(2)).sum();
+    Ok((squares / f64::from(DRAWS - 1)).sqrt())
 }
 
 /// The measurand: the percentile over the zone's cells of the true depth, averaged over each cell; of the height of

@@ -47,7 +47,7 @@ fn markdown(outcome: &Outcome, args: &Args) -> Result<String, std::fmt::Error> {
     )?;
     writeln!(
         text,
-        "What those calibrations do to a depth was evaluated first, by 40 draws of its own: {calibration_um:.2} µm, and \
+        "What those calibrations do to a depth was evaluated first, by 40 draws and captures of its own: {calibration_um:.2} µm, and \
          {drift_um:.2} µm for the drift of 0.01 px between a baseline and a later check (standard uncertainties). These the \
          instrument was told; all other parts of its budget it finds itself.\n\n## Depth against truth\n\nThe truth is that of the figure itself: the 99.5 % percentile over the zone's cells of 0.25 mm, from the damage's closed form. \
          Detected: at or beyond the stated detection limit. Warn 30 µm, stop 50 µm.\n"
