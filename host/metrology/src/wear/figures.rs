@@ -169,8 +169,9 @@ fn shrunken(field: &Field, measured: &[usize], noise: f64) -> (Vec<f64>, Vec<f64
             let total = between + variances[i];
             let keep = if total > 0.0 { between / total } else { 0.0 };
             values.push(mean + keep * (field.wear_mm[i] - mean));
-            // A cell that is kept has its own noise, one that is replaced by the mean has the mean's.
-            sigmas.push((keep * keep * variances[i] + (1.0 - keep).powi(2) / weights).sqrt());
+            // Its own noise as far as it is kept, and what it may differ from the mean by as far as it is not: together
+            // `keep` of its variance. Then the mean's own.
+            sigmas.push((keep * variances[i] + (1.0 - keep).powi(2) / weights).sqrt());
         }
     }
     (values, sigmas)
