@@ -19,6 +19,14 @@ pub struct Field {
     pub variance_mm2: Vec<f64>,
 }
 
+/// What noise alone does to the cells of a field.
+pub(super) struct Noise {
+    /// Standard deviation of a cell, in the mean over all, mm.
+    pub mean_mm: f64,
+    /// Variance of every cell, mm2.
+    pub variances_mm2: Vec<f64>,
+}
+
 /// Two fields that cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
@@ -94,21 +102,20 @@ impl Field {
         Some(mean)
     }
 
-    /// Standard deviation of a cell, in the mean over all; see [`Field::noise_variances_mm2`].
-    pub(super) fn noise_mm(&self) -> f64 {
+    /// The cells' noise as they themselves show it: as stated, or larger in proportion where neighbours in height differ by
+    /// more than that. Cells at the zone's rim, with few points, are noisier than the others.
+    pub(super) fn noise(&self) -> Noise {
+        let scale = self.noise_scale();
         let measured: Vec<usize> = self.measured().collect();
         let stated = measured.iter().map(|&i| self.variance_mm2[i]).sum::<f64>();
-        self.noise_scale() * (stated / measured.len().max(1) as f64).sqrt()
-    }
-
-    /// Variance of every cell as the cells themselves show it, mm2: those stated, or larger in proportion where neighbours
-    /// in height differ by more than that. Cells at the zone's rim, with few points, are noisier than the others.
-    pub(super) fn noise_variances_mm2(&self) -> Vec<f64> {
-        let scale = self.noise_scale();
-        self.variance_mm2
-            .iter()
-            .map(|v| scale * scale * v)
-            .collect()
+        Noise {
+            mean_mm: scale * (stated / measured.len().max(1) as f64).sqrt(),
+            variances_mm2: self
+                .variance_mm2
+                .iter()
+                .map(|v| scale * scale * v)
+                .collect(),
+        }
     }
 
     /// How much larger than stated the standard deviations are. Flanks wear evenly along the height but for a few cells,

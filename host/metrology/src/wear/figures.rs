@@ -7,7 +7,7 @@
 
 use serde::Serialize;
 
-use super::field::Field;
+use super::field::{Field, Noise};
 
 /// A cell counts as worn, and a structure as such, beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
@@ -57,10 +57,11 @@ pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figur
         return None;
     }
     let n = measured.len() as f64;
-    let noise = field.noise_mm();
+    let cells_noise = field.noise();
+    let noise = cells_noise.mean_mm;
     let mean = measured.iter().map(|&i| field.wear_mm[i]).sum::<f64>() / n;
 
-    let (values, sigmas) = shrunken(field, &measured, noise);
+    let (values, sigmas) = shrunken(field, &measured, &cells_noise);
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
     let at = |percent: f64| {
@@ -124,11 +125,11 @@ pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figur
 }
 
 /// The measured cells, each shrunk within its population, and the noise of what is left of them.
-fn shrunken(field: &Field, measured: &[usize], noise: f64) -> (Vec<f64>, Vec<f64>) {
+fn shrunken(field: &Field, measured: &[usize], noise: &Noise) -> (Vec<f64>, Vec<f64>) {
     let mut sorted: Vec<f64> = measured.iter().map(|&i| field.wear_mm[i]).collect();
     let middle = sorted.len() / 2;
     let (_, &mut median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-    let reach = DETECTION_FACTOR * noise;
+    let reach = DETECTION_FACTOR * noise.mean_mm;
     let mut populations = field.clusters(|i| field.wear_mm[i] - median > reach, LEAST_CLUSTER);
     populations.extend(field.clusters(|i| median - field.wear_mm[i] > reach, LEAST_CLUSTER));
     let mut in_structure = vec![false; field.wear_mm.len()];
@@ -143,7 +144,7 @@ fn shrunken(field: &Field, measured: &[usize], noise: f64) -> (Vec<f64>, Vec<f64
             .collect(),
     );
 
-    let variances = field.noise_variances_mm2();
+    let variances = &noise.variances_mm2;
     let mut values = Vec::with_capacity(measured.len());
     let mut sigmas = Vec::with_capacity(measured.len());
     for cells in populations.iter().filter(|cells| !cells.is_empty()) {
