@@ -39,13 +39,17 @@ fn a_calibrated_head_checks_the_die() {
         checked.json["reason"], checked.stderr
     );
     assert_eq!(checked.not_go(), ["40:left:no-go"]);
-    let wear = checked.json["features"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .find(|f| f["verdict"] == "no-go")
-        .and_then(|f| f["wear_um"].as_f64());
+    let features = checked.json["features"].as_array().unwrap();
+    let worn = features.iter().find(|f| f["verdict"] == "no-go").unwrap();
+    let wear = worn["wear_um"].as_f64();
     assert!(wear.is_some_and(|um| (um - 80.0).abs() < 5.0), "{wear:?}");
+    // The budget counts the calibration with what it says of itself along the flank's normal: the base circle seen from the
+    // middle of the zone (40.562 to 42.190 mm).
+    let sigma = |key: &str| record[key].as_f64().unwrap();
+    let (sin, cos) = f64::acos(41.45 * 20f64.to_radians().cos() / 41.376).sin_cos();
+    let expected = (sigma("depth_sigma_um") * sin).hypot(sigma("lateral_sigma_um") * cos);
+    let counted = worn["detail"]["budget_um"]["calibration"].as_f64().unwrap();
+    assert!((counted - expected).abs() < 0.01, "{counted} {expected}");
 
     let tested = run(flankscope().args([
         "calibrate",

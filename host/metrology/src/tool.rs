@@ -72,9 +72,9 @@ pub struct Inspect {
     /// Least measured share of a zone.
     #[serde(default = "default_coverage")]
     pub least_coverage: f64,
-    /// Standard uncertainty of the calibration, micrometres.
-    #[serde(default = "default_calibration")]
-    pub calibration_um: f64,
+    /// Least standard uncertainty that a head's calibration counts with, micrometres; all of it where the head does not say.
+    #[serde(default)]
+    pub calibration_um: Option<f64>,
     /// Standard uncertainty of the head's drift since the baseline, micrometres.
     #[serde(default = "default_drift")]
     pub drift_um: f64,
@@ -181,10 +181,6 @@ fn default_zone_height() -> [f64; 2] {
 
 fn default_coverage() -> f64 {
     0.8
-}
-
-fn default_calibration() -> f64 {
-    2.0
 }
 
 #[derive(serde::Deserialize)]
@@ -343,19 +339,17 @@ impl Tool {
     /// How wear is computed for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which counts as
     /// the standard uncertainty of the CAD surface.
     pub fn wear_settings(&self) -> Settings {
-        let calibration_um = self
-            .inspect
-            .as_ref()
-            .map_or_else(default_calibration, |i| i.calibration_um);
+        let stated_um = self.inspect.as_ref().and_then(|i| i.calibration_um);
+        let defaults = Settings::default();
         Settings {
-            calibration_mm: 1e-3 * calibration_um,
+            calibration_mm: stated_um.map_or(defaults.calibration_mm, |um| 1e-3 * um),
             drift_mm: 1e-3
                 * self
                     .inspect
                     .as_ref()
                     .map_or_else(default_drift, |i| i.drift_um),
             cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
-            ..Settings::default()
+            ..defaults
         }
     }
 }
@@ -481,12 +475,10 @@ impl File {
         if !(0.0..=1.0).contains(&inspect.least_coverage) {
             return refuse("inspect.least_coverage", inspect.least_coverage, "0 to 1");
         }
-        if !(0.0..=1000.0).contains(&inspect.calibration_um) {
-            return refuse(
-                "inspect.calibration_um",
-                inspect.calibration_um,
-                "0 to 1000",
-            );
+        if let Some(um) = inspect.calibration_um
+            && !(0.0..=1000.0).contains(&um)
+        {
+            return refuse("inspect.calibration_um", um, "0 to 1000");
         }
         Ok(())
     }

@@ -9,6 +9,7 @@
 //! | `recorder` | the capture thread: frames summed where they lie |
 //! | `pairing` | triggers against frames |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `judge` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `findings` | all views to what is said of the tool |
 //! | `evidence` | what a verdict was computed from |
@@ -18,6 +19,7 @@
 
 mod evidence;
 mod findings;
+mod head_error;
 mod influence;
 mod job;
 mod judge;
@@ -33,6 +35,7 @@ mod views;
 
 pub use evidence::{Evidence, Phasors, Recipe};
 pub(crate) use findings::Findings;
+pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Progress, Station, Subject};
 pub use pairing::{PairingError, pair};

@@ -11,12 +11,13 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, FlankWear, Measured, Zone};
+use flankscope_metrology::wear::{self, FlankWear, Measured, Settings, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
+use super::head_error::calibration_um;
 use super::influence::Fitted;
 use super::job::Subject;
 use super::judge::Judge;
@@ -225,7 +226,10 @@ impl Evaluator {
                 })
             })
             .collect::<Result<_, EvaluatorError>>()?;
-        let settings = tool.wear_settings();
+        let settings = Settings {
+            calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
+            ..tool.wear_settings()
+        };
         let temperature = tool.temperature.as_ref();
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
         let judge = Judge {

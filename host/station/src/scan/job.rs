@@ -31,7 +31,7 @@ use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     EvaluatorError, Feature, FrameCount, Handover, InspectError, Progress as CheckProgress, Run,
-    Station, Subject, Timing, field_slope, hand_eye, peak_memory_mb,
+    Station, Subject, Timing, calibration_um, field_slope, hand_eye, peak_memory_mb,
 };
 
 /// Fewer registered views than this share do not describe the die.
@@ -481,10 +481,12 @@ impl Scanner {
             }
         }
         let most = flanks.values().map(|sums| sums.0).max().unwrap_or(1) as f64;
-        let inspect = self.station.subject.tool.inspect.as_ref();
-        let (rule, calibration_um) = inspect.map_or((Rule::new(f64::NAN, f64::NAN), 0.0), |i| {
-            (i.rule(), i.calibration_um)
-        });
+        let Subject { tool, head, .. } = &self.station.subject;
+        let rule = tool
+            .inspect
+            .as_ref()
+            .map_or(Rule::new(f64::NAN, f64::NAN), |i| i.rule());
+        let calibration_um = calibration_um(tool, head);
         flanks
             .into_iter()
             .filter(|(_, (cells, ..))| *cells >= LEAST_CELLS)

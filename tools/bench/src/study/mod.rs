@@ -230,7 +230,8 @@ pub fn measure(
         depth_error_um(&plain, &head, DRIFT_PX, seed)?,
     ];
     if let Some(inspect) = &mut plain.inspect {
-        [inspect.calibration_um, inspect.drift_um] = stated_um;
+        inspect.calibration_um = Some(stated_um[0]);
+        inspect.drift_um = stated_um[1];
     }
     tell(&format!(
         "calibrations move a depth by {:.2} µm, drift by {:.2} µm (standard deviations)",
