@@ -2,7 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use flankscope_metrology::joint::{Local, PARAMETERS, Pose, Stages, ViewInformation, solve};
+use flankscope_metrology::cylinder::Witness;
+use flankscope_metrology::joint::{Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 /// What each view knows of its own pose: about 1 µm, and that over a field of 10 mm.
@@ -72,7 +73,7 @@ fn consistent_views_are_followed_from_half_a_millimetre_away() {
         .map(|&at| off(&stages().tool_from_camera(at), &truth.tool_from_camera(at)).norm())
         .fold(0.0, f64::max);
     assert!(farthest > 0.5, "{farthest} mm");
-    let found = solve(&stages(), &views, Local::default()).unwrap();
+    let found = solve(&stages(), &views, &[], Local::default()).unwrap();
     for (pose, &at) in found.poses.iter().zip(&places) {
         // Half a millimetre of eccentricity is known from 24 views to 5 µm / sqrt(12), so its prior pulls by 3 nm. The
         // encoder's first harmonic (here up to 12 µm at the wall, 7 µm expected) looks like eccentricity but for the wall's
@@ -100,7 +101,7 @@ fn a_wall_that_is_oval_and_conical_does_not_move_the_views() {
             laid(at, Translation3::from(-outwards * radial_mm(&at)) * pose)
         })
         .collect();
-    let found = solve(&stages(), &views, Local::default()).unwrap();
+    let found = solve(&stages(), &views, &[], Local::default()).unwrap();
     for (pose, at) in found.poses.iter().zip(&places) {
         let off_mm = off(pose, &truth.tool_from_camera(*at)).norm();
         // What run-out could be of it: 0.3² of 5² + 1² µm², 0.3 %; the shared parameters cannot follow either.
@@ -122,7 +123,7 @@ fn a_view_that_the_stage_turned_too_far_is_followed_as_far_as_a_gaussian_says() 
     let views: Vec<ViewInformation> = (0..places.len())
         .map(|view| laid(places[view], at_wall(view)))
         .collect();
-    let found = solve(&stages(), &views, Local::default()).unwrap();
+    let found = solve(&stages(), &views, &[], Local::default()).unwrap();
     let moved_mm = off(&found.poses[wrong], &truth.tool_from_camera(places[wrong])).norm();
     // σ_stage² / (σ_stage² + σ_view²) of 10.9 µm; the other 47 views hold the rest of the instrument to 1/47 of it.
     let stage_mm = error_rad / 3f64.sqrt() * RADIUS_MM;
@@ -157,7 +158,7 @@ fn what_no_view_can_tell_is_named_weak_and_stays_where_it_was() {
             view
         })
         .collect();
-    let found = solve(&stages(), &views, Local::default()).unwrap();
+    let found = solve(&stages(), &views, &[], Local::default()).unwrap();
     assert!(found.condition > 1e3, "{}", found.condition);
     assert!(!found.weak.is_empty());
     for weak in &found.weak {
@@ -173,4 +174,158 @@ fn what_no_view_can_tell_is_named_weak_and_stays_where_it_was() {
             .any(|name| name.ends_with("shift z") || name.ends_with("shift x")),
         "along the axis: {names:?}"
     );
+}
+
+/// Cells of the wall that a view around a place sees, with what the wall and the view's error make of each deviation: flanks
+/// face the axis and to both sides of it. `off` is where a point of the view lands, against where it should.
+fn witnesses(
+    at: Pose,
+    wall_mm: impl Fn([f64; 3]) -> f64,
+    off: impl Fn(Point3<f64>) -> Vector3<f64>,
+) -> Vec<Witness> {
+    const COLUMNS: u32 = 2016;
+    let column_rad = TAU / f64::from(COLUMNS);
+    let middle = ((PI - at.rotation_rad).rem_euclid(TAU) / column_rad) as u32;
+    let lowest = ((at.vertical_mm - 5.0).max(0.0) / 0.25) as u32;
+    let mut cells: Vec<Witness> = (lowest..lowest + 40)
+        .flat_map(|row| (0..77).map(move |column| (row, (middle + COLUMNS + column - 38) % COLUMNS)))
+        .map(|(row, column)| {
+            let angle = column_rad * (f64::from(column) + 0.5) - PI;
+            let foot = [
+                RADIUS_MM * angle.cos(),
+                RADIUS_MM * angle.sin(),
+                0.25 * (f64::from(row) + 0.5),
+            ];
+            let facing = angle + PI + [-0.9, 0.0, 0.9][column as usize % 3];
+            let normal = Vector3::new(facing.cos(), facing.sin(), 0.0);
+            let outwards = Vector3::new(angle.cos(), angle.sin(), 0.0);
+            let lands = outwards * wall_mm(foot) + off(Point3::from(foot));
+            Witness {
+                cell: row * COLUMNS + column,
+                weight: 2.5e5,
+                deviation_mm: normal.dot(&lands) as f32,
+                point: foot.map(|c| c as f32),
+                normal: [normal.x as f32, normal.y as f32, 0.0],
+            }
+        })
+        .collect();
+    cells.sort_by_key(|witness| witness.cell);
+    cells
+}
+
+/// Overlaps of all views that lie next to each other.
+fn pairs(views: &[ViewInformation], seen: &[Vec<Witness>], reach_mm: f64) -> Vec<Overlap> {
+    let centre = |view: usize| Point3::from(views[view].centre_mm);
+    (0..views.len())
+        .flat_map(|i| (i + 1..views.len()).map(move |j| [i, j]))
+        .filter(|&[i, j]| (centre(i) - centre(j)).norm() < reach_mm)
+        .filter_map(|[i, j]| {
+            let centres = [i, j].map(|view| views[view].centre_mm);
+            Overlap::between([i, j], [&seen[i], &seen[j]], centres)
+        })
+        .collect()
+}
+
+#[test]
+fn a_conical_wall_leans_in_every_view_and_yet_no_view_leans() {
+    let truth = stages();
+    let places = places(12, 8);
+    let taper_rad = 15e-3 / 66.0;
+    let wall_mm = |[_, _, z]: [f64; 3]| taper_rad * (z - 33.0);
+    // What is laid on the CAD follows the wall: it shifts inwards and leans.
+    let motion = |at: &Pose| {
+        let centre = truth.tool_from_camera(*at) * Point3::new(0.0, 0.0, 22.0);
+        let outwards = Vector3::new(centre.x, centre.y, 0.0).normalize();
+        let around = Vector3::z().cross(&outwards);
+        let turn = UnitQuaternion::from_scaled_axis(-around * taper_rad);
+        let shift = -outwards * wall_mm(centre.into());
+        let about = Translation3::from(centre.coords + shift);
+        about * turn * Translation3::from(-centre.coords)
+    };
+    let views: Vec<ViewInformation> = places
+        .iter()
+        .map(|at| laid(*at, motion(at) * truth.tool_from_camera(*at)))
+        .collect();
+    let seen: Vec<Vec<Witness>> = places
+        .iter()
+        .map(|at| witnesses(*at, wall_mm, |p| motion(at) * p - p))
+        .collect();
+    let overlaps = pairs(&views, &seen, 9.0);
+    assert_eq!(overlaps.len(), 7 * 12, "each with the one above");
+    let farthest_mm = |overlaps: &[Overlap]| {
+        let found = solve(&stages(), &views, overlaps, Local::default()).unwrap();
+        let edge = Point3::new(5.0, 0.0, 22.0);
+        let off = |(pose, at): (&Isometry3<f64>, &Pose)| {
+            (pose * edge - truth.tool_from_camera(*at) * edge).norm()
+        };
+        found.poses.iter().zip(&places).map(off).fold(0.0, f64::max)
+    };
+    // Laid on the CAD, the edge of a view is 1.1 µm off by the lean alone and up to 6.6 µm by where the wall stands. The
+    // layers' places say how conical the wall is, 5 µm of form under each of 96 views: 0.027 mrad over these heights. And each
+    // view says how it leans to 0.3 mrad: the lean that all share ends within 0.2 µm over 5 mm.
+    let alone_mm = farthest_mm(&[]);
+    assert!(alone_mm < 0.2e-3, "{} µm", alone_mm * 1e3);
+    // A step of 1 µm between neighbours is seen by each of 84 pairs to half a µm.
+    let together_mm = farthest_mm(&overlaps);
+    assert!(together_mm < 0.1e-3, "{} µm", together_mm * 1e3);
+}
+
+#[test]
+fn neighbours_hold_a_view_that_ran_out_as_a_ring_of_springs_does() {
+    const AROUND: u32 = 84;
+    let truth = stages();
+    let places = places(AROUND, 1);
+    let wrong = 30;
+    let runout_mm = 2e-3;
+    // The stage carried one view outwards; the piece is rough, and no view may take that for its own motion.
+    let wall_mm = |[x, y, z]: [f64; 3]| 4e-3 * (90.0 * y.atan2(x)).sin() * (0.7 * z).cos() + 1e-5 * x;
+    let outwards =
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -places[wrong].rotation_rad)
+            * Vector3::x();
+    let views: Vec<ViewInformation> = places
+        .iter()
+        .map(|&at| laid(at, truth.tool_from_camera(at)))
+        .collect();
+    let seen: Vec<Vec<Witness>> = (places.iter().enumerate())
+        .map(|(view, at)| {
+            let off = if view == wrong { -runout_mm } else { 0.0 };
+            witnesses(*at, wall_mm, |_| outwards * off)
+        })
+        .collect();
+    // Next neighbours alone, so that they are a ring.
+    let overlaps = pairs(&views, &seen, 4.0);
+    assert_eq!(overlaps.len(), AROUND as usize);
+    let local = Local::default();
+    let found = solve(&stages(), &views, &overlaps, local).unwrap();
+    let off = |view: usize| {
+        off(&found.poses[view], &truth.tool_from_camera(places[view])).dot(&outwards)
+    };
+    // Springs: to where the stage should be (run-out), to the CAD (which knows the view, but not the form under it), and to
+    // either neighbour: (patches of 25 cells) / (both views' 4 + 1 µm²) along the part of the normals that faces outwards.
+    let stage = local.runout_mm.powi(-2);
+    let cad = 1.0 / (VIEW_MM.powi(2) + local.form_mm.powi(2));
+    let common = 53.0 * 40.0;
+    let facing = (1.0 + 2.0 * 0.9_f64.cos().powi(2)) / 3.0;
+    let neighbour = common / 25.0 / 10e-6 * facing;
+    // A circulant: diagonal by its Fourier modes.
+    let share = |modes: std::ops::Range<u32>| {
+        let of_mode = |mode: u32| {
+            let tie = neighbour * 2.0 * (1.0 - (TAU * f64::from(mode) / f64::from(AROUND)).cos());
+            tie / (stage + cad + tie)
+        };
+        modes.map(of_mode).sum::<f64>() / f64::from(AROUND)
+    };
+    let expected_mm = runout_mm * share(0..AROUND);
+    assert!(expected_mm > 0.25 * runout_mm, "{expected_mm} mm");
+    let moved_mm = off(wrong);
+    // Five shared parameters (eccentricity, ovality, the head's distance) take 1/84 each, and cells are whole: 5 %.
+    assert!(
+        (moved_mm / expected_mm - 1.0).abs() < 0.08,
+        "{} µm, expected {} µm",
+        moved_mm * 1e3,
+        expected_mm * 1e3
+    );
+    // Without overlaps it stays where the stage should be.
+    let alone = solve(&stages(), &views, &[], local).unwrap();
+    assert!(alone.strays[wrong].norm() < 1e-9);
 }

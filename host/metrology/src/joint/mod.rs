@@ -1,14 +1,32 @@
 //! All views of a scan laid on the CAD together.
 //!
-//! Each view, laid on the surface, is compressed to its 6x6 information ([`ViewInformation`]). One solve then finds what
-//! all views share (die on its table, hand-eye, direction of the vertical axis, encoder harmonics: [`Stages`]) and how far
-//! each view strays from it within what its stages can be off. A view may not bend to the form of the piece where it
-//! looks: that is what keeps ovality and taper in the deviations.
+//! Each view, laid on the surface, is compressed to its 6x6 information ([`ViewInformation`]), and each pair of views that
+//! saw the same cells to a 12x12 one ([`Overlap`]). One solve then finds what all views share (die on its table, hand-eye,
+//! directions of the vertical axis, encoder harmonics: [`Stages`]) and how far each view strays from it within what its stages
+//! can be off. A view may not bend to the form of the piece where it looks: ovality and taper of the whole and a form of its
+//! own under every view are eliminated, which keeps them in the deviations. Overlaps know nothing of the CAD: in the
+//! difference of two views the form cancels.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `model` | where the head looks, from what the stages were told |
+//! | `view` | one view against the CAD |
+//! | `overlap` | one view against another |
+//! | `form` | what the form of the piece looks like |
+//! | `local` | what a single view may be off by |
+//! | `solve` | all of it together |
+//! | `blocks` | the sparse factor behind it |
 
+mod blocks;
+mod form;
+mod local;
 mod model;
+mod overlap;
 mod solve;
 mod view;
 
+pub use local::Local;
 pub use model::{PARAMETERS, Pose, Stages};
-pub use solve::{JointError, Local, Solution, Weak, solve};
+pub use overlap::Overlap;
+pub use solve::{JointError, Solution, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};

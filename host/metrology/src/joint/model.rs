@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
 
 /// Number of shared parameters.
-pub const PARAMETERS: usize = 19;
+pub const PARAMETERS: usize = 20;
 
 /// What the stages were told for a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,6 +37,7 @@ pub(super) const NAMES: [&str; PARAMETERS] = [
     "head shift y",
     "head shift z",
     "vertical axis along the wall",
+    "vertical axis towards the wall",
     "encoder cos 1",
     "encoder sin 1",
     "encoder cos 2",
@@ -47,13 +48,14 @@ pub(super) const NAMES: [&str; PARAMETERS] = [
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// Prior standard deviations, mm and rad: a die put down by hand, a hand-eye known to a degree and half a millimetre, an
-/// encoder within its data sheet. How the vertical axis leans towards the die is no parameter: no view could tell it from a
-/// conical die, so it has to be aligned before, and what is left of it is an uncertainty of the taper.
+/// Prior standard deviations, mm and rad: a die put down by hand, a hand-eye known to a degree and half a millimetre, a
+/// vertical axis as assembled along the wall and as aligned with a straight edge towards it, an encoder within its data
+/// sheet. How the vertical axis leans towards the wall looks like a conical die in every view: it stays where it was aligned,
+/// and is an uncertainty of the taper.
 const SIGMA: [f64; PARAMETERS] = {
     let (turn, head, encoder) = (0.2 * DEGREE, DEGREE, 10e-3 * DEGREE);
     [
-        turn, turn, turn, 0.5, 0.5, 0.05, head, head, head, 0.5, 0.5, 0.5, 500e-6, encoder,
+        turn, turn, turn, 0.5, 0.5, 0.05, head, head, head, 0.5, 0.5, 0.5, 500e-6, 10e-6, encoder,
         encoder, encoder, encoder, encoder, encoder,
     ]
 };
@@ -99,9 +101,15 @@ impl Stages {
         )
     }
 
+    /// Lean of the vertical axis against the rotation axis: along the wall that the head looks at, and towards it, rad. The
+    /// second is known no better than before.
+    pub fn vertical_lean_rad(&self) -> [f64; 2] {
+        [self.value(12), self.value(13)]
+    }
+
     /// Cosine and sine amplitudes of the encoder's first three harmonics, rad.
     pub fn harmonics_rad(&self) -> [[f64; 2]; 3] {
-        std::array::from_fn(|m| [self.value(13 + 2 * m), self.value(14 + 2 * m)])
+        std::array::from_fn(|m| [self.value(14 + 2 * m), self.value(15 + 2 * m)])
     }
 
     /// Tool frame from camera frame.
@@ -123,7 +131,8 @@ impl Stages {
             .sum();
         let turned =
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -(at.rotation_rad + error_rad));
-        let travel = Vector3::new(0.0, value(12), 1.0) * at.vertical_mm;
+        let [along, towards] = self.vertical_lean_rad();
+        let travel = Vector3::new(towards, along, 1.0) * at.vertical_mm;
         motion(0, 3) * turned * Translation3::from(travel) * self.stage_from_camera * motion(6, 9)
     }
 }

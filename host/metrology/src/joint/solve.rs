@@ -1,88 +1,38 @@
 //! Gauss–Newton over what the views share, with each view's own stray motion and the form of the piece under it eliminated
 //! (Schur complement).
+//!
+//! ```text
+//!  CAD      each view:  where it lies = what all share + its stray + form of the piece (of the whole, and under it)
+//!  overlap  each pair:  how it lies against the other = what all share + both strays
+//! ```
+
+use std::collections::BTreeMap;
 
 use nalgebra::{
     Isometry3, Matrix6, Point3, SMatrix, SVector, SymmetricEigen, Translation3, UnitQuaternion,
     Vector3, Vector6,
 };
 
-use super::model::{NAMES, PARAMETERS, Pose, Stages};
+use super::blocks::BlockCholesky;
+use super::form::{self, FORMS, SharedForm};
+use super::local::{Believed, Local};
+use super::model::{self, PARAMETERS, Pose, Stages};
+use super::overlap::Overlap;
 use super::view::{ViewInformation, offset};
 use crate::frames::{Cloud, Rigid, Tool};
 use crate::registration::Prior;
 
-type Square = SMatrix<f64, PARAMETERS, PARAMETERS>;
-type Column = SVector<f64, PARAMETERS>;
+/// Everything that is shared: the stages' parameters, then the form's.
+const SHARED: usize = PARAMETERS + FORMS;
+type Square = SMatrix<f64, SHARED, SHARED>;
+/// Six rows of the normal equations: a column for everything shared, and the right side.
+type Rows = SMatrix<f64, 6, { SHARED + 1 }>;
+type StageSlope = SMatrix<f64, 6, PARAMETERS>;
 
 /// Steps of the solve; the model is so nearly linear that the third changes nothing.
 const STEPS: usize = 4;
 /// Step of the difference quotients, in standard deviations of the prior.
 const DIFFERENCE: f64 = 1e-3;
-
-/// How far a single view may stray from what all share, and how far the piece's form may make it look astray: standard
-/// deviations.
-#[derive(Debug, Clone, Copy)]
-pub struct Local {
-    /// Turn of the rotary stage, rad.
-    pub rotation_rad: f64,
-    /// Height of the vertical stage, mm.
-    pub vertical_mm: f64,
-    /// Run-out: shift in any direction, mm.
-    pub runout_mm: f64,
-    /// Wobble: turn about any axis, rad.
-    pub wobble_rad: f64,
-    /// Form of the piece: its wall stands nearer to or farther from the axis over a whole view, mm. It looks like a shift
-    /// of the view and is none: however many points say so, the view stays where it is and the form in its deviations.
-    pub form_mm: f64,
-    /// Form of the piece: its wall leans over a whole view, rad.
-    pub form_rad: f64,
-}
-
-impl Default for Local {
-    /// ±15 mdeg and ±5 µm, evenly distributed (data sheets); run-out and wobble of an air or cross-roller bearing stage; a
-    /// form of 5 µm, and that over the half height of a die.
-    fn default() -> Self {
-        let even = 1.0 / 3f64.sqrt();
-        Self {
-            rotation_rad: 15e-3 * std::f64::consts::PI / 180.0 * even,
-            vertical_mm: 5e-3 * even,
-            runout_mm: 0.3e-3,
-            wobble_rad: 5e-6,
-            form_mm: 5e-3,
-            form_rad: 5e-3 / 33.0,
-        }
-    }
-}
-
-impl Local {
-    /// Covariance of the stray motion (rotation about `centre`, translation), tool frame.
-    fn covariance(&self, centre: Vector3<f64>) -> Matrix6<f64> {
-        let mut covariance = Matrix6::from_diagonal(&Vector6::new(
-            self.wobble_rad.powi(2),
-            self.wobble_rad.powi(2),
-            self.wobble_rad.powi(2),
-            self.runout_mm.powi(2),
-            self.runout_mm.powi(2),
-            self.runout_mm.powi(2) + self.vertical_mm.powi(2),
-        ));
-        let turn = Vector6::new(0.0, 0.0, 1.0, -centre.y, centre.x, 0.0) * self.rotation_rad;
-        covariance += turn * turn.transpose();
-        covariance
-    }
-
-    /// Covariance of the motion that the form of the piece looks like.
-    fn form_covariance(&self, centre: Vector3<f64>) -> Matrix6<f64> {
-        let lean = self.form_rad.powi(2);
-        let mut covariance = Matrix6::from_diagonal(&Vector6::new(lean, lean, lean, 0.0, 0.0, 0.0));
-        let radius_mm = centre.x.hypot(centre.y);
-        if radius_mm > 0.0 {
-            let (x, y) = (centre.x / radius_mm, centre.y / radius_mm);
-            let outwards = Vector6::new(0.0, 0.0, 0.0, x, y, 0.0) * self.form_mm;
-            covariance += outwards * outwards.transpose();
-        }
-        covariance
-    }
-}
 
 /// A combination of shared parameters of which the views say less than was known before.
 #[derive(Debug, Clone)]
@@ -119,6 +69,7 @@ pub struct Solution {
     /// Ratio of the largest to the smallest eigenvalue of the information, prior included, in units of the prior.
     pub condition: f64,
     covariance: Square,
+    form: SharedForm,
     local: Local,
 }
 
@@ -132,6 +83,7 @@ impl Solution {
             weak: Vec::new(),
             condition: 1.0,
             covariance: Square::identity(),
+            form: SharedForm::none(0.0),
             local,
         }
     }
@@ -141,8 +93,15 @@ impl Solution {
     pub fn settle(&self, view: &ViewInformation) -> Option<Isometry3<f64>> {
         let centre = Vector3::from(view.centre_mm);
         let pose = self.stages.tool_from_camera(view.at);
-        let away = offset(&view.tool_from_camera, &pose, centre);
-        let stray = Reduced::new(view, self.local)?.stray(view, &away);
+        let form = self.form.slope(centre) * self.form.parameters;
+        let away = view.motion_to(&pose) + form;
+        let Believed {
+            information,
+            gradient,
+        } = self.local.without_form(view)?;
+        let prior = self.local.covariance(centre).cholesky()?.inverse();
+        let held = (information + prior).cholesky()?;
+        let stray = -held.solve(&(information * away + gradient));
         Some(moved(&pose, &stray, centre))
     }
 
@@ -151,54 +110,55 @@ impl Solution {
         let pose = self.stages.tool_from_camera(at);
         let centre = pose.translation.vector;
         let slope = slope(&self.stages, at, &pose, centre);
+        let of_stages = self.covariance.fixed_view::<PARAMETERS, PARAMETERS>(0, 0);
         Prior {
             tool_from_cloud: Rigid::<Tool, Cloud>::from_isometry(pose),
             pivot_mm: centre.into(),
-            covariance: slope * self.covariance * slope.transpose() + self.local.covariance(centre),
+            covariance: slope * of_stages * slope.transpose() + self.local.covariance(centre),
         }
+    }
+
+    /// Standard uncertainty of the piece's ovality and of its taper over a height, mm: what noise, the stages and the form
+    /// under single views leave open. How far the vertical axis leans towards the wall is no more than its prior, and looks
+    /// like a taper.
+    pub fn form_sigma_mm(&self, over_mm: f64) -> [f64; 2] {
+        let of_form = self
+            .covariance
+            .fixed_view::<FORMS, FORMS>(PARAMETERS, PARAMETERS)
+            .into_owned();
+        form::sigma_mm(&of_form, over_mm)
     }
 }
 
-/// Solves for what all views share, from where `start` stands.
+/// Solves for what all views share and for each view's own stray motion, from where `start` stands. Overlaps tie the views
+/// to each other; without them each is held by the CAD alone.
 ///
 /// # Errors
 /// The information of a view is no positive matrix.
 pub fn solve(
     start: &Stages,
     views: &[ViewInformation],
+    overlaps: &[Overlap],
     local: Local,
 ) -> Result<Solution, JointError> {
     let broken = || JointError::NotPositive { views: views.len() };
-    let mut stages = start.clone();
-    let reduced = views
-        .iter()
-        .map(|view| Reduced::new(view, local))
-        .collect::<Option<Vec<_>>>()
-        .ok_or_else(broken)?;
+    let system = System::new(views, overlaps, local).ok_or_else(broken)?;
+    let height_mm = views.iter().map(|v| v.centre_mm[2]).sum::<f64>() / views.len().max(1) as f64;
+    let (mut stages, mut form) = (start.clone(), SharedForm::none(height_mm));
     let mut information = Square::identity();
     for _ in 0..STEPS {
-        information = Square::identity();
-        let mut gradient: Column = stages.parameters;
-        for (view, reduced) in views.iter().zip(&reduced) {
-            let pose = stages.tool_from_camera(view.at);
-            let centre = Vector3::from(view.centre_mm);
-            let away = offset(&view.tool_from_camera, &pose, centre);
-            let slope = slope(&stages, view.at, &pose, centre);
-            information += slope.transpose() * reduced.information * slope;
-            gradient += slope.transpose() * (reduced.information * away + reduced.gradient);
+        let normal = system.normal(&stages, &form);
+        information = Square::identity() + normal.fixed_columns::<SHARED>(0);
+        information = 0.5 * (information + information.transpose());
+        let mut gradient: SVector<f64, SHARED> = normal.column(SHARED).into_owned();
+        for (k, value) in stages.parameters.iter().chain(&form.parameters).enumerate() {
+            gradient[k] += value;
         }
         let step = information.cholesky().ok_or_else(broken)?.solve(&gradient);
-        stages.parameters -= step;
+        stages.parameters -= step.fixed_rows::<PARAMETERS>(0);
+        form.parameters -= step.fixed_rows::<FORMS>(PARAMETERS);
     }
-    let strays: Vec<Vector6<f64>> = views
-        .iter()
-        .zip(&reduced)
-        .map(|(view, reduced)| {
-            let pose = stages.tool_from_camera(view.at);
-            let away = offset(&view.tool_from_camera, &pose, view.centre_mm.into());
-            reduced.stray(view, &away)
-        })
-        .collect();
+    let strays = system.strays(&stages, &form);
     let poses = views
         .iter()
         .zip(&strays)
@@ -211,10 +171,14 @@ pub fn solve(
         })
         .collect();
     let eigen = SymmetricEigen::new(information);
-    let mut weak: Vec<Weak> = (0..PARAMETERS)
+    let name = |k: usize| {
+        let names = model::NAMES.iter().chain(&form::NAMES);
+        names.copied().nth(k).unwrap_or_default()
+    };
+    let mut weak: Vec<Weak> = (0..SHARED)
         .filter(|&j| eigen.eigenvalues[j] < 2.0)
         .map(|j| Weak {
-            name: NAMES[eigen.eigenvectors.column(j).iamax()],
+            name: name(eigen.eigenvectors.column(j).iamax()),
             prior_share: 1.0 / eigen.eigenvalues[j].max(1.0),
         })
         .collect();
@@ -226,48 +190,159 @@ pub fn solve(
         weak,
         condition: eigen.eigenvalues.max() / eigen.eigenvalues.min(),
         covariance: information.try_inverse().ok_or_else(broken)?,
+        form,
         local,
     })
 }
 
-/// A view's information once its own stray motion and the form of the piece are eliminated.
-struct Reduced {
-    information: Matrix6<f64>,
-    gradient: Vector6<f64>,
-    /// What the view's own pull moves it by: P (P + F)⁻¹ of (H + (P + F)⁻¹)⁻¹, for the stray motion's covariance P and the
-    /// form's F. The other share is form.
-    gain: Matrix6<f64>,
+/// What does not change from step to step.
+struct System<'a> {
+    views: &'a [ViewInformation],
+    overlaps: &'a [Overlap],
+    /// What each view says of where it lies on the CAD, the form under it eliminated.
+    believed: Vec<Believed>,
+    /// Of what all of them, overlaps and stage tolerances say of the strays.
+    factor: BlockCholesky,
 }
 
-impl Reduced {
-    fn new(view: &ViewInformation, local: Local) -> Option<Self> {
-        let stray = local.covariance(view.centre_mm.into());
-        let both = stray + local.form_covariance(view.centre_mm.into());
-        let prior = both.cholesky()?.inverse();
-        let seen = (view.information + prior).cholesky()?.inverse();
-        let kept = Matrix6::identity() - view.information * seen;
-        let information = kept * view.information;
+impl<'a> System<'a> {
+    fn new(
+        views: &'a [ViewInformation],
+        overlaps: &'a [Overlap],
+        local: Local,
+    ) -> Option<Self> {
+        let believed = views.iter().map(|view| local.without_form(view));
+        let believed = believed.collect::<Option<Vec<_>>>()?;
+        let mut diagonal = Vec::with_capacity(views.len());
+        for (view, of) in views.iter().zip(&believed) {
+            let tolerance = local.covariance(view.centre_mm.into()).cholesky()?;
+            diagonal.push(of.information + tolerance.inverse());
+        }
+        let mut between = BTreeMap::new();
+        for overlap in overlaps {
+            for (side, &view) in overlap.views.iter().enumerate() {
+                *diagonal.get_mut(view)? += overlap.block(side, side);
+            }
+            *between
+                .entry(overlap.views)
+                .or_insert_with(Matrix6::zeros) += overlap.block(0, 1);
+        }
+        // Folded: a ring's neighbours are near each other when both halves are counted from the same end.
+        let mut order: Vec<usize> = (0..views.len()).collect();
+        order.sort_by(|&a, &b| {
+            let key = |view: usize| [views[view].at.rotation_rad.abs(), views[view].at.vertical_mm];
+            let ([turn, up], [other_turn, other_up]) = (key(a), key(b));
+            turn.total_cmp(&other_turn).then(up.total_cmp(&other_up))
+        });
         Some(Self {
-            information: 0.5 * (information + information.transpose()),
-            gradient: kept * view.gradient,
-            gain: stray * prior * seen,
+            views,
+            overlaps,
+            factor: BlockCholesky::new(&diagonal, &between, &order)?,
+            believed,
         })
     }
 
-    /// What the view adds to the pose that all share, which is `away` from where it was laid.
-    fn stray(&self, view: &ViewInformation, away: &Vector6<f64>) -> Vector6<f64> {
-        -self.gain * (view.information * away + view.gradient)
+    /// How every view is away from where it was laid by what all share, and how that changes with the stages' parameters.
+    fn away(&self, stages: &Stages) -> Vec<(Vector6<f64>, StageSlope)> {
+        let of = |view: &ViewInformation| {
+            let pose = stages.tool_from_camera(view.at);
+            let centre = Vector3::from(view.centre_mm);
+            let away = view.motion_to(&pose);
+            (away, slope(stages, view.at, &pose, centre))
+        };
+        self.views.iter().map(of).collect()
+    }
+
+    /// The views' own rows of the normal equations: what CAD and overlaps make of everything shared and of where the views
+    /// are, before any stray.
+    fn rows(
+        &self,
+        away: &[(Vector6<f64>, StageSlope)],
+        form: &SharedForm,
+    ) -> (Vec<Rows>, Vec<Rows>) {
+        let motions: Vec<Rows> = away
+            .iter()
+            .map(|(away, slope)| {
+                let mut rows = Rows::zeros();
+                rows.fixed_columns_mut::<PARAMETERS>(0).copy_from(slope);
+                rows.set_column(SHARED, away);
+                rows
+            })
+            .collect();
+        let of_cad = |((view, believed), motion): ((&ViewInformation, &Believed), &Rows)| {
+            let mut motion = *motion;
+            let slope = form.slope(view.centre_mm.into());
+            motion
+                .fixed_columns_mut::<FORMS>(PARAMETERS)
+                .copy_from(&slope);
+            let mut right = motion.column_mut(SHARED);
+            right += slope * form.parameters;
+            let mut rows = believed.information * motion;
+            let mut right = rows.column_mut(SHARED);
+            right += believed.gradient;
+            rows
+        };
+        let by_cad: Vec<Rows> = self
+            .views
+            .iter()
+            .zip(&self.believed)
+            .zip(&motions)
+            .map(of_cad)
+            .collect();
+        let mut by_overlap = vec![Rows::zeros(); self.views.len()];
+        for overlap in self.overlaps {
+            for (side, &view) in overlap.views.iter().enumerate() {
+                for (other, &there) in overlap.views.iter().enumerate() {
+                    by_overlap[view] += overlap.block(side, other) * motions[there];
+                }
+                let mut right = by_overlap[view].column_mut(SHARED);
+                right += overlap.gradient.fixed_rows::<6>(6 * side);
+            }
+        }
+        (by_cad, by_overlap)
+    }
+
+    /// Information and gradient (last column) of everything shared, the strays eliminated.
+    fn normal(&self, stages: &Stages, form: &SharedForm) -> SMatrix<f64, SHARED, { SHARED + 1 }> {
+        let away = self.away(stages);
+        let (by_cad, by_overlap) = self.rows(&away, form);
+        let mut normal = SMatrix::<f64, SHARED, { SHARED + 1 }>::zeros();
+        for ((view, (_, slope)), (cad, overlap)) in self
+            .views
+            .iter()
+            .zip(&away)
+            .zip(by_cad.iter().zip(&by_overlap))
+        {
+            let of_form = form.slope(view.centre_mm.into());
+            let mut stages = normal.fixed_rows_mut::<PARAMETERS>(0);
+            stages += slope.transpose() * (cad + overlap);
+            let mut forms = normal.fixed_rows_mut::<FORMS>(PARAMETERS);
+            forms += of_form.transpose() * cad;
+        }
+        let together: Vec<Rows> = by_cad.iter().zip(&by_overlap).map(|(a, b)| a + b).collect();
+        let mut solved = together.clone();
+        self.factor.solve(&mut solved);
+        for (rows, solved) in together.iter().zip(&solved) {
+            normal -= rows.fixed_columns::<SHARED>(0).transpose() * solved;
+        }
+        normal
+    }
+
+    /// What every view adds to the pose that all share.
+    fn strays(&self, stages: &Stages, form: &SharedForm) -> Vec<Vector6<f64>> {
+        let (by_cad, by_overlap) = self.rows(&self.away(stages), form);
+        let right = |(cad, overlap): (&Rows, &Rows)| -> Vector6<f64> {
+            -(cad.column(SHARED) + overlap.column(SHARED))
+        };
+        let mut strays: Vec<Vector6<f64>> = by_cad.iter().zip(&by_overlap).map(right).collect();
+        self.factor.solve(&mut strays);
+        strays
     }
 }
 
 /// How the pose at `centre` moves with the parameters.
-fn slope(
-    stages: &Stages,
-    at: Pose,
-    pose: &Isometry3<f64>,
-    centre: Vector3<f64>,
-) -> SMatrix<f64, 6, PARAMETERS> {
-    let mut slope = SMatrix::<f64, 6, PARAMETERS>::zeros();
+fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>) -> StageSlope {
+    let mut slope = StageSlope::zeros();
     for j in 0..PARAMETERS {
         let side = |step: f64| {
             let mut other = stages.clone();

@@ -35,6 +35,14 @@ pub struct ViewInformation {
     pub share: f64,
 }
 
+impl ViewInformation {
+    /// The small motion that takes the view from where it was laid to `pose`: rotation (rad) about its centre, translation
+    /// (mm).
+    pub fn motion_to(&self, pose: &Isometry3<f64>) -> Vector6<f64> {
+        offset(&self.tool_from_camera, pose, self.centre_mm.into())
+    }
+}
+
 /// Lays `points` (camera frame, mm) on the surface at a pose; `None` when fewer than six of them touch it.
 pub fn compress(
     surface: &Surface,

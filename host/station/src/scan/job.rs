@@ -330,6 +330,7 @@ impl Scanner {
             joint,
             rounds,
             settled,
+            steps,
             relaid,
             map,
             quality,
@@ -406,7 +407,10 @@ impl Scanner {
             verdict = "indeterminate".into();
             reason = format!("the views still moved against each other after {rounds} rounds");
         }
-        let form = map.form().map(Form::from);
+        let [low, high] = self.gear.height_mm;
+        let form = map
+            .form()
+            .map(|form| Form::with_sigma(form, joint.form_sigma_mm(high - low)));
         let (turn, shift) = joint.stages.head_error();
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
@@ -439,12 +443,14 @@ impl Scanner {
                 settled,
                 condition: joint.condition,
                 weak: joint.weak.iter().map(|w| (w.name, w.prior_share)).collect(),
+                steps,
                 found: StageErrors {
                     eccentricity_mm: joint.stages.eccentricity_mm(),
                     axis_mm: self.gear.height_mm.map(|z| joint.stages.axis_at_mm(z)),
                     tilt_deg: joint.stages.tilt_rad().to_degrees(),
                     head_turn_deg: turn.map(f64::to_degrees),
                     head_shift_mm: shift,
+                    vertical_lean_mrad: joint.stages.vertical_lean_rad().map(|rad| rad * 1e3),
                     harmonics_mdeg: joint
                         .stages
                         .harmonics_rad()

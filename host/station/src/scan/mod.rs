@@ -15,6 +15,7 @@
 //! | `patches` | those cells of every view, kept on the disk until all poses are known |
 //! | `session` | what is kept of a scan that is killed |
 //! | `stitch` | all views to one map |
+//! | `overlaps` | what neighbours say of each other |
 //! | `stranger` | whether it is the CAD's die at all |
 //! | `paper` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
@@ -30,6 +31,7 @@ mod grid;
 mod job;
 mod lay;
 mod metrics;
+mod overlaps;
 mod paper;
 mod patches;
 mod result;
@@ -44,6 +46,7 @@ pub use coverage::{Coverage, Hole};
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
+pub use overlaps::{Step, Steps};
 pub use paper::PaperSettings;
 pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 pub use session::SessionError;

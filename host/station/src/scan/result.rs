@@ -10,6 +10,7 @@ use flankscope_metrology::spacing::Spacing;
 use super::comparison::MethodResult;
 use super::coverage::Coverage;
 use super::metrics::Metrics;
+use super::overlaps::Steps;
 use super::paper::PaperStitched;
 use crate::inspection::{Feature, FrameCount, Timing};
 
@@ -112,8 +113,21 @@ impl From<BoreForm> for Form {
         Self {
             size_um: form.size_mm * 1e3,
             ovality_um: form.ovality_mm * 1e3,
+            ovality_u95_um: None,
             ovality_deg: form.ovality_rad.to_degrees(),
             taper_um: form.taper_mm * 1e3,
+            taper_u95_um: None,
+        }
+    }
+}
+
+impl Form {
+    /// With the standard uncertainties of ovality and taper, mm.
+    pub(super) fn with_sigma(form: BoreForm, [ovality_mm, taper_mm]: [f64; 2]) -> Self {
+        Self {
+            ovality_u95_um: Some(1.96e3 * ovality_mm),
+            taper_u95_um: Some(1.96e3 * taper_mm),
+            ..form.into()
         }
     }
 }
@@ -125,10 +139,17 @@ pub struct Form {
     pub size_um: f64,
     /// Largest minus smallest radius.
     pub ovality_um: f64,
+    /// Its expanded uncertainty (95 %); absent where none is claimed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ovality_u95_um: Option<f64>,
     /// Where the radius is largest, degrees, 0 to 180.
     pub ovality_deg: f64,
     /// Growth of the radius from bottom to top.
     pub taper_um: f64,
+    /// Its expanded uncertainty (95 %), how far the vertical axis leans towards the wall included; absent where none is
+    /// claimed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taper_u95_um: Option<f64>,
 }
 
 /// Two teeth across the bore.
@@ -196,6 +217,8 @@ pub struct Joint {
     pub condition: f64,
     /// Combinations of parameters of which the views say less than was known before, and the share of that.
     pub weak: Vec<(&'static str, f64)>,
+    /// Steps between views that overlap, before and after what they say of each other counted.
+    pub steps: Steps,
     /// Errors found of die, head and stages.
     pub found: StageErrors,
 }
@@ -213,6 +236,9 @@ pub struct StageErrors {
     pub head_turn_deg: [f64; 3],
     /// Shift of the head against its file, mm, camera axes.
     pub head_shift_mm: [f64; 3],
+    /// Lean of the vertical axis against the rotation axis, along the wall and towards it, millirad. The second looks like a
+    /// conical die: the views add nothing to what was known of it.
+    pub vertical_lean_mrad: [f64; 2],
     /// Cosine and sine part of the encoder's error once, twice, three times per turn, millidegrees.
     pub harmonics_mdeg: [[f64; 2]; 3],
 }

@@ -2,25 +2,28 @@
 //!
 //! What needs all points of a view was done when it was captured. Here the joint solve works on the views' 6x6 information and
 //! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
-//! laid on the CAD again.
+//! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
 
 use flankscope_metrology::cylinder::{CylinderMap, FieldQuality, Layout, Witness};
-use flankscope_metrology::joint::{Local, Solution, Stages, ViewInformation, compress, solve};
+use flankscope_metrology::joint::{
+    Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
+};
 use flankscope_metrology::tool::Tool;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
 use super::job::ScanError;
 use super::lay::Laid;
+use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, place, unlike_cad};
 use crate::inspection::Itinerary;
 
-/// Rounds of solving and laying on.
+/// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
 /// A view that moved across the axis by less than this need not be laid on anew, mm: its information is linear to some nm.
 const SETTLED_MM: f64 = 1e-3;
@@ -38,6 +41,8 @@ pub(super) struct Stitched {
     pub joint: Solution,
     pub rounds: usize,
     pub settled: bool,
+    /// How far apart neighbours lie, before and after that counts.
+    pub steps: Steps,
     /// Views that were laid on the CAD once more.
     pub relaid: usize,
     pub map: CylinderMap,
@@ -80,40 +85,23 @@ pub(super) fn stitch(
         elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
         clock = Instant::now();
     };
-    let mut views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
-    let mut joint = solved(&views, nominal)?;
-    let mut refused = Vec::new();
-    let (mut rounds, mut settled) = (1, false);
-    while rounds < MOST_ROUNDS && !settled {
-        let (laid, dropped) = laid_anew(session, tool, &views, &joint)?;
-        // A view that drops out moves the others: another round then.
-        let whole = dropped.is_empty();
-        refused.extend(dropped);
-        let next = solved(&laid, &joint.stages)?;
-        (views, joint) = (laid, next);
-        let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
-            moved_mm(info, &info.tool_from_camera, pose)
-        };
-        settled = whole
-            && views
-                .iter()
-                .zip(&joint.poses)
-                .map(moved)
-                .all(|mm| mm < SETTLED_MM);
-        rounds += 1;
-    }
+    let mut common = Common::new(session, tool, first, nominal)?;
+    common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
-    let mut relaid = 0;
-    for ((view, info), pose) in views.iter().zip(&joint.poses) {
-        let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
-        if moved.is_none_or(|mm| mm > RELAY_MM) {
-            let points = session.points(*view)?;
-            let laid = Laid::new(&tool.surface, *pose, &points);
-            patches.keep(*view, *pose, &laid.witnesses(&layout, &points))?;
-            relaid += 1;
-        }
-    }
+    let relaid = common.lay(patches, &layout)?;
     lap("lay");
+    let alone = common.poses();
+    let pairs = common.settle(|views| overlaps(patches, &layout, views))?;
+    let Common {
+        views,
+        joint,
+        refused,
+        rounds,
+        settled,
+        ..
+    } = common;
+    let steps = Steps::of(&pairs, &views, &alone, &joint);
+    lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)| {
         for ((view, _), pose) in views.iter().zip(&joint.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
@@ -128,11 +116,98 @@ pub(super) fn stitch(
         joint,
         rounds,
         settled,
+        steps,
         relaid,
         map,
         quality,
         elapsed_ms,
     })
+}
+
+/// The views on the CAD with what they share, on the way to where nothing moves.
+struct Common<'a> {
+    session: &'a Session,
+    tool: &'a Tool,
+    views: Vec<(usize, ViewInformation)>,
+    joint: Solution,
+    refused: Vec<(usize, String)>,
+    rounds: usize,
+    settled: bool,
+}
+
+impl<'a> Common<'a> {
+    fn new(
+        session: &'a Session,
+        tool: &'a Tool,
+        first: BTreeMap<usize, ViewInformation>,
+        nominal: &Stages,
+    ) -> Result<Self, ScanError> {
+        let views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
+        Ok(Self {
+            session,
+            tool,
+            joint: solved(&views, &[], nominal)?,
+            views,
+            refused: Vec::new(),
+            rounds: 1,
+            settled: false,
+        })
+    }
+
+    /// Lays the views on the CAD where the solution puts them and solves again, with what they then say of each other, until
+    /// nothing moves. Returns the overlaps of the last round.
+    fn settle(
+        &mut self,
+        overlaps: impl Fn(&[(usize, ViewInformation)]) -> Result<Vec<Overlap>, SessionError>,
+    ) -> Result<Vec<Overlap>, ScanError> {
+        let mut pairs = Vec::new();
+        self.settled = false;
+        for _ in 0..MOST_ROUNDS {
+            let (laid, dropped) = laid_anew(self.session, self.tool, &self.views, &self.joint)?;
+            // A view that drops out moves the others: another round then.
+            let whole = dropped.is_empty();
+            self.refused.extend(dropped);
+            pairs = overlaps(&laid)?;
+            self.joint = solved(&laid, &pairs, &self.joint.stages)?;
+            self.views = laid;
+            self.rounds += 1;
+            let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
+                moved_mm(info, &info.tool_from_camera, pose)
+            };
+            self.settled = whole
+                && self
+                    .views
+                    .iter()
+                    .zip(&self.joint.poses)
+                    .map(moved)
+                    .all(|mm| mm < SETTLED_MM);
+            if self.settled {
+                break;
+            }
+        }
+        Ok(pairs)
+    }
+
+    /// Lays views that moved far on the CAD again with all their points; returns how many.
+    fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
+        let mut relaid = 0;
+        for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
+            let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
+            if moved.is_none_or(|mm| mm > RELAY_MM) {
+                let points = self.session.points(*view)?;
+                let laid = Laid::new(&self.tool.surface, *pose, &points);
+                patches.keep(*view, *pose, &laid.witnesses(layout, &points))?;
+                relaid += 1;
+            }
+        }
+        Ok(relaid)
+    }
+
+    /// Where every view is, by its number.
+    fn poses(&self) -> BTreeMap<usize, Isometry3<f64>> {
+        let views = self.views.iter().zip(&self.joint.poses);
+        views.map(|((view, _), pose)| (*view, *pose)).collect()
+    }
 }
 
 /// Merges views by what their noise says first, learns from that what calibration adds in which part of the field, and merges
@@ -157,9 +232,13 @@ fn merge(
     Ok((map, quality))
 }
 
-fn solved(views: &[(usize, ViewInformation)], start: &Stages) -> Result<Solution, ScanError> {
+fn solved(
+    views: &[(usize, ViewInformation)],
+    overlaps: &[Overlap],
+    start: &Stages,
+) -> Result<Solution, ScanError> {
     let views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
-    Ok(solve(start, &views, Local::default())?)
+    Ok(solve(start, &views, overlaps, Local::default())?)
 }
 
 type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, String)>);

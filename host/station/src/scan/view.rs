@@ -183,7 +183,7 @@ impl ViewScanner {
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
         // A solve that breaks down leaves the prediction as it was; the final one reports it.
-        if let Ok(joint) = solve(&self.joint.stages, &views, Local::default()) {
+        if let Ok(joint) = solve(&self.joint.stages, &views, &[], Local::default()) {
             self.joint = joint;
         }
     }

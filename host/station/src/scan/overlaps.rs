@@ -1,0 +1,107 @@
+//! Where views overlap: which pairs, what they say of each other, and how far apart they lie.
+
+use std::collections::BTreeMap;
+
+use flankscope_metrology::cylinder::{Layout, Witness};
+use flankscope_metrology::joint::{Overlap, Solution, ViewInformation};
+use nalgebra::{Isometry3, Point3, Vector6};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::patches::Patches;
+use super::session::SessionError;
+
+/// Views whose centres are farther apart than this have nothing in common, mm: a field of 10 mm, and its rim.
+const FIELD_MM: f64 = 10.5;
+
+/// A view and how it lies.
+type Laid = (usize, ViewInformation);
+
+/// What neighbours among the views say of each other, each where it was laid.
+pub(super) fn overlaps(
+    patches: &Patches,
+    layout: &Layout,
+    views: &[Laid],
+) -> Result<Vec<Overlap>, SessionError> {
+    let there = |at: usize| -> Result<Vec<Witness>, SessionError> {
+        let (view, info) = &views[at];
+        patches.moved_to(*view, &info.tool_from_camera, layout)
+    };
+    let centre = |at: usize| Point3::from(views[at].1.centre_mm);
+    let of_view = |first: usize| -> Result<Vec<Overlap>, SessionError> {
+        let near = |&second: &usize| (centre(first) - centre(second)).norm() < FIELD_MM;
+        let neighbours: Vec<usize> = (first + 1..views.len()).filter(near).collect();
+        if neighbours.is_empty() {
+            return Ok(Vec::new());
+        }
+        let here = there(first)?;
+        let mut found = Vec::new();
+        for second in neighbours {
+            let centres = [first, second].map(|at| views[at].1.centre_mm);
+            let other = there(second)?;
+            found.extend(Overlap::between([first, second], [&here, &other], centres));
+        }
+        Ok(found)
+    };
+    let found: Result<Vec<_>, SessionError> =
+        (0..views.len()).into_par_iter().map(of_view).collect();
+    Ok(found?.concat())
+}
+
+/// Steps between views that overlap: mean differences of their deviations over the cells that both saw.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Steps {
+    /// Between views of a layer.
+    pub around: Option<Step>,
+    /// Between layers.
+    pub up: Option<Step>,
+}
+
+/// Steps of one kind.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Step {
+    /// Pairs of views.
+    pub pairs: usize,
+    /// Root mean square of the steps with every view laid on the CAD alone, µm.
+    pub before_um: f64,
+    /// The same once the overlaps counted, µm.
+    pub after_um: f64,
+}
+
+impl Steps {
+    /// Of overlaps between `views`, for the poses of each view (by its number) before they counted and in the end.
+    pub(super) fn of(
+        overlaps: &[Overlap],
+        views: &[Laid],
+        before: &BTreeMap<usize, Isometry3<f64>>,
+        joint: &Solution,
+    ) -> Self {
+        let after: Vec<Vector6<f64>> = (views.iter().enumerate())
+            .map(|(at, (_, info))| info.motion_to(&joint.poses[at]))
+            .collect();
+        let before: Vec<Vector6<f64>> = (views.iter().zip(&after))
+            .map(|((view, info), after)| before.get(view).map_or(*after, |p| info.motion_to(p)))
+            .collect();
+        let layer = |at: usize| views[at].1.at.vertical_mm;
+        let of_kind = |same_layer: bool| {
+            let kind = |of: &&Overlap| (layer(of.views[0]) == layer(of.views[1])) == same_layer;
+            let of: Vec<&Overlap> = overlaps.iter().filter(kind).collect();
+            let rms_um = |motions: &[Vector6<f64>]| {
+                let squares = of.iter().map(|of| {
+                    let step_mm = of.step_mm(of.views.map(|at| &motions[at]));
+                    step_mm * step_mm
+                });
+                1e3 * (squares.sum::<f64>() / of.len() as f64).sqrt()
+            };
+            (!of.is_empty()).then(|| Step {
+                pairs: of.len(),
+                before_um: rms_um(&before),
+                after_um: rms_um(&after),
+            })
+        };
+        Self {
+            around: of_kind(true),
+            up: of_kind(false),
+        }
+    }
+}
