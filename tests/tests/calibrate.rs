@@ -97,6 +97,16 @@ fn a_calibrated_head_checks_the_die() {
         .collect();
     std::fs::write(&head, old).unwrap();
     refused("expired after 2001-06-30");
+    // Nor is a scan begun.
+    let scan = [
+        "scan", "--quiet", "--json", "-", "--views", "12x1", "--head", path,
+    ];
+    let scan = run(flankscope().args(scan));
+    assert_eq!(scan.code, 2, "{}", scan.stderr);
+    let reason = scan.json["reason"].as_str().unwrap_or_default();
+    assert!(reason.contains("expired after 2001-06-30"), "{reason}");
+    assert_eq!(scan.json["frames"]["triggered"], 0);
+    assert!(scan.json["form"].is_null());
 }
 
 #[test]

@@ -187,28 +187,24 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(article.code, 2);
     assert!(figure(&article, "/form/ovality_um") < 10.0);
     assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
-    // Another scan does not mix with it, nor do points of another kind.
-    let session_path = session.to_str().unwrap();
-    let blocks = [
-        "--views",
-        "12x2",
-        "--grid",
-        "pixel",
-        "--session",
-        session_path,
-    ];
-    let blocks = scan(&blocks);
-    assert_eq!(blocks.code, 3);
-    let why = "holds another scan: its points is cores, this scan's is pixels";
-    assert!(blocks.stderr.contains(why), "{}", blocks.stderr);
-    let other = scan(&["--views", "12x3", "--session", session.to_str().unwrap()]);
-    assert_eq!(other.code, 3);
-    assert!(
-        other
-            .stderr
-            .contains("holds another scan: its views is 12x2"),
-        "{}",
-        other.stderr
+    // Another scan does not mix with it, nor do points of another kind, nor another die on the bench.
+    let refused = |args: &[&str], why: &str| {
+        let form = ["--ovality-um", "20", "--taper-um", "15", "--session"];
+        let other = scan(&[&form[..], &[session.to_str().unwrap()], args].concat());
+        assert_eq!(other.code, 3);
+        assert!(other.stderr.contains(why), "{}", other.stderr);
+    };
+    refused(
+        &["--views", "12x2", "--grid", "pixel"],
+        "holds another scan: its points is cores, this scan's is pixels",
+    );
+    refused(
+        &["--views", "12x3"],
+        "holds another scan: its views is 12x2",
+    );
+    refused(
+        &["--views", "12x2", "--seed", "2"],
+        "holds another scan: its bench is seed 1, ovality 20 um",
     );
 }
 

@@ -1,5 +1,6 @@
 //! `flankscope scan`: the whole die, view by view, to one map.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,6 +29,9 @@ pub struct Args {
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
     tool: Option<PathBuf>,
+    /// Head file instead of the tool folder's, for example a fresh calibration
+    #[arg(long, value_name = "HEAD.toml")]
+    head: Option<PathBuf>,
     /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
     #[arg(long, value_name = "sim|PORT", default_value = "sim")]
     link: String,
@@ -157,6 +161,26 @@ pub struct DieArgs {
     pub turned_deg: f64,
 }
 
+impl Args {
+    /// What stands on the simulated bench: a scan that goes on must find the same there.
+    fn on_the_bench(&self) -> BTreeMap<String, String> {
+        let (bench, die) = (&self.bench, &self.die);
+        let mut what = format!(
+            "seed {}, ovality {} um, taper {} um, turned {} deg",
+            bench.seed, die.ovality_um, die.taper_um, die.turned_deg
+        );
+        if let Some(other) = &die.die {
+            what += &format!(", die {other}");
+        }
+        for wear in &bench.wear {
+            what += &format!(", wear {wear}");
+        }
+        let simulated = self.link == "sim" || self.link == "qemu";
+        let named = simulated.then(|| ("bench".to_string(), what));
+        named.into_iter().collect()
+    }
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
@@ -181,7 +205,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         ..Scene::default()
     };
     let mut instrument = Instrument::start(
-        [args.tool.as_deref(), None],
+        [args.tool.as_deref(), args.head.as_deref()],
         &args.link,
         &args.bench,
         scene,
@@ -190,7 +214,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             if let Some(grid) = args.grid {
                 grid.impose(Arc::make_mut(&mut subject.head))?;
             }
-            let scanner = Scanner::open(subject, args.views, session, root)?;
+            let scanner = Scanner::open(subject, args.views, session, &args.on_the_bench(), root)?;
             Ok(scanner.by_method(method, paper)?)
         },
     )?;

@@ -3,7 +3,9 @@
 use std::f64::consts::{PI, TAU};
 
 use flankscope_metrology::cylinder::Witness;
-use flankscope_metrology::joint::{Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve};
+use flankscope_metrology::joint::{
+    Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve,
+};
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 /// What each view knows of its own pose: about 1 µm, and that over a field of 10 mm.
@@ -188,7 +190,9 @@ fn witnesses(
     let middle = ((PI - at.rotation_rad).rem_euclid(TAU) / column_rad) as u32;
     let lowest = ((at.vertical_mm - 5.0).max(0.0) / 0.25) as u32;
     let mut cells: Vec<Witness> = (lowest..lowest + 40)
-        .flat_map(|row| (0..77).map(move |column| (row, (middle + COLUMNS + column - 38) % COLUMNS)))
+        .flat_map(|row| {
+            (0..77).map(move |column| (row, (middle + COLUMNS + column - 38) % COLUMNS))
+        })
         .map(|(row, column)| {
             let angle = column_rad * (f64::from(column) + 0.5) - PI;
             let foot = [
@@ -278,10 +282,10 @@ fn neighbours_hold_a_view_that_ran_out_as_a_ring_of_springs_does() {
     let wrong = 30;
     let runout_mm = 2e-3;
     // The stage carried one view outwards; the piece is rough, and no view may take that for its own motion.
-    let wall_mm = |[x, y, z]: [f64; 3]| 4e-3 * (90.0 * y.atan2(x)).sin() * (0.7 * z).cos() + 1e-5 * x;
-    let outwards =
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -places[wrong].rotation_rad)
-            * Vector3::x();
+    let wall_mm =
+        |[x, y, z]: [f64; 3]| 4e-3 * (90.0 * y.atan2(x)).sin() * (0.7 * z).cos() + 1e-5 * x;
+    let outwards = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -places[wrong].rotation_rad)
+        * Vector3::x();
     let views: Vec<ViewInformation> = places
         .iter()
         .map(|&at| laid(at, truth.tool_from_camera(at)))
@@ -297,9 +301,8 @@ fn neighbours_hold_a_view_that_ran_out_as_a_ring_of_springs_does() {
     assert_eq!(overlaps.len(), AROUND as usize);
     let local = Local::default();
     let found = solve(&stages(), &views, &overlaps, local).unwrap();
-    let off = |view: usize| {
-        off(&found.poses[view], &truth.tool_from_camera(places[view])).dot(&outwards)
-    };
+    let off =
+        |view: usize| off(&found.poses[view], &truth.tool_from_camera(places[view])).dot(&outwards);
     // Springs: to where the stage should be (run-out), to the CAD (which knows the view, but not the form under it), and to
     // either neighbour: (patches of 25 cells) / (both views' 4 + 1 µm²) along the part of the normals that faces outwards.
     let stage = local.runout_mm.powi(-2);

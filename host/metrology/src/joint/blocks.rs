@@ -7,6 +7,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix6, SMatrix};
 
+/// Blocks between two views (`[i, j]`: row of i, column of j), each pair once.
+pub(super) type Between = BTreeMap<[usize; 2], Matrix6<f64>>;
+
 /// The lower factor, row by row.
 #[derive(Debug)]
 pub(super) struct BlockCholesky {
@@ -23,19 +26,26 @@ struct Row {
 }
 
 impl Row {
-    fn block(&self, column: usize) -> &Matrix6<f64> {
-        &self.blocks[column - self.first]
+    /// The blocks left of the diagonal, with their columns.
+    fn left(&self) -> impl Iterator<Item = (usize, &Matrix6<f64>)> {
+        let diagonal = self.blocks.len() - 1;
+        (self.first..).zip(&self.blocks[..diagonal])
+    }
+
+    /// The block on the diagonal: there is always one.
+    fn diagonal(&self) -> &Matrix6<f64> {
+        &self.blocks[self.blocks.len() - 1]
+    }
+
+    /// The blocks between two columns.
+    fn between(&self, from: usize, to: usize) -> &[Matrix6<f64>] {
+        &self.blocks[from - self.first..to - self.first]
     }
 }
 
 impl BlockCholesky {
-    /// Factors a matrix of its diagonal blocks and of those between two views (`[i, j]`: row of i, column of j; each pair
-    /// once). `order` lists the views so that neighbours are near each other. `None` unless the matrix is positive.
-    pub fn new(
-        diagonal: &[Matrix6<f64>],
-        between: &BTreeMap<[usize; 2], Matrix6<f64>>,
-        order: &[usize],
-    ) -> Option<Self> {
+    /// Factors a matrix of its diagonal blocks and of those between two views. `order` lists the views so that neighbours are near each other. `None` unless the matrix is positive.
+    pub fn new(diagonal: &[Matrix6<f64>], between: &Between, order: &[usize]) -> Option<Self> {
         let mut row_of = vec![0; diagonal.len()];
         for (row, &view) in order.iter().enumerate() {
             row_of[view] = row;
@@ -50,10 +60,9 @@ impl BlockCholesky {
             let [low, high] = sorted([row_of[*i], row_of[*j]]);
             rows[high].first = rows[high].first.min(low);
         }
-        for (row, &view) in order.iter().enumerate() {
-            let first = rows[row].first;
-            rows[row].blocks = vec![Matrix6::zeros(); row - first + 1];
-            rows[row].blocks[row - first] = diagonal[view];
+        for (at, (row, &view)) in rows.iter_mut().zip(order).enumerate() {
+            row.blocks = vec![Matrix6::zeros(); at - row.first];
+            row.blocks.push(diagonal[view]);
         }
         for ([i, j], block) in between {
             let [low, high] = sorted([row_of[*i], row_of[*j]]);
@@ -68,7 +77,7 @@ impl BlockCholesky {
         for row in 0..rows.len() {
             let (above, rest) = rows.split_at_mut(row);
             let current = rest.first_mut()?;
-            factor(above, current, row)?;
+            factor(above, current)?;
         }
         Some(Self { row_of, rows })
     }
@@ -81,19 +90,19 @@ impl BlockCholesky {
         }
         for (row, of) in self.rows.iter().enumerate() {
             let mut value = x[row];
-            for column in of.first..row {
-                value -= of.block(column) * x[column];
+            for (column, block) in of.left() {
+                value -= block * x[column];
             }
             // The diagonal of a positive matrix's factor is never zero.
-            of.block(row).solve_lower_triangular_mut(&mut value);
+            of.diagonal().solve_lower_triangular_mut(&mut value);
             x[row] = value;
         }
         for (row, of) in self.rows.iter().enumerate().rev() {
             let mut value = x[row];
-            of.block(row).tr_solve_lower_triangular_mut(&mut value);
+            of.diagonal().tr_solve_lower_triangular_mut(&mut value);
             x[row] = value;
-            for column in of.first..row {
-                x[column] -= of.block(column).transpose() * value;
+            for (column, block) in of.left() {
+                x[column] -= block.transpose() * value;
             }
         }
         for (side, &row) in sides.iter_mut().zip(&self.row_of) {
@@ -107,25 +116,25 @@ fn sorted([a, b]: [usize; 2]) -> [usize; 2] {
 }
 
 /// Replaces a row of the matrix by that of its factor, the rows above being factored.
-fn factor(above: &[Row], current: &mut Row, row: usize) -> Option<()> {
-    for column in current.first..row {
-        let other = &above[column];
-        let mut block = *current.block(column);
-        for k in current.first.max(other.first)..column {
-            block -= current.block(k) * other.block(k).transpose();
+fn factor(above: &[Row], current: &mut Row) -> Option<()> {
+    let first = current.first;
+    for (column, other) in (first..).zip(&above[first..]) {
+        let from = first.max(other.first);
+        let mut block = current.blocks[column - first];
+        let shared = other.between(from, column);
+        for (here, there) in current.between(from, column).iter().zip(shared) {
+            block -= here * there.transpose();
         }
         // L_ij L_jjᵀ = block.
         let mut turned = block.transpose();
-        other.block(column).solve_lower_triangular_mut(&mut turned);
-        let at = column - current.first;
-        current.blocks[at] = turned.transpose();
+        other.diagonal().solve_lower_triangular_mut(&mut turned);
+        current.blocks[column - first] = turned.transpose();
     }
-    let mut diagonal = *current.block(row);
-    for k in current.first..row {
-        diagonal -= current.block(k) * current.block(k).transpose();
+    let mut diagonal = *current.diagonal();
+    for (_, block) in current.left() {
+        diagonal -= block * block.transpose();
     }
-    let at = row - current.first;
-    current.blocks[at] = diagonal.cholesky()?.l();
+    *current.blocks.last_mut()? = diagonal.cholesky()?.l();
     Some(())
 }
 
@@ -138,10 +147,8 @@ mod tests {
     const VIEWS: usize = 9;
 
     /// A ring of views, each tied to the next two; not in the order of the ring.
-    fn ring() -> (Vec<Matrix6<f64>>, BTreeMap<[usize; 2], Matrix6<f64>>) {
-        let noise = |seed: u64| {
-            Matrix6::from_fn(|i, j| uniform(seed, (6 * i + j) as u64) - 0.5)
-        };
+    fn ring() -> (Vec<Matrix6<f64>>, Between) {
+        let noise = |seed: u64| Matrix6::from_fn(|i, j| uniform(seed, (6 * i + j) as u64) - 0.5);
         let diagonal = (0..VIEWS as u64)
             .map(|view| {
                 let some = noise(view);
@@ -183,7 +190,10 @@ mod tests {
                 .solve(&mut found);
             for (i, expected) in expected.iter().enumerate() {
                 let got = found[i / 6][i % 6];
-                assert!((got - expected).abs() < 1e-12, "{order:?}: {got}, {expected}");
+                assert!(
+                    (got - expected).abs() < 1e-12,
+                    "{order:?}: {got}, {expected}"
+                );
             }
         }
     }

@@ -107,7 +107,10 @@ mod tests {
     use super::*;
 
     /// A piece of a cylinder wall around +x, toothed enough to tell sideways: normals tilt by turns.
-    fn wall(cells: std::ops::Range<u32>, deviation_mm: impl Fn([f64; 3], [f64; 3]) -> f64) -> Vec<Witness> {
+    fn wall(
+        cells: std::ops::Range<u32>,
+        deviation_mm: impl Fn([f64; 3], [f64; 3]) -> f64,
+    ) -> Vec<Witness> {
         cells
             .map(|cell| {
                 let (column, row) = (f64::from(cell % 20), f64::from(cell / 20));
@@ -153,7 +156,9 @@ mod tests {
         let left = overlap.information * x + overlap.gradient;
         assert!(left.amax() < 1e-4 * overlap.gradient.amax(), "{left}");
         // One patch of 25 cells at 2 µm and 1 µm of each view: along x, for 300 cells.
-        let along_x = (0..400).skip(100).map(|cell| [0.8_f64.cos(), 1.0][usize::from(cell % 3 == 1)].powi(2));
+        let along_x = (0..400)
+            .skip(100)
+            .map(|cell| [0.8_f64.cos(), 1.0][usize::from(cell % 3 == 1)].powi(2));
         let expected = along_x.sum::<f64>() / 25.0 / (2.0 * 5e-6);
         let got = overlap.information[(3, 3)];
         assert!((got / expected - 1.0).abs() < 1e-5, "{got}, {expected}");

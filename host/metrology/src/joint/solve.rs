@@ -6,14 +6,12 @@
 //!  overlap  each pair:  how it lies against the other = what all share + both strays
 //! ```
 
-use std::collections::BTreeMap;
-
 use nalgebra::{
     Isometry3, Matrix6, Point3, SMatrix, SVector, SymmetricEigen, Translation3, UnitQuaternion,
     Vector3, Vector6,
 };
 
-use super::blocks::BlockCholesky;
+use super::blocks::{Between, BlockCholesky};
 use super::form::{self, FORMS, SharedForm};
 use super::local::{Believed, Local};
 use super::model::{self, PARAMETERS, Pose, Stages};
@@ -206,11 +204,7 @@ struct System<'a> {
 }
 
 impl<'a> System<'a> {
-    fn new(
-        views: &'a [ViewInformation],
-        overlaps: &'a [Overlap],
-        local: Local,
-    ) -> Option<Self> {
+    fn new(views: &'a [ViewInformation], overlaps: &'a [Overlap], local: Local) -> Option<Self> {
         let believed = views.iter().map(|view| local.without_form(view));
         let believed = believed.collect::<Option<Vec<_>>>()?;
         let mut diagonal = Vec::with_capacity(views.len());
@@ -218,19 +212,22 @@ impl<'a> System<'a> {
             let tolerance = local.covariance(view.centre_mm.into()).cholesky()?;
             diagonal.push(of.information + tolerance.inverse());
         }
-        let mut between = BTreeMap::new();
+        let mut between = Between::new();
         for overlap in overlaps {
             for (side, &view) in overlap.views.iter().enumerate() {
                 *diagonal.get_mut(view)? += overlap.block(side, side);
             }
-            *between
-                .entry(overlap.views)
-                .or_insert_with(Matrix6::zeros) += overlap.block(0, 1);
+            *between.entry(overlap.views).or_insert_with(Matrix6::zeros) += overlap.block(0, 1);
         }
         // Folded: a ring's neighbours are near each other when both halves are counted from the same end.
         let mut order: Vec<usize> = (0..views.len()).collect();
         order.sort_by(|&a, &b| {
-            let key = |view: usize| [views[view].at.rotation_rad.abs(), views[view].at.vertical_mm];
+            let key = |view: usize| {
+                [
+                    views[view].at.rotation_rad.abs(),
+                    views[view].at.vertical_mm,
+                ]
+            };
             let ([turn, up], [other_turn, other_up]) = (key(a), key(b));
             turn.total_cmp(&other_turn).then(up.total_cmp(&other_up))
         });

@@ -12,6 +12,7 @@ use flankscope_metrology::joint::{JointError, Stages};
 use flankscope_metrology::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::spacing::opposite;
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
+use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -101,7 +102,8 @@ pub struct Scanner {
 }
 
 impl Scanner {
-    /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads.
+    /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads. `of` names what
+    /// else must be the same for the scan to go on, beside grid, tool, CAD and head.
     ///
     /// # Errors
     /// The subject is unfit, the folder is another scan's or damaged, or shared memory is refused.
@@ -109,6 +111,7 @@ impl Scanner {
         subject: Subject,
         grid: Grid,
         folder: &Path,
+        of: &BTreeMap<String, String>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, ScanError> {
         let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
@@ -121,7 +124,7 @@ impl Scanner {
             decoder,
             mut views,
             store,
-        } = Workshop::open(&subject, grid, folder)?;
+        } = Workshop::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
         let station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
             views.scan(view, sums)
@@ -164,15 +167,25 @@ impl Scanner {
             .build();
         let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
         let begun_ns = monotonic_ns();
+        // What a head that must not judge would measure is not worth hours.
+        let unfit = self.station.subject.head.fit_on(Date::today()).err();
         let (mut run, lost, firmware) = runtime.block_on(async {
             let client = Client::connect(port, settings).await;
             let mut client = client.map_err(InspectError::from)?;
             self.station.make_ready(&mut client, &mut |_| {}).await?;
-            let (run, lost) = self.capture_all(&mut client, &mut watch).await?;
+            let (run, lost) = match &unfit {
+                Some(_) => (Run::new(Vec::new(), None), BTreeMap::new()),
+                None => self.capture_all(&mut client, &mut watch).await?,
+            };
             Ok::<_, ScanError>((run, lost, client.identity().firmware))
         })?;
-        watch(Progress::Stitching);
-        let mut scan = self.stitch_all(&lost)?;
+        let mut scan = match unfit {
+            Some(unfit) => self.nothing(unfit.to_string())?,
+            None => {
+                watch(Progress::Stitching);
+                self.stitch_all(&lost)?
+            }
+        };
         let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
         scan.timing_ms = Timing {
             total: since(begun_ns),
@@ -282,6 +295,25 @@ impl Scanner {
             });
         }
         Ok((run, lost))
+    }
+
+    /// A scan without a view, and why.
+    fn nothing(&mut self, why: String) -> Result<Scan, ScanError> {
+        let Scanner { station, store, .. } = self;
+        let tool = &station.subject.tool;
+        let over = (layout(&self.gear), field_slope(&station.subject.head));
+        let none = BTreeMap::new();
+        let empty = stitch(
+            &store.session,
+            &mut store.patches,
+            none,
+            tool,
+            &self.nominal,
+            over,
+        )?;
+        let mut scan = self.describe(empty, &BTreeMap::new());
+        scan.disown(why);
+        Ok(scan)
     }
 
     /// Stitches by our method, and by the article's if it was asked for.

@@ -88,7 +88,7 @@ pub(super) struct Entry {
 #[serde(deny_unknown_fields)]
 struct Manifest {
     format: u32,
-    /// What must be the same for the scan to go on: grid, tool, CAD, head.
+    /// What must be the same for the scan to go on: grid, tool, CAD, head, and what stands on the simulated bench.
     of: BTreeMap<String, String>,
     views: BTreeMap<usize, Entry>,
 }
@@ -130,9 +130,16 @@ impl Session {
         expected.insert("format".into(), FORMAT.to_string());
         let mut got = manifest.of.clone();
         got.insert("format".into(), manifest.format.to_string());
-        for (what, expected) in expected {
-            let got = got.get(&what).cloned().unwrap_or_default();
+        let mut keys: Vec<&String> = expected.keys().chain(got.keys()).collect();
+        keys.sort();
+        for what in keys {
+            let value = |of: &BTreeMap<String, String>| match of.get(what) {
+                Some(value) => value.clone(),
+                None => "not named".into(),
+            };
+            let (got, expected) = (value(&got), value(&expected));
             if got != expected {
+                let what = what.clone();
                 return Err(SessionError::Other {
                     path,
                     what,

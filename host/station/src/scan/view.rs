@@ -9,7 +9,7 @@ use flankscope_metrology::joint::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::outlier;
-use flankscope_metrology::registration::{Options, Status, register, search_phase};
+use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
@@ -30,6 +30,8 @@ const BEND_RAD: f64 = 2e-3;
 const SEARCH_PITCH: f64 = 0.1;
 /// From the pinhole to the surface, about, mm: a turn of the head moves the surface by that much.
 const REACH_MM: f64 = 22.0;
+/// A first pose is good enough when its last step was shorter, mm.
+const NEARLY_MM: f64 = 10e-3;
 /// A view whose points lie farther from the CAD than this looks at another part, mm.
 const MOST_RMS_MM: f64 = 0.05;
 /// And so does one with fewer of its points on the CAD.
@@ -149,7 +151,9 @@ impl ViewScanner {
         let sample = coordinates(&points, SAMPLE);
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
-            (Status::Indeterminate(reason), _) => Err(reason.to_string()),
+            (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
+                Err(reason.to_string())
+            }
             (_, None) => Err("no point lies on the CAD".into()),
             (_, Some(information)) => match unlike_cad(&information) {
                 Some(why) => Err(why),
@@ -187,6 +191,12 @@ impl ViewScanner {
             self.joint = joint;
         }
     }
+}
+
+/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The joint solve goes on from
+/// there.
+fn nearly_settled(reason: &Reason) -> bool {
+    matches!(reason, Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
 }
 
 /// Why a view cannot show the part of the CAD.

@@ -60,8 +60,13 @@ pub(super) struct Workshop {
 }
 
 impl Workshop {
-    /// Opens the session folder, where an earlier part of the same scan may lie.
-    pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
+    /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
+    pub fn open(
+        subject: &Subject,
+        grid: Grid,
+        folder: &Path,
+        further: &BTreeMap<String, String>,
+    ) -> Result<Self, ScanError> {
         let itinerary = grid.itinerary(&subject.tool, &subject.head);
         let itinerary = Arc::new(itinerary.map_err(InspectError::from)?);
         let mut of: BTreeMap<String, String> = subject
@@ -75,6 +80,7 @@ impl Workshop {
             None => "pixels",
         };
         of.insert("points".into(), points.into());
+        of.extend(further.clone());
         let session = Session::open(folder, of)?;
         let patches = Patches::new(session.folder())?;
         let known = first_information(&session, &subject.tool, &itinerary)?;
@@ -116,7 +122,7 @@ impl Processing {
     /// # Errors
     /// The subject is unfit, or the folder is another scan's or damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let workshop = Workshop::open(subject, grid, folder)?;
+        let workshop = Workshop::open(subject, grid, folder, &BTreeMap::new())?;
         let sums = workshop.decoder.begin();
         Ok(Self { workshop, sums })
     }
