@@ -3,7 +3,9 @@
 //! | file | holds |
 //! |---|---|
 //! | `plan` | which poses, patterns and exposures: from tool and head to a capture plan |
-//! | `job` | orders, events and threads of one check |
+//! | `job` | one check, from hello to verdict |
+//! | `station` | the threads that frames and sums pass through |
+//! | `capture` | one capture followed from its plan to its last view |
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `run` | what a running check has gathered |
 //! | `recorder` | the capture thread: frames summed where they lie |
@@ -17,6 +19,7 @@
 //! | `timeline` | what the devices did when |
 //! | `result` | the JSON document and the report's material |
 
+mod capture;
 mod evidence;
 mod findings;
 mod head_error;
@@ -29,6 +32,7 @@ mod recorder;
 mod repeat;
 mod result;
 mod run;
+mod station;
 mod timeline;
 mod verdict;
 mod views;
@@ -37,7 +41,7 @@ pub use evidence::{Evidence, Phasors, Recipe};
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
-pub use job::{InspectError, Progress, Station, Subject};
+pub use job::{InspectError, Progress, Subject};
 pub use pairing::{PairingError, pair};
 pub use plan::{Itinerary, PlannedView, PlanningError};
 pub use recorder::ViewError;
@@ -46,6 +50,7 @@ pub use result::{
     ViewRegistration, WeakDirection,
 };
 pub(crate) use run::Run;
+pub use station::Station;
 pub use verdict::Judged;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
 pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye};

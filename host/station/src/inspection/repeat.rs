@@ -5,8 +5,10 @@ use std::time::Duration;
 use flankscope_protocol::{Event, Limits, Refusal};
 use tokio::time::Instant;
 
-use super::job::{InspectError, Progress, RETRACT_RESERVE, Station};
+use super::capture::RETRACT_RESERVE;
+use super::job::{InspectError, Progress};
 use super::run::Run;
+use super::station::Station;
 use super::views::ViewOutcome;
 use crate::controller::{Client, ClientError};
 
