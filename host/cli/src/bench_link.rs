@@ -58,6 +58,7 @@ impl Bench {
             .args(["--controller", controller]);
         command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
         command.args(["--vibration-um", &args.vibration_um.to_string()]);
+        command.args(["--lens-error-um", &args.lens_error_um.to_string()]);
         for wear in &args.wear {
             command.args(["--wear", wear]);
         }

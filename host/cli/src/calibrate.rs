@@ -267,10 +267,15 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
         "a point's standard uncertainty by the calibration: {:.1} µm in depth, {:.1} µm across",
         record.depth_sigma_um, record.lateral_sigma_um
     )?;
-    if let Some(aside) = &record.hold_out {
+    let plates = [
+        ("", &record.hold_out),
+        (", without residual fields", &record.without_field),
+    ];
+    for (with, aside) in plates {
+        let Some(aside) = aside else { continue };
         writeln!(
             out,
-            "{} plates kept aside: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
+            "{} plates kept aside{with}: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
             aside.views, aside.flatness_rms_um, aside.flatness_um, aside.dots_rms_um
         )?;
     }

@@ -70,6 +70,10 @@ pub struct BenchArgs {
     /// Head and die shift against each other from frame to frame: standard deviation in um
     #[arg(long, value_name = "UM", default_value_t = 0.0)]
     pub vibration_um: f64,
+    /// The head's lenses lead light astray by this where no distortion model follows, smoothly over the field: root mean
+    /// square along each axis in um
+    #[arg(long, value_name = "UM", default_value_t = 0.0)]
+    pub lens_error_um: f64,
     /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
     #[arg(long, value_name = "KIND:FRAME")]
     pub frame_fault: Option<String>,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::residual::ResidualField;
 use crate::textfile::BadValue;
 
 /// Pinhole with radial and tangential distortion: Brown's model in OpenCV's order and with OpenCV's conventions.
@@ -22,6 +23,9 @@ pub struct Pinhole {
     /// k1, k2, p1, p2, k3.
     #[serde(default)]
     pub distortion: [f64; 5],
+    /// What the lens does beyond that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub residual: Option<ResidualField>,
 }
 
 /// A distorted coordinate with its derivatives by the undistorted ones.
@@ -78,6 +82,9 @@ impl Pinhole {
                 "must be five finite numbers k1, k2, p1, p2, k3",
             ));
         }
+        if let Some(residual) = &self.residual {
+            residual.check(&format!("{table}.residual"))?;
+        }
         // A mapping that folds over inside the image is no camera model: its inverse would not be unique.
         let corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]];
         for [x, y] in corners {
@@ -96,6 +103,11 @@ impl Pinhole {
         Ok(())
     }
 
+    /// Whether straight lines stay straight.
+    pub(crate) fn is_ideal(&self) -> bool {
+        self.distortion == [0.0; 5] && self.residual.is_none()
+    }
+
     /// The pixel that a point of the undistorted image plane `z = 1` falls on.
     pub fn pixel(&self, undistorted: [f64; 2]) -> [f64; 2] {
         let [x, y] = self.distort(undistorted).value;
@@ -105,7 +117,29 @@ impl Pinhole {
         ]
     }
 
-    pub(crate) fn distort(&self, [x, y]: [f64; 2]) -> Distorted {
+    pub(crate) fn distort(&self, at: [f64; 2]) -> Distorted {
+        let mut distorted = self.brown(at);
+        if let Some(residual) = &self.residual {
+            let [column, row] = residual.shifts(at);
+            let Distorted {
+                value,
+                gradient_x,
+                gradient_y,
+            } = &mut distorted;
+            for (axis, (shift, gradient)) in [(column, gradient_x), (row, gradient_y)]
+                .into_iter()
+                .enumerate()
+            {
+                value[axis] += shift.value_px / self.focal_px[axis];
+                for (sum, slope_px) in gradient.iter_mut().zip(shift.gradient_px) {
+                    *sum += slope_px / self.focal_px[axis];
+                }
+            }
+        }
+        distorted
+    }
+
+    fn brown(&self, [x, y]: [f64; 2]) -> Distorted {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
@@ -164,6 +198,17 @@ const MAX_SIDE_PX: u32 = 16384;
 mod tests {
     use super::*;
 
+    /// A shift of up to a pixel, different everywhere.
+    fn bumps() -> ResidualField {
+        let mut field = ResidualField::zero([0.0, 0.0], 0.3, true);
+        let bump = |i: usize, j: usize| f64::sin((7 * i + 3 * j * j) as f64);
+        let coefficients =
+            |shift: usize| std::array::from_fn(|j| std::array::from_fn(|i| bump(i + shift, j)));
+        field.columns_px = coefficients(0);
+        field.rows_px = Some(coefficients(5));
+        field
+    }
+
     fn lens() -> Pinhole {
         Pinhole {
             width_px: 1920,
@@ -171,6 +216,7 @@ mod tests {
             focal_px: [2100.0, 2110.0],
             principal_px: [950.0, 610.0],
             distortion: [-0.21, 0.13, 1.5e-3, -8e-4, -0.02],
+            residual: Some(bumps()),
         }
     }
 
@@ -187,7 +233,7 @@ mod tests {
 
     #[test]
     fn gradients_agree_with_differences() {
-        let at = [0.31, -0.22];
+        let at = [0.21, -0.22];
         let step = 1e-6;
         let lens = lens();
         for axis in 0..2 {

@@ -53,6 +53,7 @@ pub mod phase;
 pub mod phasors;
 pub mod plan;
 mod rays;
+pub mod residual;
 pub mod smoothing;
 pub mod textfile;
 pub mod triangulate;

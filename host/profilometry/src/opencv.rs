@@ -53,6 +53,7 @@ pub(crate) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
             focal_px: [k[0], k[4]],
             principal_px: [k[2], k[5]],
             distortion: storage.distortion(distortion)?,
+            residual: None,
         })
     };
     let camera = pinhole("Kc", "kc", "frameWidth", "frameHeight")?;

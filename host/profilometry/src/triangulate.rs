@@ -32,7 +32,7 @@ impl Triangulator {
             projector: head.projector.clone(),
             rotation: head.projector_from_camera.rotation,
             translation_mm: head.projector_from_camera.translation_mm,
-            distorted: head.projector.distortion != [0.0; 5],
+            distorted: !head.projector.is_ideal(),
         }
     }
 

@@ -17,6 +17,7 @@ fn lens(width_px: u32, height_px: u32, focal: f64, principal_px: [f64; 2], k: [f
         focal_px: [focal; 2],
         principal_px,
         distortion: k,
+        residual: None,
     }
 }
 
@@ -157,13 +158,30 @@ impl Random {
     }
 }
 
-/// Two views of every plate by plain arithmetic, turned by `swing` to either side. `noise` scales all errors: marks by 0.2 px, stages and plates as stated.
+/// What no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
+/// their root mean square along each axis.
+fn waves(lens: &Pinhole, height_px: f64, pixel: [f64; 2]) -> [f64; 2] {
+    let [x, y] = [0, 1].map(|k| (pixel[k] - lens.principal_px[k]) / lens.focal_px[k] / 0.45);
+    let wave = |along: f64, phase: f64| (std::f64::consts::TAU * along + phase).sin();
+    [
+        height_px * (wave(2.0 * x + 1.5 * y, 0.3) + wave(2.0 * y - x, 1.1)),
+        height_px * (wave(2.5 * x, 2.0) + wave(1.5 * y - 1.2 * x, 0.7)),
+    ]
+}
+
+fn bent(lens: &Pinhole, height_px: f64, pixel: [f64; 2]) -> [f64; 2] {
+    let shift = waves(lens, height_px, pixel);
+    [pixel[0] + shift[0], pixel[1] + shift[1]]
+}
+
+/// Two views of every plate by plain arithmetic, turned by `swing` to either side. `noise` scales all errors: marks by 0.2 px,
+/// stages and plates as stated; `waves_px` is the irregularity of both lenses.
 fn sightings(
     head: &HeadModel,
     target: &Target,
     swing: f64,
     random: &mut Random,
-    noise: f64,
+    [noise, waves_px]: [f64; 2],
 ) -> Vec<Sighting> {
     let hand_eye = head.stage_from_camera.unwrap();
     let mut views = Vec::new();
@@ -207,8 +225,10 @@ fn sightings(
                     let p =
                         into_camera(pose.point([x - back * slope[0], y - back * slope[1], 0.0]));
                     let pixel = head.camera.pixel([p[0] / p[2], p[1] / p[2]]);
+                    let pixel = bent(&head.camera, waves_px, pixel);
                     let q = head.projector_from_camera.point(p);
                     let light = head.projector.pixel([q[0] / q[2], q[1] / q[2]]);
+                    let light = bent(&head.projector, waves_px, light);
                     marks.push(Mark {
                         place,
                         pixel: pixel.map(|x| x + 0.2 * noise * random.normal()),
@@ -226,28 +246,30 @@ fn sightings(
     views
 }
 
-/// Differences between two heads at points of the volume in the stage frame, mm: along the view and across.
-fn point_errors(is: &HeadModel, said: &HeadModel) -> Vec<[f64; 3]> {
+/// Where a head puts points of the volume beside where they are, in the stage frame, mm: along the view and across.
+fn point_errors(is: &HeadModel, waves_px: f64, said: &HeadModel) -> Vec<[f64; 3]> {
     let mut errors = Vec::new();
     for depth in [20.8, 22.0, 23.2] {
         for pixel in [
             [959.5, 599.5],
             [1360.0, 599.5],
             [560.0, 599.5],
+            [1160.0, 720.0],
+            [760.0, 480.0],
             [959.5, 880.0],
             [959.5, 320.0],
         ] {
-            let ray = is.camera.undistort(pixel).unwrap();
-            let (column, _) = Triangulator::new(is).column(ray, depth).unwrap();
-            let point = |head: &HeadModel| {
-                let [x, y] = head.camera.undistort(pixel).unwrap();
-                let z = Triangulator::new(head)
-                    .intersect([x, y], column)
-                    .unwrap()
-                    .depth_mm;
-                head.stage_from_camera.unwrap().point([x * z, y * z, z])
-            };
-            let (a, b) = (point(is), point(said));
+            let [x, y] = is.camera.undistort(pixel).unwrap();
+            let p = [x * depth, y * depth, depth];
+            let q = is.projector_from_camera.point(p);
+            let light = is.projector.pixel([q[0] / q[2], q[1] / q[2]]);
+            let seen = bent(&is.camera, waves_px, pixel);
+            let [column, _] = bent(&is.projector, waves_px, light);
+            let [x, y] = said.camera.undistort(seen).unwrap();
+            let hit = Triangulator::new(said).intersect([x, y], column).unwrap();
+            let z = hit.depth_mm;
+            let a = is.stage_from_camera.unwrap().point(p);
+            let b = said.stage_from_camera.unwrap().point([x * z, y * z, z]);
             errors.push(std::array::from_fn(|k| b[k] - a[k]));
         }
     }
@@ -262,27 +284,27 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 #[test]
 fn perfect_marks_give_the_head_itself() {
     let target = target(&TILTS);
-    let marks = sightings(&truth(), &target, SWING, &mut Random(1), 0.0);
+    let marks = sightings(&truth(), &target, SWING, &mut Random(1), [0.0; 2]);
     let adjusted = adjust(&start(), &target, &marks, STAGE_SIGMA).unwrap();
     // Beliefs about distortion and row shift pull a little; what they cannot hide is below a tenth of a micrometre.
-    for error in point_errors(&truth(), &adjusted.head) {
+    for error in point_errors(&truth(), 0.0, &adjusted.head) {
         assert!(error.iter().all(|e| e.abs() < 1e-4), "{error:?}");
     }
     assert!(adjusted.camera_rms_px < 1e-3 && adjusted.projector_rms_px < 1e-3);
     assert_eq!(adjusted.dropped, 0);
 }
 
-/// Sixteen calibrations of one head: the errors of its points are as large as each said of itself.
+/// Ten calibrations of one head: the errors of its points are as large as each said of itself.
 #[test]
 fn the_stated_uncertainty_is_the_scatter() {
     let target = target(&TILTS);
     let mut random = Random(7);
     let (mut depth, mut lateral, mut stated) = (Vec::new(), Vec::new(), [0.0; 2]);
-    let runs = 16;
+    let runs = 10;
     for _ in 0..runs {
-        let marks = sightings(&truth(), &target, SWING, &mut random, 1.0);
+        let marks = sightings(&truth(), &target, SWING, &mut random, [1.0, 0.0]);
         let adjusted = adjust(&start(), &target, &marks, STAGE_SIGMA).unwrap();
-        for [along, y, z] in point_errors(&truth(), &adjusted.head) {
+        for [along, y, z] in point_errors(&truth(), 0.0, &adjusted.head) {
             depth.push(along);
             lateral.extend([y, z]);
         }
@@ -297,17 +319,45 @@ fn the_stated_uncertainty_is_the_scatter() {
         "scatter over stated: depth {:.2}, lateral {:.2}",
         ratios[0], ratios[1]
     );
-    // Each run counts for about three independent errors: 48 give a ratio known to 10 %; three of these.
+    // Each run counts for about three independent errors: 30 give a ratio known to 13 %; three of these.
     for ratio in ratios {
-        assert!((0.7..1.3).contains(&ratio), "{ratio}");
+        assert!((0.6..1.4).contains(&ratio), "{ratio}");
     }
+}
+
+/// Lenses that bend light by a quarter of a pixel (2.2 um) where Brown's model has no term: without residual fields the points
+/// are off by far more than noise allows, with them by what the calibration states.
+#[test]
+fn residual_fields_take_up_what_brown_leaves() {
+    const WAVES_PX: f64 = 0.25;
+    let target = target(&TILTS);
+    let mut random = Random(11);
+    let (mut with, mut without, mut stated) = (Vec::new(), Vec::new(), Vec::new());
+    for _ in 0..3 {
+        let marks = sightings(&truth(), &target, SWING, &mut random, [1.0, WAVES_PX]);
+        let adjusted = adjust(&start(), &target, &marks, STAGE_SIGMA).unwrap();
+        let depth = |head| point_errors(&truth(), WAVES_PX, head).into_iter();
+        with.extend(depth(&adjusted.head).map(|error| error[0]));
+        without.extend(depth(&adjusted.without_field).map(|error| error[0]));
+        stated.push(adjusted.depth_sigma_mm);
+    }
+    let [with, without, stated] = [with, without, stated].map(|all| rms(all.into_iter()));
+    eprintln!(
+        "depth off by {:.2} um without residual fields, {:.2} um with them, stated {:.2} um",
+        1e3 * without,
+        1e3 * with,
+        1e3 * stated
+    );
+    // Nine independent errors give a ratio known to 24 %; three of these.
+    assert!(with < 1.7 * stated);
+    assert!(without > 2.0 * stated);
 }
 
 #[test]
 fn plates_that_say_too_little_are_refused() {
     let facing = target(&[[0.0; 2]; 6]);
     // Neither tilted nor turned against each other: distance and focal length cannot be told apart.
-    let marks = sightings(&truth(), &facing, 0.0, &mut Random(3), 1.0);
+    let marks = sightings(&truth(), &facing, 0.0, &mut Random(3), [1.0, 0.0]);
     let refused = adjust(&start(), &facing, &marks, STAGE_SIGMA).err();
     assert!(
         matches!(refused, Some(CalibrateError::Degenerate { .. })),
@@ -333,7 +383,7 @@ fn plates_that_say_too_little_are_refused() {
 #[test]
 fn marks_that_do_not_fit_are_left_out_or_refused() {
     let target = target(&TILTS);
-    let marks = sightings(&truth(), &target, SWING, &mut Random(5), 1.0);
+    let marks = sightings(&truth(), &target, SWING, &mut Random(5), [1.0, 0.0]);
     let mut smeared = marks.clone();
     for view in &mut smeared {
         view.marks[17].pixel[0] += 6.0;
@@ -341,7 +391,7 @@ fn marks_that_do_not_fit_are_left_out_or_refused() {
     let adjusted = adjust(&start(), &target, &smeared, STAGE_SIGMA).unwrap();
     assert!((12..30).contains(&adjusted.dropped), "{}", adjusted.dropped);
     let sigma = adjusted.depth_sigma_mm;
-    let off = rms(point_errors(&truth(), &adjusted.head)
+    let off = rms(point_errors(&truth(), 0.0, &adjusted.head)
         .into_iter()
         .map(|e| e[0]));
     assert!(off < 3.0 * sigma, "{off} {sigma}");

@@ -114,6 +114,9 @@ struct RunArgs {
     /// Head and die shift against each other from frame to frame: standard deviation, µm.
     #[arg(long, default_value_t = 0.0)]
     vibration_um: f64,
+    /// Both lenses lead light astray by this beyond their distortion: root mean square along each axis, µm.
+    #[arg(long, default_value_t = 0.0, value_parser = lens_error_um)]
+    lens_error_um: f64,
     /// Another die than the tool file's: TEETHxMODULE_MM.
     #[arg(long)]
     die: Option<OtherDie>,
@@ -158,6 +161,10 @@ fn strokes_per_minute(text: &str) -> Result<f64, String> {
 
 fn open_share(text: &str) -> Result<f64, String> {
     within(text, 0.1, 0.9)
+}
+
+fn lens_error_um(text: &str) -> Result<f64, String> {
+    within(text, 0.0, 10.0)
 }
 
 fn within(text: &str, least: f64, most: f64) -> Result<f64, String> {
@@ -317,6 +324,11 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         .collect();
     config.run_seed = args.seed;
     config.vibration_um = args.vibration_um;
+    if args.lens_error_um > 0.0 {
+        config
+            .optics
+            .make_uneven(args.lens_error_um, config.head_seed);
+    }
     config.form = Form {
         ovality_um: args.ovality_um,
         taper_um: args.taper_um,

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-use super::least_squares::{Normal, Problem, minimise};
+use super::least_squares::{Normal, Problem, SETTLED, minimise};
 use crate::cloud::CellColumn;
 use crate::cores::buckets::Buckets;
 use crate::neighbours::Patches;
@@ -214,7 +214,7 @@ impl Image {
                 0.0,
             ],
         };
-        let [x, y, a, b, c, ..] = minimise(rim, 30).ok()?.state.shape;
+        let [x, y, a, b, c, ..] = minimise(rim, 30, SETTLED).ok()?.state.shape;
         let determinant = a * c - b * b;
         if !(x.hypot(y) < 0.5 && determinant > 0.2 && determinant < 5.0) {
             return None;

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector};
 pub(crate) struct Normal {
     /// Sum of squares.
     pub cost: f64,
-    /// J'J.
+    /// J'J; of it only the lower half counts.
     pub hessian: DMatrix<f64>,
     /// J'r.
     pub gradient: DVector<f64>,
@@ -40,13 +40,17 @@ pub(crate) struct Minimum<P> {
 }
 
 /// Relative improvement below which nothing is gained any more: of ten thousand residuals, a hundredth of one.
-const SETTLED: f64 = 1e-6;
+pub(crate) const SETTLED: f64 = 1e-6;
 const FIRST_DAMPING: f64 = 1e-3;
 /// Damped this much, a step is too short to matter.
 const MOST_DAMPING: f64 = 1e12;
 
-/// Walks downhill until a step gains nothing.
-pub(crate) fn minimise<P: Problem>(start: P, max_steps: usize) -> Result<Minimum<P>, NoMinimum> {
+/// Walks downhill until a step gains no more than the part `settled` of the sum of squares.
+pub(crate) fn minimise<P: Problem>(
+    start: P,
+    max_steps: usize,
+    settled: f64,
+) -> Result<Minimum<P>, NoMinimum> {
     let mut state = start;
     let mut damping = FIRST_DAMPING;
     for _ in 0..max_steps {
@@ -76,7 +80,7 @@ pub(crate) fn minimise<P: Problem>(start: P, max_steps: usize) -> Result<Minimum
         } else if normal.hessian.clone().cholesky().is_none() {
             return Err(NoMinimum::Singular);
         }
-        if gain <= SETTLED * normal.cost {
+        if gain <= settled * normal.cost {
             let covariance = state
                 .normal()
                 .hessian
@@ -118,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_bent_valley_is_followed_to_its_end() {
-        let found = minimise(Valley([-1.2, 1.0]), 100).ok().unwrap();
+        let found = minimise(Valley([-1.2, 1.0]), 100, SETTLED).ok().unwrap();
         assert!((found.state.0[0] - 1.0).abs() < 1e-6 && (found.state.0[1] - 1.0).abs() < 1e-6);
         // (J'J)^-1 at (1, 1), by hand.
         let by_hand = [1.0, 2.0, 2.0, 4.01];
@@ -148,6 +152,9 @@ mod tests {
 
     #[test]
     fn what_is_not_determined_is_said() {
-        assert_eq!(minimise(Flat(3.0), 100).err(), Some(NoMinimum::Singular));
+        assert_eq!(
+            minimise(Flat(3.0), 100, SETTLED).err(),
+            Some(NoMinimum::Singular)
+        );
     }
 }

@@ -20,7 +20,9 @@
 //! | `sighting` | one view: stages, plate, marks |
 //! | `least_squares` | Levenberg and Marquardt |
 //! | `model` | the unknowns, and what they say a mark looks like |
+//! | `bundle` | their equations |
 //! | `adjust` | all unknowns from all marks |
+//! | `uncertainty` | what that leaves uncertain of a point |
 //! | `form` | planes and spheres through points |
 //! | `holdout` | plates measured with the result |
 //! | `eye` | triangulation with a head |
@@ -28,6 +30,7 @@
 //! | `record` | what a head file says of its calibration |
 
 mod adjust;
+mod bundle;
 mod dots;
 mod eye;
 mod form;
@@ -39,6 +42,7 @@ mod record;
 mod self_test;
 mod sighting;
 mod target;
+mod uncertainty;
 
 pub use adjust::{Adjusted, adjust};
 pub use holdout::{HoldOut, hold_out};

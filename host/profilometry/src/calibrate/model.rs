@@ -1,7 +1,7 @@
 //! The unknowns of a calibration, and what they say a dot of a plate looks like.
 //!
 //! Shared by all views: camera (focal lengths, principal point, k1 k2 p1 p2), projector (focal length, principal column,
-//! k1 k2 p1 p2), projector from camera, stage from camera. Beside them the place of every plate, which its certificate
+//! k1 k2 p1 p2), projector from camera, stage from camera; in a second step, what both lenses do beyond that. Beside them the place of every plate, which its certificate
 //! gives nearly, and the error of the stages in every view, which their data sheet bounds.
 //!
 //! Fringes vary along the projector's columns only, so they say nothing of its rows: its focal length there keeps the ratio
@@ -14,6 +14,7 @@ use super::sighting::StagePose;
 use super::target::Target;
 use crate::calibration::{HeadModel, RigidTransform};
 use crate::camera::Pinhole;
+use crate::residual::{ResidualField, SIDE};
 
 /// Unknowns shared by all views.
 pub(crate) const SHARED: usize = 26;
@@ -21,8 +22,13 @@ pub(crate) const SHARED: usize = 26;
 pub(crate) const OF_PLATE: usize = 6;
 /// Unknowns of a view: errors of the rotary and the vertical stage.
 pub(crate) const OF_VIEW: usize = 2;
-/// All unknowns that one view feels.
-pub(crate) const LOCAL: usize = SHARED + OF_PLATE + OF_VIEW;
+/// Unknowns of the residual fields, where a scene has them: columns and rows of the camera, columns of the projector.
+pub(crate) const FIELD: usize = 3 * SIDE * SIDE;
+
+/// Where the coefficients of the fields stand among the unknowns that a view feels.
+const FIRST_OF_FIELD: usize = SHARED + OF_PLATE + OF_VIEW;
+/// A field reaches this far beyond what is seen, so that its border is not.
+const FIELD_MARGIN: f64 = 1.05;
 
 /// Places among the shared unknowns.
 pub(crate) const CAMERA_FOCAL: usize = 0;
@@ -37,9 +43,10 @@ const HAND_EYE_TURN: usize = 20;
 const HAND_EYE_SHIFT: usize = 23;
 
 /// How well the starting values are believed where the views say nothing: coefficients of distortion (k1, k2, p1, p2), and
-/// the projector's shift along its rows, mm.
+/// the projector's shift along its rows, mm. With fields that shift is but another name for the same sheets of light: it stays.
 const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
-const ROW_SHIFT_SIGMA_MM: f64 = 1.0;
+const ROW_SHIFT_SIGMA_MM: f64 = 0.1;
+const ROW_SHIFT_BESIDE_FIELDS_MM: f64 = 1e-3;
 
 /// What one view feels: the shared unknowns, its plate and its stages.
 #[derive(Clone, Debug)]
@@ -62,8 +69,10 @@ impl Scene {
         let mut camera = head.camera.clone();
         let mut projector = head.projector.clone();
         // The sixth-order term of a fibre endoscope's field is not determined by it.
-        camera.distortion[4] = 0.0;
-        projector.distortion[4] = 0.0;
+        for lens in [&mut camera, &mut projector] {
+            lens.distortion[4] = 0.0;
+            lens.residual = None;
+        }
         Self {
             camera,
             projector,
@@ -74,7 +83,69 @@ impl Scene {
         }
     }
 
-    /// Moves one unknown.
+    /// The same scene with residual fields of no shift, over all that the head can see.
+    pub fn with_fields(mut self, head: &HeadModel) -> Self {
+        let camera = &head.camera;
+        let (centre_px, radius_px) = head.image_circle.map_or_else(
+            || {
+                let size = [camera.width_px, camera.height_px].map(f64::from);
+                (
+                    size.map(|px| 0.5 * (px - 1.0)),
+                    0.5 * size[0].hypot(size[1]),
+                )
+            },
+            |circle| (circle.centre_px, circle.radius_px),
+        );
+        let over = |lens: &Pinhole, centre_px: [f64; 2], radius_px: f64, rows: bool| {
+            let centre = [0, 1]
+                .map(|axis| (centre_px[axis] - lens.principal_px[axis]) / lens.focal_px[axis]);
+            let half_side = FIELD_MARGIN * radius_px / lens.focal_px[0];
+            Some(ResidualField::zero(centre, half_side, rows))
+        };
+        self.camera.residual = over(&self.camera, centre_px, radius_px, true);
+        let size = [self.projector.width_px, self.projector.height_px].map(f64::from);
+        let middle_px = size.map(|px| 0.5 * (px - 1.0));
+        self.projector.residual = over(&self.projector, middle_px, 0.5 * size[0], false);
+        self
+    }
+
+    /// Whether the lenses have residual fields.
+    pub fn has_fields(&self) -> bool {
+        self.camera.residual.is_some()
+    }
+
+    /// The coefficients of the residual fields, camera and projector; nothing without them.
+    pub fn field_px(&self) -> [Vec<f64>; 2] {
+        [&self.camera, &self.projector].map(|lens| {
+            let field = lens.residual.iter();
+            field
+                .flat_map(|field| [Some(&field.columns_px), field.rows_px.as_ref()])
+                .flatten()
+                .flatten()
+                .flatten()
+                .copied()
+                .collect()
+        })
+    }
+
+    /// Moves a coefficient of the fields.
+    fn nudge_field(&mut self, coefficient: usize, by_px: f64) {
+        let (direction, place) = (coefficient / (SIDE * SIDE), coefficient % (SIDE * SIDE));
+        let lens = if direction < 2 {
+            &mut self.camera
+        } else {
+            &mut self.projector
+        };
+        let coefficients = lens.residual.as_mut().and_then(|field| match direction {
+            1 => field.rows_px.as_mut(),
+            _ => Some(&mut field.columns_px),
+        });
+        if let Some(coefficients) = coefficients {
+            coefficients[place / SIDE][place % SIDE] += by_px;
+        }
+    }
+
+    /// Moves one unknown: those shared by all views, the plate's, the stages', then the coefficients of the fields.
     pub fn nudge(&mut self, unknown: usize, by: f64) {
         let turn = |axis: usize| UnitQuaternion::from_scaled_axis(Vector3::ith(axis, by));
         match unknown {
@@ -98,7 +169,8 @@ impl Scene {
             23..26 => self.stage_from_camera.translation.vector[unknown - HAND_EYE_SHIFT] += by,
             26..29 => turn_about_origin(&mut self.tool_from_plate, turn(unknown - SHARED)),
             29..32 => self.tool_from_plate.translation.vector[unknown - SHARED - 3] += by,
-            _ => self.stage_error[unknown - SHARED - OF_PLATE] += by,
+            32..FIRST_OF_FIELD => self.stage_error[unknown - SHARED - OF_PLATE] += by,
+            _ => self.nudge_field(unknown - FIRST_OF_FIELD, by),
         }
     }
 
@@ -108,6 +180,7 @@ impl Scene {
             0..4 | PROJECTOR_FOCAL | PROJECTOR_PRINCIPAL => 1e-2,
             4..8 | 10..14 => 1e-3,
             17..=19 | 23..=25 | 29..=31 | 33 => 1e-4,
+            FIRST_OF_FIELD.. => 1e-2,
             _ => 1e-6,
         }
     }
@@ -132,6 +205,45 @@ impl Scene {
         at_mm: [f64; 2],
         radius_mm: f64,
     ) -> Option<Look> {
+        let [seen, lit] = self.directions(camera_from_plate, at_mm, radius_mm)?;
+        let [u, v] = self.camera.pixel(seen);
+        let [column, _] = self.projector.pixel(lit);
+        Some([u, v, column])
+    }
+
+    /// How its look follows the coefficients of the fields: unknown, which part of the look, derivative.
+    pub fn field_slopes(
+        &self,
+        camera_from_plate: &Isometry3<f64>,
+        at_mm: [f64; 2],
+        radius_mm: f64,
+    ) -> Vec<(usize, usize, f64)> {
+        let directions = self.directions(camera_from_plate, at_mm, radius_mm);
+        let (Some([seen, lit]), Some(camera), Some(projector)) =
+            (directions, &self.camera.residual, &self.projector.residual)
+        else {
+            return Vec::new();
+        };
+        let parts = [(camera, seen), (camera, seen), (projector, lit)];
+        let slopes = parts
+            .into_iter()
+            .enumerate()
+            .flat_map(|(part, (field, at))| {
+                let first = FIRST_OF_FIELD + part * SIDE * SIDE;
+                let weights = field.weights(at).into_iter();
+                weights
+                    .map(move |([row, column], weight)| (first + row * SIDE + column, part, weight))
+            });
+        slopes.collect()
+    }
+
+    /// Where a dot lies in the image planes `z = 1` of camera and projector.
+    fn directions(
+        &self,
+        camera_from_plate: &Isometry3<f64>,
+        at_mm: [f64; 2],
+        radius_mm: f64,
+    ) -> Option<[[f64; 2]; 2]> {
         let depth_mm = (camera_from_plate * Point3::new(at_mm[0], at_mm[1], 0.0)).z;
         let gradient = camera_from_plate.rotation * Vector3::x();
         let across = camera_from_plate.rotation * Vector3::y();
@@ -146,17 +258,11 @@ impl Scene {
         if !(p_camera.z > 0.0 && p_projector.z > 0.0) {
             return None;
         }
-        let [u, v] = self
-            .camera
-            .pixel([p_camera.x / p_camera.z, p_camera.y / p_camera.z]);
-        let [column, _] = self
-            .projector
-            .pixel([p_projector.x / p_projector.z, p_projector.y / p_projector.z]);
-        Some([u, v, column])
+        Some([p_camera, p_projector].map(|p| [p.x / p.z, p.y / p.z]))
     }
 
-    /// What is believed of the shared unknowns before any view: unknown, offset from the starting value, its sigma.
-    pub fn beliefs(&self, start: &Self) -> Vec<(usize, f64, f64)> {
+    /// What is believed of the head's unknowns before any view: place, offset from the starting value, its sigma.
+    pub fn beliefs(&self, start: &Self, field_sigma_px: [f64; 2]) -> Vec<(usize, f64, f64)> {
         let mut beliefs = Vec::new();
         for (k, sigma) in DISTORTION_SIGMA.into_iter().enumerate() {
             let off = |now: &Pinhole, then: &Pinhole| now.distortion[k] - then.distortion[k];
@@ -170,7 +276,20 @@ impl Scene {
         }
         let row_shift = |scene: &Self| scene.projector_from_camera.translation.vector.y;
         let moved = row_shift(self) - row_shift(start);
-        beliefs.push((PROJECTOR_SHIFT + 1, moved, ROW_SHIFT_SIGMA_MM));
+        let sigma_mm = if self.has_fields() {
+            ROW_SHIFT_BESIDE_FIELDS_MM
+        } else {
+            ROW_SHIFT_SIGMA_MM
+        };
+        beliefs.push((PROJECTOR_SHIFT + 1, moved, sigma_mm));
+        let fields = self.field_px().into_iter().zip(field_sigma_px);
+        let coefficients =
+            fields.flat_map(|(field, sigma)| field.into_iter().map(move |px| (px, sigma)));
+        beliefs.extend(
+            coefficients
+                .enumerate()
+                .map(|(k, (px, sigma))| (SHARED + k, px, sigma)),
+        );
         beliefs
     }
 
@@ -185,6 +304,12 @@ impl Scene {
             ..start.clone()
         }
     }
+}
+
+/// The unknowns of a scene that are the head's, in the order in which they stand among all: see [`Scene::nudge`].
+pub(crate) fn head_unknowns(scene: &Scene) -> impl Iterator<Item = usize> {
+    let fields = if scene.has_fields() { FIELD } else { 0 };
+    (0..SHARED).chain(FIRST_OF_FIELD..FIRST_OF_FIELD + fields)
 }
 
 /// Turns the axes and leaves the origin.
@@ -232,6 +357,7 @@ mod tests {
             focal_px: [2530.0, 2530.0],
             principal_px: [960.0, 600.0],
             distortion: [0.0; 5],
+            residual: None,
         };
         let scene = Scene {
             camera: lens.clone(),

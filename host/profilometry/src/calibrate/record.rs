@@ -41,6 +41,9 @@ pub struct CalibrationRecord {
     /// Plates that took no part, measured with the result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
+    /// The same plates without the residual fields of the lenses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without_field: Option<HoldOut>,
 }
 
 /// Why a calibration does not count today.
@@ -73,15 +76,16 @@ pub enum RecordError {
 const FRAMES: [&str; 3] = ["camera", "projector", "stage"];
 
 impl CalibrationRecord {
-    /// The record of an adjusted head.
+    /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields.
     pub fn new(
         adjusted: &Adjusted,
         head: &HeadModel,
         target: &str,
-        hold_out: Option<HoldOut>,
+        hold_out: [Option<HoldOut>; 2],
         date: Date,
         valid_days: u32,
     ) -> Self {
+        let [hold_out, without_field] = hold_out;
         Self {
             date,
             expires: date.plus_days(valid_days),
@@ -97,6 +101,7 @@ impl CalibrationRecord {
             depth_sigma_um: 1e3 * adjusted.depth_sigma_mm,
             lateral_sigma_um: 1e3 * adjusted.lateral_sigma_mm,
             hold_out,
+            without_field,
         }
     }
 
@@ -166,6 +171,17 @@ fn geometry_blake3(head: &HeadModel) -> String {
         numbers(&lens.focal_px);
         numbers(&lens.principal_px);
         numbers(&lens.distortion);
+        if let Some(field) = &lens.residual {
+            numbers(&field.centre);
+            numbers(&[field.half_side]);
+            numbers(field.columns_px.as_flattened());
+            numbers(
+                field
+                    .rows_px
+                    .as_ref()
+                    .map_or(&[], |rows| rows.as_flattened()),
+            );
+        }
     }
     for pose in [Some(head.projector_from_camera), head.stage_from_camera] {
         for row in pose.iter().flat_map(|pose| pose.rotation) {

@@ -33,6 +33,7 @@ pub fn head() -> HeadModel {
             focal_px: [350.0, 352.0],
             principal_px: [73.2, 49.1],
             distortion: [-0.12, 0.05, 2e-3, -1e-3, 0.01],
+            residual: None,
         },
         projector: Pinhole {
             width_px: 1024,
@@ -40,6 +41,7 @@ pub fn head() -> HeadModel {
             focal_px: [2250.0, 2250.0],
             principal_px: [511.5, 383.5],
             distortion: [-0.08, 0.02, -1e-3, 2e-3, 0.0],
+            residual: None,
         },
         projector_from_camera: RigidTransform {
             rotation,

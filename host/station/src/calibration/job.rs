@@ -188,7 +188,8 @@ impl PlateSurvey {
         let stage_sigma = [ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM];
         let adjusted = adjust(start, target, &sightings, stage_sigma)?;
         Ok(Calibrated {
-            hold_out: hold_out(&adjusted.head, target, &kept_aside),
+            hold_out: [&adjusted.head, &adjusted.without_field]
+                .map(|head| hold_out(head, target, &kept_aside)),
             adjusted,
             target: target.name.clone(),
             views: reports,
@@ -216,8 +217,8 @@ pub struct ViewReport {
 pub struct Calibrated {
     /// The adjustment.
     pub adjusted: Adjusted,
-    /// Plates kept aside, measured with the head.
-    pub hold_out: Option<HoldOut>,
+    /// Plates kept aside, measured with the head, and with the one without residual fields.
+    pub hold_out: [Option<HoldOut>; 2],
     /// Name of the target.
     pub target: String,
     /// What was seen in each view.

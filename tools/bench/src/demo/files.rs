@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 
 use super::tile::core_map_file;
 use super::{CHORD_ERROR_MM, HEIGHT_MM, gear};
-use crate::world::{HeadOptics, Pinhole, SensorSpec, WorldConfig};
+use crate::world::{HeadOptics, Pinhole, SensorSpec, Unevenness, WorldConfig};
 
 /// Exposures of the in-situ check, µs: lit tip lands fill a third of the well in 40 ms, steep flanks get half as much.
 const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
@@ -176,6 +176,7 @@ fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::
         focal_px: pinhole.focal_px,
         principal_px: pinhole.centre_px,
         distortion: pinhole.distortion,
+        residual: None,
     }
 }
 
@@ -184,6 +185,10 @@ fn pinhole_of(file: &calibration::Pinhole) -> Pinhole {
         focal_px: file.focal_px,
         centre_px: file.principal_px,
         distortion: file.distortion,
+        uneven: file
+            .residual
+            .as_ref()
+            .map(|field| Unevenness::stated(field, file.focal_px)),
     }
 }
 

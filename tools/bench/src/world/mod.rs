@@ -26,6 +26,7 @@ mod refine;
 mod scene;
 mod sensor;
 mod surface;
+mod unevenness;
 mod wear;
 
 pub use bundle::{Bundle, BundleSpec};
@@ -39,6 +40,7 @@ pub use rays::{Hit, RayCaster};
 pub use scene::CoreTruth;
 pub use sensor::SensorSpec;
 pub use surface::Surface;
+pub use unevenness::Unevenness;
 pub use wear::{FlankId, FlankZone, MAX_DEPTH_UM, Wear, WearError, WearField, WearKind};
 
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};

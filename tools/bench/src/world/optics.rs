@@ -1,6 +1,7 @@
 //! The head's two objectives: where light goes, how sharp and how bright it arrives.
 
 use super::WorldError;
+use super::unevenness::Unevenness;
 use nalgebra::{
     Isometry3, Matrix2, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
 };
@@ -16,6 +17,8 @@ pub struct Pinhole {
     pub centre_px: [f64; 2],
     /// k1, k2, p1, p2, k3.
     pub distortion: [f64; 5],
+    /// What the lens does beyond that.
+    pub uneven: Option<Unevenness>,
 }
 
 impl Pinhole {
@@ -63,10 +66,12 @@ impl Pinhole {
         let (x, y) = (ideal.x, ideal.y);
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        Vector2::new(
+        let astray = self.uneven.as_ref().map(|uneven| uneven.at(ideal));
+        let brown = Vector2::new(
             x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
             y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        )
+        );
+        brown + astray.unwrap_or_default()
     }
 }
 
@@ -182,6 +187,7 @@ impl HeadOptics {
                 focal_px: [camera_focal_px, camera_focal_px],
                 centre_px: [959.5, 599.5],
                 distortion: [-0.08, 0.05, 4e-4, -3e-4, 0.0],
+                uneven: None,
             },
             camera_size_px: [1920, 1200],
             camera_objective: objective(0.22, 0.45),
@@ -189,6 +195,7 @@ impl HeadOptics {
                 focal_px: [projector_focal_px, projector_focal_px],
                 centre_px: [511.5, 383.5],
                 distortion: [0.06, -0.04, -3e-4, 4e-4, 0.0],
+                uneven: None,
             },
             projector_size_px: [1024, 768],
             projector_objective: objective(0.28, 0.30),
@@ -197,6 +204,19 @@ impl HeadOptics {
             contrast_centre: 0.62,
             contrast_edge: 0.30,
             dmd_leak_ratio: 0.001,
+        }
+    }
+
+    /// Makes both lenses uneven by `rms_um` along each axis in best focus, whatever they were; one seed is one head.
+    pub fn make_uneven(&mut self, rms_um: f64, seed: u64) {
+        let lenses = [
+            (&mut self.camera, &self.camera_objective),
+            (&mut self.projector, &self.projector_objective),
+        ];
+        for (number, (lens, objective)) in (0..).zip(lenses) {
+            let per_mm = 1.0 / objective.focus_mm;
+            let (rms, field) = (1e-3 * rms_um * per_mm, objective.field_radius_mm * per_mm);
+            lens.uneven = Some(Unevenness::drawn(seed, number, rms, field));
         }
     }
 

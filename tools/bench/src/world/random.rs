@@ -15,6 +15,7 @@ pub(crate) enum Purpose {
     Mount,
     Target,
     Vibration,
+    Unevenness(u8),
     Frame(u32),
 }
 
@@ -29,6 +30,7 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
         Purpose::Mount => 6,
         Purpose::Target => 7,
         Purpose::Vibration => 8,
+        Purpose::Unevenness(lens) => 16 + u64::from(lens),
         Purpose::Frame(counter) => (1 << 32) | u64::from(counter),
     };
     let mut bytes = [0u8; 32];

@@ -1,0 +1,313 @@
+//! The equations of an adjustment: every unknown from every mark.
+//!
+//! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark feels
+//! a few of them, and only those are summed.
+
+use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
+use rayon::prelude::*;
+
+use super::dots::quantile;
+use super::least_squares::{Normal, Problem};
+use super::model::{FIELD, Look, OF_PLATE, OF_VIEW, SHARED, Scene, head_unknowns};
+use super::sighting::{Mark, Sighting};
+use super::target::Target;
+
+/// What does not change.
+pub(crate) struct Setting<'a> {
+    pub target: &'a Target,
+    pub sightings: &'a [Sighting],
+    /// Places of the plates by their certificate.
+    pub certified: Vec<Isometry3<f64>>,
+    pub start: Scene,
+    /// Standard uncertainty of the stages: rad, mm.
+    pub stage_sigma: [f64; 2],
+}
+
+/// All unknowns: those of the head, of the plates, of the stages in each view.
+#[derive(Clone)]
+pub(crate) struct State {
+    pub shared: Scene,
+    pub plates: Vec<Isometry3<f64>>,
+    pub stage_errors: Vec<[f64; 2]>,
+}
+
+/// What is believed of the marks, and of the fields.
+#[derive(Clone, Copy)]
+pub(crate) struct Weights {
+    /// Standard uncertainty of a dot's place and of its column.
+    pub sigma_px: [f64; 2],
+    /// How large the coefficients of the residual fields are, camera and projector; without effect where the scene has none.
+    pub field_sigma_px: [f64; 2],
+}
+
+/// The equations about a state.
+#[derive(Clone)]
+pub(crate) struct Bundle<'a> {
+    pub setting: &'a Setting<'a>,
+    pub state: State,
+    /// Marks that take part, view by view.
+    pub kept: &'a [Vec<Mark>],
+    pub weights: Weights,
+}
+
+impl Bundle<'_> {
+    fn unknowns(&self) -> usize {
+        self.of_head()
+            + OF_PLATE * self.state.plates.len()
+            + OF_VIEW * self.state.stage_errors.len()
+    }
+
+    /// Unknowns of the head; they stand first.
+    pub fn of_head(&self) -> usize {
+        SHARED + self.of_fields()
+    }
+
+    fn of_fields(&self) -> usize {
+        if self.state.shared.has_fields() {
+            FIELD
+        } else {
+            0
+        }
+    }
+
+    /// Where the unknowns that a view feels, in the order of [`Scene::nudge`], stand among all.
+    fn places(&self, view: usize) -> Vec<usize> {
+        let plate = self.of_head() + OF_PLATE * self.setting.sightings[view].plate;
+        let stages = self.of_head() + OF_PLATE * self.state.plates.len() + OF_VIEW * view;
+        let own = (plate..plate + OF_PLATE).chain(stages..stages + OF_VIEW);
+        (0..SHARED)
+            .chain(own)
+            .chain(SHARED..self.of_head())
+            .collect()
+    }
+
+    fn scene(&self, view: usize) -> Scene {
+        Scene {
+            tool_from_plate: self.state.plates[self.setting.sightings[view].plate],
+            stage_error: self.state.stage_errors[view],
+            ..self.state.shared.clone()
+        }
+    }
+
+    /// How the kept marks of a view look in a scene.
+    fn looks(&self, view: usize, scene: &Scene) -> Option<Vec<Look>> {
+        let dots = &self.setting.target.dots;
+        let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
+        self.kept[view]
+            .iter()
+            .map(|mark| {
+                let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
+                scene.look(&pose, at_mm, dots.radius_mm(mark.place))
+            })
+            .collect()
+    }
+
+    /// What a view's marks are off by; `None` where a mark would lie behind the head.
+    fn residuals(&self, view: usize) -> Option<Vec<Look>> {
+        let looks = self.looks(view, &self.scene(view))?;
+        let off = |(look, mark): (Look, &Mark)| {
+            [
+                look[0] - mark.pixel[0],
+                look[1] - mark.pixel[1],
+                look[2] - mark.column_px,
+            ]
+        };
+        Some(looks.into_iter().zip(&self.kept[view]).map(off).collect())
+    }
+
+    fn sigmas(&self) -> Look {
+        let [dot, fringe] = self.weights.sigma_px;
+        [dot, dot, fringe]
+    }
+
+    /// Beliefs about all unknowns: place, offset, sigma.
+    fn beliefs(&self) -> Vec<(usize, f64, f64)> {
+        let Setting {
+            target,
+            certified,
+            start,
+            stage_sigma,
+            ..
+        } = self.setting;
+        let mut beliefs = self
+            .state
+            .shared
+            .beliefs(start, self.weights.field_sigma_px);
+        for (plate, (now, then)) in self.state.plates.iter().zip(certified).enumerate() {
+            let turn = (now.rotation * then.rotation.inverse()).scaled_axis();
+            let shift = now.translation.vector - then.translation.vector;
+            for axis in 0..3 {
+                let at = self.of_head() + OF_PLATE * plate + axis;
+                beliefs.push((at, turn[axis], target.pose_sigma_rad));
+                beliefs.push((at + 3, shift[axis], target.pose_sigma_mm));
+            }
+        }
+        let first = self.of_head() + OF_PLATE * self.state.plates.len();
+        for (view, errors) in self.state.stage_errors.iter().enumerate() {
+            for axis in 0..OF_VIEW {
+                let at = first + OF_VIEW * view + axis;
+                beliefs.push((at, errors[axis], stage_sigma[axis]));
+            }
+        }
+        beliefs
+    }
+
+    fn cost(&self) -> f64 {
+        let sigmas = self.sigmas();
+        let of_view = |view: usize| -> f64 {
+            let Some(residuals) = self.residuals(view) else {
+                return f64::INFINITY;
+            };
+            residuals
+                .iter()
+                .flat_map(|off| (0..3).map(|k| (off[k] / sigmas[k]).powi(2)))
+                .sum()
+        };
+        let views: f64 = (0..self.kept.len()).map(of_view).sum();
+        let beliefs: f64 = self
+            .beliefs()
+            .iter()
+            .map(|(_, off, sigma)| (off / sigma).powi(2))
+            .sum();
+        views + beliefs
+    }
+
+    /// Robust standard deviations of dots and fringes.
+    pub fn scatter(&self) -> [f64; 2] {
+        let (mut dots, mut fringes) = (Vec::new(), Vec::new());
+        for off in (0..self.kept.len())
+            .filter_map(|view| self.residuals(view))
+            .flatten()
+        {
+            dots.extend([off[0].abs(), off[1].abs()]);
+            fringes.push(off[2].abs());
+        }
+        // A thousandth of a pixel is nobody's noise, and keeps perfect data from being weighed infinitely.
+        [dots, fringes].map(|mut off| (1.483 * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
+    }
+
+    /// Whether each kept mark, view by view, agrees with the others to `outlier` standard deviations.
+    pub fn fits(&self, outlier: f64, sigma_px: [f64; 2]) -> Vec<bool> {
+        let [dot, fringe] = sigma_px.map(|sigma| outlier * sigma);
+        (0..self.kept.len())
+            .flat_map(|view| self.residuals(view).unwrap_or_default())
+            .map(|off| off[0].abs() < dot && off[1].abs() < dot && off[2].abs() < fringe)
+            .collect()
+    }
+
+    pub fn rms(&self) -> [f64; 2] {
+        let (mut count, mut squares) = (0.0, [0.0; 2]);
+        for off in (0..self.kept.len())
+            .filter_map(|view| self.residuals(view))
+            .flatten()
+        {
+            count += 1.0;
+            squares[0] += 0.5 * (off[0] * off[0] + off[1] * off[1]);
+            squares[1] += off[2] * off[2];
+        }
+        squares.map(|sum: f64| (sum / count).sqrt())
+    }
+
+    /// One view's share of the equations about the unknowns that it feels; of the symmetric part the lower half.
+    fn of_view(&self, view: usize) -> Normal {
+        const PLAIN: usize = SHARED + OF_PLATE + OF_VIEW;
+        let unknowns = PLAIN + self.of_fields();
+        let mut share = Normal {
+            cost: 0.0,
+            hessian: DMatrix::zeros(unknowns, unknowns),
+            gradient: DVector::zeros(unknowns),
+        };
+        let scene = self.scene(view);
+        let nudged = |unknown: usize, sign: f64| {
+            let mut scene = scene.clone();
+            scene.nudge(unknown, sign * Scene::small_step(unknown));
+            self.looks(view, &scene)
+        };
+        let sides: Option<Vec<_>> = (0..PLAIN)
+            .map(|unknown| Some((nudged(unknown, 1.0)?, nudged(unknown, -1.0)?)))
+            .collect();
+        let (Some(residuals), Some(sides)) = (self.residuals(view), sides) else {
+            share.cost = f64::INFINITY;
+            return share;
+        };
+        let dots = &self.setting.target.dots;
+        let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
+        let mut felt: Vec<(usize, f64)> = Vec::with_capacity(unknowns);
+        for (number, (mark, off)) in self.kept[view].iter().zip(&residuals).enumerate() {
+            let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
+            let fields = scene.field_slopes(&pose, at_mm, dots.radius_mm(mark.place));
+            for (k, sigma) in self.sigmas().into_iter().enumerate() {
+                let plain = sides.iter().enumerate().map(|(unknown, (plus, minus))| {
+                    let change = plus[number][k] - minus[number][k];
+                    (unknown, change / (2.0 * Scene::small_step(unknown) * sigma))
+                });
+                let of_part = fields.iter().filter(|(_, part, _)| *part == k);
+                felt.clear();
+                felt.extend(plain.chain(of_part.map(|&(at, _, slope)| (at, slope / sigma))));
+                let residual = off[k] / sigma;
+                share.cost += residual * residual;
+                for (position, &(i, by_i)) in felt.iter().enumerate() {
+                    share.gradient[i] += residual * by_i;
+                    let column = share.hessian.column_mut(i);
+                    let column = column.data.into_slice_mut();
+                    for &(j, by_j) in &felt[position..] {
+                        column[j] += by_i * by_j;
+                    }
+                }
+            }
+        }
+        share
+    }
+}
+
+impl Problem for Bundle<'_> {
+    fn normal(&self) -> Normal {
+        let unknowns = self.unknowns();
+        let mut normal = Normal {
+            cost: 0.0,
+            hessian: DMatrix::zeros(unknowns, unknowns),
+            gradient: DVector::zeros(unknowns),
+        };
+        let shares: Vec<_> = (0..self.kept.len())
+            .into_par_iter()
+            .map(|view| self.of_view(view))
+            .collect();
+        for (view, share) in shares.into_iter().enumerate() {
+            let places = self.places(view);
+            normal.cost += share.cost;
+            for (i, &row) in places.iter().enumerate() {
+                normal.gradient[row] += share.gradient[i];
+                for (j, &column) in places[..=i].iter().enumerate() {
+                    normal.hessian[(row.max(column), row.min(column))] += share.hessian[(i, j)];
+                }
+            }
+        }
+        for (at, off, sigma) in self.beliefs() {
+            normal.cost += (off / sigma).powi(2);
+            normal.gradient[at] += off / (sigma * sigma);
+            normal.hessian[(at, at)] += 1.0 / (sigma * sigma);
+        }
+        normal
+    }
+
+    fn stepped(&self, step: &DVector<f64>) -> (Self, f64) {
+        let mut next = self.clone();
+        for (place, unknown) in head_unknowns(&self.state.shared).enumerate() {
+            next.state.shared.nudge(unknown, step[place]);
+        }
+        for (plate, pose) in next.state.plates.iter_mut().enumerate() {
+            let at = self.of_head() + OF_PLATE * plate;
+            let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
+            pose.rotation = UnitQuaternion::from_scaled_axis(part(at)) * pose.rotation;
+            pose.translation.vector += part(at + 3);
+        }
+        let first = self.of_head() + OF_PLATE * next.state.plates.len();
+        for (view, errors) in next.state.stage_errors.iter_mut().enumerate() {
+            for axis in 0..OF_VIEW {
+                errors[axis] += step[first + OF_VIEW * view + axis];
+            }
+        }
+        let cost = next.cost();
+        (next, cost)
+    }
+}

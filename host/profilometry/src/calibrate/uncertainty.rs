@@ -1,0 +1,93 @@
+//! What a calibration leaves uncertain of a measured point.
+
+use nalgebra::{DMatrix, Matrix3, Vector3};
+
+use super::model::{Scene, head_unknowns};
+use crate::calibration::HeadModel;
+use crate::triangulate::Triangulator;
+
+/// Where in the field, in parts of 0.7 of its radius.
+const SAMPLES: [[f64; 2]; 5] = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.7], [0.0, -0.7]];
+
+/// Standard uncertainty of a point by the calibration alone, root mean square over the measuring volume in the stage frame:
+/// along the view and across, mm. `covariance` is that of the head's unknowns, `scene` the head's.
+pub(crate) fn volume_sigma_mm(
+    head: &HeadModel,
+    scene: &Scene,
+    covariance: &DMatrix<f64>,
+) -> [f64; 2] {
+    let Some(volume) = head.volume else {
+        return [f64::NAN; 2];
+    };
+    let radius_px = head
+        .image_circle
+        .map_or(0.5 * f64::from(head.camera.height_px), |circle| {
+            circle.radius_px
+        });
+    let neighbours: Vec<Neighbours> = head_unknowns(scene)
+        .map(|unknown| {
+            let step = Scene::small_step(unknown);
+            let heads = [step, -step].map(|by| {
+                let mut scene = scene.clone();
+                scene.nudge(unknown, by);
+                scene.head(head)
+            });
+            Neighbours { heads, step }
+        })
+        .collect();
+    let view = scene.stage_from_camera.rotation * Vector3::z();
+    let (mut count, mut squares) = (0.0, [0.0; 2]);
+    for depth_mm in [
+        volume.near_mm,
+        0.5 * (volume.near_mm + volume.far_mm),
+        volume.far_mm,
+    ] {
+        for [x, y] in SAMPLES {
+            let pixel = [
+                head.camera.principal_px[0] + 0.7 * radius_px * x,
+                head.camera.principal_px[1] + 0.7 * radius_px * y,
+            ];
+            let of_point = point_covariance(head, &neighbours, covariance, pixel, depth_mm);
+            let Some(of_point) = of_point else { continue };
+            let along = view.dot(&(of_point * view));
+            count += 1.0;
+            squares[0] += along;
+            squares[1] += 0.5 * (of_point.trace() - along);
+        }
+    }
+    squares.map(|sum: f64| (sum / count).sqrt())
+}
+
+/// The head with one unknown a little more and a little less.
+struct Neighbours {
+    heads: [HeadModel; 2],
+    step: f64,
+}
+
+/// Covariance of the point that a pixel sees at a depth, in the stage frame.
+fn point_covariance(
+    head: &HeadModel,
+    neighbours: &[Neighbours],
+    covariance: &DMatrix<f64>,
+    pixel: [f64; 2],
+    depth_mm: f64,
+) -> Option<Matrix3<f64>> {
+    let ray = head.camera.undistort(pixel)?;
+    let (column_px, _) = Triangulator::new(head).column(ray, depth_mm)?;
+    let point = |head: &HeadModel| -> Option<Vector3<f64>> {
+        let ray = head.camera.undistort(pixel)?;
+        let z = Triangulator::new(head).intersect(ray, column_px)?.depth_mm;
+        Some(Vector3::from(head.stage_from_camera?.point([
+            ray[0] * z,
+            ray[1] * z,
+            z,
+        ])))
+    };
+    let mut jacobian = DMatrix::zeros(3, neighbours.len());
+    for (unknown, Neighbours { heads, step }) in neighbours.iter().enumerate() {
+        let change = (point(&heads[0])? - point(&heads[1])?) / (2.0 * step);
+        jacobian.set_column(unknown, &change);
+    }
+    let covariance = &jacobian * covariance * jacobian.transpose();
+    Some(Matrix3::from_fn(|row, column| covariance[(row, column)]))
+}
