@@ -10,6 +10,7 @@
 //! ```
 //! The models know nothing of each other but what light and mechanics carry between them: [`World`].
 
+pub mod axis;
 pub mod camera;
 pub mod dmd;
 pub mod esp301;
@@ -20,13 +21,14 @@ pub mod motion;
 pub mod press;
 pub mod stage;
 
+pub use axis::AxisModel;
 pub use camera::{CameraTiming, Exposure, ExposureSink, Lost};
 pub use dmd::DmdTiming;
 pub use faults::{DeviceFault, Faults};
 pub use instrument::{Controller, Instrument, InstrumentConfig, Outcome, run, run_with};
 pub use led::LedTiming;
 pub use press::PressModel;
-pub use stage::{AxisModel, StageModel, TruePose};
+pub use stage::{StageModel, TruePose};
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::signal::Signal;
