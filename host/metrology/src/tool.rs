@@ -108,7 +108,7 @@ impl Inspect {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Datum {
-    /// All but the judged tooth's flanks: sharp, but blind to wear that all teeth in view share.
+    /// All but the judged tooth: sharp, but blind to wear that all teeth in view share.
     #[default]
     Neighbours,
     /// Tip and root lands only: no wear on any flank moves the pose, the stages hold it about the axis.

@@ -19,13 +19,22 @@ pub struct Field {
     pub variance_mm2: Vec<f64>,
 }
 
-/// What noise alone does to the cells of a field.
+/// What is not wear in the cells of a field.
 pub(super) struct Noise {
     /// Standard deviation of a cell, in the mean over all, mm.
     pub mean_mm: f64,
     /// Variance of every cell, mm2.
     pub variances_mm2: Vec<f64>,
+    /// Wear that is even along the height: of every cell the median of its column, mm.
+    pub even_mm: Vec<f64>,
 }
+
+/// Cells to either side along profile and height whose scatter tells a cell's noise.
+const NEAR: [usize; 2] = [2, 6];
+/// Fewer tell nothing.
+const LEAST_NEAR: usize = 8;
+/// Noise below this share of what is stated is a chance of few cells.
+const LEAST_SCALE: f64 = 0.3;
 
 /// Two fields that cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -102,39 +111,70 @@ impl Field {
         Some(mean)
     }
 
-    /// The cells' noise as they themselves show it: as stated, or larger in proportion where neighbours in height differ by
-    /// more than that. Cells at the zone's rim, with few points, are noisier than the others.
+    /// The cells' noise as they themselves show it: as stated, but larger or smaller where the cells around scatter by more
+    /// or less than that about the median of their columns. Cores and fringes beat against each other in places; there a
+    /// whole region is off by more than its points say, and elsewhere such errors cancel within a cell. Flanks wear evenly
+    /// along the height but for a few cells, which medians pass over.
     pub(super) fn noise(&self) -> Noise {
-        let scale = self.noise_scale();
-        let measured: Vec<usize> = self.measured().collect();
-        let stated = measured.iter().map(|&i| self.variance_mm2[i]).sum::<f64>();
+        let medians: Vec<f64> = (0..self.columns)
+            .map(|column| median(self.column(column)))
+            .collect();
+        let even_mm: Vec<f64> = (0..self.wear_mm.len())
+            .map(|i| medians[i % self.columns])
+            .collect();
+        let off = |i: usize| (self.wear_mm[i] - even_mm[i]).abs() / self.variance_mm2[i].sqrt();
+        let off: Vec<f64> = (0..self.wear_mm.len()).map(off).collect();
+        let variances_mm2: Vec<f64> = (0..self.wear_mm.len())
+            .map(|i| self.variance_mm2[i] * self.scale(&off, i).powi(2))
+            .collect();
+        let (mut sum, mut count) = (0.0, 0.0_f64);
+        for i in self.measured() {
+            (sum, count) = (sum + variances_mm2[i], count + 1.0);
+        }
         Noise {
-            mean_mm: scale * (stated / measured.len().max(1) as f64).sqrt(),
-            variances_mm2: self
-                .variance_mm2
-                .iter()
-                .map(|v| scale * scale * v)
-                .collect(),
+            mean_mm: (sum / count.max(1.0)).sqrt(),
+            variances_mm2,
+            even_mm,
         }
     }
 
-    /// How much larger than stated the standard deviations are. Flanks wear evenly along the height but for a few cells,
-    /// which the median passes over.
-    fn noise_scale(&self) -> f64 {
-        let step = |i: usize| {
-            let j = i + self.columns;
-            let difference = (self.wear_mm[i] - self.wear_mm.get(j)?).abs();
-            let ratio = difference / (self.variance_mm2[i] + self.variance_mm2[j]).sqrt();
-            ratio.is_finite().then_some(ratio)
-        };
-        let mut ratios: Vec<f64> = self.measured().filter_map(step).collect();
-        if ratios.len() < 8 {
+    /// The measured wear of a column, mm.
+    fn column(&self, column: usize) -> impl Iterator<Item = f64> {
+        self.wear_mm
+            .iter()
+            .skip(column)
+            .step_by(self.columns)
+            .copied()
+    }
+
+    /// How much larger than stated a cell's standard deviation is, from the distances `off` of the cells around it, in stated
+    /// ones.
+    fn scale(&self, off: &[f64], cell: usize) -> f64 {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let rows = row.saturating_sub(NEAR[1])..(row + NEAR[1] + 1).min(self.rows);
+        let columns = column.saturating_sub(NEAR[0])..(column + NEAR[0] + 1).min(self.columns);
+        let near: Vec<f64> = rows
+            .flat_map(|row| columns.clone().map(move |c| row * self.columns + c))
+            .map(|i| off[i])
+            .filter(|off| off.is_finite())
+            .collect();
+        if near.len() < LEAST_NEAR {
             return 1.0;
         }
-        let middle = ratios.len() / 2;
-        let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
         // Median of |x| to standard deviation.
-        (1.4826 * *median).max(1.0)
+        (1.4826 * median(near)).max(LEAST_SCALE)
+    }
+
+    /// The cells that share a side with a cell.
+    pub(super) fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+        let (column, row) = (cell % self.columns, cell / self.columns);
+        let around = [
+            (column > 0).then(|| cell - 1),
+            (column + 1 < self.columns).then_some(cell + 1),
+            (row > 0).then(|| cell - self.columns),
+            (row + 1 < self.rows).then_some(cell + self.columns),
+        ];
+        around.into_iter().flatten()
     }
 
     /// Groups of neighbouring measured cells that pass `member`, of at least `least` cells each.
@@ -152,14 +192,7 @@ impl Field {
             let mut next = 0;
             while let Some(&i) = cluster.get(next) {
                 next += 1;
-                let (column, row) = (i % self.columns, i / self.columns);
-                let around = [
-                    (column > 0).then(|| i - 1),
-                    (column + 1 < self.columns).then_some(i + 1),
-                    (row > 0).then(|| i - self.columns),
-                    (row + 1 < self.rows).then_some(i + self.columns),
-                ];
-                for other in around.into_iter().flatten() {
+                for other in self.neighbours(i) {
                     if std::mem::take(&mut open[other]) {
                         cluster.push(other);
                     }
@@ -171,6 +204,16 @@ impl Field {
         }
         clusters
     }
+}
+
+/// The median of the finite values, of an even number the upper of the two in the middle; NaN without any.
+fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// JSON has no NaN: an unmeasured cell is null there.

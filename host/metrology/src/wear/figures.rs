@@ -1,18 +1,17 @@
 //! What is said of one flank: depth, mean, area, volumes.
 //!
-//! A percentile of noisy cells lies above the truth even on a perfect flank. So the cells are first sorted into
-//! populations: connected structures (pits, a worn edge, stuck material) and the rest. Within each population the cells are
-//! shrunk towards its mean, each by the share that its own noise has in the spread (Morris 1983): an even flank reports
-//! its mean, an evenly worn patch the mean of the patch, a pit ten times the noise its own depth to 1 %.
+//! A percentile of noisy cells lies above the truth even on a perfect flank, so it is taken of the cells as they most likely
+//! are ([`super::likely`]).
 
 use serde::Serialize;
 
-use super::field::{Field, Noise};
+use super::field::Field;
+use super::likely::likely;
 
 /// A cell counts as worn, and a structure as such, beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
 /// Single cells are no structure: one of 200 passes 3.3 standard deviations by chance in every seventh zone.
-const LEAST_CLUSTER: usize = 2;
+pub(super) const LEAST_CLUSTER: usize = 2;
 
 /// A figure with its standard uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -61,20 +60,29 @@ pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figur
     let noise = cells_noise.mean_mm;
     let mean = measured.iter().map(|&i| field.wear_mm[i]).sum::<f64>() / n;
 
-    let (values, sigmas) = shrunken(field, &measured, &cells_noise);
-    let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+    let likely = likely(field, &cells_noise);
+    let value = |i: usize| likely[i].value;
+    let mut order = measured.clone();
+    order.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
     let at = |percent: f64| {
         let rank = (percent / 100.0).clamp(0.0, 1.0) * (order.len() - 1) as f64;
         let (low, share) = (rank.floor() as usize, rank.fract());
         let (a, b) = (order[low], order[(low + 1).min(order.len() - 1)]);
-        // Another capture would have put a neighbour in rank there: the noise of a twentieth of the cells to either side.
-        let near = order.len() / 20;
-        let around = &order[low.saturating_sub(near)..(low + 2 + near).min(order.len())];
-        let variance = around.iter().map(|&i| sigmas[i] * sigmas[i]).sum::<f64>();
+        let value = likely[a].value + share * (likely[b].value - likely[a].value);
+        // Another capture might have put any cell in this rank that lies within two of its standard uncertainties.
+        let near = order.iter().map(|&i| likely[i]);
+        let near = near.filter(|cell| (cell.value - value).abs() <= 2.0 * cell.u);
+        let (sum, count) = near.fold((0.0, 0.0), |(sum, n), cell| {
+            (sum + cell.u * cell.u, n + 1.0)
+        });
+        let variance = if count > 0.0 {
+            sum / count
+        } else {
+            likely[a].u.max(likely[b].u).powi(2)
+        };
         Figure {
-            value: values[a] + share * (values[b] - values[a]),
-            u: (variance / around.len() as f64).sqrt(),
+            value,
+            u: variance.sqrt(),
         }
     };
     let depth_mm = at(percent);
@@ -122,58 +130,4 @@ pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figur
         buildup_volume_mm3: volume(-1.0),
         detection_limit_mm: threshold,
     })
-}
-
-/// The measured cells, each shrunk within its population, and the noise of what is left of them.
-fn shrunken(field: &Field, measured: &[usize], noise: &Noise) -> (Vec<f64>, Vec<f64>) {
-    let mut sorted: Vec<f64> = measured.iter().map(|&i| field.wear_mm[i]).collect();
-    let middle = sorted.len() / 2;
-    let (_, &mut median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-    let reach = DETECTION_FACTOR * noise.mean_mm;
-    let mut populations = field.clusters(|i| field.wear_mm[i] - median > reach, LEAST_CLUSTER);
-    populations.extend(field.clusters(|i| median - field.wear_mm[i] > reach, LEAST_CLUSTER));
-    let mut in_structure = vec![false; field.wear_mm.len()];
-    for &i in populations.iter().flatten() {
-        in_structure[i] = true;
-    }
-    populations.push(
-        measured
-            .iter()
-            .copied()
-            .filter(|&i| !in_structure[i])
-            .collect(),
-    );
-
-    let variances = &noise.variances_mm2;
-    let mut values = Vec::with_capacity(measured.len());
-    let mut sigmas = Vec::with_capacity(measured.len());
-    for cells in populations.iter().filter(|cells| !cells.is_empty()) {
-        // What the cells differ by beyond their noise; then each goes to the mean by its own noise's share.
-        let n = cells.len() as f64;
-        let mean_of = |f: &dyn Fn(usize) -> f64| cells.iter().map(|&i| f(i)).sum::<f64>() / n;
-        let mean = mean_of(&|i| field.wear_mm[i]);
-        let spread = mean_of(&|i| (field.wear_mm[i] - mean).powi(2)) * n / (n - 1.0).max(1.0);
-        let between = (spread - mean_of(&|i| variances[i])).max(0.0);
-        let weight = |i: usize| 1.0 / (between + variances[i]);
-        let weights: f64 = cells.iter().map(|&i| weight(i)).sum();
-        // Noisy cells count less in the mean as well. Cells without any noise and difference are their own mean.
-        let mean = if weights.is_finite() {
-            cells
-                .iter()
-                .map(|&i| weight(i) * field.wear_mm[i])
-                .sum::<f64>()
-                / weights
-        } else {
-            mean
-        };
-        for &i in cells {
-            let total = between + variances[i];
-            let keep = if total > 0.0 { between / total } else { 0.0 };
-            values.push(mean + keep * (field.wear_mm[i] - mean));
-            // Its own noise as far as it is kept, and what it may differ from the mean by as far as it is not: together
-            // `keep` of its variance. Then the mean's own.
-            sigmas.push((keep * variances[i] + (1.0 - keep).powi(2) / weights).sqrt());
-        }
-    }
-    (values, sigmas)
 }

@@ -5,17 +5,20 @@
 //!                      └─ since a baseline's field             └─ edge (rounding of the tip)
 //! ```
 //!
-//! Each cell's wear is minus the mean deviation of its points; averaging removes the points' noise. What is said of a flank
+//! Each cell's wear is minus the deviation of its points, averaged over the cell; averaging removes their noise. What is said of a flank
 //! is in [`Figures`], where the uncertainty comes from in [`Budget`].
 
 mod budget;
+mod cell;
 mod edge;
 mod field;
 mod figures;
+mod likely;
 
 use nalgebra::{Vector3, Vector6};
 
 pub use budget::Budget;
+use cell::Cell;
 pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 
@@ -219,12 +222,13 @@ pub fn evaluate(
         if !(0.0..1.0).contains(&along) {
             continue;
         }
-        let cell = (up * rows as f64) as usize * columns + (along * columns as f64) as usize;
+        let (along, up) = (along * columns as f64, up * rows as f64);
+        let cell = up as usize * columns + along as usize;
         let sigma = measured
             .sigma_mm
             .and_then(|s| s.get(index))
             .map_or(f64::NAN, |&s| f64::from(s));
-        grid.cells[cell].add(wear_mm, sigma);
+        grid.cells[cell].add([along, up].map(|x| x.fract() - 0.5), wear_mm, sigma);
         grid.points += 1;
         let normal = Vector3::from(closest.normal);
         let turn = (Vector3::from(*point) - centre).cross(&normal);
@@ -236,40 +240,6 @@ pub fn evaluate(
         .collect()
 }
 
-#[derive(Clone, Default)]
-struct Cell {
-    points: usize,
-    sum: f64,
-    sum2: f64,
-    variance_sum: f64,
-}
-
-impl Cell {
-    fn add(&mut self, wear: f64, sigma: f64) {
-        self.points += 1;
-        self.sum += wear;
-        self.sum2 += wear * wear;
-        self.variance_sum += sigma * sigma;
-    }
-
-    fn mean(&self) -> f64 {
-        self.sum / self.points as f64
-    }
-
-    /// Variance of the mean: from the points' own uncertainties, or from their scatter when that is larger or alone.
-    fn variance_of_mean(&self) -> f64 {
-        let n = self.points as f64;
-        let scatter = if self.points > 1 {
-            (self.sum2 - self.sum * self.sum / n).max(0.0) / (n - 1.0)
-        } else {
-            f64::INFINITY
-        };
-        let stated = self.variance_sum / n;
-        // f64::max passes over the NaN of unstated uncertainties.
-        scatter.max(stated) / n
-    }
-}
-
 impl Grid {
     fn wear(
         self,
@@ -279,9 +249,9 @@ impl Grid {
     ) -> FlankWear {
         let mut field = self.shape;
         for (i, cell) in self.cells.iter().enumerate() {
-            if cell.points >= settings.least_points.max(2) {
-                field.wear_mm[i] = cell.mean();
-                field.variance_mm2[i] = cell.variance_of_mean();
+            if let Some([mean, variance]) = cell.mean(settings.least_points) {
+                field.wear_mm[i] = mean;
+                field.variance_mm2[i] = variance;
             }
         }
         let registration_mm = registration.map_or(0.0, |registration| {

@@ -391,7 +391,8 @@ impl Evaluator {
     }
 
     /// Whether the fit may use a point. Judged flanks must stay out: their wear would pull the pose towards it and hide
-    /// itself (by a fifth, for 10 µm on one flank of the seven in view).
+    /// itself (by a fifth, for 10 µm on one flank of the seven in view). Their tooth stays out as a whole: at the ends of a
+    /// flank its wear reaches into what would count as a land.
     ///
     /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
     fn is_datum(&self, place: &Place, [x, y, _]: [f64; 3]) -> bool {
@@ -402,7 +403,7 @@ impl Evaluator {
         );
         let on_flank = (low_mm..high_mm).contains(&x.hypot(y));
         match self.judge.inspect.datum {
-            Datum::Neighbours => !on_flank || self.gear.tooth_at(y.atan2(x)) != place.tooth,
+            Datum::Neighbours => self.gear.tooth_at(y.atan2(x)) != place.tooth,
             Datum::Lands => !on_flank,
             Datum::All => true,
         }

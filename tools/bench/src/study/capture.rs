@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
@@ -10,7 +11,7 @@ use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
 
 use super::Random;
-use crate::world::{PatternSpec, World};
+use crate::world::{PatternSpec, ViewState, World};
 
 /// Half the range of the stages' errors: rotation, rad; vertical, mm.
 const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
@@ -70,30 +71,34 @@ impl Instrument {
         })
     }
 
-    /// Captures and judges one view; `number` draws the stages' errors and the noise.
-    pub fn capture(
+    /// Puts die and head where the stages go; `draw` draws their errors.
+    pub fn approach(
         &self,
         world: &World,
-        number: u32,
+        draw: u64,
         trouble: Trouble,
-    ) -> anyhow::Result<ViewOutcome> {
-        let mut random = Random::new(u64::from(number), 1);
+    ) -> anyhow::Result<ViewState> {
+        let mut random = Random::new(draw, 1);
         let view = &self.itinerary.views[0];
         let rotation = view.rotation_rad
             + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
             + trouble.turned_rad;
         let vertical = view.vertical_mm + VERTICAL_ERROR_MM * (2.0 * random.uniform() - 1.0);
-        let sets: Vec<(f64, u32)> = self
-            .itinerary
-            .patterns
-            .sets
-            .iter()
-            .map(|s| (s.periods, s.steps))
-            .collect();
-        let state = world.prepare(rotation, vertical, &PatternSpec::sequence(&sets))?;
+        Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
+    }
+
+    /// Takes every frame of a view; `number` draws their noise.
+    pub fn frames(
+        &self,
+        world: &World,
+        state: &ViewState,
+        number: u32,
+        trouble: Trouble,
+        mut take: impl FnMut(FrameView<'_>, FrameKind) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let sets = self.sets();
         let [width, height] = world.size_px();
         let mut pixels = vec![0_u16; width * height];
-        let mut accumulator = self.decoder.begin();
         for (i, kind) in self.decoder.capture_order().enumerate() {
             let (pattern, exposure) = match kind {
                 FrameKind::Dark => (0, 0),
@@ -109,30 +114,66 @@ impl Instrument {
             let lit_us = f64::from(self.itinerary.exposures_us[exposure]) * (1.0 - trouble.dimmed);
             let counter = number.wrapping_mul(64).wrapping_add(i as u32);
             world.render(
-                &state,
+                state,
                 pattern as u16,
                 lit_us as u32,
                 true,
                 counter,
                 &mut pixels,
             )?;
+            take(FrameView::packed(&pixels, width, height), kind)?;
+        }
+        Ok(())
+    }
+
+    /// Captures and judges one view.
+    pub fn capture(
+        &self,
+        world: &World,
+        state: &ViewState,
+        number: u32,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewOutcome> {
+        let mut accumulator = self.decoder.begin();
+        self.frames(world, state, number, trouble, |frame, kind| {
             accumulator
-                .add(FrameView::packed(&pixels, width, height), kind)
+                .add(frame, kind)
+                .context("a rendered frame was refused")?;
+            Ok(())
+        })?;
+        Ok(self.evaluator.evaluate(0, &accumulator))
+    }
+
+    /// Judges frames that were taken before.
+    pub fn judge(
+        &self,
+        frames: &[Vec<u16>],
+        [width, height]: [usize; 2],
+    ) -> anyhow::Result<ViewOutcome> {
+        let mut accumulator = self.decoder.begin();
+        for (pixels, kind) in frames.iter().zip(self.decoder.capture_order()) {
+            accumulator
+                .add(FrameView::packed(pixels, width, height), kind)
                 .context("a rendered frame was refused")?;
         }
         Ok(self.evaluator.evaluate(0, &accumulator))
     }
+
+    fn sets(&self) -> Vec<(f64, u32)> {
+        let sets = self.itinerary.patterns.sets.iter();
+        sets.map(|s| (s.periods, s.steps)).collect()
+    }
 }
 
-/// The flank with the wear.
-pub(super) fn judged(outcome: &ViewOutcome) -> anyhow::Result<Feature> {
+/// What was found of one flank of the tooth.
+pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feature> {
     outcome
         .flanks
         .iter()
         .cloned()
         .map(Feature::from)
-        .find(|f| f.flank == "left")
-        .context("the left flank is missing")
+        .find(|f| f.flank == flank.to_string())
+        .with_context(|| format!("the {flank} flank is missing"))
 }
 
 /// The head as a calibration with errors of `sd_px` would describe it.

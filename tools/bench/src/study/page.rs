@@ -5,6 +5,7 @@ use std::path::Path;
 
 use flankscope_station::files::write_whole;
 
+use super::staircase::{self, Profile};
 use super::{Args, Cell, Group, Outcome};
 use crate::world::WearKind;
 
@@ -12,45 +13,70 @@ use crate::world::WearKind;
 const SIZE: [f64; 2] = [640.0, 320.0];
 const MARGIN: [f64; 2] = [56.0, 40.0];
 
-/// Writes `README.md`, `detection.svg` and `study.json`.
-pub(super) fn write(folder: &Path, outcome: &Outcome, args: &Args) -> anyhow::Result<()> {
+/// Writes `README.md`, `detection.svg`, `staircase.svg` and `study.json`.
+pub(super) fn write(
+    folder: &Path,
+    outcome: &Outcome,
+    plane: &[Profile; 2],
+    args: &Args,
+) -> anyhow::Result<()> {
     let cells = &outcome.cells[..];
     write_whole(
         &folder.join("README.md"),
-        markdown(outcome, args)?.as_bytes(),
+        markdown(outcome, plane, args)?.as_bytes(),
     )?;
     write_whole(&folder.join("detection.svg"), detection(cells)?.as_bytes())?;
+    write_whole(
+        &folder.join("staircase.svg"),
+        staircase::draw(plane)?.as_bytes(),
+    )?;
     write_whole(&folder.join("study.json"), &serde_json::to_vec(cells)?)?;
     Ok(())
 }
 
-fn markdown(outcome: &Outcome, args: &Args) -> Result<String, std::fmt::Error> {
+fn markdown(
+    outcome: &Outcome,
+    [pixels, cores]: &[Profile; 2],
+    args: &Args,
+) -> Result<String, std::fmt::Error> {
     let Outcome {
         stated_um: [calibration_um, drift_um],
         cells,
     } = outcome;
     let mut text = String::new();
-    let Args { captures, seed, .. } = args;
+    let Args {
+        captures,
+        seed,
+        only,
+        ..
+    } = args;
     writeln!(text, "# How often the verdict is right\n")?;
+    let rows = only
+        .as_ref()
+        .map_or(String::new(), |name| format!(" --only \"{name}\""));
     writeln!(
         text,
-        "Made by `cargo xtask study --captures {captures} --seed {seed}`.\n"
+        "Made by `cargo xtask study --captures {captures} --seed {seed}{rows}`.\n"
     )?;
     writeln!(
         text,
-        "Each row is {captures} captures of tooth 40 of the demo die: raw frames rendered through both fibre bundles with sensor \
-         noise, decoded, laid on CAD and judged by the instrument's own code. Every capture draws new stage errors (±15 mdeg, \
-         ±5 µm) and noise, every second a new calibration with errors of 0.03 px in principal points, focal lengths and \
-         distortion of both lenses. Left out: the way between the processes, which changes no value, and the other teeth. \
-         With {captures} captures a rate of 5 % is known to ± {:.1} % (95 %).\n",
-        196.0 * (0.05 * 0.95 / f64::from(*captures)).sqrt()
+        "A row is {captures} captures of tooth 40 of the demo die (of the rows about single measures a fifth, of those since a \
+         baseline half): raw frames rendered through both fibre bundles with sensor noise, decoded, laid on CAD and judged by the \
+         instrument's own code. Captures come in blocks of eight: two stage positions, drawn from ±15 mdeg and ±5 µm, each seen \
+         by four calibrations, drawn with errors of 0.03 px in principal points, focal lengths and distortion of both lenses; \
+         noise is drawn for each. Uniform wear and tip rounding, pit and built-up material of the same size are on the two \
+         flanks of one tooth and share captures. Left out: the way between the processes, which changes no value, and the other \
+         teeth. Chord errors of the CAD do not act here and are not in the budget: the die is made of its very facets.\n"
     )?;
     writeln!(
         text,
-        "What those calibrations do to a depth was evaluated first, by 40 draws and captures of its own: {calibration_um:.2} µm, and \
-         {drift_um:.2} µm for the drift of 0.01 px between a baseline and a later check (standard uncertainties). These the \
-         instrument was told; all other parts of its budget it finds itself.\n\n## Depth against truth\n\nThe truth is that of the figure itself: the 99.5 % percentile over the zone's cells of 0.25 mm, from the damage's closed form. \
-         Detected: at or beyond the stated detection limit. Warn 30 µm, stop 50 µm.\n"
+        "What those calibrations leave of a depth was evaluated first, on undamaged flanks, by 40 draws of its own: \
+         {calibration_um:.2} µm, and {drift_um:.2} µm for the drift of 0.01 px between a baseline and a later check (root mean \
+         square). These the instrument was told; all other parts of its budget it finds itself.\n\n## Depth against \
+         truth\n\nThe truth is that of the figure itself: the 99.5 % percentile over the zone's cells of 0.25 mm, from the \
+         damage's closed form. U95 is what the instrument states, coverage how often its interval holds the truth, ± what \
+         these captures can tell of that (95 %, from how much the blocks differ). Detected: at or beyond the stated detection \
+         limit. Warn 30 µm, stop 50 µm.\n"
     )?;
     writeln!(
         text,
@@ -66,11 +92,12 @@ fn markdown(outcome: &Outcome, args: &Args) -> Result<String, std::fmt::Error> {
             cell.bias_um(),
             cell.spread_um(),
             cell.u95_um(),
-            percent(cell.coverage()),
+            coverage(cell),
             cell.detection_limit_um(),
             percent(cell.detected()),
         )?;
     }
+    text.push_str(&rates(cells)?);
     writeln!(
         text,
         "\n![detection curve](detection.svg)\n\n## Captures that deserve no verdict\n\n| capture | go | warn | no-go | indeterminate |\n|---|---|---|---|---|"
@@ -96,12 +123,116 @@ fn markdown(outcome: &Outcome, args: &Args) -> Result<String, std::fmt::Error> {
             cell.bias_um(),
             cell.spread_um(),
             cell.u95_um(),
-            percent(cell.coverage()),
+            coverage(cell),
             cell.detection_limit_um(),
             budget.join(", "),
         )?;
     }
+    writeln!(
+        text,
+        "\n## A plane, pixel by pixel and core by core\n\nAll pixels of a core show its one phase: points made pixel by pixel \
+         make steps of {:.1} µm rms on a plane across the head. From the same frames, a point per core: {:.1} µm rms. The \
+         projector is blurred by 0.6 of its own cores' pitch here, so that they leave less than a micrometre.\n\n\
+         ![plane](staircase.svg)",
+        pixels.rms_um, cores.rms_um
+    )?;
     Ok(text)
+}
+
+fn coverage(cell: &Cell) -> String {
+    format!(
+        "{} ± {:.1} %",
+        percent(cell.coverage()),
+        100.0 * cell.coverage_error()
+    )
+}
+
+/// What the rows say of wrong verdicts, and of coverage as a whole.
+fn rates(cells: &[Cell]) -> Result<String, std::fmt::Error> {
+    let mut text = String::from("\n");
+    let mut rate = |what: &str, name: &str, wrong: fn(&Cell) -> u32| {
+        let of = cells.iter().filter(|cell| cell.name.starts_with(name));
+        let (wrong, captures) = of.fold((0, 0), |(w, n), c| (w + wrong(c), n + c.captures));
+        if captures == 0 {
+            return Ok(());
+        }
+        writeln!(
+            text,
+            "{what}: {wrong} of {captures}, a rate of at most {} (95 %, exact binomial).\n",
+            percent(upper_bound(wrong, captures))
+        )
+    };
+    let passed = |cell: &Cell| cell.verdicts[0] + cell.verdicts[1];
+    rate("False go or warn at 50 µm exactly", "uniform 50 µm", passed)?;
+    rate(
+        "False go or warn just beyond, at 50.2 µm",
+        "uniform 50.2 µm",
+        passed,
+    )?;
+    rate(
+        "False alarm (warn or no-go) of undamaged flanks",
+        "undamaged",
+        |cell| cell.verdicts[1] + cell.verdicts[2],
+    )?;
+    let worn = cells.iter().filter(|c| c.group == Group::Wear);
+    let outside: Vec<String> = worn
+        .clone()
+        .filter(|cell| (cell.coverage() - 0.95).abs() > 0.02 + cell.coverage_error())
+        .map(|cell| {
+            let why = if cell.coverage() > 0.95 {
+                format!(
+                    "U95 is {:.1} times the spread",
+                    cell.u95_um() / (1.96 * cell.spread_um())
+                )
+            } else {
+                format!(
+                    "bias {:.2} µm against U95 {:.2} µm",
+                    cell.bias_um(),
+                    cell.u95_um()
+                )
+            };
+            format!("{} ({why})", cell.name)
+        })
+        .collect();
+    let all = worn.count();
+    if outside.is_empty() {
+        writeln!(
+            text,
+            "Coverage lies within 93–97 % in all {all} rows, as far as these captures can tell."
+        )?;
+    } else {
+        writeln!(
+            text,
+            "Coverage lies within 93–97 % in {} of {all} rows, as far as these captures can tell; not in: {}.",
+            all - outside.len(),
+            outside.join("; ")
+        )?;
+    }
+    Ok(text)
+}
+
+/// Upper end of the one-sided 95 % interval for a rate of which `hits` of `all` were seen (Clopper and Pearson 1934).
+fn upper_bound(hits: u32, all: u32) -> f64 {
+    // Probability of at most that many, summed from the likeliest way down to none by ratios of neighbours.
+    let at_most = |rate: f64| {
+        let mut term = f64::from(all) * (1.0 - rate).ln();
+        let mut sum = term.exp();
+        for k in 0..hits {
+            term += (f64::from(all - k) / f64::from(k + 1)).ln() + (rate / (1.0 - rate)).ln();
+            sum += term.exp();
+        }
+        sum
+    };
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..50 {
+        let middle = 0.5 * (low + high);
+        if at_most(middle) > 0.05 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
 }
 
 fn percent(share: f64) -> String {
@@ -148,6 +279,7 @@ fn detection(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     )?;
     for (i, (kind, name, colour)) in [
         (WearKind::Uniform, "uniform", "#1f6fb2"),
+        (WearKind::Tip, "tip edge", "#c47f00"),
         (WearKind::Pit, "pit of 1 mm²", "#b2182b"),
         (WearKind::Buildup, "built-up", "#1f7a3d"),
     ]
@@ -179,4 +311,17 @@ fn detection(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     }
     svg.push_str("</svg>\n");
     Ok(svg)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::upper_bound;
+
+    #[test]
+    fn bounds_of_rates_are_those_of_the_tables() {
+        // None of n: 1 - 0.05^(1/n). Five of 100: 10.225 % (Clopper and Pearson's tables).
+        assert!((upper_bound(0, 200) - (1.0 - 0.05_f64.powf(1.0 / 200.0))).abs() < 1e-9);
+        assert!((upper_bound(5, 100) - 0.10225).abs() < 1e-4);
+        assert!((upper_bound(3, 3) - 1.0).abs() < 1e-9);
+    }
 }

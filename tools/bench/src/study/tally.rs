@@ -125,6 +125,25 @@ impl Cell {
         self.share(|s| (s.value_um - self.truth_um).abs() <= s.u95_um)
     }
 
+    /// Half the 95 % interval of the coverage, from how much the blocks of captures differ: those of a block share positions
+    /// and calibrations. At least what a coverage of 95 % scatters by.
+    #[must_use]
+    pub fn coverage_error(&self) -> f64 {
+        let coverage = self.coverage();
+        let holds = |s: &Sample| f64::from((s.value_um - self.truth_um).abs() <= s.u95_um);
+        let blocks = self.samples.chunks(super::scene::BLOCK as usize);
+        let squares = blocks.clone().map(|block| {
+            block
+                .iter()
+                .map(|s| holds(s) - coverage)
+                .sum::<f64>()
+                .powi(2)
+        });
+        let (n, all) = (blocks.len() as f64, self.samples.len() as f64);
+        let between = squares.sum::<f64>() / (all * all) * n / (n - 1.0).max(1.0);
+        1.96 * between.max(0.05 * 0.95 / all).sqrt()
+    }
+
     /// Share of captures that detect the damage.
     #[must_use]
     pub fn detected(&self) -> f64 {
