@@ -128,16 +128,19 @@ fn nothing_to_calibrate_with_is_said() {
         "{}",
         refused.stderr
     );
+    let images = folder.path().to_str().unwrap();
+    let head = folder.path().join("head.toml");
+    let head = head.to_str().unwrap();
+    let refused = run(flankscope().args(["calibrate", "--images", images, "-o", head]));
+    assert_eq!(refused.code, 3);
+    assert!(
+        refused.stderr.contains("captures.toml"),
+        "{}",
+        refused.stderr
+    );
     std::fs::write(folder.path().join("target.toml"), "name = 'x'\n").unwrap();
     let target = folder.path().to_str().unwrap();
-    let head = folder.path().join("head.toml");
-    let refused = run(flankscope().args([
-        "calibrate",
-        "--target",
-        target,
-        "-o",
-        head.to_str().unwrap(),
-    ]));
+    let refused = run(flankscope().args(["calibrate", "--target", target, "-o", head]));
     assert_eq!(refused.code, 3);
     assert!(
         refused.stderr.contains("target.toml:1") && refused.stderr.contains("exposure_us"),

@@ -10,7 +10,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{CalibrationRecord, SelfTest, Target};
 use flankscope_profilometry::date::Date;
 use flankscope_station::calibration::{
-    Calibrated, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
+    Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
 use flankscope_station::capture::SharedRoot;
 use serde::Serialize;
@@ -31,13 +31,19 @@ use crate::output::{Common, Outcome};
     after_help = "Example:\n  flankscope calibrate --speed max -o head.toml\n  flankscope inspect --head head.toml\n\
     calibrates the demo head and checks the demo die with it\n\n  \
     flankscope calibrate --check head.toml\n\
-    says whether the head is fit today\n\n\
+    says whether the head is fit today\n\n  \
+    flankscope bench demo-captures --out captures\n  \
+    flankscope calibrate --target captures --images captures -o head.toml\n\
+    calibrates from images\n\n\
     Exit code: 0 done or fit, 2 not fit, 3 could not run or no calibration"
 )]
 pub struct Args {
     /// Folder with target.toml and the head.toml to start from [default: the demo target]
     #[arg(long, value_name = "DIR")]
     target: Option<PathBuf>,
+    /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml [default: none]
+    #[arg(long, value_name = "DIR", conflicts_with = "check")]
+    images: Option<PathBuf>,
     /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
     #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
     link: String,
@@ -100,7 +106,26 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let target = Target::load(&folder.join("target.toml")).context("target")?;
     match (&args.check, &args.output) {
         (Some(head), _) => check(args, &folder, target, head),
-        (None, Some(output)) => calibrate(args, &folder, target, output),
+        (None, Some(output)) => {
+            ensure!(
+                output
+                    .parent()
+                    .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
+                "cannot write {}: its folder does not exist",
+                output.display()
+            );
+            let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+            let job = Job {
+                args,
+                folder: &folder,
+                target,
+                output,
+            };
+            match &args.images {
+                Some(images) => job.by_images(head, images),
+                None => job.by_captures(head),
+            }
+        }
         (None, None) => bail!("--output or --check is needed"),
     }
 }
@@ -153,70 +178,132 @@ fn self_test(
     Ok((test, survey.close(quiet)?))
 }
 
-fn calibrate(args: &Args, folder: &Path, target: Target, output: &Path) -> anyhow::Result<Outcome> {
-    let quiet = args.common.quiet;
-    ensure!(
-        output
-            .parent()
-            .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
-        "cannot write {}: its folder does not exist",
-        output.display()
-    );
-    let mut head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
-    let begun = Instant::now();
-    if head.core_map.is_none() && head.binning > 1 {
-        let mut search = open(args, folder, |root| {
-            Ok(CoreSearch::open(&head, &target, root)?)
+/// A calibration to be done.
+struct Job<'a> {
+    args: &'a Args,
+    folder: &'a Path,
+    target: Target,
+    output: &'a Path,
+}
+
+/// When each part was done.
+struct Clock {
+    begun: Instant,
+    cores: Instant,
+    plates: Instant,
+}
+
+impl Job<'_> {
+    /// The instrument photographs the target.
+    fn by_captures(self, mut head: HeadModel) -> anyhow::Result<Outcome> {
+        let Self {
+            args,
+            folder,
+            ref target,
+            output,
+        } = self;
+        let quiet = args.common.quiet;
+        let begun = Instant::now();
+        if head.core_map.is_none() && head.binning > 1 {
+            let mut search = open(args, folder, |root| {
+                Ok(CoreSearch::open(&head, target, root)?)
+            })?;
+            let mut watcher = Watcher::new(quiet);
+            let map = search
+                .station
+                .find(&search.port, search.settings, |p| watcher.show(p))?;
+            watcher.finish();
+            search.close(true)?;
+            head.core_map = Some(map.into());
+        }
+        let cores = Instant::now();
+        let mut survey = open(args, folder, |root| {
+            Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
         })?;
         let mut watcher = Watcher::new(quiet);
-        let map = search
+        let calibrated = survey
             .station
-            .find(&search.port, search.settings, |p| watcher.show(p))?;
+            .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
         watcher.finish();
-        search.close(true)?;
-        head.core_map = Some(map.into());
+        let truth = survey.close(quiet)?;
+        let record = calibrated.save(output, Date::today(), args.valid_days)?;
+        let plates = Instant::now();
+        let tested = if target.sphere.is_some() && target.limits.is_some() {
+            let head = HeadModel::load(output)?;
+            Some(self_test(args, folder, &head, target.clone())?.0)
+        } else {
+            None
+        };
+        let clock = Clock {
+            begun,
+            cores,
+            plates,
+        };
+        self.conclude(&calibrated, &record, tested, truth, &clock)
     }
-    let with_cores = Instant::now();
-    let mut survey = open(args, folder, |root| {
-        Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
-    })?;
-    let mut watcher = Watcher::new(quiet);
-    let calibrated = survey
-        .station
-        .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
-    watcher.finish();
-    let truth = survey.close(quiet)?;
-    let record = calibrated.save(output, Date::today(), args.valid_days)?;
-    let plates_done = Instant::now();
-    let tested = if target.sphere.is_some() && target.limits.is_some() {
-        let (test, _) = self_test(args, folder, &HeadModel::load(output)?, target)?;
-        save_self_test(&test, output)?;
-        Some(test)
-    } else {
-        None
-    };
-    let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
-    let document = Document {
-        head: output,
-        calibration: &record,
-        self_test: tested.as_ref(),
-        cores: calibrated.cores(),
-        views: &calibrated.views,
-        elapsed_ms: Elapsed {
-            cores: milliseconds(begun, with_cores),
-            plates: milliseconds(with_cores, plates_done),
-            self_test: milliseconds(plates_done, Instant::now()),
-        },
-        truth,
-    };
-    args.common.write_json(&document)?;
-    if !quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print(&calibrated, &record, output)?;
+
+    /// Images show what somebody else's instrument saw.
+    fn by_images(self, head: HeadModel, images: &Path) -> anyhow::Result<Outcome> {
+        let quiet = self.args.common.quiet;
+        let begun = Instant::now();
+        let mut folder = CaptureFolder::open(images, head, self.target.clone())?;
+        let calibrated = folder.calibrate(|view| {
+            if !quiet {
+                eprintln!("{}", view.display());
+            }
+        })?;
+        let record = calibrated.save(self.output, Date::today(), self.args.valid_days)?;
+        let plates = Instant::now();
+        let tested = folder.self_test(&HeadModel::load(self.output)?, Date::today())?;
+        let clock = Clock {
+            begun,
+            cores: begun,
+            plates,
+        };
+        self.conclude(&calibrated, &record, tested, None, &clock)
+    }
+
+    fn conclude(
+        &self,
+        calibrated: &Calibrated,
+        record: &CalibrationRecord,
+        tested: Option<SelfTest>,
+        truth: Option<serde_json::Value>,
+        clock: &Clock,
+    ) -> anyhow::Result<Outcome> {
+        let Self { args, output, .. } = self;
         if let Some(test) = &tested {
-            print_self_test(&mut std::io::stdout().lock(), test)?;
+            save_self_test(test, output)?;
         }
+        let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
+        let document = Document {
+            head: output,
+            calibration: record,
+            self_test: tested.as_ref(),
+            cores: calibrated.cores(),
+            views: &calibrated.views,
+            elapsed_ms: Elapsed {
+                cores: milliseconds(clock.begun, clock.cores),
+                plates: milliseconds(clock.cores, clock.plates),
+                self_test: milliseconds(clock.plates, Instant::now()),
+            },
+            truth,
+        };
+        args.common.write_json(&document)?;
+        if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
+            print(calibrated, record, output)?;
+            let mut out = std::io::stdout().lock();
+            match &tested {
+                Some(test) => print_self_test(&mut out, test)?,
+                None => writeln!(
+                    out,
+                    "not yet tested: it judges after flankscope calibrate --check {}",
+                    output.display()
+                )?,
+            }
+        }
+        Ok(Outcome::Go)
     }
-    Ok(Outcome::Go)
 }
 
 fn open<S>(

@@ -1,7 +1,7 @@
 //! `flankscope decode`: Fringe images to a point cloud.
 
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
@@ -10,8 +10,6 @@ use flankscope_profilometry::consistency::ConsistencyOptions;
 use flankscope_profilometry::decode::{
     Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
 };
-use flankscope_profilometry::frame::FrameKind;
-use flankscope_profilometry::images::{GreyImage, ImageError, load_grey_png};
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
@@ -105,7 +103,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         grid.impose(&mut head)?;
     }
     let plan = Plan::load(&args.plan).context("plan")?;
-    let frames = load_frames(&plan, &args.images, &head)?;
+    let size_px = [head.camera.width_px, head.camera.height_px];
+    let frames = plan.images(&args.images, size_px)?;
     let loaded = Instant::now();
 
     let bits = frames.first().map_or(8, |(_, image)| image.bits);
@@ -187,28 +186,6 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
                 ..patches
             }),
     }
-}
-
-fn load_frames(
-    plan: &Plan,
-    folder: &Path,
-    head: &HeadModel,
-) -> Result<Vec<(FrameKind, GreyImage)>, ImageError> {
-    let mut frames: Vec<(FrameKind, GreyImage)> = Vec::new();
-    for (kind, path) in plan.frames(folder)? {
-        let image = load_grey_png(&path, head.camera.width_px, head.camera.height_px)?;
-        if let Some((_, first)) = frames.first()
-            && first.bits != image.bits
-        {
-            return Err(ImageError::Bits {
-                path,
-                got: image.bits,
-                expected: first.bits,
-            });
-        }
-        frames.push((kind, image));
-    }
-    Ok(frames)
 }
 
 fn write_ply(file: &mut dyn Write, cloud: &Cloud) -> io::Result<()> {

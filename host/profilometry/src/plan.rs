@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::calibration::Sensor;
 use crate::frame::FrameKind;
-use crate::images::{ImageError, list_pngs};
+use crate::images::{GreyImage, ImageError, list_pngs, load_grey_png};
 use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
 use crate::textfile::{self, BadValue, TextFileError};
 
@@ -222,6 +222,32 @@ impl Plan {
             sensor: file.sensor,
             images,
         })
+    }
+
+    /// The images of one view, in capture order: all of `size_px` (columns, rows) and of the same bits.
+    ///
+    /// # Errors
+    /// [`ImageError`] with the image that is missing, damaged or different.
+    pub fn images(
+        &self,
+        folder: &Path,
+        [width, height]: [u32; 2],
+    ) -> Result<Vec<(FrameKind, GreyImage)>, ImageError> {
+        let mut frames: Vec<(FrameKind, GreyImage)> = Vec::new();
+        for (kind, path) in self.frames(folder)? {
+            let image = load_grey_png(&path, width, height)?;
+            if let Some((_, first)) = frames.first()
+                && first.bits != image.bits
+            {
+                return Err(ImageError::Bits {
+                    path,
+                    got: image.bits,
+                    expected: first.bits,
+                });
+            }
+            frames.push((kind, image));
+        }
+        Ok(frames)
     }
 
     /// The image of every frame, in capture order.

@@ -50,6 +50,15 @@ enum Command {
         #[arg(long, short)]
         out: PathBuf,
     },
+    /// Write captures of the demo target as `calibrate --images` takes them: 20 views, 0.8 GB of images.
+    DemoCaptures {
+        /// Folder to write into.
+        #[arg(long, short)]
+        out: PathBuf,
+        /// Seed of stage and plate errors, surface grain and noise.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
     /// Write the demo tool's folder: CAD, tool.toml, head.toml.
     DemoTool {
         /// Folder to write into.
@@ -235,6 +244,13 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         Command::Esp301(args) => stages(args),
         Command::Study(args) => crate::study::run(args),
         Command::DemoTarget { out } => Ok(demo::write_target(out)?),
+        Command::DemoCaptures { out, seed } => {
+            let target = demo::target();
+            let mut config = demo::target_world(&target, *seed);
+            config.run_seed = *seed;
+            let views = demo::target_views(&target, *seed, &demo::AROUND);
+            demo::write_captures(out, &config, &views)
+        }
         Command::DemoTool { out } => Ok(demo::write_tool(out)?),
     }
 }

@@ -1,19 +1,24 @@
 //! A calibration from captures of the demo target against the bench's own optics, which it never sees.
 
 use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::path::Path;
 use std::sync::Arc;
 
-use flankscope_bench::demo;
+use flankscope_bench::demo::{self, TargetView};
 use flankscope_bench::world::{HeadOptics, PatternSpec, ViewState, World, WorldConfig};
 use flankscope_profilometry::calibrate::{
     CalibrationRecord, RecordError, SelfTest, Sighting, StagePose, Target, Unfit, adjust, hold_out,
 };
 use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::cores::{self, FlatField};
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::triangulate::Triangulator;
 use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
+use flankscope_station::calibration::CaptureFolder;
 use nalgebra::{Matrix3, Point3, Translation3, Vector3};
 
 /// Standard uncertainty of stages that err by ±15 mdeg and ±5 µm, evenly distributed.
@@ -388,4 +393,109 @@ fn an_uneven_lens_is_learnt_from_the_plates() {
     assert!(die_um[1] < 0.8 * die_um[0]);
     assert!(aside[1].flatness_rms_um < aside[0].flatness_rms_um);
     assert!(aside[1].dots_rms_um < aside[0].dots_rms_um);
+}
+
+/// Images in a folder give the head that their frames give without it, bit for bit; what is wrong with a folder is named.
+#[test]
+fn captures_in_a_folder_give_the_same_head() {
+    const SEED: u64 = 7;
+    let target = demo::target();
+    let config = demo::target_world(&target, SEED);
+    // One view of each plate, for what a test may cost.
+    let mut views = demo::target_views(&target, SEED, &demo::AROUND[..1]);
+    views.retain(|view| view.folder.as_path() != Path::new("sphere"));
+    let folder = tempfile::tempdir().expect("a folder");
+    demo::write_captures(folder.path(), &config, &views).expect("captures");
+
+    let drawn = || HeadModel::load(&folder.path().join("head.toml")).expect("a head");
+    let open = || CaptureFolder::open(folder.path(), drawn(), target.clone());
+    let from_files = open()
+        .and_then(|mut captures| captures.calibrate(|_| {}))
+        .expect("a calibration");
+
+    // The same frames, from the world's hand to the decoder's.
+    let world = World::new(&config).expect("a world");
+    let patterns = PatternSet::named("insitu12").expect("built in");
+    let exposures = [target.exposure_us];
+    let decoder = |head: &HeadModel, options| {
+        Decoder::new(head, &patterns, &exposures, options).expect("a decoder")
+    };
+    let frames = |decoder: &Decoder, view: &TargetView| {
+        let [rotation, vertical] = view.true_pose;
+        let state = world
+            .prepare(rotation, vertical, &PatternSpec::insitu12())
+            .expect("a view");
+        sums(&world, decoder, &state, &exposures, view.first_frame)
+    };
+    let mut start = drawn();
+    let without_circle = HeadModel {
+        image_circle: None,
+        ..drawn()
+    };
+    let by_pixel = DecodeOptions {
+        grid: GridKind::Pixel,
+        binning: 1,
+        ..DecodeOptions::for_head(&without_circle)
+    };
+    let offset_dn = start.sensor.expect("a sensor").offset_dn;
+    let flat = frames(&decoder(&without_circle, by_pixel), &views[0]);
+    let flat = FlatField::of_view(&flat, offset_dn).expect("a flat field");
+    start.core_map = Some(Arc::new(cores::find(&flat).expect("cores")));
+    let by_core = decoder(&start, DecodeOptions::for_head(&start));
+    let columns = |view: &TargetView| by_core.columns(&frames(&by_core, view)).expect("a view");
+    let flat_e: Vec<f64> = columns(&views[0]).iter().map(|cell| cell.mean_e).collect();
+    let sightings: Vec<Sighting> = views[1..]
+        .iter()
+        .enumerate()
+        .map(|(number, view)| {
+            let plate = view.plate.expect("a printed plate");
+            let cells = columns(view);
+            Sighting::new(number, plate, view.told, &cells, &flat_e, &target, &start).expect("dots")
+        })
+        .collect();
+    let stage_sigma = [15e-3 * PI / 180.0, 5e-3].map(|half| half / 1.732_050_807_568_877_2);
+    let adjusted = adjust(&start, &target, &sightings, stage_sigma).expect("a calibration");
+    assert_eq!(from_files.views.len(), 6);
+    assert_eq!(from_files.adjusted.head.camera, adjusted.head.camera);
+    assert_eq!(from_files.adjusted.head.projector, adjusted.head.projector);
+    assert_eq!(from_files.adjusted.marks, adjusted.marks);
+
+    let refused = || {
+        let head = open().and_then(|mut captures| captures.calibrate(|_| {}));
+        head.expect_err("a bad folder").to_string()
+    };
+    // An image of another size, then none at all.
+    let image = folder.path().join("blank/frame-03.png");
+    std::fs::copy(&image, folder.path().join("kept.png")).expect("a copy");
+    let file = std::fs::File::create(&image).expect("an image");
+    let mut small = png::Encoder::new(file, 8, 8);
+    small.set_color(png::ColorType::Grayscale);
+    small.set_depth(png::BitDepth::Sixteen);
+    let mut writer = small.write_header().expect("a header");
+    writer.write_image_data(&[0; 128]).expect("an image");
+    writer.finish().expect("an image");
+    let why = refused();
+    assert!(why.contains("frame-03.png has 8 x 8 pixels"), "{why}");
+    std::fs::remove_file(&image).expect("removed");
+    let why = refused();
+    assert!(
+        why.contains("holds 12 PNG images, the plan has 13"),
+        "{why}"
+    );
+    // A manifest with a view too few, or with a plate that is not there.
+    let manifest = folder.path().join("captures.toml");
+    let text = std::fs::read_to_string(&manifest).expect("a manifest");
+    let last = text.rfind("[[view]]").expect("views");
+    std::fs::write(&manifest, &text[..last]).expect("written");
+    let why = refused();
+    assert!(
+        why.contains("captures.toml") && why.contains("at least 6"),
+        "{why}"
+    );
+    std::fs::write(&manifest, text.replacen("plate = 2", "plate = 9", 1)).expect("written");
+    let why = refused();
+    assert!(
+        why.contains("view[1].plate") && why.contains("plate of the target"),
+        "{why}"
+    );
 }

@@ -38,7 +38,7 @@ pub struct Adjusted {
 }
 
 /// Fewer views than this leave no redundancy worth the name.
-const LEAST_VIEWS: usize = 6;
+pub(super) const LEAST_VIEWS: usize = 6;
 const MAX_STEPS: usize = 100;
 /// Rounds of weighing and of leaving out what does not fit.
 const ROUNDS: usize = 4;

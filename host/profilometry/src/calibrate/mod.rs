@@ -15,6 +15,7 @@
 //! | file | holds |
 //! |---|---|
 //! | `target` | the artefact: plates, dots, sphere (`target.toml`) |
+//! | `captures` | images of it made elsewhere (`captures.toml`) |
 //! | `dots` | dots of one view, to hundredths of a pixel |
 //! | `label` | their places on the plate |
 //! | `sighting` | one view: stages, plate, marks |
@@ -31,6 +32,7 @@
 
 mod adjust;
 mod bundle;
+mod captures;
 mod dots;
 mod eye;
 mod form;
@@ -45,6 +47,7 @@ mod target;
 mod uncertainty;
 
 pub use adjust::{Adjusted, adjust};
+pub use captures::{CapturedView, Captures};
 pub use holdout::{HoldOut, hold_out};
 pub use record::{CalibrationRecord, RecordError};
 pub use self_test::{Limits, SelfTest, SelfTestError, Unfit};

@@ -11,7 +11,11 @@ use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
+use flankscope_profilometry::images::ImageError;
+use flankscope_profilometry::textfile::TextFileError;
+use flankscope_profilometry::{
+    Accumulator, DecodeError, DecodeOptions, Decoder, FrameError, HeadModel,
+};
 use serde::Serialize;
 
 use super::survey::{SurveyError, Surveyor};
@@ -40,6 +44,15 @@ pub enum CalibrationError {
     /// No self-test from these captures.
     #[error(transparent)]
     SelfTest(#[from] SelfTestError),
+    /// A manifest or a plan.
+    #[error(transparent)]
+    File(#[from] TextFileError),
+    /// An image.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// A frame that does not belong to its view.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
     /// The starting head cannot count electrons.
     #[error("the starting head says nothing about its sensor: give [sensor]")]
     NoSensor,
@@ -82,14 +95,7 @@ impl CoreSearch {
         root: Arc<SharedRoot>,
     ) -> Result<Self, CalibrationError> {
         let sensor = start.sensor.ok_or(CalibrationError::NoSensor)?;
-        // Cores lie up to the bundle's rim, wherever the drawing puts it.
-        let mut head = start.clone();
-        head.image_circle = None;
-        let options = DecodeOptions {
-            grid: GridKind::Pixel,
-            binning: 1,
-            ..DecodeOptions::for_head(&head)
-        };
+        let (head, options) = for_cores(start);
         let at = [views::facing(&target.blank)];
         let to_flat =
             move |_: &Decoder, sums: &Accumulator| FlatField::of_view(sums, sensor.offset_dn);
@@ -112,6 +118,21 @@ impl CoreSearch {
         let flat = flats.into_iter().next().unwrap_or(Err(FindError::NoFrame));
         Ok(cores::find(&flat?)?)
     }
+}
+
+/// How a view is summed to show the cores.
+pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
+    // Cores lie up to the bundle's rim, wherever the drawing puts it.
+    let head = HeadModel {
+        image_circle: None,
+        ..start.clone()
+    };
+    let options = DecodeOptions {
+        grid: GridKind::Pixel,
+        binning: 1,
+        ..DecodeOptions::for_head(&head)
+    };
+    (head, options)
 }
 
 /// The capture of all plates, and the head that follows from it.
@@ -167,33 +188,9 @@ impl PlateSurvey {
         } = self;
         let mut captured = surveyor.survey(port, settings, watch)?.into_iter();
         let blank = captured.next().unwrap_or(Ok(Vec::new()))?;
-        let flat_e: Vec<f64> = blank.iter().map(|cell| cell.mean_e).collect();
-        let (mut sightings, mut kept_aside, mut reports) = (Vec::new(), Vec::new(), Vec::new());
-        for (number, (view, cells)) in views.iter().zip(captured).enumerate() {
-            let (plate, cells) = (view.plate, cells?);
-            let sighting = Sighting::new(number, plate, view.at, &cells, &flat_e, target, start)?;
-            reports.push(ViewReport {
-                plate,
-                rotation_deg: view.at.rotation_rad.to_degrees(),
-                vertical_mm: view.at.vertical_mm,
-                dots: sighting.marks.len(),
-                kept_aside: view.kept_aside,
-            });
-            if view.kept_aside {
-                kept_aside.push((sighting, cells));
-            } else {
-                sightings.push(sighting);
-            }
-        }
-        let stage_sigma = [ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM];
-        let adjusted = adjust(start, target, &sightings, stage_sigma)?;
-        Ok(Calibrated {
-            hold_out: [&adjusted.head, &adjusted.without_field]
-                .map(|head| hold_out(head, target, &kept_aside)),
-            adjusted,
-            target: target.name.clone(),
-            views: reports,
-        })
+        let views = views.iter().zip(captured);
+        let views = views.map(|(view, cells)| Ok((*view, cells?)));
+        Calibrated::of_views(start, target, &blank, views)
     }
 }
 
@@ -226,6 +223,43 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
+    /// Adjusts a head to views of printed plates. `blank` shows how much light each cell gets.
+    pub(super) fn of_views(
+        start: &HeadModel,
+        target: &Target,
+        blank: &[CellColumn],
+        views: impl Iterator<Item = Result<(PlateView, Vec<CellColumn>), CalibrationError>>,
+    ) -> Result<Self, CalibrationError> {
+        let flat_e: Vec<f64> = blank.iter().map(|cell| cell.mean_e).collect();
+        let (mut sightings, mut kept_aside, mut reports) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, view) in views.enumerate() {
+            let (view, cells) = view?;
+            let plate = view.plate;
+            let sighting = Sighting::new(number, plate, view.at, &cells, &flat_e, target, start)?;
+            reports.push(ViewReport {
+                plate,
+                rotation_deg: view.at.rotation_rad.to_degrees(),
+                vertical_mm: view.at.vertical_mm,
+                dots: sighting.marks.len(),
+                kept_aside: view.kept_aside,
+            });
+            if view.kept_aside {
+                kept_aside.push((sighting, cells));
+            } else {
+                sightings.push(sighting);
+            }
+        }
+        let stage_sigma = [ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM];
+        let adjusted = adjust(start, target, &sightings, stage_sigma)?;
+        Ok(Self {
+            hold_out: [&adjusted.head, &adjusted.without_field]
+                .map(|head| hold_out(head, target, &kept_aside)),
+            adjusted,
+            target: target.name.clone(),
+            views: reports,
+        })
+    }
+
     /// Cores of the bundle, for a head that has one.
     #[must_use]
     pub fn cores(&self) -> Option<usize> {

@@ -10,13 +10,16 @@
 //! | `survey` | captures of a list of stage positions, each handed on as it comes |
 //! | `views` | which positions a target asks for |
 //! | `job` | from the captures to the head |
+//! | `folder` | the same from images made elsewhere |
 //! | `fitness` | plane and sphere measured with it, today and every week |
 
 mod fitness;
+mod folder;
 mod job;
 mod survey;
 mod views;
 
 pub use fitness::{FitnessSurvey, save_self_test};
+pub use folder::CaptureFolder;
 pub use job::{Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport};
 pub use survey::{SurveyError, Surveyor};

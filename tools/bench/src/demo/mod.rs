@@ -1,10 +1,12 @@
 //! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
 
+mod captures;
 mod files;
 mod other;
 mod target;
 mod tile;
 
+pub use captures::{AROUND, TargetView, target_views, write_captures};
 pub use files::{head, world_of, write_tool};
 pub use other::{OtherDie, OtherDieError};
 pub use target::{drawn_head, target, target_world, write_target};

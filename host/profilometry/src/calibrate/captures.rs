@@ -1,0 +1,110 @@
+//! Captures of a target made elsewhere: which folder of images shows what (`captures.toml`).
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::adjust::LEAST_VIEWS;
+use super::target::Target;
+use crate::textfile::{self, BadValue, TextFileError};
+
+/// The manifest of a folder of captures. All folders named are relative to it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Captures {
+    /// Patterns and exposures of every view, as `decode` takes them.
+    #[serde(default = "default_plan")]
+    pub plan: PathBuf,
+    /// Images of the blank plate, facing the head.
+    pub blank: PathBuf,
+    /// Images of the sphere, facing the head, for a self-test.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sphere: Option<PathBuf>,
+    /// Views of printed plates.
+    #[serde(default)]
+    pub view: Vec<CapturedView>,
+}
+
+/// A view of a printed plate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CapturedView {
+    /// Its images.
+    pub folder: PathBuf,
+    /// Plate of the target; the first is 1.
+    pub plate: usize,
+    /// Angle told to the rotary stage.
+    pub rotation_rad: f64,
+    /// Height told to the vertical stage.
+    pub vertical_mm: f64,
+    /// Takes no part in the adjustment and is measured with its result.
+    #[serde(default)]
+    pub kept_aside: bool,
+}
+
+fn default_plan() -> PathBuf {
+    "PLAN.toml".into()
+}
+
+impl Captures {
+    /// The manifest's name in its folder.
+    pub const FILE: &str = "captures.toml";
+
+    /// Reads a folder's manifest.
+    ///
+    /// # Errors
+    /// [`TextFileError`] with file, line and what would be right: too few views, a plate that `target` does not have.
+    pub fn load(folder: &Path, target: &Target) -> Result<Self, TextFileError> {
+        let path = folder.join(Self::FILE);
+        let text = textfile::read(&path)?;
+        let captures: Self = textfile::parse_toml(&path, &text)?;
+        captures
+            .check(target)
+            .map_err(|bad| bad.in_file(&path, &text))?;
+        Ok(captures)
+    }
+
+    fn check(&self, target: &Target) -> Result<(), BadValue> {
+        let adjusting = self.view.iter().filter(|view| !view.kept_aside).count();
+        if adjusting < LEAST_VIEWS {
+            return Err(BadValue::new(
+                "view",
+                adjusting,
+                "must be at least 6 tables [[view]] without kept_aside",
+            ));
+        }
+        for (index, view) in self.view.iter().enumerate() {
+            let key = |name: &str| format!("view[{index}].{name}");
+            if !(1..=target.plate.len()).contains(&view.plate) {
+                return Err(BadValue::new(
+                    key("plate"),
+                    view.plate,
+                    "must be a plate of the target; the first is 1",
+                ));
+            }
+            if !(view.rotation_rad.abs() < 1e3) {
+                return Err(BadValue::new(
+                    key("rotation_rad"),
+                    view.rotation_rad,
+                    "must be radians",
+                ));
+            }
+            if !(view.vertical_mm.abs() < 1e4) {
+                return Err(BadValue::new(
+                    key("vertical_mm"),
+                    view.vertical_mm,
+                    "must be millimetres",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// The manifest's content.
+    ///
+    /// # Errors
+    /// The writer's.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+}
