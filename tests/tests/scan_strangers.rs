@@ -3,10 +3,12 @@
 use flankscope_tests::{Run, flankscope, run};
 
 fn scan_of(die: &[&str]) -> Run {
-    let common = [
-        "scan", "--quiet", "--json", "-", "--speed", "max", "--views", "12x1",
-    ];
-    run(flankscope().args(common).args(die))
+    scan_in_views("12x1", die)
+}
+
+fn scan_in_views(views: &str, die: &[&str]) -> Run {
+    let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
+    run(flankscope().args(common).args(["--views", views]).args(die))
 }
 
 fn refused(run: &Run) -> &str {
@@ -46,6 +48,55 @@ fn a_die_turned_by_about_half_a_tooth_is_ambiguous() {
     assert!(
         reason.contains("put down turned") && reason.contains("ambiguous tooth"),
         "{reason}"
+    );
+}
+
+/// A die whose flanks have 4 µm of their own, on one day or another; three teeth of four are seen.
+fn scan_on_day(seed: &str, rest: &[&str]) -> Run {
+    let die = ["--flanks-um", "4", "--die-seed", "5", "--seed", seed];
+    scan_in_views("21x1", &[&die[..], rest].concat())
+}
+
+#[test]
+fn an_earlier_scan_of_the_die_tells_that_it_was_turned_by_a_tooth() {
+    let folder = tempfile::tempdir().unwrap();
+    let earlier = folder.path().join("earlier.json");
+    let earlier = earlier.to_str().unwrap();
+    let first = scan_on_day("1", &[]);
+    assert_eq!(first.code, 0, "{} {}", first.json["reason"], first.stderr);
+    std::fs::write(earlier, first.json.to_string()).unwrap();
+    let against = ["--reference", earlier];
+
+    // Put down again: other stage errors, other noise, the same teeth.
+    let same = scan_on_day("2", &against);
+    assert_eq!(same.code, 0, "{} {}", same.json["reason"], same.stderr);
+    let placement = &same.json["placement"];
+    assert_eq!(placement["status"], "same", "{placement}");
+    assert_eq!(placement["turned_teeth"], 0, "{placement}");
+
+    // Every view lies on the CAD as before, but each tooth is its neighbour.
+    let turned = scan_on_day("3", &[&against[..], &["--turned-teeth", "1"]].concat());
+    let reason = refused(&turned);
+    let placement = &turned.json["placement"];
+    assert!(
+        reason.contains("1 tooth further counter-clockwise"),
+        "{reason} {placement}"
+    );
+    assert_eq!(placement["turned_teeth"], 1, "{placement}");
+    assert_eq!(turned.json["features"].as_array().map(Vec::len), Some(0));
+}
+
+#[test]
+fn an_earlier_result_that_is_none_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let nothing = folder.path().join("check.json");
+    std::fs::write(&nothing, r#"{"verdict": "go"}"#).unwrap();
+    let wrong = scan_of(&["--reference", nothing.to_str().unwrap()]);
+    assert_eq!(wrong.code, 3);
+    assert!(
+        wrong.stderr.contains("check.json is no result of a scan"),
+        "{}",
+        wrong.stderr
     );
 }
 

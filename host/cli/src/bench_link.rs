@@ -70,6 +70,9 @@ impl Bench {
             command.args(["--ovality-um", &die.ovality_um.to_string()]);
             command.args(["--taper-um", &die.taper_um.to_string()]);
             command.args(["--turned-deg", &die.turned_deg.to_string()]);
+            command.args(["--turned-teeth", &die.turned_teeth.to_string()]);
+            command.args(["--flanks-um", &die.flanks_um.to_string()]);
+            command.args(["--die-seed", &die.die_seed.to_string()]);
             if let Some(other) = &die.die {
                 command.args(["--die", other]);
             }

@@ -38,6 +38,10 @@ pub struct Args {
     /// Views around the die by layers over its height
     #[arg(long, value_name = "AROUNDxLAYERS", default_value = "84x7")]
     views: Grid,
+    /// Result of an earlier scan of this die (its --json file or report folder): says whether the die was put down turned
+    /// by whole teeth since, by what its flanks have of their own
+    #[arg(long, value_name = "SCAN.json")]
+    reference: Option<PathBuf>,
     /// Keep every view in this folder, and go on with what is there [default: a folder that is gone afterwards]
     #[arg(long, value_name = "DIR")]
     session: Option<PathBuf>,
@@ -159,6 +163,20 @@ pub struct DieArgs {
         allow_negative_numbers = true
     )]
     pub turned_deg: f64,
+    /// The die is put down turned by so many whole teeth
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        allow_negative_numbers = true
+    )]
+    pub turned_teeth: i32,
+    /// What every flank stands off by since it was made: standard deviation along the pitch circle, um
+    #[arg(long, value_name = "UM", default_value_t = 0.0)]
+    pub flanks_um: f64,
+    /// Which die: draws what its flanks stand off by
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub die_seed: u64,
 }
 
 impl Args {
@@ -166,8 +184,14 @@ impl Args {
     fn on_the_bench(&self) -> BTreeMap<String, String> {
         let (bench, die) = (&self.bench, &self.die);
         let mut what = format!(
-            "seed {}, ovality {} um, taper {} um, turned {} deg",
-            bench.seed, die.ovality_um, die.taper_um, die.turned_deg
+            "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
+            bench.seed,
+            die.ovality_um,
+            die.taper_um,
+            die.turned_deg,
+            die.turned_teeth,
+            die.die_seed,
+            die.flanks_um
         );
         if let Some(other) = &die.die {
             what += &format!(", die {other}");
@@ -215,6 +239,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 grid.impose(Arc::make_mut(&mut subject.head))?;
             }
             let scanner = Scanner::open(subject, args.views, session, &args.on_the_bench(), root)?;
+            let scanner = scanner.against(args.reference.as_deref())?;
             Ok(scanner.by_method(method, paper)?)
         },
     )?;
@@ -300,6 +325,9 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
             spread(&error.lands),
             spread(&error.flanks)
         )?;
+    }
+    if let Some(placement) = &scan.placement {
+        writeln!(out, "against the earlier scan: {}", placement.reason)?;
     }
     if let [_, _, ..] = &scan.methods[..] {
         print_methods(&mut out, &scan.methods)?;

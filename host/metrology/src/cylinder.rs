@@ -73,6 +73,30 @@ pub struct BoreForm {
     pub ovality_rad: f64,
     /// Growth of the radius over the whole height, mm.
     pub taper_mm: f64,
+    /// Size, shift in x and y, cosine and sine of the ovality, taper, mm.
+    parameters: SVector<f64, 6>,
+    height_mm: [f64; 2],
+}
+
+impl BoreForm {
+    /// What the form, a shift of the whole included, makes of the deviation at a place with this outward normal, mm.
+    pub fn deviation_mm(&self, point: [f64; 3], normal: [f64; 3]) -> f64 {
+        form_row(point, normal, self.height_mm).dot(&self.parameters)
+    }
+}
+
+/// How the deviation at a place changes with the parameters of the form.
+fn form_row([x, y, z]: [f64; 3], normal: [f64; 3], [low, high]: [f64; 2]) -> SVector<f64, 6> {
+    let angle = y.atan2(x);
+    let radial = normal[0] * angle.cos() + normal[1] * angle.sin();
+    SVector::<f64, 6>::new(
+        1.0,
+        angle.cos(),
+        angle.sin(),
+        (2.0 * angle).cos(),
+        (2.0 * angle).sin(),
+        (z - low) / (high - low) - 0.5,
+    ) * radial
 }
 
 impl Layout {
@@ -196,30 +220,23 @@ impl CylinderMap {
     /// Fits size, eccentricity, ovality and taper to the deviations along the surface's normals; `None` when too little was
     /// seen to tell them apart.
     pub fn form(&self) -> Option<BoreForm> {
-        let [low, high] = self.layout.height_mm;
+        let height_mm = self.layout.height_mm;
         let mut matrix = SMatrix::<f64, 6, 6>::zeros();
         let mut right = SVector::<f64, 6>::zeros();
         for cell in self.cells() {
-            let [x, y, z] = cell.point;
-            let angle = y.atan2(x);
-            let radial = cell.normal[0] * angle.cos() + cell.normal[1] * angle.sin();
-            let row = SVector::<f64, 6>::new(
-                1.0,
-                angle.cos(),
-                angle.sin(),
-                (2.0 * angle).cos(),
-                (2.0 * angle).sin(),
-                (z - low) / (high - low) - 0.5,
-            ) * radial;
+            let row = form_row(cell.point, cell.normal, height_mm);
             matrix += row * row.transpose();
             right += row * cell.deviation_mm;
         }
-        let [size_mm, _, _, cosine, sine, taper_mm] = matrix.cholesky()?.solve(&right).into();
+        let parameters = matrix.cholesky()?.solve(&right);
+        let [size_mm, _, _, cosine, sine, taper_mm] = parameters.into();
         Some(BoreForm {
             size_mm,
             ovality_mm: 2.0 * f64::hypot(cosine, sine),
             ovality_rad: (0.5 * f64::atan2(sine, cosine)).rem_euclid(std::f64::consts::PI),
             taper_mm,
+            parameters,
+            height_mm,
         })
     }
 }

@@ -29,6 +29,7 @@ pub mod cloud;
 pub mod cylinder;
 pub mod deviation;
 pub mod drift;
+pub mod fingerprint;
 pub mod frames;
 pub mod gear;
 pub mod gear_evaluation;

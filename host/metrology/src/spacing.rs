@@ -25,27 +25,43 @@ pub struct Spacing {
     pub distance_mm: f64,
     /// The same less that of the CAD, mm.
     pub deviation_mm: f64,
+    /// Standard uncertainty of both by the cells, mm. A tooth's cells share what is wrong with its views: it does not
+    /// average out.
+    pub sigma_mm: f64,
+}
+
+/// What the cells of a tooth say of where it stands.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    cells: usize,
+    matrix: Matrix2<f64>,
+    right: Vector2<f64>,
+    variance_mm2: f64,
 }
 
 /// The distances of all teeth, in order, from those half a turn on (a tooth less where their number is odd), where both were
 /// seen.
 pub fn opposite(gear: &GearData, cells: impl Iterator<Item = Cell>) -> Vec<Spacing> {
-    let mut sums: BTreeMap<u32, (usize, Matrix2<f64>, Vector2<f64>)> = BTreeMap::new();
+    let mut sums: BTreeMap<u32, Sums> = BTreeMap::new();
     for cell in cells {
         let [x, y, _] = cell.point;
         let across = Vector2::new(cell.normal[0], cell.normal[1]);
         let of_tooth = sums.entry(gear.tooth_at(y.atan2(x))).or_default();
-        of_tooth.0 += 1;
-        of_tooth.1 += across * across.transpose();
-        of_tooth.2 += across * cell.deviation_mm;
+        of_tooth.cells += 1;
+        of_tooth.matrix += across * across.transpose();
+        of_tooth.right += across * cell.deviation_mm;
+        of_tooth.variance_mm2 += cell.sigma_mm * cell.sigma_mm;
     }
-    let shifts: BTreeMap<u32, Vector2<f64>> = sums
+    let shifts: BTreeMap<u32, (Vector2<f64>, f64)> = sums
         .into_iter()
-        .filter(|(_, (count, matrix, _))| {
-            let weaker = matrix.symmetric_eigenvalues().min();
-            *count >= LEAST_CELLS && weaker > LEAST_SHARE * *count as f64
+        .filter(|(_, of)| {
+            let weaker = of.matrix.symmetric_eigenvalues().min();
+            of.cells >= LEAST_CELLS && weaker > LEAST_SHARE * of.cells as f64
         })
-        .filter_map(|(tooth, (_, matrix, right))| Some((tooth, matrix.cholesky()?.solve(&right))))
+        .filter_map(|(tooth, of)| {
+            let shift = of.matrix.cholesky()?.solve(&of.right);
+            Some((tooth, (shift, of.variance_mm2 / of.cells as f64)))
+        })
         .collect();
     let place = |tooth: u32| {
         let (sin, cos) = gear.tooth_centre_rad(tooth).sin_cos();
@@ -56,12 +72,14 @@ pub fn opposite(gear: &GearData, cells: impl Iterator<Item = Cell>) -> Vec<Spaci
         .filter_map(|tooth| {
             let other = tooth + half;
             let nominal_mm = (place(other) - place(tooth)).norm();
-            let shift = shifts.get(&other)? - shifts.get(&tooth)?;
+            let (there, here) = (shifts.get(&other)?, shifts.get(&tooth)?);
+            let shift = there.0 - here.0;
             let distance_mm = (place(other) - place(tooth) + shift).norm();
             Some(Spacing {
                 teeth: [tooth, other],
                 distance_mm,
                 deviation_mm: distance_mm - nominal_mm,
+                sigma_mm: (there.1 + here.1).sqrt(),
             })
         })
         .collect()
@@ -133,6 +151,11 @@ mod tests {
             );
             assert!(
                 (pair.distance_mm - 84.0 - expected).abs() < 1e-6,
+                "{pair:?}"
+            );
+            // Two teeth, 1 µm each.
+            assert!(
+                (pair.sigma_mm - 2f64.sqrt() * 1e-3).abs() < 1e-12,
                 "{pair:?}"
             );
         }

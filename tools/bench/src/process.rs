@@ -132,12 +132,21 @@ struct RunArgs {
     /// The die is put down turned by this, degrees.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     turned_deg: f64,
+    /// The die is put down turned by so many teeth, beside that.
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    turned_teeth: i32,
     /// Largest minus smallest radius of the bore, µm.
     #[arg(long, default_value_t = 0.0)]
     ovality_um: f64,
     /// Growth of the bore's radius from bottom to top, µm.
     #[arg(long, default_value_t = 0.0)]
     taper_um: f64,
+    /// What every flank stands off by, standard deviation, µm.
+    #[arg(long, default_value_t = 0.0)]
+    flanks_um: f64,
+    /// Which die: draws its flanks.
+    #[arg(long, default_value_t = 1)]
+    die_seed: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -348,6 +357,8 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     config.form = Form {
         ovality_um: args.ovality_um,
         taper_um: args.taper_um,
+        flanks_um: args.flanks_um,
+        flanks_seed: args.die_seed,
     };
     if let Some(other) = args.die {
         other.replace(&mut config)?;
@@ -355,8 +366,9 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     if args.by_hand {
         config.mount = Mount::by_hand(args.seed);
     }
-    config.mount.table_from_die *=
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), args.turned_deg.to_radians());
+    let turned_rad =
+        args.turned_deg.to_radians() + f64::from(args.turned_teeth) * config.gear.pitch_angle_rad();
+    config.mount.table_from_die *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
     let sets: Vec<(f64, u32)> = set

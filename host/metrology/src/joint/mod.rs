@@ -27,6 +27,6 @@ mod view;
 
 pub use local::Local;
 pub use model::{PARAMETERS, Pose, Stages};
-pub use overlap::Overlap;
+pub use overlap::{Overlap, take_off_common};
 pub use solve::{JointError, Solution, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};

@@ -2,9 +2,16 @@
 //!
 //! Where both saw a cell, the form of the piece is in both deviations and cancels in their difference; what remains is how
 //! far the views lie apart. So overlaps tie views to each other and not to the CAD.
+//!
+//! Pairs of a kind (the same layers, the same turn between them) look at each other with the same parts of the field, so
+//! what the calibration leaves there is the same in all of them. It must not pass for a motion that all views share:
+//! [`take_off_common`] lets the pairs speak only of what distinguishes them.
 
-use nalgebra::{Matrix6, SMatrix, SVector, Vector3, Vector6};
+use std::collections::BTreeMap;
 
+use nalgebra::{Isometry3, Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
+
+use super::view::ViewInformation;
 use crate::cylinder::Witness;
 
 /// Deviations that differ by more are not of the same surface, mm: an edge in one of the views.
@@ -92,6 +99,68 @@ impl Overlap {
             .fixed_view::<6, 6>(6 * row, 6 * column)
             .into_owned()
     }
+}
+
+/// Takes off what all overlaps of a kind say in common of views at `poses`: there they are content in the mean, and pull
+/// views only as they differ from each other. The first view of each pair must be the one that the second is turned on from,
+/// or the lower one.
+pub fn take_off_common(
+    overlaps: &mut [Overlap],
+    views: &[ViewInformation],
+    poses: &[Isometry3<f64>],
+) {
+    // Turned so that the first view of every pair looks along the same direction.
+    let turns = |overlap: &Overlap| {
+        let [x, y, _] = views[overlap.views[0]].centre_mm;
+        Rotation3::from_axis_angle(&Vector3::z_axis(), -y.atan2(x))
+    };
+    let pulls: Vec<SVector<f64, 12>> = overlaps
+        .iter()
+        .map(|overlap| {
+            let mut motions = SVector::<f64, 12>::zeros();
+            for (side, &view) in overlap.views.iter().enumerate() {
+                let motion = views[view].motion_to(&poses[view]);
+                motions.fixed_rows_mut::<6>(6 * side).copy_from(&motion);
+            }
+            let pull = overlap.gradient + overlap.information * motions;
+            turned(&turns(overlap), &pull)
+        })
+        .collect();
+    let mut kinds: BTreeMap<[u64; 3], (f64, SVector<f64, 12>)> = BTreeMap::new();
+    for (overlap, pull) in overlaps.iter().zip(&pulls) {
+        let of_kind = kinds
+            .entry(kind(overlap, views))
+            .or_insert((0.0, SVector::zeros()));
+        of_kind.0 += overlap.cells as f64;
+        of_kind.1 += pull;
+    }
+    for overlap in overlaps.iter_mut() {
+        if let Some((cells, sum)) = kinds.get(&kind(overlap, views)) {
+            let back = turns(overlap).inverse();
+            overlap.gradient -= turned(&back, sum) * (overlap.cells as f64 / cells);
+        }
+    }
+}
+
+/// Both views' heights, and how far the second is turned on from the first, by 0.1 mrad.
+fn kind(overlap: &Overlap, views: &[ViewInformation]) -> [u64; 3] {
+    let [first, second] = overlap.views.map(|view| views[view].at);
+    let turn_rad = (second.rotation_rad - first.rotation_rad).rem_euclid(std::f64::consts::TAU);
+    [
+        first.vertical_mm.to_bits(),
+        second.vertical_mm.to_bits(),
+        (turn_rad * 1e4).round() as u64,
+    ]
+}
+
+fn turned(turn: &Rotation3<f64>, of: &SVector<f64, 12>) -> SVector<f64, 12> {
+    let mut all = *of;
+    for part in 0..4 {
+        let vector: Vector3<f64> = of.fixed_rows::<3>(3 * part).into_owned();
+        all.fixed_rows_mut::<3>(3 * part)
+            .copy_from(&(turn * vector));
+    }
+    all
 }
 
 /// How a deviation changes with a motion of its view.

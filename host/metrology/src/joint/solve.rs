@@ -116,6 +116,37 @@ impl Solution {
         }
     }
 
+    /// Claims no more of what is shared than another solution does, one without overlaps: what they add there rests on the
+    /// calibration of the field.
+    #[must_use]
+    pub fn no_surer_than(self, other: &Self) -> Self {
+        Self {
+            weak: other.weak.clone(),
+            condition: other.condition,
+            covariance: other.covariance,
+            ..self
+        }
+    }
+
+    /// Standard uncertainty of the distance between the walls that two views see, along the line between their centres, mm:
+    /// what is left of the shared parameters, and a run-out of either.
+    pub fn distance_sigma_mm(&self, [first, second]: [&ViewInformation; 2]) -> f64 {
+        let centres = [first, second].map(|view| Vector3::from(view.centre_mm));
+        let Some(along) = (centres[1] - centres[0]).try_normalize(0.0) else {
+            return 0.0;
+        };
+        let [here, there] = [0, 1].map(|k: usize| {
+            let at = [first, second][k].at;
+            let pose = self.stages.tool_from_camera(at);
+            let slope = slope(&self.stages, at, &pose, centres[k]);
+            slope.fixed_rows::<3>(3).transpose() * along
+        });
+        let change = there - here;
+        let of_stages = self.covariance.fixed_view::<PARAMETERS, PARAMETERS>(0, 0);
+        let shared_mm2 = (change.transpose() * of_stages * change)[0].max(0.0);
+        (shared_mm2 + 2.0 * self.local.runout_mm.powi(2)).sqrt()
+    }
+
     /// Standard uncertainty of the piece's ovality and of its taper over a height, mm: what noise, the stages and the form
     /// under single views leave open. How far the vertical axis leans towards the wall is no more than its prior, and looks
     /// like a taper.

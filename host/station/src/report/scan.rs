@@ -9,7 +9,7 @@ use flankscope_metrology::deviation::Statistics;
 use super::plot::{Axes, Series, binned};
 use super::{chart, colour};
 use crate::inspection::Feature;
-use crate::scan::{Metrics, Scan};
+use crate::scan::{Metrics, OppositeTeeth, Scan, ScanRegistration};
 
 /// Smallest full scale of the pictures, µm.
 const LEAST_FULL_UM: f64 = 20.0;
@@ -17,6 +17,8 @@ const LEAST_FULL_UM: f64 = 20.0;
 const WIDE: f64 = 1150.0;
 /// Flanks in the table: those that lost most.
 const WORST_FLANKS: usize = 10;
+/// Distances across the bore in the table: those farthest from the CAD's.
+const WORST_SPACINGS: usize = 6;
 
 #[derive(Template)]
 #[template(path = "scan.html")]
@@ -35,6 +37,7 @@ struct Page<'a> {
     quality: Option<Quality>,
     raster: Option<String>,
     worst: Vec<&'a Feature>,
+    spacing: Vec<&'a OppositeTeeth>,
     lost: Vec<(usize, &'a str)>,
 }
 
@@ -66,6 +69,10 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let loss = |feature: &Feature| feature.wear_um.unwrap_or(f64::NEG_INFINITY);
     worst.sort_by(|a, b| loss(b).total_cmp(&loss(a)));
     worst.truncate(WORST_FLANKS);
+    let mut spacing: Vec<&OppositeTeeth> = scan.spacing.iter().collect();
+    let off = |of: &OppositeTeeth| of.deviation_um.abs();
+    spacing.sort_by(|a, b| off(b).total_cmp(&off(a)));
+    spacing.truncate(WORST_SPACINGS);
     let page = Page {
         scan,
         registered: scan.registration.len() - lost.clone().count(),
@@ -85,6 +92,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         quality: quality(scan),
         raster: scan.metrics.as_ref().and_then(|m| raster(scan, m, full_um)),
         worst,
+        spacing,
         lost: lost
             .map(|r| (r.view, r.reason.as_deref().unwrap_or("not captured")))
             .collect(),
@@ -145,7 +153,7 @@ fn layers(scan: &Scan) -> Vec<(f64, OverAngle)> {
             .iter()
             .filter(|r| r.vertical_mm == height)
             // The die turns by the commanded angle: seen from it, the head turns the other way.
-            .map(|r| (-r.rotation_deg, r.rms_um))
+            .map(|r| (-r.rotation_deg, r.rms_about_form_um.or(r.rms_um)))
             .collect();
         layer.sort_by(|a, b| a.0.total_cmp(&b.0));
         (height, layer)
@@ -155,7 +163,8 @@ fn layers(scan: &Scan) -> Vec<(f64, OverAngle)> {
 
 /// Upper end of the RMS scale, µm.
 fn rms_full_um(scan: &Scan) -> f64 {
-    let most = scan.registration.iter().filter_map(|r| r.rms_um);
+    let of_view = |r: &ScanRegistration| r.rms_about_form_um.or(r.rms_um);
+    let most = scan.registration.iter().filter_map(of_view);
     (most.fold(1.0, f64::max) / 5.0).ceil() * 5.0
 }
 
@@ -172,10 +181,10 @@ fn rms_picture(scan: &Scan) -> String {
         .collect();
     let rows = pixels.len() / columns;
     Axes {
-        title: "RMS of every view by layer and position",
-        size: [WIDE, 70.0 + 22.0 * rows as f64],
+        title: "RMS of every view about the form, by layer and position",
+        size: [WIDE, 50.0 + (22.0 * rows as f64).max(100.0)],
         x: ([-180.0, 180.0], "angle in the die / °"),
-        y: ([0.5, rows as f64 + 0.5], "layer"),
+        y: (scan.map.layout().height_mm, "height / mm"),
     }
     .draw(&[Series::Picture(colour::rgb_data_uri(
         columns, rows, &pixels,
@@ -195,7 +204,7 @@ fn rms_lines(scan: &Scan) -> String {
         .map(|(layer, (_, points))| Series::Line(points, shade(layer)))
         .collect();
     Axes {
-        title: "RMS of every view over the angle, a line per layer",
+        title: "RMS of every view about the form over the angle, a line per layer",
         size: [WIDE, 240.0],
         x: (
             [-180.0, 180.0],

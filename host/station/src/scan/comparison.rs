@@ -212,9 +212,12 @@ pub(super) fn of_surface(
     took: Duration,
 ) -> Result<MethodResult, ScanError> {
     let mut figures = vec![None; planned.len()];
-    for ((view, info), stray) in stitched.views.iter().zip(&stitched.joint.strays) {
+    let about_form = &stitched.rms_about_form_mm;
+    let strays = stitched.joint.strays.iter().zip(about_form);
+    for ((view, info), (stray, rms_mm)) in stitched.views.iter().zip(strays) {
         let off_mm = stray.fixed_rows::<3>(3).into_owned();
-        figures[*view] = Some(ViewFigures::new(info.rms_mm, info.centre_mm.into(), off_mm));
+        let rms_mm = rms_mm.unwrap_or(info.rms_mm);
+        figures[*view] = Some(ViewFigures::new(rms_mm, info.centre_mm.into(), off_mm));
     }
     let mut one_view = None;
     if let (Some((view, _)), Some(pose)) = (stitched.views.first(), stitched.joint.poses.first()) {
@@ -231,7 +234,7 @@ pub(super) fn of_surface(
         registered_views: stitched.views.len(),
         form: stitched.map.form().map(Form::from),
         exact,
-        metric: "signed distance to the surface",
+        metric: "signed distance to the surface, of every view about the form of the whole bore",
         one_view,
         merged: exact,
         drift: ScanDrift::of(planned, &figures),

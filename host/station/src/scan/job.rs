@@ -6,39 +6,31 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use flankscope_metrology::cylinder::CylinderMap;
-use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
-use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::gear::GearData;
 use flankscope_metrology::joint::{JointError, Stages};
 use flankscope_metrology::merge::{MergeError, check_voxel_size};
-use flankscope_metrology::spacing::opposite;
-use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
 use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 
 use super::comparison::{self, Method};
-use super::coverage::{Coverage, LEAST_COVERAGE};
 use super::grid::Grid;
 use super::lay::layout;
 use super::metrics::{self, MetricsError};
 use super::paper::{self, PaperSettings};
-use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
+use super::reference::{Reference, ReferenceError};
+use super::result::Scan;
 use super::session::SessionError;
-use super::stitch::{Stitched, stitch};
+use super::stitch::stitch;
 use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::view::ScannedView;
 use super::workshop::{Store, Workshop};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
-    EvaluatorError, Feature, FrameCount, Handover, InspectError, Progress as CheckProgress, Run,
-    Station, Subject, Timing, calibration_um, field_slope, hand_eye, peak_memory_mb,
+    EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
+    Subject, Timing, field_slope, hand_eye, peak_memory_mb,
 };
-
-/// Fewer registered views than this share do not describe the die.
-const LEAST_REGISTERED: f64 = 0.8;
-/// A flank with fewer cells seen is not judged.
-const LEAST_CELLS: usize = 20;
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
@@ -91,14 +83,15 @@ pub enum Progress {
 /// The instrument's host side for scans, with its session folder open.
 #[derive(Debug)]
 pub struct Scanner {
-    station: Station<ScannedView>,
+    pub(super) station: Station<ScannedView>,
     store: Store,
-    grid: Grid,
-    gear: GearData,
+    pub(super) grid: Grid,
+    pub(super) gear: GearData,
     nominal: Stages,
-    resumed: usize,
+    pub(super) resumed: usize,
     method: Method,
     paper: PaperSettings,
+    reference: Option<Reference>,
 }
 
 impl Scanner {
@@ -138,7 +131,19 @@ impl Scanner {
             resumed,
             method: Method::default(),
             paper: PaperSettings::default(),
+            reference: None,
         })
+    }
+
+    /// Compares with an earlier scan of the same die: whether it was put down turned by whole teeth since.
+    ///
+    /// # Errors
+    /// The earlier result cannot be used.
+    pub fn against(mut self, earlier: Option<&Path>) -> Result<Self, ReferenceError> {
+        let cad = self.station.subject.hashes.get("cad").map(String::as_str);
+        let load = |path: &Path| Reference::load(path, cad);
+        self.reference = earlier.map(load).transpose()?;
+        Ok(self)
     }
 
     /// Chooses how the views are stitched; the captured views are the same for every method.
@@ -339,6 +344,15 @@ impl Scanner {
             scan.disown(why);
             return Ok(scan);
         }
+        if let Some(reference) = &self.reference {
+            let placement = reference.compare(&scan.features, self.gear.teeth);
+            let objection = placement.objection();
+            scan.placement = Some(placement);
+            if let Some(why) = objection {
+                scan.disown(why);
+                return Ok(scan);
+            }
+        }
         scan.methods.push(figures);
         if self.method == Method::Surface {
             return Ok(scan);
@@ -353,210 +367,5 @@ impl Scanner {
         }
         scan.methods.push(figures);
         Ok(scan)
-    }
-
-    fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
-        let Stitched {
-            views,
-            refused,
-            joint,
-            rounds,
-            settled,
-            steps,
-            relaid,
-            map,
-            quality,
-            elapsed_ms,
-        } = stitched;
-        let mut lost = lost.clone();
-        lost.extend(refused);
-        let laid: BTreeMap<usize, _> = views
-            .iter()
-            .zip(joint.strays.iter().zip(&joint.poses))
-            .map(|((view, info), (stray, pose))| (*view, (info.rms_mm, stray, pose)))
-            .collect();
-        let planned = &self.station.itinerary.views;
-        let registration = planned.iter().enumerate().map(|(view, at)| {
-            let found = laid.get(&view);
-            ScanRegistration {
-                view,
-                rotation_deg: at.rotation_rad.to_degrees(),
-                vertical_mm: at.vertical_mm,
-                status: if found.is_some() {
-                    "registered"
-                } else {
-                    "lost"
-                },
-                reason: lost.get(&view).cloned(),
-                rms_um: found.map(|(rms_mm, ..)| rms_mm * 1e3),
-                stray_um: found.map(|(_, stray, _)| stray.fixed_rows::<3>(3).norm() * 1e3),
-                stray_turn_mdeg: found.map(|(_, stray, _)| stray[2].to_degrees() * 1e3),
-                tool_from_camera: found
-                    .map(|(.., pose)| Rigid::<ToolFrame, Camera>::from_isometry(**pose).to_rows()),
-            }
-        });
-        let registration: Vec<_> = registration.collect();
-        let (features, judged) = self.features(&map);
-        let spacing = opposite(&self.gear, map.cells());
-        let mut verdict = combine(judged).to_string();
-        let mut reason = match verdict.as_str() {
-            "go" => "every flank that was seen is below the warning limit".to_string(),
-            other => {
-                let named: Vec<String> = features
-                    .iter()
-                    .filter(|f| f.verdict == other)
-                    .take(5)
-                    .map(|f| format!("tooth {} {}", f.tooth, f.flank))
-                    .collect();
-                format!("{other}: {}", named.join(", "))
-            }
-        };
-        let coverage = Coverage::of(&map, &self.gear, planned, LEAST_COVERAGE);
-        if verdict == "go" && !coverage.holes.is_empty() {
-            reason += &format!(
-                "; {} of {} flank fields were seen to less than {:.0} %",
-                coverage.holes.len(),
-                coverage.fields,
-                100.0 * coverage.least_ratio
-            );
-        }
-        // What is missing takes nothing from a wear that was found.
-        if let Some(why) = coverage.objection().filter(|_| verdict != "no-go") {
-            (verdict, reason) = ("indeterminate".into(), why);
-        }
-        let registered = laid.len() as f64 / planned.len() as f64;
-        if registered < LEAST_REGISTERED {
-            verdict = "indeterminate".into();
-            let first = lost.values().next().cloned().unwrap_or_default();
-            reason = format!(
-                "only {} of {} views could be laid on the CAD, at least {:.0} % are needed: a die with other teeth than the \
-                 CAD's, or one put down turned, looks like this; the first lost one: {first}",
-                laid.len(),
-                planned.len(),
-                100.0 * LEAST_REGISTERED
-            );
-        } else if !settled {
-            verdict = "indeterminate".into();
-            reason = format!("the views still moved against each other after {rounds} rounds");
-        }
-        let [low, high] = self.gear.height_mm;
-        let form = map
-            .form()
-            .map(|form| Form::with_sigma(form, joint.form_sigma_mm(high - low)));
-        let (turn, shift) = joint.stages.head_error();
-        let mut versions = BTreeMap::new();
-        versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
-        versions.insert(
-            "protocol",
-            flankscope_protocol::PROTOCOL_VERSION.to_string(),
-        );
-        Scan {
-            verdict,
-            reason,
-            features,
-            form: form.filter(|_| registered >= LEAST_REGISTERED),
-            spacing: spacing.into_iter().map(OppositeTeeth::from).collect(),
-            timing_ms: Timing::default(),
-            last_view_to_result_ms: 0.0,
-            frames: FrameCount::default(),
-            peak_memory_mb: None,
-            views: self.grid.to_string(),
-            resumed_views: self.resumed,
-            coverage_ratio: map.coverage(),
-            coverage,
-            inconsistent_ratio: map.inconsistent(),
-            registration,
-            stitching: Stitching {
-                relaid_views: relaid,
-                elapsed_ms,
-            },
-            joint: Joint {
-                rounds,
-                settled,
-                condition: joint.condition,
-                weak: joint.weak.iter().map(|w| (w.name, w.prior_share)).collect(),
-                steps,
-                found: StageErrors {
-                    eccentricity_mm: joint.stages.eccentricity_mm(),
-                    axis_mm: self.gear.height_mm.map(|z| joint.stages.axis_at_mm(z)),
-                    tilt_deg: joint.stages.tilt_rad().to_degrees(),
-                    head_turn_deg: turn.map(f64::to_degrees),
-                    head_shift_mm: shift,
-                    vertical_lean_mrad: joint.stages.vertical_lean_rad().map(|rad| rad * 1e3),
-                    harmonics_mdeg: joint
-                        .stages
-                        .harmonics_rad()
-                        .map(|pair| pair.map(|rad| rad.to_degrees() * 1e3)),
-                },
-            },
-            methods: Vec::new(),
-            teeth_stretch_ratio: None,
-            teeth_turned_deg: 0.0,
-            metrics: None,
-            tool: self.station.subject.tool.name.clone(),
-            versions,
-            hashes: self.station.subject.hashes.clone(),
-            map,
-            quality,
-        }
-    }
-
-    /// Mean loss of every flank that was seen. The cells of a flank share what is wrong with the poses, so their
-    /// uncertainties do not average out.
-    fn features(
-        &self,
-        map: &flankscope_metrology::cylinder::CylinderMap,
-    ) -> (Vec<Feature>, Vec<Verdict>) {
-        let mut flanks: BTreeMap<(u32, bool), (usize, f64, f64)> = BTreeMap::new();
-        for cell in map.cells() {
-            if let Some(at) = self.gear.place(cell.point, cell.normal) {
-                let sums = flanks
-                    .entry((at.tooth, at.flank == Flank::Right))
-                    .or_default();
-                sums.0 += 1;
-                sums.1 -= cell.deviation_mm * 1e3;
-                sums.2 += (cell.sigma_mm * 1e3).powi(2);
-            }
-        }
-        let most = flanks.values().map(|sums| sums.0).max().unwrap_or(1) as f64;
-        let Subject { tool, head, .. } = &self.station.subject;
-        let rule = tool
-            .inspect
-            .as_ref()
-            .map_or(Rule::new(f64::NAN, f64::NAN), |i| i.rule());
-        let calibration_um = calibration_um(tool, head);
-        flanks
-            .into_iter()
-            .filter(|(_, (cells, ..))| *cells >= LEAST_CELLS)
-            .map(|((tooth, right), (cells, loss, variance))| {
-                let mean_um = loss / cells as f64;
-                let u_um = (variance / cells as f64 + calibration_um * calibration_um).sqrt();
-                let verdict = decide(mean_um, u_um, &rule);
-                let (reason, code) = match &verdict {
-                    Verdict::Indeterminate { reason } => {
-                        (Some(reason.to_string()), Some(reason.code()))
-                    }
-                    _ => (None, None),
-                };
-                let flank = if right { Flank::Right } else { Flank::Left };
-                let feature = Feature {
-                    tooth,
-                    flank: flank.to_string(),
-                    wear_um: Some(mean_um),
-                    u95_um: Some(1.96 * u_um),
-                    mean_um: Some(mean_um),
-                    coverage_ratio: cells as f64 / most,
-                    warn_um: rule.warn_um,
-                    limit_um: rule.limit_um,
-                    conformity: Some(probability_below(rule.limit_um, mean_um, u_um)),
-                    detail: None,
-                    measurements: Vec::new(),
-                    verdict: verdict.to_string(),
-                    reason,
-                    code,
-                };
-                (feature, verdict)
-            })
-            .unzip()
     }
 }

@@ -16,6 +16,7 @@
 //! | `session` | what is kept of a scan that is killed |
 //! | `stitch` | all views to one map |
 //! | `overlaps` | what neighbours say of each other |
+//! | `reference` | whether the die sits as in an earlier scan |
 //! | `stranger` | whether it is the CAD's die at all |
 //! | `paper` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
@@ -23,10 +24,12 @@
 //! | `metrics` | what the article's ways of measuring a distance would have said |
 //! | `workshop` | what is done with a view once its frames are there |
 //! | `job` | orders and captures from hello to result |
+//! | `describe` | what was stitched, to the document |
 //! | `result` | the JSON document |
 
 mod comparison;
 mod coverage;
+mod describe;
 mod grid;
 mod job;
 mod lay;
@@ -34,6 +37,7 @@ mod metrics;
 mod overlaps;
 mod paper;
 mod patches;
+mod reference;
 mod result;
 mod session;
 mod stitch;
@@ -48,6 +52,7 @@ pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
 pub use paper::PaperSettings;
+pub use reference::{Placement, ReferenceError};
 pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 pub use session::SessionError;
 pub use workshop::{Processing, ProcessingError};

@@ -1,9 +1,10 @@
 //! Where views overlap: which pairs, what they say of each other, and how far apart they lie.
 
 use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
 
 use flankscope_metrology::cylinder::{Layout, Witness};
-use flankscope_metrology::joint::{Overlap, Solution, ViewInformation};
+use flankscope_metrology::joint::{Overlap, Solution, ViewInformation, take_off_common};
 use nalgebra::{Isometry3, Point3, Vector6};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -14,14 +15,19 @@ use super::session::SessionError;
 /// Views whose centres are farther apart than this have nothing in common, mm: a field of 10 mm, and its rim.
 const FIELD_MM: f64 = 10.5;
 
+/// Views closer together around the bore are above each other, rad.
+const LEVEL_RAD: f64 = 1e-4;
+
 /// A view and how it lies.
 type Laid = (usize, ViewInformation);
 
-/// What neighbours among the views say of each other, each where it was laid.
+/// What neighbours among the views say of each other, each where it was laid: beyond what all pairs of a kind say of the
+/// poses `alone` (by number of the view), which every view has by the CAD alone.
 pub(super) fn overlaps(
     patches: &Patches,
     layout: &Layout,
     views: &[Laid],
+    alone: &BTreeMap<usize, Isometry3<f64>>,
 ) -> Result<Vec<Overlap>, SessionError> {
     let there = |at: usize| -> Result<Vec<Witness>, SessionError> {
         let (view, info) = &views[at];
@@ -37,15 +43,38 @@ pub(super) fn overlaps(
         let here = there(first)?;
         let mut found = Vec::new();
         for second in neighbours {
-            let centres = [first, second].map(|at| views[at].1.centre_mm);
             let other = there(second)?;
-            found.extend(Overlap::between([first, second], [&here, &other], centres));
+            let (mut pair, mut seen) = ([first, second], [&here, &other]);
+            if follows(&views[first].1, &views[second].1) {
+                pair.reverse();
+                seen.reverse();
+            }
+            let centres = pair.map(|at| views[at].1.centre_mm);
+            found.extend(Overlap::between(pair, seen.map(Vec::as_slice), centres));
         }
         Ok(found)
     };
     let found: Result<Vec<_>, SessionError> =
         (0..views.len()).into_par_iter().map(of_view).collect();
-    Ok(found?.concat())
+    let mut found = found?.concat();
+    let of_views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
+    let poses = views.iter().map(|(view, info)| {
+        let alone = alone.get(view);
+        *alone.unwrap_or(&info.tool_from_camera)
+    });
+    take_off_common(&mut found, &of_views, &poses.collect::<Vec<_>>());
+    Ok(found)
+}
+
+/// Whether a view lies on from another: further around, or above it.
+fn follows(view: &ViewInformation, other: &ViewInformation) -> bool {
+    let turn_rad = (view.at.rotation_rad - other.at.rotation_rad).rem_euclid(TAU);
+    let level = turn_rad.min(TAU - turn_rad) < LEVEL_RAD;
+    if level {
+        view.at.vertical_mm > other.at.vertical_mm
+    } else {
+        turn_rad < PI
+    }
 }
 
 /// Steps between views that overlap: mean differences of their deviations over the cells that both saw.

@@ -12,6 +12,7 @@ use super::coverage::Coverage;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
 use super::paper::PaperStitched;
+use super::reference::Placement;
 use crate::inspection::{Feature, FrameCount, Timing};
 
 /// The whole result: serialised as the `--json` document.
@@ -54,8 +55,11 @@ pub struct Scan {
     /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
     pub teeth_stretch_ratio: Option<f64>,
     /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
-    /// numbered by being nearest: a die turned by a whole tooth cannot be seen, only prevented by how it is put down.
+    /// numbered by being nearest: whether the die was turned by whole teeth, only an earlier scan of it can tell.
     pub teeth_turned_deg: f64,
+    /// How the die stands against an earlier scan; absent when none was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub placement: Option<Placement>,
     /// The ways in which these views were stitched, side by side.
     pub methods: Vec<MethodResult>,
     /// The article's metrics on the same points; absent unless a report or the raster was asked for.
@@ -97,6 +101,7 @@ impl Scan {
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
             let why = refused.remove(&entry.view).or(entry.reason.take());
             (entry.rms_um, entry.stray_um) = (*rms_um, None);
+            entry.rms_about_form_um = None;
             (entry.status, entry.reason) = match rms_um {
                 Some(_) => ("registered", None),
                 None => ("lost", why),
@@ -161,14 +166,21 @@ pub struct OppositeTeeth {
     pub distance_mm: f64,
     /// The same less that of the CAD, µm.
     pub deviation_um: f64,
+    /// Expanded uncertainty of both (95 %), µm: of the cells, of how the views on either side lie, and of the head's
+    /// calibration. What a bore that is larger all around has in common with a head farther from the wall is the CAD's.
+    pub u95_um: f64,
 }
 
-impl From<Spacing> for OppositeTeeth {
-    fn from(of: Spacing) -> Self {
+impl OppositeTeeth {
+    /// With the standard uncertainty of how the views lie, and of the calibration at either tooth, mm.
+    pub(super) fn new(of: Spacing, views_mm: f64, calibration_mm: f64) -> Self {
+        let calibration_mm = std::f64::consts::SQRT_2 * calibration_mm;
+        let sigma_mm = of.sigma_mm.hypot(views_mm).hypot(calibration_mm);
         Self {
             teeth: of.teeth,
             distance_mm: of.distance_mm,
             deviation_um: of.deviation_mm * 1e3,
+            u95_um: 1.96e3 * sigma_mm,
         }
     }
 }
@@ -189,6 +201,8 @@ pub struct ScanRegistration {
     pub reason: Option<String>,
     /// Distance of its points from the CAD in its final pose, root mean square, µm.
     pub rms_um: Option<f64>,
+    /// The same of its cells about size, place, ovality and taper of the whole bore.
+    pub rms_about_form_um: Option<f64>,
     /// How far it strays from what all views share, µm.
     pub stray_um: Option<f64>,
     /// How far its rotary stage strays from what all views share, millidegrees.

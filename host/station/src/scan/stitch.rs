@@ -46,6 +46,9 @@ pub(super) struct Stitched {
     /// Views that were laid on the CAD once more.
     pub relaid: usize,
     pub map: CylinderMap,
+    /// Of every view, root mean square of its cells' deviations about the form of the whole bore, mm; none where the map has
+    /// no form, or the view no cell.
+    pub rms_about_form_mm: Vec<Option<f64>>,
     pub quality: FieldQuality,
     /// Time of each part, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
@@ -90,8 +93,8 @@ pub(super) fn stitch(
     lap("solve");
     let relaid = common.lay(patches, &layout)?;
     lap("lay");
-    let alone = common.poses();
-    let pairs = common.settle(|views| overlaps(patches, &layout, views))?;
+    let (alone, sure) = (common.poses(), common.joint.clone());
+    let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
     let Common {
         views,
         joint,
@@ -101,6 +104,7 @@ pub(super) fn stitch(
         ..
     } = common;
     let steps = Steps::of(&pairs, &views, &alone, &joint);
+    let joint = joint.no_surer_than(&sure);
     lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)| {
         for ((view, _), pose) in views.iter().zip(&joint.poses) {
@@ -109,6 +113,19 @@ pub(super) fn stitch(
         Ok::<_, SessionError>(())
     };
     let (map, quality) = merge(layout, field_slope, of_views)?;
+    let form = map.form();
+    let mut rms_about_form_mm = Vec::with_capacity(views.len());
+    of_views(&mut |_, view| {
+        let form = form.filter(|_| !view.is_empty());
+        rms_about_form_mm.push(form.map(|form| {
+            let off_mm = |w: &Witness| {
+                let form_mm = form.deviation_mm(w.point.map(f64::from), w.normal.map(f64::from));
+                f64::from(w.deviation_mm) - form_mm
+            };
+            let squares: f64 = view.iter().map(|w| off_mm(w).powi(2)).sum();
+            (squares / view.len() as f64).sqrt()
+        }));
+    })?;
     lap("merge");
     Ok(Stitched {
         views,
@@ -119,6 +136,7 @@ pub(super) fn stitch(
         steps,
         relaid,
         map,
+        rms_about_form_mm,
         quality,
         elapsed_ms,
     })

@@ -51,11 +51,7 @@ impl Die {
         for id in field.worn_flanks() {
             displace(&mut mesh, &flanks, &field, id);
         }
-        form.apply(
-            &mut mesh,
-            field.gear().body_radius_mm,
-            field.gear().height_mm,
-        );
+        form.apply(&mut mesh, field.gear());
         Ok(Self {
             mesh,
             flanks,

@@ -1,12 +1,16 @@
-//! Form deviation of a die: what heat treatment and years in a press do to its bore as a whole.
+//! Form deviation of a die: what heat treatment and years in a press do to its bore as a whole, and what every flank has of
+//! its own since it was made.
 
 use super::WorldError;
-use flankscope_gear_cad::Mesh;
+use super::random::{Normals, Purpose, stream};
+use flankscope_gear_cad::{GearSpec, Mesh};
 
 /// Largest form deviation that the model describes, µm.
 const MAX_FORM_UM: f64 = 200.0;
+/// Largest standard deviation of the flanks' own deviations, µm.
+const MAX_FLANKS_UM: f64 = 20.0;
 
-/// A bore that is neither round nor straight.
+/// A bore that is neither round nor straight, with flanks that stand off.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Form {
     /// Largest minus smallest radius around the bore, µm: the radius grows by half of it towards ±x and shrinks by half
@@ -14,6 +18,10 @@ pub struct Form {
     pub ovality_um: f64,
     /// Growth of the radius from the bottom to the top, µm; mid-height keeps its radius.
     pub taper_um: f64,
+    /// Standard deviation of what each flank stands off by, along the pitch circle, µm: positive makes its tooth thicker.
+    pub flanks_um: f64,
+    /// Draws that: one seed is one die.
+    pub flanks_seed: u64,
 }
 
 impl Form {
@@ -23,31 +31,52 @@ impl Form {
             + self.taper_um * (height_share - 0.5))
     }
 
-    /// Moves the toothing of a mesh whose body ends at `body_radius_mm`; the outer wall stays.
-    pub(crate) fn apply(&self, mesh: &mut Mesh, body_radius_mm: f64, height_mm: [f64; 2]) {
+    /// What the right and the left flank of every tooth stand off by, mm.
+    fn flanks_mm(&self, teeth: u32) -> Vec<[f64; 2]> {
+        let mut random = Normals::new(stream(self.flanks_seed, Purpose::Flanks));
+        let mut flank = || 1e-3 * self.flanks_um * random.next().clamp(-3.0, 3.0);
+        (0..teeth).map(|_| [flank(), flank()]).collect()
+    }
+
+    /// Moves the toothing of a mesh of the gear; the outer wall stays.
+    pub(crate) fn apply(&self, mesh: &mut Mesh, gear: &GearSpec) {
         if *self == Self::default() {
             return;
         }
-        let [bottom, top] = height_mm;
+        let [bottom, top] = gear.height_mm;
+        let pitch_radius_mm = 0.5 * gear.module_mm * f64::from(gear.teeth);
+        let flanks_mm = self.flanks_mm(gear.teeth);
         for p in &mut mesh.vertices {
             let radius = p[0].hypot(p[1]);
-            if radius < 0.75 * body_radius_mm && radius > 0.0 {
-                let by = self.radial_mm(p[1].atan2(p[0]), (p[2] - bottom) / (top - bottom));
-                p[0] *= 1.0 + by / radius;
-                p[1] *= 1.0 + by / radius;
+            if radius < 0.75 * gear.body_radius_mm && radius > 0.0 {
+                let angle = p[1].atan2(p[0]);
+                let by = self.radial_mm(angle, (p[2] - bottom) / (top - bottom));
+                // Halves of teeth from +x on, where a space has its middle: right, left, right ...
+                let half = (2.0 * angle / gear.pitch_angle_rad())
+                    .floor()
+                    .rem_euclid(2.0 * f64::from(gear.teeth)) as usize;
+                let [right, left] = flanks_mm[(half / 2).min(flanks_mm.len() - 1)];
+                let along_mm = if half.is_multiple_of(2) { -right } else { left };
+                let (sin, cos) = (angle + along_mm / pitch_radius_mm).sin_cos();
+                p[0] = (radius + by) * cos;
+                p[1] = (radius + by) * sin;
             }
         }
     }
 
     pub(crate) fn validate(&self) -> Result<(), WorldError> {
         WorldError::check("ovality_um", self.ovality_um, -MAX_FORM_UM, MAX_FORM_UM)?;
-        WorldError::check("taper_um", self.taper_um, -MAX_FORM_UM, MAX_FORM_UM)
+        WorldError::check("taper_um", self.taper_um, -MAX_FORM_UM, MAX_FORM_UM)?;
+        WorldError::check("flanks_um", self.flanks_um, 0.0, MAX_FLANKS_UM)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::die::nearest_flank;
     use super::*;
+    use flankscope_gear_cad::Flank;
+    use std::collections::BTreeMap;
 
     #[test]
     fn the_bore_is_as_oval_and_conical_as_asked_and_the_wall_stays() {
@@ -57,8 +86,9 @@ mod tests {
         let form = Form {
             ovality_um: 20.0,
             taper_um: 15.0,
+            ..Form::default()
         };
-        form.apply(&mut mesh, gear.body_radius_mm, gear.height_mm);
+        form.apply(&mut mesh, &gear);
         let radius = |p: &[f64; 3]| p[0].hypot(p[1]);
         for (was, is) in cad.vertices.iter().zip(&mesh.vertices) {
             let grown_um = 1e3 * (radius(is) - radius(was));
@@ -70,5 +100,44 @@ mod tests {
             let expected_um = 10.0 * (x * x - y * y) + 15.0 * (was[2] / 66.0 - 0.5);
             assert!((grown_um - expected_um).abs() < 1e-6, "at {was:?}");
         }
+    }
+    #[test]
+    fn every_flank_stands_off_as_a_whole_and_one_seed_is_one_die() {
+        let gear = crate::demo::gear();
+        let cad = gear.mesh(&Default::default()).expect("the demo gear");
+        let worn = |flanks_seed| {
+            let mut mesh = cad.clone();
+            let form = Form {
+                flanks_um: 4.0,
+                flanks_seed,
+                ..Form::default()
+            };
+            form.apply(&mut mesh, &gear);
+            mesh
+        };
+        let mesh = worn(3);
+        assert_eq!(mesh.vertices, worn(3).vertices);
+        assert_ne!(mesh.vertices, worn(4).vertices);
+        let mut along_um: BTreeMap<(u32, bool), Vec<f64>> = BTreeMap::new();
+        for (was, is) in cad.vertices.iter().zip(&mesh.vertices) {
+            let Some((id, off_mm)) = nearest_flank(&gear, *was) else {
+                continue;
+            };
+            if off_mm.abs() < 1e-6 {
+                let turned =
+                    (is[1] * was[0] - is[0] * was[1]).atan2(is[0] * was[0] + is[1] * was[1]);
+                let thicker = if id.flank == Flank::Left { 1.0 } else { -1.0 };
+                let of_flank = along_um.entry((id.tooth, thicker > 0.0)).or_default();
+                of_flank.push(thicker * turned * 41.45e3);
+            }
+        }
+        assert_eq!(along_um.len(), 2 * 84);
+        let means: Vec<f64> = along_um.values().map(|um| um[0]).collect();
+        for (of_flank, mean) in along_um.values().zip(&means) {
+            assert!(of_flank.iter().all(|um| (um - mean).abs() < 1e-6));
+        }
+        // 168 draws: their standard deviation to 5.5 %, at four of its own standard deviations.
+        let std = (means.iter().map(|um| um * um).sum::<f64>() / means.len() as f64).sqrt();
+        assert!((std / 4.0 - 1.0).abs() < 0.22, "{std}");
     }
 }

@@ -17,6 +17,7 @@ pub(crate) enum Purpose {
     Stages,
     Vibration,
     Unevenness(u8),
+    Flanks,
     Frame(u32),
 }
 
@@ -33,6 +34,7 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
         Purpose::Stages => 9,
         Purpose::Vibration => 8,
         Purpose::Unevenness(lens) => 16 + u64::from(lens),
+        Purpose::Flanks => 9,
         Purpose::Frame(counter) => (1 << 32) | u64::from(counter),
     };
     let mut bytes = [0u8; 32];
