@@ -105,6 +105,13 @@ fn the_article_loses_the_form(run: &Run) {
         }
     }
     assert!(run.json["methods"][0]["drift"]["largest"].is_null());
+    // How well ours lie is told about the form of the bore: that it is oval is no drift.
+    for layer in run.json["methods"][0]["drift"]["layers"]
+        .as_array()
+        .unwrap()
+    {
+        assert_eq!(layer["rms"]["drifts"], false, "{layer}");
+    }
     // The exact distances of the same points show how well they lie.
     assert!(figure(run, "/methods/1/exact/rms_um") < 10.0);
 }
@@ -134,6 +141,12 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
         let angle = (tooth - 0.5) * std::f64::consts::TAU / 84.0;
         let error_um = pair["deviation_um"].as_f64().unwrap() - 20.0 * (2.0 * angle).cos();
         assert!(error_um.abs() <= 8.0, "{pair}: {error_um} µm off");
+        // Three standard uncertainties.
+        let u95_um = pair["u95_um"].as_f64().unwrap();
+        assert!(
+            error_um.abs() <= 3.0 / 1.96 * u95_um,
+            "{pair}: {error_um} µm off"
+        );
     }
     // The die was put down 0.5 mm off and 0.2 degrees askew. One view knows its place to some µm, 24 of them better; the
     // tilt is that over the 33 mm between the layers.
