@@ -382,7 +382,15 @@ fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()>
         test.probing_size_um,
         limits.probing_size_um,
         test.due
-    )
+    )?;
+    if let (Some(flatness_um), Some(form_um)) = (test.flatness_cells_um, test.probing_form_cells_um)
+    {
+        writeln!(
+            out,
+            "of means over 0.25 mm, by which wear is judged: flatness {flatness_um:.1} µm, probing form {form_um:.1} µm"
+        )?;
+    }
+    Ok(())
 }
 
 #[cfg(feature = "bench")]

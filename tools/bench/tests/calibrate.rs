@@ -16,7 +16,7 @@ use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::triangulate::Triangulator;
 use flankscope_profilometry::{
-    Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
+    Accumulator, Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
 use flankscope_station::calibration::CaptureFolder;
 use nalgebra::{Matrix3, Point3, Translation3, Vector3};
@@ -272,6 +272,8 @@ fn the_target_gives_the_head() {
     // The plane's points scatter by what the fresh plates show; of 99.7 % of a normal distribution the range is 6 sigma.
     assert!((3.0..12.0).contains(&(test.flatness_um / got.flatness_rms_um)));
     assert!(test.probing_size_um.abs() < limits.probing_size_um);
+    // A thousand cells span 6.6 of their standard deviations, which are below a micrometre.
+    assert!(test.flatness_cells_um.is_some_and(|um| um < 6.6));
     let fit = |test: &SelfTest, day: Date| {
         let mut head = head.clone();
         head.self_test = Some(test.clone());
@@ -498,4 +500,68 @@ fn captures_in_a_folder_give_the_same_head() {
         why.contains("view[1].plate") && why.contains("plate of the target"),
         "{why}"
     );
+}
+
+/// Distances of a plate's points from their plane, µm, with the places they are seen at and the cores that saw them.
+fn off_plane_um(cloud: &Cloud) -> Vec<([u16; 2], [f64; 2], f64)> {
+    let points: Vec<Vector3<f64>> = cloud.points_mm.iter().map(|p| Vector3::from(*p)).collect();
+    let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let spread: Matrix3<f64> = points
+        .iter()
+        .map(|p| (p - middle) * (p - middle).transpose())
+        .sum();
+    let eigen = spread.symmetric_eigen();
+    let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+    let away = normal * normal.z.signum();
+    let off = |p: &Vector3<f64>| 1e3 * away.dot(&(p - middle));
+    let seen = cloud.cell.iter().zip(&points);
+    seen.map(|(cell, p)| (*cell, [p.x, p.y], off(p))).collect()
+}
+
+/// What a plane shows of single points is no noise: it comes again with the view (the cores of both bundles beat against each
+/// other), and goes where points are averaged over the cells that wear is judged by.
+#[test]
+fn ripple_comes_again_and_goes_with_the_cells() {
+    let target = demo::target();
+    let world = World::new(&demo::target_world(&target, 3)).expect("a world");
+    let mut head = demo::head();
+    head.core_map = Some(Arc::new(demo::core_map(&head).expect("cores")));
+    let patterns = PatternSet::named("insitu12").expect("built in");
+    let exposures = [target.exposure_us];
+    let options = DecodeOptions::for_head(&head);
+    let decoder = Decoder::new(&head, &patterns, &exposures, options).expect("a decoder");
+    let blank = &demo::target_views(&target, 3, &[])[0];
+    let [rotation, vertical] = blank.true_pose;
+    let view = world
+        .prepare(rotation, vertical, &PatternSpec::insitu12())
+        .expect("a view");
+    let [first, second] = [0, 100].map(|counter| {
+        let sums = sums(&world, &decoder, &view, &exposures, counter);
+        off_plane_um(&decoder.finish(&sums).expect("a whole view").cloud)
+    });
+    let rms = |off: &[f64]| (off.iter().map(|x| x * x).sum::<f64>() / off.len() as f64).sqrt();
+    let again: HashMap<[u16; 2], f64> = second.iter().map(|(core, _, off)| (*core, *off)).collect();
+    let changes: Vec<f64> = first
+        .iter()
+        .filter_map(|(core, _, off)| Some(off - again.get(core)?))
+        .collect();
+    let mut squares: HashMap<[i32; 2], Vec<f64>> = HashMap::new();
+    for (_, at, off) in &first {
+        let square = at.map(|x| (x / 0.25).floor() as i32);
+        squares.entry(square).or_default().push(*off);
+    }
+    let means: Vec<f64> = squares
+        .values()
+        .filter(|points| points.len() > 40)
+        .map(|points| points.iter().sum::<f64>() / points.len() as f64)
+        .collect();
+    let single: Vec<f64> = first.iter().map(|(_, _, off)| *off).collect();
+    let [single, changes, means] = [single, changes, means].map(|off| rms(&off));
+    eprintln!(
+        "points {single:.2} um rms, from capture to capture {changes:.2}, means over 0.25 mm {means:.2}"
+    );
+    // The noise of two captures, mostly of photons: 0.4 um each.
+    assert!(changes < 0.4 * single);
+    // Cells shall tell micrometres.
+    assert!(means < 1.0 && means < 0.3 * single);
 }

@@ -1,6 +1,10 @@
 //! Planes and spheres through measured points, and how far the points lie off them.
 
+use std::collections::HashMap;
+
 use nalgebra::{Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vector4};
+
+use super::dots::quantile;
 
 /// What is left over after a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +21,27 @@ impl Residuals {
     pub fn rms_mm(&self) -> f64 {
         let squares: f64 = self.off_mm.iter().map(|off| off * off).sum();
         (squares / self.off_mm.len() as f64).sqrt()
+    }
+
+    /// Means over squares of `side_mm` across the view, of `points` in the camera frame that these are the residuals of. Squares at
+    /// the rim, of less than half the usual number of points, do not count.
+    pub fn of_squares(&self, points: &[[f64; 3]], side_mm: f64) -> Self {
+        let mut squares: HashMap<[i64; 2], (f64, f64)> = HashMap::new();
+        for (&[x, y, _], off) in points.iter().zip(&self.off_mm) {
+            let square = [x, y].map(|x| (x / side_mm).floor() as i64);
+            let (count, sum) = squares.entry(square).or_default();
+            *count += 1.0;
+            *sum += off;
+        }
+        let mut counts: Vec<f64> = squares.values().map(|(count, _)| *count).collect();
+        let least = 0.5 * quantile(&mut counts, 0.5).unwrap_or(0.0);
+        Self {
+            off_mm: squares
+                .into_values()
+                .filter(|(count, _)| *count >= least)
+                .map(|(count, sum)| sum / count)
+                .collect(),
+        }
     }
 
     /// Largest minus smallest, without the farthest 0.3 % of the points.

@@ -25,6 +25,12 @@ pub struct Limits {
     pub probing_form_um: f64,
     /// Probing size: fitted minus certified diameter, either way.
     pub probing_size_um: f64,
+    /// Flatness of the blank plate's means over squares of 0.25 mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flatness_cells_um: Option<f64>,
+    /// Probing form of the sphere's means over squares of 0.25 mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probing_form_cells_um: Option<f64>,
     /// Days until the next test.
     pub every_days: u32,
 }
@@ -36,7 +42,14 @@ impl Limits {
             ("limits.probing_form_um", self.probing_form_um),
             ("limits.probing_size_um", self.probing_size_um),
         ];
-        for (key, got) in limits {
+        let of_cells = [
+            ("limits.flatness_cells_um", self.flatness_cells_um),
+            ("limits.probing_form_cells_um", self.probing_form_cells_um),
+        ];
+        let of_cells = of_cells
+            .into_iter()
+            .filter_map(|(key, um)| Some((key, um?)));
+        for (key, got) in limits.into_iter().chain(of_cells) {
             if !(got > 0.0 && got < 1e6) {
                 return Err(BadValue::new(key, got, "must be positive micrometres"));
             }
@@ -66,10 +79,16 @@ pub struct SelfTest {
     pub plane_points: u32,
     /// Largest minus smallest distance from the fitted plane, without the farthest 0.3 % of the points.
     pub flatness_um: f64,
+    /// The same of means over squares of 0.25 mm, the cells that wear is judged by.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flatness_cells_um: Option<f64>,
     /// Points on the sphere.
     pub sphere_points: u32,
     /// Largest minus smallest distance from the fitted sphere, without the farthest 0.3 % of the points.
     pub probing_form_um: f64,
+    /// The same of means over squares of 0.25 mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probing_form_cells_um: Option<f64>,
     /// Fitted minus certified diameter.
     pub probing_size_um: f64,
     /// What was allowed.
@@ -148,6 +167,9 @@ pub enum SelfTestError {
 }
 
 const LEAST_POINTS: usize = 200;
+/// Cell of the wear figures. Single points ripple with the cores of the projector's bundle, the same in every capture of a
+/// place; means of some seventy points hardly do.
+const CELL_MM: f64 = 0.25;
 /// The cap of the sphere that counts: up to this angle from the direction to the camera. Beyond, light grazes.
 const CAP_COS: f64 = 0.77;
 /// Points farther off the certified radius than this are something else's, mm.
@@ -201,8 +223,12 @@ impl SelfTest {
             geometry_blake3: record.blake3.clone(),
             plane_points: on_plane.len() as u32,
             flatness_um: 1e3 * flat.range_mm(),
+            flatness_cells_um: Some(1e3 * flat.of_squares(&on_plane, CELL_MM).range_mm()),
             sphere_points: on_sphere.len() as u32,
             probing_form_um: 1e3 * round.residuals.range_mm(),
+            probing_form_cells_um: Some(
+                1e3 * round.residuals.of_squares(&on_sphere, CELL_MM).range_mm(),
+            ),
             probing_size_um: 1e3 * (2.0 * round.radius_mm - artefact.diameter_mm),
             limits,
         })
@@ -264,7 +290,22 @@ impl SelfTest {
                 self.limits.probing_size_um,
             ),
         ];
-        for (what, got_um, limit_um) in figures {
+        let of_cells = [
+            (
+                "flatness of cells",
+                self.flatness_cells_um,
+                self.limits.flatness_cells_um,
+            ),
+            (
+                "probing form of cells",
+                self.probing_form_cells_um,
+                self.limits.probing_form_cells_um,
+            ),
+        ];
+        let of_cells = of_cells
+            .into_iter()
+            .filter_map(|(what, got, limit)| Some((what, got.unwrap_or(f64::NAN), limit?)));
+        for (what, got_um, limit_um) in figures.into_iter().chain(of_cells) {
             // Written so that a NaN fails.
             if !(got_um <= limit_um) {
                 return Err(Unfit::Failed {

@@ -111,6 +111,8 @@ pub fn target() -> Target {
             flatness_um: 45.0,
             probing_form_um: 45.0,
             probing_size_um: 8.0,
+            flatness_cells_um: Some(8.0),
+            probing_form_cells_um: Some(8.0),
             every_days: 7,
         }),
     }
