@@ -30,6 +30,7 @@ fn capture(pattern: &[f64], seed: u64) -> FlankWear {
             ..Budget::default()
         },
         leakage: None,
+        shared_mm: 0.0,
         field: Field {
             columns: COLUMNS,
             rows: ROWS,

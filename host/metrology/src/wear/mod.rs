@@ -111,6 +111,8 @@ pub struct FlankWear {
     pub budget: Budget,
     /// Leakage of the pose, where it was computed.
     pub leakage: Option<Leakage>,
+    /// Wear that the same side of the other teeth in view shows, mm.
+    pub shared_mm: f64,
     /// The cells themselves.
     pub field: Field,
 }
@@ -133,6 +135,8 @@ impl FlankWear {
 pub struct Influence {
     /// Leakage of the pose.
     pub leakage: Leakage,
+    /// Wear that the same side of the other teeth in view shows, mm.
+    pub shared_mm: f64,
     /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
     pub temperature_mm: f64,
 }
@@ -278,6 +282,7 @@ impl Grid {
                 ..Budget::default()
             },
             leakage: None,
+            shared_mm: 0.0,
             field,
         };
         wear.refigure(settings);
@@ -310,6 +315,18 @@ impl FlankWear {
                 Recovery::Accepted | Recovery::Refused => {}
             }
             self.budget.leakage_mm = leakage.u_mm(figures.depth_mm.value);
+            let Budget {
+                calibration_mm,
+                registration_mm,
+                cad_mm,
+                ..
+            } = self.budget;
+            // What all teeth may seem to have lost without having done so.
+            let feigned_mm = calibration_mm.hypot(registration_mm).hypot(cad_mm);
+            if self.shared_mm.abs() > DETECTION_FACTOR * feigned_mm {
+                let u_shared_mm = leakage.u_shared_mm(self.shared_mm);
+                self.budget.leakage_mm = self.budget.leakage_mm.hypot(u_shared_mm);
+            }
         }
         self.wear_mm = figures.depth_mm.value;
         self.mean_mm = figures.mean_mm.value;
@@ -327,6 +344,8 @@ impl FlankWear {
         self.budget.calibration_mm = settings.drift_mm;
         self.budget.cad_mm = 0.0;
         self.budget.reference_mm = self.budget.registration_mm;
+        // What the other teeth showed then is not in the reference.
+        self.shared_mm = 0.0;
         self.refigure(settings);
         Ok(self)
     }
@@ -364,6 +383,7 @@ impl FlankWear {
     #[must_use]
     pub fn with(mut self, influence: &Influence, settings: &Settings) -> Self {
         self.leakage = Some(influence.leakage);
+        self.shared_mm = influence.shared_mm;
         self.budget.temperature_mm = influence.temperature_mm;
         self.refigure(settings);
         self

@@ -1,6 +1,6 @@
 //! What the pose and the temperature do to a flank's figures.
 
-use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::leakage;
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
@@ -58,8 +58,25 @@ impl Fitted<'_> {
                     &contacts,
                     &places,
                 ),
+                shared_mm: self.shared_mm((tooth, flank), &places),
                 temperature_mm: self.temperature.map_or(0.0, |t| per_kelvin.abs() * t.u_k),
             }
         })
+    }
+
+    /// Wear that the other teeth show; none where the judged flank itself is in the fit, since then they show what it moved
+    /// the pose by.
+    fn shared_mm(&self, judged: (u32, Flank), places: &[Option<FlankPlace>]) -> f64 {
+        let is_judged = |place: &Option<FlankPlace>| {
+            place.is_some_and(|place| (place.tooth, place.flank) == judged)
+        };
+        if places
+            .iter()
+            .zip(self.used)
+            .any(|(place, &used)| used && is_judged(place))
+        {
+            return 0.0;
+        }
+        leakage::shared_mm(self.zone, judged, self.closest, places)
     }
 }
