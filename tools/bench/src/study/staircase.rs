@@ -44,6 +44,7 @@ fn capture(world: &World, head: &HeadModel, grid: GridKind) -> anyhow::Result<Cl
     let patterns = PatternSet::named("insitu12")?;
     let options = DecodeOptions {
         grid,
+        binning: 1,
         ..DecodeOptions::for_head(head)
     };
     let decoder = Decoder::new(head, &patterns, &EXPOSURES_US, options)?;

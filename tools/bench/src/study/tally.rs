@@ -125,23 +125,31 @@ impl Cell {
         self.share(|s| (s.value_um - self.truth_um).abs() <= s.u95_um)
     }
 
-    /// Half the 95 % interval of the coverage, from how much the blocks of captures differ: those of a block share positions
-    /// and calibrations. At least what a coverage of 95 % scatters by.
+    /// Root mean square error, µm.
     #[must_use]
-    pub fn coverage_error(&self) -> f64 {
+    pub fn error_um(&self) -> f64 {
+        self.mean(|s| (s.value_um - self.truth_um).powi(2)).sqrt()
+    }
+
+    /// 95 % interval of the coverage (Wilson 1927). Captures of a block share positions and calibrations: where blocks differ
+    /// by more than independent captures would, they count as accordingly fewer.
+    #[must_use]
+    pub fn coverage_interval(&self) -> [f64; 2] {
+        const Z: f64 = 1.96;
         let coverage = self.coverage();
         let holds = |s: &Sample| f64::from((s.value_um - self.truth_um).abs() <= s.u95_um);
         let blocks = self.samples.chunks(super::scene::BLOCK as usize);
-        let squares = blocks.clone().map(|block| {
-            block
-                .iter()
-                .map(|s| holds(s) - coverage)
-                .sum::<f64>()
-                .powi(2)
-        });
-        let (n, all) = (blocks.len() as f64, self.samples.len() as f64);
-        let between = squares.sum::<f64>() / (all * all) * n / (n - 1.0).max(1.0);
-        1.96 * between.max(0.05 * 0.95 / all).sqrt()
+        let misses = |block: &[Sample]| block.iter().map(|s| holds(s) - coverage).sum::<f64>();
+        let count = blocks.len() as f64;
+        let squares: f64 = blocks.map(|block| misses(block).powi(2)).sum();
+        let all = self.samples.len() as f64;
+        let independent = all * coverage * (1.0 - coverage);
+        let shared = squares * count / (count - 1.0).max(1.0) / independent;
+        // f64::max passes over the NaN of a coverage of 0 or 1.
+        let n = all / shared.max(1.0);
+        let middle = coverage + 0.5 * Z * Z / n;
+        let half = Z * (coverage * (1.0 - coverage) / n + (0.5 * Z / n).powi(2)).sqrt();
+        [middle - half, middle + half].map(|end| end / (1.0 + Z * Z / n))
     }
 
     /// Share of captures that detect the damage.
