@@ -40,10 +40,15 @@ pub(crate) fn stream(seed: u64, purpose: Purpose) -> Pcg64 {
     let mut bytes = [0u8; 32];
     bytes[..8].copy_from_slice(&seed.to_le_bytes());
     bytes[16..24].copy_from_slice(&label.to_le_bytes());
-    if let Purpose::Frame(counter) = purpose {
-        // Streams with neighbouring labels begin alike: without a state of their own, frames would share noise.
-        let state = hash(seed, [i64::from(counter), 0, 0]);
-        bytes[8..16].copy_from_slice(&state.to_le_bytes());
+    // Streams with neighbouring labels begin alike or are the same: without a state of their own, frames would share noise
+    // and the two lenses be one.
+    let own = match purpose {
+        Purpose::Frame(counter) => Some([i64::from(counter), 0, 0]),
+        Purpose::Unevenness(lens) => Some([i64::from(lens), 1, 0]),
+        _ => None,
+    };
+    if let Some(own) = own {
+        bytes[8..16].copy_from_slice(&hash(seed, own).to_le_bytes());
     }
     Pcg64::from_seed(bytes)
 }
