@@ -5,6 +5,7 @@ use flankscope_metrology::joint::{Pose, Stages};
 use flankscope_metrology::stretch;
 use flankscope_metrology::tool::Tool;
 use nalgebra::Point3;
+use rayon::prelude::*;
 
 use super::session::{Session, SessionError};
 use super::stitch::Stitched;
@@ -15,28 +16,34 @@ use crate::inspection::PlannedView;
 /// of view, ten times what a head's calibration leaves of scale.
 const MOST_STRETCH: f64 = 2e-3;
 
+/// Views that are asked: their median is known to a tenth of what one view may be wrong by.
+const MOST_VIEWS: usize = 96;
+
 /// Where the teeth are must be clearly nearer to where stages and head file say than one tooth on.
 const RIVAL_RATIO: f64 = 0.6;
 /// From the pinhole to the wall, about, mm.
 const REACH_MM: f64 = 22.0;
 
-/// By what share the teeth stand farther apart than the CAD's: median over the views; none when no view tells.
+/// By what share the teeth stand farther apart than the CAD's: median over views all around; none when no view tells.
 pub(super) fn stretch_of_views(
     stitched: &Stitched,
     session: &Session,
     tool: &Tool,
 ) -> Result<Option<f64>, SessionError> {
-    let mut found = Vec::new();
-    for ((view, _), pose) in stitched.views.iter().zip(&stitched.joint.poses) {
-        let points: Vec<[f64; 3]> = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE)
-            .into_iter()
-            .map(|p| (pose * Point3::from(p)).into())
-            .collect();
-        found.extend(stretch::around(
-            &points,
-            &tool.surface.closest_many(&points),
-        ));
-    }
+    let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+    let found: Result<Vec<Option<f64>>, SessionError> = views
+        .par_iter()
+        .step_by(views.len().div_ceil(MOST_VIEWS).max(1))
+        .map(|((view, _), pose)| {
+            let points: Vec<[f64; 3]> = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE)
+                .into_iter()
+                .map(|p| (*pose * Point3::from(p)).into())
+                .collect();
+            let closest = tool.surface.closest_many(&points);
+            Ok(stretch::around(&points, &closest))
+        })
+        .collect();
+    let mut found: Vec<f64> = found?.into_iter().flatten().collect();
     found.sort_by(f64::total_cmp);
     Ok(found.get(found.len() / 2).copied())
 }
