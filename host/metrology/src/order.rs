@@ -14,6 +14,8 @@ const PART_BITS: u32 = 12;
 const PARTS: usize = 1 << PART_BITS;
 /// Points per parallel task.
 const CHUNK: usize = 1 << 16;
+/// The same, for points that are in order.
+const PIECE: usize = 1 << 10;
 /// Neighbours are asked about together, so many at a time.
 const TOGETHER: usize = crate::bvh::QUERIES;
 /// Points that fill a surface as large as the square of their box's diagonal are diagonal / sqrt(points) apart, and a patch
@@ -31,6 +33,9 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
     empty: T,
     map: impl Fn(&[[f64; 3]], &mut [T]) + Sync,
 ) -> bool {
+    if points.len() <= CHUNK {
+        return map_few_along_curve(points, results, map);
+    }
     let Some(bounds) = scattered(points) else {
         return false;
     };
@@ -84,6 +89,27 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
     true
 }
 
+/// As [`map_along_curve`], for points that are put in order as a whole in less time than cell by cell.
+fn map_few_along_curve<T: Copy + Send + Sync>(
+    points: &[[f64; 3]],
+    results: &mut [T],
+    map: impl Fn(&[[f64; 3]], &mut [T]) + Sync,
+) -> bool {
+    let Some(order) = along_curve(points) else {
+        return false;
+    };
+    let along: Vec<[f64; 3]> = order.iter().map(|&at| points[at as usize]).collect();
+    let mut found = results.to_vec();
+    found
+        .par_chunks_mut(PIECE)
+        .zip(along.par_chunks(PIECE))
+        .for_each(|(found, along)| map(along, found));
+    for (&at, found) in order.iter().zip(found) {
+        results[at as usize] = found;
+    }
+    true
+}
+
 /// Numbers of the points in the order of a Z curve; none when they already follow each other closely.
 pub(crate) fn along_curve(points: &[[f64; 3]]) -> Option<Vec<u32>> {
     let key = keys(scattered(points)?);
@@ -128,8 +154,18 @@ fn keys(bounds: Aabb) -> impl Fn(&[f64; 3]) -> u32 + Sync {
 /// those of one place keep their order.
 fn places_along(chunks: &[Chunk], cell: usize) -> Vec<u32> {
     let own = || chunks.iter().flat_map(|chunk| chunk.run(cell));
-    let part = |key: u32| (key >> (3 * AXIS_BITS - CELL_BITS - PART_BITS)) as usize % PARTS;
-    let mut next = vec![0u32; PARTS];
+    // Not many more parts than points: to count on empty ones costs as much.
+    let bits = (usize::BITS
+        - chunks
+            .iter()
+            .map(|chunk| chunk.run(cell).len())
+            .sum::<usize>()
+            .leading_zeros()
+        + 1)
+    .min(PART_BITS);
+    let parts = 1 << bits;
+    let part = |key: u32| (key >> (3 * AXIS_BITS - CELL_BITS - bits)) as usize % parts;
+    let mut next = vec![0u32; parts];
     for (key, _) in own() {
         next[part(*key)] += 1;
     }
@@ -226,22 +262,24 @@ mod tests {
 
     #[test]
     fn scattered_points_are_visited_in_order_and_results_come_back_in_theirs() {
-        let points: Vec<[f64; 3]> = (0..150_000)
-            .map(|i| std::array::from_fn(|k| 80.0 * uniform(2, 3 * i + k as u64) - 7.0))
-            .collect();
-        let length = |points: &[[f64; 3]]| -> f64 {
-            let step = |p: &[[f64; 3]]| (0..3).map(|k| (p[1][k] - p[0][k]).abs()).sum::<f64>();
-            points.windows(2).map(step).sum()
-        };
-        let walked = std::sync::Mutex::new(0.0);
-        let mut same = vec![[0.0; 3]; points.len()];
-        let done = map_along_curve(&points, &mut same, [0.0; 3], |piece, results| {
-            *walked.lock().unwrap() += length(piece);
-            results.copy_from_slice(piece);
-        });
-        assert!(done);
-        assert_eq!(same, points);
-        assert!(walked.into_inner().unwrap() < 0.1 * length(&points));
+        for count in [20_000, 150_000] {
+            let points: Vec<[f64; 3]> = (0..count)
+                .map(|i| std::array::from_fn(|k| 80.0 * uniform(2, 3 * i + k as u64) - 7.0))
+                .collect();
+            let length = |points: &[[f64; 3]]| -> f64 {
+                let step = |p: &[[f64; 3]]| (0..3).map(|k| (p[1][k] - p[0][k]).abs()).sum::<f64>();
+                points.windows(2).map(step).sum()
+            };
+            let walked = std::sync::Mutex::new(0.0);
+            let mut same = vec![[0.0; 3]; points.len()];
+            let done = map_along_curve(&points, &mut same, [0.0; 3], |piece, results| {
+                *walked.lock().unwrap() += length(piece);
+                results.copy_from_slice(piece);
+            });
+            assert!(done);
+            assert_eq!(same, points);
+            assert!(walked.into_inner().unwrap() < 0.1 * length(&points));
+        }
     }
 
     #[test]
