@@ -132,6 +132,8 @@ impl Itinerary {
                 vertical_mm: inspect.height_mm,
             });
         }
+        let mut angles_rad: Vec<&mut f64> = views.iter_mut().map(|v| &mut v.rotation_rad).collect();
+        close_ranks(&mut angles_rad);
         let lacks = |what| PlanningError::HeadLacks { what };
         let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
         if head.exposures_us.is_empty() {
@@ -219,4 +221,61 @@ pub fn capture_plan(
 fn wrapped(angle_rad: f64) -> f64 {
     let turn = std::f64::consts::TAU;
     angle_rad - (angle_rad / turn).round() * turn
+}
+
+/// Turns angles within half a turn either way by a whole turn where that takes them nearer to the others: neighbours on both
+/// sides of the half turn are then a step apart, not a turn.
+fn close_ranks(angles_rad: &mut [&mut f64]) {
+    let turn = std::f64::consts::TAU;
+    angles_rad.sort_by(|a, b| a.total_cmp(b));
+    let (Some(first), Some(last)) = (angles_rad.first(), angles_rad.last()) else {
+        return;
+    };
+    // Where no angle is for longest; across the half turn unless clearly elsewhere.
+    let (mut widest, mut after) = (**first + turn - **last + 1e-6, 0);
+    for (at, pair) in angles_rad.windows(2).enumerate() {
+        let gap = *pair[1] - *pair[0];
+        if gap > widest {
+            (widest, after) = (gap, at + 1);
+        }
+    }
+    let (below, above) = angles_rad.split_at_mut(after);
+    // Those on the side with fewer go round, so that the stage stays about its middle.
+    if below.len() < above.len() {
+        below.iter_mut().for_each(|angle| **angle += turn);
+    } else if after > 0 {
+        above.iter_mut().for_each(|angle| **angle -= turn);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn closed(mut degrees: Vec<f64>) -> Vec<f64> {
+        let mut radians: Vec<f64> = degrees.drain(..).map(f64::to_radians).collect();
+        close_ranks(&mut radians.iter_mut().collect::<Vec<_>>());
+        radians.iter().map(|a| a.to_degrees().round()).collect()
+    }
+
+    #[test]
+    fn neighbours_across_the_half_turn_are_a_step_apart() {
+        assert_eq!(
+            closed(vec![-170.0, -175.0, 179.0]),
+            [-170.0, -175.0, -181.0]
+        );
+        assert_eq!(closed(vec![-179.0, 175.0, 170.0]), [181.0, 175.0, 170.0]);
+    }
+
+    #[test]
+    fn angles_that_stand_well_stay() {
+        for well in [
+            vec![-49.0, -169.0, 71.0],
+            vec![10.0, -10.0],
+            vec![180.0],
+            vec![],
+        ] {
+            assert_eq!(closed(well.clone()), well);
+        }
+    }
 }
