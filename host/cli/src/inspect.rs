@@ -12,14 +12,22 @@ use flankscope_station::report::figure;
 use crate::instrument::{BenchArgs, Instrument, Source};
 use crate::output::{Common, Outcome, write_whole};
 
+/// The example, and what the figures are.
+static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
+    format!(
+        "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
+        checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n\
+        Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn\n\n{}",
+        flankscope_station::report::DEFINITIONS
+    )
+});
+
 /// Check the critical teeth now: position, capture, register, judge.
 ///
 /// Without options the built-in demo die is checked on the simulated bench.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
-    checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n\
-    Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
+    after_help = AFTER_HELP.as_str()
 )]
 pub struct Args {
     #[command(flatten)]
@@ -147,23 +155,23 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
     let mut out = std::io::stdout().lock();
     writeln!(
         out,
-        "\ntooth  flank   wear/um   ±U95  mean/um  worn/mm2  lost/mm3  proud/um  detects/um  warn  stop  seen  verdict"
+        "\ntooth  flank   wear/um   ±U95  mean/um  proud/um  cell/um  tip/mm  detects/um  warn  stop  seen  verdict"
     )?;
     for f in &inspection.features {
+        let detail = f.detail.as_ref();
+        let tip = detail.and_then(|d| d.tip_edge_radius_mm);
         writeln!(
             out,
-            "{:>5}  {:<6} {:>8} {:>6} {:>8} {:>9} {:>9} {:>9} {:>11} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
+            "{:>5}  {:<6} {:>8} {:>6} {:>8} {:>9} {:>8} {:>7} {:>11} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
             f.tooth,
             f.flank,
             figure(f.wear_um),
             figure(f.u95_um),
             figure(f.mean_um),
-            figure(f.detail.as_ref().map(|d| d.worn_area_mm2.value)),
-            f.detail
-                .as_ref()
-                .map_or_else(|| "–".into(), |d| format!("{:.3}", d.lost_volume_mm3.value)),
-            figure(f.detail.as_ref().map(|d| d.buildup_um.value)),
-            figure(f.detail.as_ref().map(|d| d.detection_limit_um)),
+            figure(detail.map(|d| d.proud_um.value)),
+            figure(detail.and_then(|d| d.cell_um).map(|cell| cell.value)),
+            tip.map_or_else(|| "–".into(), |tip| format!("{:.2}", tip.value)),
+            figure(detail.map(|d| d.detection_limit_um)),
             f.warn_um,
             f.limit_um,
             100.0 * f.coverage_ratio,

@@ -27,6 +27,7 @@ pub mod alpha;
 mod bvh;
 pub mod cloud;
 pub mod cylinder;
+pub mod decision;
 pub mod deviation;
 pub mod drift;
 pub mod fingerprint;

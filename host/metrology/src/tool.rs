@@ -2,17 +2,25 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::decision::{Limits, TipLimits};
 use crate::gear::{Flank, GearData, GearError};
 use crate::mesh::{self, MeshError, TriMesh, Unit};
 use crate::registration::detect_teeth;
 use crate::surface::Surface;
 use crate::verdict::{Reason, Rule, Undecided};
-use crate::wear::{Settings, Zone};
+use crate::wear::{AREA_MM2, Settings, Zone, tip_loss_mm2};
 
 /// Name of the file inside a tool folder.
 pub const FILE_NAME: &str = "tool.toml";
 /// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
 const AGREEMENT_MM: f64 = 0.1;
+/// Limits of a single cell over those of a disc, which has some twenty cells.
+const CELL_PER_DISC: f64 = 2.0;
+/// A loss so many times the warning limit is supposed wherever nothing was measured.
+const HIDDEN_DEPTH_PER_WARN: f64 = 10.0;
+/// Warning and stop limit of the tip edge's rounding in modules: a die's tip forms the workpiece's root, whose fillet ISO 53
+/// gives a radius of 0.25 modules (profile C) to 0.38 (profiles A, B).
+const TIP_PER_MODULE: [f64; 2] = [0.25, 0.38];
 /// More repetitions than this halve no uncertainty any more that fewer have not.
 const MOST_REPEATS: u32 = 10;
 
@@ -69,6 +77,37 @@ pub struct Inspect {
     pub warn_um: f64,
     /// Stop limit, micrometres.
     pub limit_um: f64,
+    /// Limits of proud material, micrometres; without them those of wear.
+    #[serde(default)]
+    pub proud_warn_um: Option<f64>,
+    /// See [`Self::proud_warn_um`].
+    #[serde(default)]
+    pub proud_limit_um: Option<f64>,
+    /// Limits of the loss of a single cell, micrometres; without them twice those of wear.
+    #[serde(default)]
+    pub cell_warn_um: Option<f64>,
+    /// See [`Self::cell_warn_um`].
+    #[serde(default)]
+    pub cell_limit_um: Option<f64>,
+    /// Limits of the radius of the tip edge's rounding, mm; without them 0.25 and 0.38 of the module.
+    #[serde(default)]
+    pub tip_warn_mm: Option<f64>,
+    /// See [`Self::tip_warn_mm`].
+    #[serde(default)]
+    pub tip_limit_mm: Option<f64>,
+    /// Area of the disc over which the largest mean loss is sought, mm2.
+    #[serde(default = "default_area")]
+    pub wear_area_mm2: f64,
+    /// Loss that is supposed wherever nothing was measured, micrometres; without it ten times `warn_um`.
+    #[serde(default)]
+    pub hidden_depth_um: Option<f64>,
+    /// Standard uncertainty of a flank's form as built against CAD, micrometres; without it the CAD is taken as true, and
+    /// verdicts against CAD say so.
+    #[serde(default)]
+    pub as_built_um: Option<f64>,
+    /// Thickest film of oil or spray that may lie on a flank, micrometres.
+    #[serde(default)]
+    pub film_um: f64,
     /// Least measured share of a zone.
     #[serde(default = "default_coverage")]
     pub least_coverage: f64,
@@ -93,14 +132,46 @@ pub struct Inspect {
 }
 
 impl Inspect {
-    /// How figures are judged.
+    /// How wear is judged.
     pub fn rule(&self) -> Rule {
         Rule {
             warn_um: self.warn_um,
             limit_um: self.limit_um,
             probability: self.probability,
             undecided: self.undecided,
+            looks: 1 + self.remeasure,
         }
+    }
+
+    /// Loss that is supposed wherever nothing was measured, micrometres.
+    pub fn hidden_depth_um(&self) -> f64 {
+        self.hidden_depth_um
+            .unwrap_or(HIDDEN_DEPTH_PER_WARN * self.warn_um)
+    }
+
+    /// Limits of the loss of a single cell, micrometres.
+    fn cell_um(&self) -> [f64; 2] {
+        [
+            self.cell_warn_um.unwrap_or(CELL_PER_DISC * self.warn_um),
+            self.cell_limit_um.unwrap_or(CELL_PER_DISC * self.limit_um),
+        ]
+    }
+
+    /// Limits of the height of proud material, micrometres.
+    fn proud_um(&self) -> [f64; 2] {
+        [
+            self.proud_warn_um.unwrap_or(self.warn_um),
+            self.proud_limit_um.unwrap_or(self.limit_um),
+        ]
+    }
+
+    /// Limits of the radius of the tip edge's rounding, mm.
+    fn tip_mm(&self, gear: &GearData) -> [f64; 2] {
+        let [warn, limit] = TIP_PER_MODULE.map(|share| share * gear.module_mm);
+        [
+            self.tip_warn_mm.unwrap_or(warn),
+            self.tip_limit_mm.unwrap_or(limit),
+        ]
     }
 }
 
@@ -148,6 +219,10 @@ impl Temperature {
             Err(Reason::TemperatureRange { degc, low, high })
         }
     }
+}
+
+fn default_area() -> f64 {
+    AREA_MM2
 }
 
 fn default_drift() -> f64 {
@@ -336,12 +411,48 @@ impl Tool {
         })
     }
 
+    /// How a flank is judged; none without anything to inspect.
+    pub fn limits(&self) -> Option<Limits> {
+        let inspect = self.inspect.as_ref()?;
+        let rule = |[warn_um, limit_um]: [f64; 2]| Rule {
+            warn_um,
+            limit_um,
+            ..inspect.rule()
+        };
+        let tip = self.gear.as_ref().and_then(|gear| {
+            let radius_mm = inspect.tip_mm(gear);
+            let [Some(warn), Some(limit)] = radius_mm.map(|radius| tip_loss_mm2(gear, radius))
+            else {
+                return None;
+            };
+            Some(TipLimits {
+                radius_mm,
+                area_mm2: [warn, limit],
+            })
+        });
+        Some(Limits {
+            wear: inspect.rule(),
+            proud: rule(inspect.proud_um()),
+            cell: rule(inspect.cell_um()),
+            tip,
+            least_coverage: inspect.least_coverage,
+            area_mm2: inspect.wear_area_mm2,
+            hidden_depth_um: inspect.hidden_depth_um(),
+        })
+    }
+
     /// How wear is computed for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which counts as
     /// the standard uncertainty of the CAD surface.
     pub fn wear_settings(&self) -> Settings {
         let stated_um = self.inspect.as_ref().and_then(|i| i.calibration_um);
         let defaults = Settings::default();
+        let inspect = self.inspect.as_ref();
         Settings {
+            area_mm2: inspect.map_or(defaults.area_mm2, |i| i.wear_area_mm2),
+            hidden_depth_mm: inspect
+                .map_or(defaults.hidden_depth_mm, |i| 1e-3 * i.hidden_depth_um()),
+            as_built_mm: 1e-3 * inspect.and_then(|i| i.as_built_um).unwrap_or(0.0),
+            film_mm: 1e-3 * inspect.map_or(0.0, |i| i.film_um),
             calibration_mm: stated_um.map_or(defaults.calibration_mm, |um| 1e-3 * um),
             drift_mm: 1e-3
                 * self
@@ -349,7 +460,6 @@ impl Tool {
                     .as_ref()
                     .map_or_else(default_drift, |i| i.drift_um),
             cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
-            ..defaults
         }
     }
 }
@@ -474,6 +584,35 @@ impl File {
         }
         if !(0.0..=1.0).contains(&inspect.least_coverage) {
             return refuse("inspect.least_coverage", inspect.least_coverage, "0 to 1");
+        }
+        // A disc below a hundredth of a square millimetre holds only a few cores.
+        if !(0.01..=100.0).contains(&inspect.wear_area_mm2) {
+            let area = inspect.wear_area_mm2;
+            return refuse("inspect.wear_area_mm2", area, "0.01 to 100");
+        }
+        if !(0.0..=1000.0).contains(&inspect.film_um) {
+            return refuse("inspect.film_um", inspect.film_um, "0 to 1000");
+        }
+        for (key, value, most) in [
+            ("inspect.as_built_um", inspect.as_built_um, 1000.0),
+            ("inspect.hidden_depth_um", inspect.hidden_depth_um, 1e5),
+        ] {
+            if let Some(value) = value.filter(|value| !(0.0..=most).contains(value)) {
+                return refuse(key, value, &format!("0 to {most}"));
+            }
+        }
+        let mut pairs = vec![
+            ("inspect.proud_warn_um", inspect.proud_um()),
+            ("inspect.cell_warn_um", inspect.cell_um()),
+        ];
+        if let Some(gear) = &self.gear {
+            pairs.push(("inspect.tip_warn_mm", inspect.tip_mm(gear)));
+        }
+        for (key, [warn, limit]) in pairs {
+            if !(warn > 0.0 && warn <= limit && limit <= 1e4) {
+                let expected = format!("above 0, at most its stop limit, {limit}");
+                return refuse(key, warn, &expected);
+            }
         }
         if let Some(um) = inspect.calibration_um
             && !(0.0..=1000.0).contains(&um)

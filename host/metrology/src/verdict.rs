@@ -28,6 +28,8 @@ pub struct Rule {
     pub probability: f64,
     /// What an undecidable figure ends in.
     pub undecided: Undecided,
+    /// How often the figure may be measured until it is decided, at least once: every look has its own noise, and may err.
+    pub looks: u32,
 }
 
 impl Rule {
@@ -38,7 +40,18 @@ impl Rule {
             limit_um,
             probability: PROBABILITY,
             undecided: Undecided::Indeterminate,
+            looks: 1,
         }
+    }
+
+    /// How far a figure must keep from a limit, µm: `noise_um` is the standard uncertainty that another look would draw
+    /// anew, `systematic_um` that of all that it would not.
+    ///
+    /// Measuring again until a figure is decided is optional stopping: over all looks the error stays at what is allowed when
+    /// each look's noise gets its share of it (Bonferroni).
+    pub fn guard_um(&self, noise_um: f64, systematic_um: f64) -> f64 {
+        let share = (1.0 - self.probability) / f64::from(self.looks.max(1));
+        (guard_factor(1.0 - share) * noise_um).hypot(guard_factor(self.probability) * systematic_um)
     }
 }
 
@@ -47,8 +60,9 @@ pub fn probability_below(limit: f64, value: f64, u: f64) -> f64 {
     0.5 * libm::erfc((value - limit) / (u * std::f64::consts::SQRT_2))
 }
 
-/// How many standard uncertainties a figure must keep from a limit for a probability of at least one half.
-fn guard_factor(probability: f64) -> f64 {
+/// How many standard uncertainties a figure must keep from a limit for a probability of at least one half: the normal
+/// distribution's quantile.
+pub fn guard_factor(probability: f64) -> f64 {
     let (mut low, mut high) = (0.0, 10.0);
     // 50 halvings of 10 end below 1e-14.
     for _ in 0..50 {
@@ -106,13 +120,15 @@ pub enum Reason {
     },
     /// The figure is too near to the limit for its uncertainty.
     #[error(
-        "wear {wear_um:.1} um with standard uncertainty {u_um:.1} um is too near to the limit {limit_um} um to decide"
+        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side"
     )]
     Undecidable {
-        /// Wear.
-        wear_um: f64,
-        /// Standard uncertainty.
-        u_um: f64,
+        /// Which figure.
+        what: &'static str,
+        /// Its value.
+        value_um: f64,
+        /// How far it must keep from a limit.
+        guard_um: f64,
         /// Stop limit.
         limit_um: f64,
     },
@@ -124,15 +140,62 @@ pub enum Reason {
         /// Least share.
         least: f64,
     },
+    /// Nothing fits the zone over which the largest mean loss could be sought, or nothing was measured.
+    #[error(
+        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed"
+    )]
+    NoDisc {
+        /// Area of the disc.
+        area_mm2: f64,
+    },
+    /// An unmeasured patch may hide more than the limit.
+    #[error(
+        "an unmeasured patch may hide up to {hidden_um:.1} um of mean loss (if {supposed_um:.0} um are lost there), {limit_um} um are the limit; clean the flank, or look from another height"
+    )]
+    Hidden {
+        /// The largest mean loss that a disc may have.
+        hidden_um: f64,
+        /// What is supposed to be lost wherever nothing was measured.
+        supposed_um: f64,
+        /// The limit that it may exceed.
+        limit_um: f64,
+    },
+    /// Damage at the warning limit would not be seen.
+    #[error(
+        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}"
+    )]
+    Detection {
+        /// Least wear that is told from none.
+        detects_um: f64,
+        /// Warning limit.
+        warn_um: f64,
+        /// Where most of the uncertainty comes from.
+        largest: &'static str,
+    },
+    /// The estimate is not what was read.
+    #[error(
+        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)"
+    )]
+    Disagreement {
+        /// Estimate.
+        wear_um: f64,
+        /// As read.
+        raw_um: f64,
+        /// Allowed difference.
+        guard_um: f64,
+    },
+    /// The tip edge was not seen.
+    #[error("the tip edge was not seen whole, so that its rounding cannot be told")]
+    TipUnseen,
     /// The pose hides too much of the wear.
     #[error(
-        "the pose hides {:.0} % of the wear, at most {:.0} % can be corrected; fit to other surfaces (inspect.datum) or bring in a better stage",
+        "the pose hides {:.0} % of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
         100.0 * leakage, 100.0 * limit
     )]
     Leakage {
         /// Worst leakage of the flank.
         leakage: f64,
-        /// Largest that can be corrected.
+        /// Largest that leaves enough to see.
         limit: f64,
     },
     /// The tool's temperature is needed and not known.
@@ -170,6 +233,11 @@ impl Reason {
             Self::Limits { .. } => "limits",
             Self::Undecidable { .. } => "undecidable",
             Self::Coverage { .. } => "coverage",
+            Self::NoDisc { .. } => "no_disc",
+            Self::Hidden { .. } => "hidden",
+            Self::Detection { .. } => "detection_limit",
+            Self::Disagreement { .. } => "disagreement",
+            Self::TipUnseen => "tip_unseen",
             Self::Leakage { .. } => "leakage",
             Self::TemperatureMissing => "temperature_missing",
             Self::TemperatureRange { .. } => "temperature_range",
@@ -213,18 +281,31 @@ impl std::fmt::Display for Verdict {
     }
 }
 
-/// Decides one feature: `wear_um` with standard uncertainty `u_um` against a warning and a stop limit.
-pub fn decide(wear_um: f64, u_um: f64, rule: &Rule) -> Verdict {
+/// Decides one figure, `value_um` with standard uncertainty `u_um`, against a warning and a stop limit.
+pub fn decide(value_um: f64, u_um: f64, rule: &Rule) -> Verdict {
+    decide_parts("wear", value_um, [0.0, u_um], rule)
+}
+
+/// Decides the figure `what`, whose standard uncertainty is in two parts: the noise that another look would draw anew, and all
+/// that it would not.
+pub fn decide_parts(
+    what: &'static str,
+    value_um: f64,
+    [noise_um, systematic_um]: [f64; 2],
+    rule: &Rule,
+) -> Verdict {
     let Rule {
         warn_um,
         limit_um,
         probability,
         undecided,
+        ..
     } = *rule;
     let indeterminate = |reason| Verdict::Indeterminate { reason };
     for (what, value) in [
-        ("wear", wear_um),
-        ("uncertainty", u_um),
+        (what, value_um),
+        ("uncertainty by noise", noise_um),
+        ("uncertainty", systematic_um),
         ("warning limit", warn_um),
         ("stop limit", limit_um),
     ] {
@@ -242,17 +323,18 @@ pub fn decide(wear_um: f64, u_um: f64, rule: &Rule) -> Verdict {
             value: probability,
         });
     }
-    let guard_um = guard_factor(probability) * u_um.abs();
-    if wear_um + guard_um <= warn_um {
+    let guard_um = rule.guard_um(noise_um.abs(), systematic_um.abs());
+    if value_um + guard_um <= warn_um {
         Verdict::Go
-    } else if wear_um + guard_um <= limit_um {
+    } else if value_um + guard_um <= limit_um {
         Verdict::Warn
-    } else if wear_um - guard_um > limit_um || undecided == Undecided::NoGo {
+    } else if value_um - guard_um > limit_um || undecided == Undecided::NoGo {
         Verdict::NoGo
     } else {
         indeterminate(Reason::Undecidable {
-            wear_um,
-            u_um,
+            what,
+            value_um,
+            guard_um,
             limit_um,
         })
     }
@@ -266,18 +348,18 @@ pub fn repeating_could_decide([wear_um, noise_um, systematic_um]: [f64; 3], rule
         undecided: Undecided::Indeterminate,
         ..*rule
     };
-    let undecided = |wear_um, u_um| {
+    let undecided = |wear_um, noise_um| {
         matches!(
-            decide(wear_um, u_um, &rule),
+            decide_parts("wear", wear_um, [noise_um, systematic_um], &rule),
             Verdict::Indeterminate {
                 reason: Reason::Undecidable { .. }
             }
         )
     };
-    undecided(wear_um, noise_um.hypot(systematic_um))
+    undecided(wear_um, noise_um)
         && [-2.0, -1.0, 0.0, 1.0, 2.0]
             .iter()
-            .any(|k| !undecided(wear_um + k * noise_um, systematic_um))
+            .any(|k| !undecided(wear_um + k * noise_um, 0.0))
 }
 
 /// The tool's verdict from its features': one no-go is enough; then one indeterminate; then one warning. Without features

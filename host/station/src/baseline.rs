@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::gear::Flank;
-use flankscope_metrology::wear::Field;
+use flankscope_metrology::wear::{Field, PoseEvidence};
 use serde::{Deserialize, Serialize};
 
 use crate::files;
@@ -24,6 +24,8 @@ pub struct Baseline {
     pub hashes: BTreeMap<String, String>,
     /// The flanks.
     pub flanks: Vec<Reference>,
+    /// What each view said of its own pose about the axis, with the neighbours in it.
+    pub poses: Vec<PoseEvidence>,
 }
 
 /// One flank's deviation from CAD, cell by cell.
@@ -118,6 +120,7 @@ impl Baseline {
             tool: inspection.tool.clone(),
             hashes: inspection.hashes.iter().map(hash).collect(),
             flanks: inspection.fields.clone(),
+            poses: inspection.poses.clone(),
         })
     }
 
@@ -195,6 +198,12 @@ impl Baseline {
             path: path.to_owned(),
             source,
         })
+    }
+
+    /// What the view of a tooth said of its own pose.
+    #[must_use]
+    pub fn pose(&self, tooth: u32) -> Option<&PoseEvidence> {
+        self.poses.iter().find(|pose| pose.tooth == tooth)
     }
 
     /// A flank's cells.

@@ -6,7 +6,7 @@
 //! much.
 
 use super::Figure;
-use crate::gear::{FlankPlace, GearData, Kind};
+use crate::gear::{Flank, FlankPlace, GearData, Kind};
 
 /// Width of the band along the profile from the tip edge in which rounding is looked for, mm.
 const BAND_MM: f64 = 0.5;
@@ -14,6 +14,35 @@ const BAND_MM: f64 = 0.5;
 const BIN_MM: f64 = 0.05;
 /// A bin with fewer points is not measured.
 const LEAST_POINTS: usize = 10;
+
+/// A point in the material near a flank, and its distance from the involute, mm.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct UnderEdge {
+    pub tooth: u32,
+    pub flank: Flank,
+    pub radius_mm: f64,
+    pub height_mm: f64,
+    pub deviation_mm: f64,
+}
+
+impl UnderEdge {
+    /// Where a point lies; none unless it lies under the flank that it is nearer to, by no more than the band is wide.
+    pub fn of(gear: &GearData, point: [f64; 3]) -> Option<Self> {
+        let tooth = gear.tooth_at(point[1].atan2(point[0]));
+        let deviation = |flank| gear.involute_deviation_mm(tooth, flank, point);
+        let (flank, deviation_mm) = Flank::BOTH
+            .into_iter()
+            .filter_map(|flank| Some((flank, deviation(flank)?)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))?;
+        (-BAND_MM..0.0).contains(&deviation_mm).then(|| Self {
+            tooth,
+            flank,
+            radius_mm: point[0].hypot(point[1]),
+            height_mm: point[2],
+            deviation_mm,
+        })
+    }
+}
 
 /// Collects the band along one flank's tip edge.
 #[derive(Debug, Clone)]
@@ -46,28 +75,81 @@ impl TipBand {
         }
     }
 
-    /// Radius of the rounding, mm, beyond the loss of `level_mm` that the rest of the flank shows; none when the band was
-    /// not seen whole. `local_mm` is the standard uncertainty of deviations that differ between edge and flank.
-    pub fn radius_mm(&self, gear: &GearData, level_mm: f64, local_mm: f64) -> Option<Figure> {
-        if self.bins.iter().any(|bin| bin.0 < LEAST_POINTS) {
+    /// Takes a point whose nearest surface is no flank, if it lies in the material under the band: where the edge is worn away,
+    /// the tip land is nearer than the flank was. Its loss is its distance from the involute.
+    pub fn add_under(&mut self, gear: &GearData, at: &UnderEdge) {
+        let wear_mm = -at.deviation_mm;
+        let place = FlankPlace {
+            tooth: at.tooth,
+            flank: at.flank,
+            radius_mm: at.radius_mm,
+            // Normals of an involute are tangents of the base circle: along one, the tangent's length changes as the depth.
+            profile_mm: {
+                let base = gear.base_radius_mm();
+                let tangent = (at.radius_mm * at.radius_mm - base * base).max(0.0).sqrt();
+                (tangent - self.inwards * wear_mm).powi(2) / (2.0 * base)
+            },
+            height_mm: at.height_mm,
+        };
+        self.add(&place, wear_mm);
+    }
+
+    /// What the edge has lost beyond the `level_mm` that the rest of the flank shows; none when less than half of the band
+    /// was seen. `local_mm` is the standard uncertainty of deviations that differ between edge and flank.
+    ///
+    /// Where the edge is worn away no point of it is left to see: such bins count with what the first one seen behind them
+    /// has lost, which is the least that they can have lost.
+    pub fn loss(&self, gear: &GearData, level_mm: f64, local_mm: f64) -> Option<TipLoss> {
+        let first = self.bins.iter().position(|bin| bin.0 >= LEAST_POINTS)?;
+        let seen = &self.bins[first..];
+        if 2 * first > self.bins.len() || seen.iter().any(|bin| bin.0 < LEAST_POINTS) {
             return None;
         }
         let (mut area, mut variance) = (0.0, 0.0);
-        for &(n, sum, sum2) in &self.bins {
+        for (i, &(n, sum, sum2)) in seen.iter().enumerate() {
             let n = n as f64;
-            area += BIN_MM * (sum / n - level_mm);
-            variance += BIN_MM * BIN_MM * (sum2 - sum * sum / n).max(0.0) / (n - 1.0) / n;
+            let width = BIN_MM * if i == 0 { 1.0 + first as f64 } else { 1.0 };
+            area += width * (sum / n - level_mm);
+            variance += width * width * (sum2 - sum * sum / n).max(0.0) / (n - 1.0) / n;
         }
-        let per_r2 = lost_per_r2(edge_angle_rad(gear)?);
         let u_area = (variance + (BAND_MM * local_mm).powi(2)).sqrt();
-        let value = (area.max(0.0) / per_r2).sqrt();
-        // The root is steep near zero: the half width from the upper end of the area is right at 0 and for large radii.
-        let upper = ((area.max(0.0) + u_area) / per_r2).sqrt();
-        Some(Figure {
-            value,
-            u: upper - value,
+        let radius = |area: f64| radius_of_loss_mm(gear, area);
+        let value = radius(area.max(0.0))?;
+        Some(TipLoss {
+            area_mm2: Figure {
+                value: area,
+                u: u_area,
+            },
+            radius_mm: Figure {
+                value,
+                // The root is steep near zero: the half width from the upper end of the area is right at 0 and for large
+                // radii.
+                u: radius(area.max(0.0) + u_area)? - value,
+            },
+            whole: first == 0,
         })
     }
+}
+
+/// What a tip edge has lost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TipLoss {
+    /// Cross-section lost under the flank, mm2: what is judged, since noise acts on it evenly.
+    pub area_mm2: Figure,
+    /// Radius of the tangent rounding that has lost as much, mm.
+    pub radius_mm: Figure,
+    /// Whether the edge was seen up to its very end.
+    pub whole: bool,
+}
+
+/// Cross-section under the flank that a tangent rounding of the tip edge takes away, mm2; none where the gear data give no
+/// edge.
+pub fn tip_loss_mm2(gear: &GearData, radius_mm: f64) -> Option<f64> {
+    Some(lost_per_r2(edge_angle_rad(gear)?) * radius_mm * radius_mm)
+}
+
+fn radius_of_loss_mm(gear: &GearData, area_mm2: f64) -> Option<f64> {
+    Some((area_mm2 / lost_per_r2(edge_angle_rad(gear)?)).sqrt())
 }
 
 /// Cross-section that a tangent rounding takes away under the flank, per squared radius.
@@ -92,7 +174,7 @@ fn edge_angle_rad(gear: &GearData) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gear::{Flank, tests::ring84};
+    use crate::gear::tests::ring84;
 
     #[test]
     fn a_rounded_edge_has_its_radius() {
@@ -119,7 +201,7 @@ mod tests {
                 };
                 band.add(&place, lost + 0.01);
             }
-            let found = band.radius_mm(&gear, 0.01, 0.0).unwrap().value;
+            let found = band.loss(&gear, 0.01, 0.0).unwrap().radius_mm.value;
             assert!((found - radius).abs() < 0.01 * radius, "{radius}: {found}");
         }
     }

@@ -1,4 +1,4 @@
-//! Wear over one flank's zone, cell by cell.
+//! A flank's zone cell by cell: what a baseline keeps, what is drawn, and where nothing was measured.
 
 use serde::{Deserialize, Serialize};
 
@@ -19,27 +19,19 @@ pub struct Field {
     pub variance_mm2: Vec<f64>,
 }
 
-/// What is not wear in the cells of a field.
-pub(super) struct Noise {
-    /// Standard deviation of a cell, in the mean over all, mm.
-    pub mean_mm: f64,
-    /// Variance of every cell, mm2.
-    pub variances_mm2: Vec<f64>,
-    /// Wear that is even along the height: of every cell the median of its column, mm.
-    pub even_mm: Vec<f64>,
+/// One point in a zone: its place from the zone's corner (along the profile, up the height), its wear, and the variance of
+/// that by noise (NaN where it is not stated).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sample {
+    pub at_mm: [f64; 2],
+    pub wear_mm: f64,
+    pub variance_mm2: f64,
 }
-
-/// Cells to either side along profile and height whose scatter tells a cell's noise.
-const NEAR: [usize; 2] = [2, 6];
-/// Fewer tell nothing.
-const LEAST_NEAR: usize = 8;
-/// Noise below this share of what is stated is a chance of few cells.
-const LEAST_SCALE: f64 = 0.3;
 
 /// Two fields that cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "the reference has {}x{} cells of {:.4} x {:.4} mm, this zone {}x{} of {:.4} x {:.4} mm; record the baseline again with the same zone",
+    "the reference has {}x{} cells of {:.4} x {:.4} mm, this zone {}x{} of {:.4} x {:.4} mm; record the baseline again with the same zone and wear area",
     theirs.0, theirs.1, theirs.2[0], theirs.2[1], ours.0, ours.1, ours.2[0], ours.2[1]
 )]
 pub struct Mismatch {
@@ -47,7 +39,42 @@ pub struct Mismatch {
     theirs: (usize, usize, [f64; 2]),
 }
 
+/// Fewer second differences tell nothing about noise.
+const LEAST_DIFFERENCES: usize = 8;
+/// Standard deviation of a normal variable over the median of its size.
+const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
+
 impl Field {
+    /// A field of which nothing is known: as many cells as fit, none smaller than `cell_mm`.
+    pub(super) fn unmeasured(size_mm: [f64; 2], cell_mm: f64) -> Self {
+        let [columns, rows] =
+            size_mm.map(|length_mm| ((length_mm / cell_mm).floor() as usize).clamp(1, 10_000));
+        Self {
+            columns,
+            rows,
+            cell_mm: [size_mm[0] / columns as f64, size_mm[1] / rows as f64],
+            wear_mm: vec![f64::NAN; columns * rows],
+            variance_mm2: vec![f64::NAN; columns * rows],
+        }
+    }
+
+    /// Number of the cell around a place; none outside the zone.
+    pub(super) fn cell_at(&self, at_mm: [f64; 2]) -> Option<usize> {
+        let [column, row] = [0, 1].map(|k| at_mm[k] / self.cell_mm[k]);
+        (column >= 0.0 && row >= 0.0)
+            .then_some([column as usize, row as usize])
+            .filter(|&[column, row]| column < self.columns && row < self.rows)
+            .map(|[column, row]| row * self.columns + column)
+    }
+
+    /// Size of the zone along profile and height, mm.
+    pub(super) fn size_mm(&self) -> [f64; 2] {
+        [
+            self.columns as f64 * self.cell_mm[0],
+            self.rows as f64 * self.cell_mm[1],
+        ]
+    }
+
     /// Area of a cell, mm2.
     pub fn cell_area_mm2(&self) -> f64 {
         self.cell_mm[0] * self.cell_mm[1]
@@ -63,110 +90,50 @@ impl Field {
         self.measured().count() as f64 / self.wear_mm.len().max(1) as f64
     }
 
-    /// What was lost since `reference`: cells that either lacks are not measured.
-    ///
+    /// Area of the measured cells that lost more than `depth_mm`, mm2.
+    pub fn area_beyond_mm2(&self, depth_mm: f64) -> f64 {
+        self.cell_area_mm2() * self.wear_mm.iter().filter(|&&w| w > depth_mm).count() as f64
+    }
+
     /// # Errors
     /// The grids differ.
-    pub fn since(&self, reference: &Self) -> Result<Self, Mismatch> {
+    pub(super) fn same_grid(&self, other: &Self) -> Result<(), Mismatch> {
         let shape = |f: &Self| (f.columns, f.rows, f.cell_mm);
-        let near = (0..2).all(|k| (self.cell_mm[k] - reference.cell_mm[k]).abs() < 1e-9);
-        if !near || (self.columns, self.rows) != (reference.columns, reference.rows) {
-            return Err(Mismatch {
+        let near = (0..2).all(|k| (self.cell_mm[k] - other.cell_mm[k]).abs() < 1e-9);
+        let full = other.wear_mm.len() == other.columns.saturating_mul(other.rows)
+            && other.variance_mm2.len() == other.wear_mm.len();
+        if near && full && (self.columns, self.rows) == (other.columns, other.rows) {
+            Ok(())
+        } else {
+            Err(Mismatch {
                 ours: shape(self),
-                theirs: shape(reference),
-            });
+                theirs: shape(other),
+            })
         }
-        let pairs = |a: &[f64], b: &[f64], f: fn(f64, f64) -> f64| {
-            a.iter().zip(b).map(|(&a, &b)| f(a, b)).collect()
-        };
-        Ok(Self {
-            wear_mm: pairs(&self.wear_mm, &reference.wear_mm, |a, b| a - b),
-            variance_mm2: pairs(&self.variance_mm2, &reference.variance_mm2, |a, b| a + b),
-            ..*self
-        })
     }
 
-    /// The mean of several captures of one zone, cell by cell, of those that measured the cell; none without a capture, or
-    /// when their grids differ.
-    pub fn mean(captures: &[&Self]) -> Option<Self> {
-        let (first, others) = captures.split_first()?;
-        let shape = |f: &Self| (f.columns, f.rows, f.wear_mm.len());
-        if others.iter().any(|other| shape(other) != shape(first)) {
-            return None;
-        }
-        let mut mean = (*first).clone();
-        for cell in 0..mean.wear_mm.len() {
-            let seen: Vec<&&Self> = captures
-                .iter()
-                .filter(|field| field.wear_mm[cell].is_finite())
-                .collect();
-            let count = seen.len() as f64;
-            let sum = |of: fn(&Self) -> &[f64]| seen.iter().map(|f| of(f)[cell]).sum::<f64>();
-            // Without any, both stay what they are in the first: not measured.
-            if count > 0.0 {
-                mean.wear_mm[cell] = sum(|f| &f.wear_mm) / count;
-                mean.variance_mm2[cell] = sum(|f| &f.variance_mm2) / (count * count);
+    /// How many times larger than stated the cells' noise is, from second differences of cells that follow each other along
+    /// the height: a slope of any steepness leaves none, an edge only where it runs, and the median passes over those. At
+    /// least 1: what is stated is photon noise, which nothing takes away.
+    pub(super) fn noise_scale(&self) -> f64 {
+        let mut sizes: Vec<f64> = Vec::new();
+        for i in self.columns..self.wear_mm.len().saturating_sub(self.columns) {
+            let [a, b, c] = [i - self.columns, i, i + self.columns];
+            let difference = self.wear_mm[a] - 2.0 * self.wear_mm[b] + self.wear_mm[c];
+            let variance = self.variance_mm2[a] + 4.0 * self.variance_mm2[b] + self.variance_mm2[c];
+            let size = difference.abs() / variance.sqrt();
+            if size.is_finite() {
+                sizes.push(size);
             }
         }
-        Some(mean)
-    }
-
-    /// The cells' noise as they themselves show it: as stated, but larger or smaller where the cells around scatter by more
-    /// or less than that about the median of their columns. Cores and fringes beat against each other in places; there a
-    /// whole region is off by more than its points say, and elsewhere such errors cancel within a cell. Flanks wear evenly
-    /// along the height but for a few cells, which medians pass over.
-    pub(super) fn noise(&self) -> Noise {
-        let medians: Vec<f64> = (0..self.columns)
-            .map(|column| median(self.column(column)))
-            .collect();
-        let even_mm: Vec<f64> = (0..self.wear_mm.len())
-            .map(|i| medians[i % self.columns])
-            .collect();
-        let off = |i: usize| (self.wear_mm[i] - even_mm[i]).abs() / self.variance_mm2[i].sqrt();
-        let off: Vec<f64> = (0..self.wear_mm.len()).map(off).collect();
-        let variances_mm2: Vec<f64> = (0..self.wear_mm.len())
-            .map(|i| self.variance_mm2[i] * self.scale(&off, i).powi(2))
-            .collect();
-        let (mut sum, mut count) = (0.0, 0.0_f64);
-        for i in self.measured() {
-            (sum, count) = (sum + variances_mm2[i], count + 1.0);
-        }
-        Noise {
-            mean_mm: (sum / count.max(1.0)).sqrt(),
-            variances_mm2,
-            even_mm,
-        }
-    }
-
-    /// The measured wear of a column, mm.
-    fn column(&self, column: usize) -> impl Iterator<Item = f64> {
-        self.wear_mm
-            .iter()
-            .skip(column)
-            .step_by(self.columns)
-            .copied()
-    }
-
-    /// How much larger than stated a cell's standard deviation is, from the distances `off` of the cells around it, in stated
-    /// ones.
-    fn scale(&self, off: &[f64], cell: usize) -> f64 {
-        let (column, row) = (cell % self.columns, cell / self.columns);
-        let rows = row.saturating_sub(NEAR[1])..(row + NEAR[1] + 1).min(self.rows);
-        let columns = column.saturating_sub(NEAR[0])..(column + NEAR[0] + 1).min(self.columns);
-        let near: Vec<f64> = rows
-            .flat_map(|row| columns.clone().map(move |c| row * self.columns + c))
-            .map(|i| off[i])
-            .filter(|off| off.is_finite())
-            .collect();
-        if near.len() < LEAST_NEAR {
+        if sizes.len() < LEAST_DIFFERENCES {
             return 1.0;
         }
-        // Median of |x| to standard deviation.
-        (1.4826 * median(near)).max(LEAST_SCALE)
+        (SIGMA_PER_MEDIAN * median(sizes)).max(1.0)
     }
 
     /// The cells that share a side with a cell.
-    pub(super) fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
         let (column, row) = (cell % self.columns, cell / self.columns);
         let around = [
             (column > 0).then(|| cell - 1),
@@ -207,7 +174,7 @@ impl Field {
 }
 
 /// The median of the finite values, of an even number the upper of the two in the middle; NaN without any.
-fn median(values: impl IntoIterator<Item = f64>) -> f64 {
+pub(super) fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
     if values.is_empty() {
         return f64::NAN;
@@ -235,35 +202,50 @@ mod nan_as_null {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::normal;
 
-    fn field(wear_mm: [f64; 3], variance_mm2: [f64; 3]) -> Field {
-        Field {
-            columns: 3,
-            rows: 1,
-            cell_mm: [0.25, 0.25],
-            wear_mm: wear_mm.into(),
-            variance_mm2: variance_mm2.into(),
+    /// Cells with noise of one millionth on a shape.
+    fn field(shape: impl Fn(f64, f64) -> f64) -> Field {
+        let mut field = Field::unmeasured([1.6, 8.0], 0.1);
+        for i in 0..field.wear_mm.len() {
+            let (x, y) = ((i % field.columns) as f64, (i / field.columns) as f64);
+            field.wear_mm[i] = shape(x, y) + 1e-6 * normal(7, i as u64);
+            field.variance_mm2[i] = 1e-12;
         }
+        field
     }
 
     #[test]
-    fn captures_average_where_they_measured() {
-        let gap = f64::NAN;
-        let captures = [
-            field([1.0, gap, gap], [0.4, gap, gap]),
-            field([2.0, 5.0, gap], [0.8, 0.3, gap]),
-        ];
-        let mean = Field::mean(&[&captures[0], &captures[1]]).unwrap();
-        assert_eq!(mean.wear_mm[..2], [1.5, 5.0]);
-        assert!((mean.variance_mm2[0] - 1.2 / 4.0).abs() < 1e-15);
-        assert_eq!(mean.variance_mm2[1], 0.3);
-        assert!(mean.wear_mm[2].is_nan() && mean.variance_mm2[2].is_nan());
-        let other = Field {
-            columns: 1,
-            rows: 3,
-            ..captures[0].clone()
-        };
-        assert!(Field::mean(&[&captures[0], &other]).is_none());
-        assert!(Field::mean(&[]).is_none());
+    fn structure_is_no_noise() {
+        // 1 280 second differences tell a standard deviation to about 3 %; the floor is what is stated.
+        let scale = |shape: fn(f64, f64) -> f64| field(shape).noise_scale();
+        assert!(scale(|_, _| 0.05) < 1.1);
+        assert!(scale(|x, y| 0.01 * x - 0.03 * y) < 1.1);
+        assert!(scale(|_, y| if y > 40.0 { 0.2 } else { 0.0 }) < 1.2);
+        assert!(
+            scale(|x, y| if (x - 8.0).hypot(y - 40.0) < 9.0 {
+                0.2
+            } else {
+                0.0
+            }) < 1.3
+        );
+        // What really scatters from cell to cell is noise.
+        let mut rough = field(|_, _| 0.0);
+        for (i, w) in rough.wear_mm.iter_mut().enumerate() {
+            *w = 4e-6 * normal(3, i as u64);
+        }
+        let found = rough.noise_scale();
+        assert!((found - 4.0).abs() < 0.5, "{found}");
+    }
+
+    #[test]
+    fn cells_cover_the_zone_and_nothing_else() {
+        let field = Field::unmeasured([1.0, 0.5], 0.1);
+        assert_eq!((field.columns, field.rows), (10, 5));
+        assert_eq!(field.cell_at([0.0, 0.0]), Some(0));
+        assert_eq!(field.cell_at([0.999, 0.499]), Some(49));
+        for outside in [[-1e-9, 0.1], [1.001, 0.1], [0.1, 0.51], [f64::NAN, 0.1]] {
+            assert_eq!(field.cell_at(outside), None, "{outside:?}");
+        }
     }
 }

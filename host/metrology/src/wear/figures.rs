@@ -1,17 +1,19 @@
-//! What is said of one flank: depth, mean, area, volumes.
-//!
-//! A percentile of noisy cells lies above the truth even on a perfect flank, so it is taken of the cells as they most likely
-//! are ([`super::likely`]).
+//! What is said of one flank's zone: the judged depth, and what stands beside it.
 
 use serde::Serialize;
 
-use super::field::Field;
-use super::likely::likely;
+use super::Settings;
+use super::disc::Discs;
+use super::field::{Field, Sample, median};
 
-/// A cell counts as worn, and a structure as such, beyond this many standard uncertainties: 5 % errors of both kinds.
+/// A figure counts as told from none beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
-/// Single cells are no structure: one of 200 passes 3.3 standard deviations by chance in every seventh zone.
-pub(super) const LEAST_CLUSTER: usize = 2;
+/// Of a thousand cells one half passes 3.3 standard deviations by chance: single ones are no worn area.
+const LEAST_CLUSTER: usize = 2;
+/// Points of which the median still holds when one of them is wrong.
+const LEAST_IN_CELL: usize = 3;
+/// Standard deviation of a median over that of the mean, for normal noise.
+const MEDIAN_OVER_MEAN: f64 = 1.253_314_137_315_500_3;
 
 /// A figure with its standard uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -30,104 +32,103 @@ impl Figure {
     };
 }
 
-/// Wear figures of one zone.
+/// Wear figures of one zone; every `u` from noise alone.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Figures {
-    /// High percentile of the loss, bias-corrected, mm; its `u` from noise alone.
+    /// Largest mean loss over any disc of the stated area in the zone, mm: the bias of a maximum by noise is taken off.
     pub depth_mm: Figure,
+    /// The same as read, mm.
+    pub raw_mm: f64,
+    /// Where that disc lies, from the zone's corner along profile and height, mm.
+    pub at_mm: [f64; 2],
+    /// Largest mean height of proud material over any disc of that area, mm; negative where the whole zone has lost.
+    pub proud_mm: Figure,
+    /// Loss of the cell that lost most, by the median of its points, mm.
+    pub cell_mm: Figure,
     /// Mean loss, mm.
     pub mean_mm: Figure,
     /// Area of connected cells beyond the threshold of detection, mm2.
     pub worn_area_mm2: Figure,
     /// Volume lost there, mm3.
     pub lost_volume_mm3: Figure,
-    /// Height of material that stands proud, by the low percentile, mm; 0 when nothing does. Its `u` from noise alone.
-    pub buildup_mm: Figure,
     /// Volume of material that stands proud beyond the threshold of detection, mm3.
-    pub buildup_volume_mm3: Figure,
-    /// Least depth that is told from none with 5 % errors of both kinds, mm.
-    pub detection_limit_mm: f64,
+    pub proud_volume_mm3: Figure,
+    /// The largest mean loss that any disc can have when whatever was not measured of it lost as much as the settings
+    /// suppose, mm; none when every disc was measured whole.
+    pub hidden_mm: Option<f64>,
 }
 
-/// Evaluates a field whose cells share errors of `systematic_mm`.
-pub fn evaluate(field: &Field, percent: f64, systematic_mm: f64) -> Option<Figures> {
+/// Evaluates the points of a zone; `field` holds their cells. None when nothing was measured or no disc fits.
+pub(super) fn evaluate(
+    field: &Field,
+    samples: &[Sample],
+    settings: &Settings,
+    systematic_mm: f64,
+) -> Option<Figures> {
     let measured: Vec<usize> = field.measured().collect();
     if measured.is_empty() {
         return None;
     }
-    let n = measured.len() as f64;
-    let cells_noise = field.noise();
-    let noise = cells_noise.mean_mm;
-    let mean = measured.iter().map(|&i| field.wear_mm[i]).sum::<f64>() / n;
+    let scale = field.noise_scale();
+    let discs = Discs::new(field, samples, settings.area_mm2);
+    let loss = discs.largest(1.0, scale)?;
+    let proud = discs.largest(-1.0, scale)?;
 
-    let likely = likely(field, &cells_noise);
-    let value = |i: usize| likely[i].value;
-    let mut order = measured.clone();
-    order.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
-    let at = |percent: f64| {
-        let rank = (percent / 100.0).clamp(0.0, 1.0) * (order.len() - 1) as f64;
-        let (low, share) = (rank.floor() as usize, rank.fract());
-        let (a, b) = (order[low], order[(low + 1).min(order.len() - 1)]);
-        let value = likely[a].value + share * (likely[b].value - likely[a].value);
-        // Another capture might have put any cell in this rank that lies within two of its standard uncertainties.
-        let near = order.iter().map(|&i| likely[i]);
-        let near = near.filter(|cell| (cell.value - value).abs() <= 2.0 * cell.u);
-        let (sum, count) = near.fold((0.0, 0.0), |(sum, n), cell| {
-            (sum + cell.u * cell.u, n + 1.0)
-        });
-        let variance = if count > 0.0 {
-            sum / count
-        } else {
-            likely[a].u.max(likely[b].u).powi(2)
-        };
-        Figure {
-            value,
-            u: variance.sqrt(),
-        }
-    };
-    let depth_mm = at(percent);
-    let lowest = at(100.0 - percent);
+    let n = measured.len() as f64;
+    let sigma = |i: usize| scale * field.variance_mm2[i].sqrt();
+    let noise = (measured.iter().map(|&i| sigma(i).powi(2)).sum::<f64>() / n).sqrt();
+    let mean = measured.iter().map(|&i| field.wear_mm[i]).sum::<f64>() / n;
+    let cell_mm = measured
+        .iter()
+        .filter(|&&i| discs.of_cell(i).count() >= LEAST_IN_CELL)
+        .map(|&i| Figure {
+            value: median(discs.of_cell(i).map(|sample| sample.wear_mm)),
+            u: MEDIAN_OVER_MEAN * sigma(i),
+        })
+        .max_by(|a, b| a.value.total_cmp(&b.value));
 
     let cell_area = field.cell_area_mm2();
-    let threshold = DETECTION_FACTOR * noise.hypot(systematic_mm);
-    let beyond = |sign: f64, threshold: f64| {
-        field.clusters(|i| sign * field.wear_mm[i] >= threshold, LEAST_CLUSTER)
+    let threshold = |i: usize| DETECTION_FACTOR * sigma(i).hypot(systematic_mm);
+    let beyond = |sign: f64| {
+        field
+            .clusters(|i| sign * field.wear_mm[i] >= threshold(i), LEAST_CLUSTER)
+            .concat()
     };
-    let area = |threshold: f64| {
-        beyond(1.0, threshold).iter().map(Vec::len).sum::<usize>() as f64 * cell_area
-    };
-    let volume = |sign: f64| {
-        let cells: Vec<usize> = beyond(sign, threshold).concat();
+    let volume = |sign: f64, cells: &[usize]| {
         let count = cells.len() as f64;
         Figure {
-            // The rim below the threshold is missing; cells inside count with their sign: rectified noise would add up.
             value: cells
                 .iter()
                 .fold(0.0, |sum, &i| sum + cell_area * sign * field.wear_mm[i]),
             u: cell_area * (count.sqrt() * noise).hypot(count * systematic_mm),
         }
     };
-    let worn = area(threshold);
-    let shift = systematic_mm.hypot(noise);
-    let by_depth = 0.5 * (area(threshold - shift) - area(threshold + shift)).abs();
-    // A rim of cells that are in or out as a whole.
-    let by_rim = cell_area * (4.0 * (worn / cell_area).sqrt() / 12.0).sqrt();
+    let (lost, gained) = (beyond(1.0), beyond(-1.0));
+    let worn = lost.len() as f64 * cell_area;
     Some(Figures {
-        depth_mm,
+        depth_mm: Figure {
+            value: loss.raw_mm - loss.bias_mm,
+            u: loss.u_mm,
+        },
+        raw_mm: loss.raw_mm,
+        at_mm: loss.at_mm,
+        proud_mm: Figure {
+            value: proud.raw_mm - proud.bias_mm,
+            u: proud.u_mm,
+        },
+        // Without a cell of several points there is nothing to judge.
+        cell_mm: cell_mm.unwrap_or(Figure::UNKNOWN),
         mean_mm: Figure {
             value: mean,
             u: noise / n.sqrt(),
         },
         worn_area_mm2: Figure {
             value: worn,
-            u: by_depth.hypot(by_rim),
+            // A rim of cells that are in or out as a whole.
+            u: cell_area * (4.0 * (worn / cell_area).sqrt() / 12.0).sqrt(),
         },
-        lost_volume_mm3: volume(1.0),
-        buildup_mm: Figure {
-            value: (-lowest.value).max(0.0),
-            u: lowest.u,
-        },
-        buildup_volume_mm3: volume(-1.0),
-        detection_limit_mm: threshold,
+        lost_volume_mm3: volume(1.0, &lost),
+        proud_volume_mm3: volume(-1.0, &gained),
+        hidden_mm: discs.hidden_mm(settings.hidden_depth_mm),
     })
 }

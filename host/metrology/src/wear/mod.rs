@@ -1,29 +1,36 @@
 //! Wear of tooth flanks from signed deviations.
 //!
 //! ```text
-//!  points on CAD ──► field (cells of profile by height) ──► figures ──► with influences: budget, corrected depth
-//!                      └─ since a baseline's field             └─ edge (rounding of the tip)
+//!  points on CAD ──► discs: largest mean loss over a stated area (the measurand) ──► depth and its noise ─┐
+//!        │           └─ since a baseline's cells                                                          ├─► FlankWear
+//!        ├──► cells: what is drawn, recorded, and where nothing was measured                              │   with budget
+//!        ├──► edge: rounding of the tip                                                                   │
+//!        └──► all flanks in view: what a turn of the pose may hide (shared) ──────────────────────────────┘
 //! ```
 //!
-//! Each cell's wear is minus the deviation of its points, averaged over the cell; averaging removes their noise. What is said of a flank
-//! is in [`Figures`], where the uncertainty comes from in [`Budget`].
+//! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
+//! shape of damage is presumed. What is said of a flank is in [`Figures`], where the uncertainty comes from in [`Budget`].
 
 mod budget;
-mod cell;
+mod disc;
 mod edge;
 mod field;
 mod figures;
-mod likely;
+mod shared;
+
+use std::sync::Arc;
 
 use nalgebra::{Vector3, Vector6};
 
 pub use budget::Budget;
-use cell::Cell;
+pub use edge::{TipLoss, tip_loss_mm2};
 pub use field::{Field, Mismatch};
+use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
+pub use shared::{PoseEvidence, SeenFlank, Turn};
 
 use crate::gear::{Flank, FlankPlace, GearData};
-use crate::leakage::{Leakage, Recovery};
+use crate::leakage::Leakage;
 use crate::registration::Registration;
 use crate::surface::Closest;
 
@@ -44,32 +51,58 @@ impl Zone {
     }
 }
 
+/// Area of the disc over which the largest mean loss is sought, unless the tool file says otherwise, mm2.
+pub const AREA_MM2: f64 = 0.25;
+
 /// How wear is computed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Edge of a cell, mm.
-    pub cell_mm: f64,
-    /// A cell with fewer points is not measured.
-    pub least_points: usize,
-    /// Percentile over the cells, percent.
-    pub percentile: f64,
+    /// Area of the disc over which the largest mean loss is sought, mm2.
+    pub area_mm2: f64,
+    /// Loss that is supposed wherever nothing was measured, mm: what a hole may hide is judged by it.
+    pub hidden_depth_mm: f64,
     /// Standard uncertainty of the calibration, mm.
     pub calibration_mm: f64,
     /// Standard uncertainty of what is left of calibration and CAD in a difference to a baseline, mm: drift of the head.
     pub drift_mm: f64,
-    /// Standard uncertainty of the CAD surface (chord error, as-built), mm.
+    /// Standard uncertainty of the CAD surface (chord error), mm.
     pub cad_mm: f64,
+    /// Standard uncertainty of a flank's form as built against CAD, mm.
+    pub as_built_mm: f64,
+    /// Thickest film of oil or spray that may lie on a flank, mm.
+    pub film_mm: f64,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            cell_mm: 0.25,
-            least_points: 5,
-            percentile: 99.5,
+            area_mm2: AREA_MM2,
+            hidden_depth_mm: 0.3,
             calibration_mm: 2e-3,
             drift_mm: 0.5e-3,
             cad_mm: 1e-3,
+            as_built_mm: 0.0,
+            film_mm: 0.0,
+        }
+    }
+}
+
+impl Settings {
+    /// Edge of a cell, mm: a fifth of the disc's diameter.
+    pub fn cell_mm(&self) -> f64 {
+        2.0 * disc::radius_mm(self.area_mm2) / disc::CELLS_ACROSS
+    }
+
+    /// To what a flank's form is known, mm: calibration, CAD and as-built form, or what is left of them since a baseline.
+    fn form_mm(&self, since_baseline: bool) -> f64 {
+        let film_mm = self.film_mm / 12f64.sqrt();
+        if since_baseline {
+            self.drift_mm.hypot(film_mm * 2f64.sqrt())
+        } else {
+            self.calibration_mm
+                .hypot(self.cad_mm)
+                .hypot(self.as_built_mm)
+                .hypot(film_mm)
         }
     }
 }
@@ -93,34 +126,47 @@ pub struct FlankWear {
     pub tooth: u32,
     /// Side.
     pub flank: Flank,
-    /// The figure that is judged: percentile over the cells, corrected for bias and leakage, mm.
+    /// Wear depth, the figure that is judged: the largest mean loss over a disc, with what the pose and a film hide of it
+    /// added as far as that is known, mm.
     pub wear_mm: f64,
     /// Its standard uncertainty, mm.
     pub u_mm: f64,
-    /// Mean over the cells, mm.
+    /// The largest mean loss as read, in the same pose, mm: without the bias of a maximum taken off.
+    pub raw_mm: f64,
+    /// Mean loss over the zone, mm.
     pub mean_mm: f64,
-    /// All figures, their `u` from noise alone; none when no cell was measured.
+    /// Largest mean height of proud material over a disc, mm.
+    pub proud_mm: f64,
+    /// Loss of the cell that lost most, with its standard uncertainty, mm.
+    pub cell_mm: Figure,
+    /// The largest mean loss that a disc with unmeasured parts may have, mm; none when every disc was measured whole.
+    pub hidden_mm: Option<f64>,
+    /// All figures of the zone as read, their `u` from noise alone; none when no disc could be measured.
     pub figures: Option<Figures>,
-    /// Radius of the tip edge's rounding, mm; none when the edge was not seen whole.
-    pub tip_radius_mm: Option<Figure>,
+    /// Rounding of the tip edge; none when the edge was not seen.
+    pub tip: Option<TipLoss>,
     /// Measured share of the zone.
     pub coverage: f64,
     /// Points in the zone.
     pub points: usize,
     /// Where the uncertainty comes from.
     pub budget: Budget,
-    /// Leakage of the pose, where it was computed.
-    pub leakage: Option<Leakage>,
-    /// Wear that the same side of the other teeth in view shows, mm.
-    pub shared_mm: f64,
-    /// The cells themselves.
+    /// What acts on the flank beside the points, where it is known.
+    pub influence: Option<Influence>,
+    /// The cells.
     pub field: Field,
+    /// What the pose leaves open of a turn about the axis, where it is known.
+    pub turn: Option<Turn>,
+    /// The points.
+    samples: Vec<Sample>,
+    /// Whether it is the difference to a baseline.
+    since_baseline: bool,
 }
 
 impl FlankWear {
-    /// Expanded uncertainty (95 %), mm.
+    /// Expanded uncertainty (95 %, coverage factor 1.96), mm.
     pub fn u95_mm(&self) -> f64 {
-        1.96 * self.u_mm
+        COVERAGE_95 * self.u_mm
     }
 
     /// Standard uncertainty of the mean: noise averages over the cells, the rest does not, mm.
@@ -128,15 +174,31 @@ impl FlankWear {
         let noise = self.figures.map_or(f64::NAN, |f| f.mean_mm.u);
         noise.hypot(self.budget.systematic_mm())
     }
+
+    /// Standard uncertainty of the height of proud material, mm.
+    pub fn u_proud_mm(&self) -> f64 {
+        let noise = self.figures.map_or(f64::NAN, |f| f.proud_mm.u);
+        noise.hypot(self.budget.systematic_mm())
+    }
+
+    /// The least wear that is told from none with 5 % errors of both kinds, mm.
+    pub fn detection_limit_mm(&self) -> f64 {
+        DETECTION_FACTOR * self.budget.without_wear_mm()
+    }
 }
 
+/// Coverage factor of 95 % for a normal distribution.
+pub const COVERAGE_95: f64 = 1.96;
+
 /// What acts on a flank beside the points: from the fit and the thermometer.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Influence {
     /// Leakage of the pose.
     pub leakage: Leakage,
-    /// Wear that the same side of the other teeth in view shows, mm.
-    pub shared_mm: f64,
+    /// What the view says of its own pose about the axis.
+    pub evidence: Arc<PoseEvidence>,
+    /// Root of the sum of squares of what the judged flank reads of a unit error in the form of each other flank.
+    pub others_form: f64,
     /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
     pub temperature_mm: f64,
 }
@@ -146,11 +208,10 @@ struct Grid {
     tooth: u32,
     flank: Flank,
     profile_from_mm: f64,
-    shape: Field,
-    cells: Vec<Cell>,
-    /// Sum of the points' effect of a small motion on their deviation, for the registration's share.
-    motion: Vector6<f64>,
-    points: usize,
+    empty: Field,
+    samples: Vec<Sample>,
+    /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
+    motions: Vec<(Vector6<f64>, u32)>,
     edge: edge::TipBand,
 }
 
@@ -175,19 +236,11 @@ pub fn evaluate(
     settings: &Settings,
 ) -> Vec<FlankWear> {
     let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
-    let profile_length_mm = gear.profile_mm(zone.radius_mm[1]) - profile_from_mm;
-    let height_mm = zone.height_mm[1] - zone.height_mm[0];
-    let cells_in =
-        |length_mm: f64| ((length_mm / settings.cell_mm).floor() as usize).clamp(1, 10_000);
-    let columns = cells_in(profile_length_mm);
-    let rows = cells_in(height_mm);
-    let empty = Field {
-        columns,
-        rows,
-        cell_mm: [profile_length_mm / columns as f64, height_mm / rows as f64],
-        wear_mm: vec![f64::NAN; columns * rows],
-        variance_mm2: vec![f64::NAN; columns * rows],
-    };
+    let size_mm = [
+        gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
+        zone.height_mm[1] - zone.height_mm[0],
+    ];
+    let empty = Field::unmeasured(size_mm, settings.cell_mm());
     let mut grids: Vec<Grid> = teeth
         .iter()
         .flat_map(|&tooth| Flank::BOTH.map(|flank| (tooth, flank)))
@@ -195,10 +248,9 @@ pub fn evaluate(
             tooth,
             flank,
             profile_from_mm,
-            shape: empty.clone(),
-            cells: vec![Cell::default(); columns * rows],
-            motion: Vector6::zeros(),
-            points: 0,
+            empty: empty.clone(),
+            samples: Vec::new(),
+            motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
             edge: edge::TipBand::new(gear),
         })
         .collect();
@@ -208,35 +260,46 @@ pub fn evaluate(
     for (index, ((point, closest), place)) in points.zip(places(gear, measured.closest)).enumerate()
     {
         let Some(place) = place else {
+            if let Some(under) = edge::UnderEdge::of(gear, *point)
+                && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
+                && let Some(grid) = grids
+                    .iter_mut()
+                    .find(|g| (g.tooth, g.flank) == (under.tooth, under.flank))
+            {
+                grid.edge.add_under(gear, &under);
+            }
             continue;
         };
         let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
         let Some(grid) = grids.iter_mut().find(wanted) else {
             continue;
         };
-        let (along, up) = (
-            (place.profile_mm - grid.profile_from_mm) / profile_length_mm,
-            (place.height_mm - zone.height_mm[0]) / height_mm,
-        );
-        if !(0.0..1.0).contains(&up) || !closest.signed_distance_mm.is_finite() {
+        let at_mm = [
+            place.profile_mm - grid.profile_from_mm,
+            place.height_mm - zone.height_mm[0],
+        ];
+        if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite() {
             continue;
         }
         let wear_mm = -closest.signed_distance_mm;
         grid.edge.add(&place, wear_mm);
-        if !(0.0..1.0).contains(&along) {
+        let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
-        }
-        let (along, up) = (along * columns as f64, up * rows as f64);
-        let cell = up as usize * columns + along as usize;
+        };
         let sigma = measured
             .sigma_mm
             .and_then(|s| s.get(index))
             .map_or(f64::NAN, |&s| f64::from(s));
-        grid.cells[cell].add([along, up].map(|x| x.fract() - 0.5), wear_mm, sigma);
-        grid.points += 1;
+        grid.samples.push(Sample {
+            at_mm,
+            wear_mm,
+            variance_mm2: sigma * sigma,
+        });
         let normal = Vector3::from(closest.normal);
         let turn = (Vector3::from(*point) - centre).cross(&normal);
-        grid.motion += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        let (sum, count) = &mut grid.motions[cell];
+        *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        *count += 1;
     }
     grids
         .into_iter()
@@ -251,102 +314,182 @@ impl Grid {
         registration: Option<&Registration>,
         settings: &Settings,
     ) -> FlankWear {
-        let mut field = self.shape;
-        for (i, cell) in self.cells.iter().enumerate() {
-            if let Some([mean, variance]) = cell.mean(settings.least_points) {
-                field.wear_mm[i] = mean;
-                field.variance_mm2[i] = variance;
-            }
-        }
+        // A pose is off by other amounts at the ends of a flank than in its middle: the worst counts.
         let registration_mm = registration.map_or(0.0, |registration| {
-            let motion = self.motion / self.points.max(1) as f64;
-            motion
-                .dot(&(registration.covariance * motion))
-                .max(0.0)
+            self.motions
+                .iter()
+                .filter(|(_, count)| *count > 0)
+                .map(|(sum, count)| {
+                    let motion = sum / f64::from(*count);
+                    motion.dot(&(registration.covariance * motion)).max(0.0)
+                })
+                .fold(0.0, f64::max)
                 .sqrt()
         });
+        let mut samples = self.samples;
+        state_noise(&self.empty, &mut samples);
         let mut wear = FlankWear {
             tooth: self.tooth,
             flank: self.flank,
             wear_mm: f64::NAN,
             u_mm: f64::NAN,
+            raw_mm: f64::NAN,
             mean_mm: f64::NAN,
+            proud_mm: f64::NAN,
+            cell_mm: Figure::UNKNOWN,
+            hidden_mm: None,
             figures: None,
-            tip_radius_mm: None,
-            coverage: field.coverage(),
-            points: self.points,
+            tip: None,
+            coverage: 0.0,
+            points: samples.len(),
             budget: Budget {
                 registration_mm,
                 calibration_mm: settings.calibration_mm,
                 cad_mm: settings.cad_mm,
+                as_built_mm: settings.as_built_mm,
+                film_mm: settings.film_mm / 12f64.sqrt(),
                 ..Budget::default()
             },
-            leakage: None,
-            shared_mm: 0.0,
-            field,
+            influence: None,
+            field: self.empty,
+            turn: None,
+            samples,
+            since_baseline: false,
         };
-        wear.refigure(settings);
+        wear.refigure(None, settings);
         // Pose and temperature move edge and flank alike; calibration does not.
-        wear.tip_radius_mm = wear.figures.and_then(|f| {
-            self.edge
-                .radius_mm(gear, f.mean_mm.value, settings.calibration_mm)
-        });
+        let level_mm = median(wear.field.wear_mm.iter().copied());
+        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
         wear
     }
 }
 
+/// Points that state no noise get what they scatter by in their cells: of all cells with enough points the median, which
+/// damage of less than half of the zone does not reach.
+fn state_noise(cells: &Field, samples: &mut [Sample]) {
+    if samples.iter().all(|s| s.variance_mm2.is_finite()) {
+        return;
+    }
+    let mut sums = vec![[0.0_f64; 3]; cells.wear_mm.len()];
+    for sample in samples.iter() {
+        if let Some(cell) = cells.cell_at(sample.at_mm) {
+            let w = sample.wear_mm;
+            sums[cell] = [
+                sums[cell][0] + 1.0,
+                sums[cell][1] + w,
+                sums[cell][2] + w * w,
+            ];
+        }
+    }
+    let scatter = median(
+        sums.iter()
+            .filter(|s| s[0] >= 3.0)
+            .map(|[n, sum, squares]| ((squares - sum * sum / n).max(0.0) / (n - 1.0)).sqrt()),
+    );
+    for sample in samples.iter_mut().filter(|s| !s.variance_mm2.is_finite()) {
+        sample.variance_mm2 = scatter * scatter;
+    }
+}
+
 impl FlankWear {
-    /// Computes the figures from the field and the budget as they are now.
-    fn refigure(&mut self, settings: &Settings) {
+    /// Computes cells, figures and budget from the points; what the cells of `reference` state as noise is added to theirs.
+    fn refigure(&mut self, reference: Option<&Field>, settings: &Settings) {
+        let cells = self.field.wear_mm.len();
+        let mut sums = vec![[0.0_f64; 3]; cells];
+        for sample in &self.samples {
+            if let Some(cell) = self.field.cell_at(sample.at_mm) {
+                let [n, wear, variance] = sums[cell];
+                sums[cell] = [
+                    n + 1.0,
+                    wear + sample.wear_mm,
+                    variance + sample.variance_mm2,
+                ];
+            }
+        }
+        for (i, [n, wear, variance]) in sums.into_iter().enumerate() {
+            let of_reference = reference.map_or(0.0, |r| r.variance_mm2[i]);
+            // 0 / 0: not measured.
+            self.field.wear_mm[i] = wear / n;
+            self.field.variance_mm2[i] = variance / (n * n) + of_reference;
+        }
+        self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
-        self.figures = figures::evaluate(&self.field, settings.percentile, systematic_mm);
-        let Some(figures) = &mut self.figures else {
-            self.budget = Budget::UNKNOWN;
+        self.figures = figures::evaluate(&self.field, &self.samples, settings, systematic_mm);
+        self.settle(None, settings);
+    }
+
+    /// Computes what is judged from figures, influence and settings; `before` is what the baseline's view said of its pose.
+    fn settle(&mut self, before: Option<&PoseEvidence>, settings: &Settings) {
+        let Some(figures) = self.figures else {
             return;
         };
         self.budget.noise_mm = figures.depth_mm.u;
-        if let Some(leakage) = &self.leakage {
-            match leakage.recovery() {
-                Recovery::Corrected { factor } => {
-                    figures.depth_mm.value *= factor;
-                    figures.mean_mm.value *= factor;
-                    self.budget.noise_mm *= factor;
-                }
-                Recovery::Accepted | Recovery::Refused => {}
+        let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
+        if let Some(influence) = &self.influence {
+            let form_mm = settings.form_mm(self.since_baseline);
+            let turn = influence.evidence.turn(before, form_mm);
+            shift_mm = self.flank.sign() * turn.mean_mm;
+            // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
+            let both_mm = influence
+                .leakage
+                .u_of_all_mm(turn.both_sides_mm)
+                .min(turn.both_hidden_mm);
+            self.budget.shared_mm = turn.u_mm.hypot(both_mm);
+            self.turn = Some(turn);
+            self.budget.temperature_mm = influence.temperature_mm;
+            if !self.since_baseline {
+                self.budget.as_built_mm = settings.as_built_mm * 1f64.hypot(influence.others_form);
             }
-            self.budget.leakage_mm = leakage.u_mm(figures.depth_mm.value);
-            let Budget {
-                calibration_mm,
-                registration_mm,
-                cad_mm,
-                ..
-            } = self.budget;
-            // What all teeth may seem to have lost without having done so.
-            let feigned_mm = calibration_mm.hypot(registration_mm).hypot(cad_mm);
-            if self.shared_mm.abs() > DETECTION_FACTOR * feigned_mm {
-                let u_shared_mm = leakage.u_shared_mm(self.shared_mm);
-                self.budget.leakage_mm = self.budget.leakage_mm.hypot(u_shared_mm);
-            }
+            self.budget.leakage_mm = influence.leakage.u_mm(figures.depth_mm.value + shift_mm);
         }
-        self.wear_mm = figures.depth_mm.value;
-        self.mean_mm = figures.mean_mm.value;
+        // A film only ever hides wear; since a baseline, one may have been there before as well as now.
+        let over_mm = if self.since_baseline {
+            0.0
+        } else {
+            0.5 * film_mm
+        };
+        let moved_mm = shift_mm + over_mm;
+        self.wear_mm = figures.depth_mm.value + moved_mm;
+        self.raw_mm = figures.raw_mm + moved_mm;
+        self.mean_mm = figures.mean_mm.value + moved_mm;
+        self.proud_mm = figures.proud_mm.value - moved_mm;
+        self.cell_mm = Figure {
+            value: figures.cell_mm.value + moved_mm,
+            u: figures.cell_mm.u.hypot(self.budget.systematic_mm()),
+        };
+        self.hidden_mm = figures.hidden_mm.map(|hidden| hidden + moved_mm);
         self.u_mm = self.budget.total_mm();
     }
 
-    /// What was lost since `reference` was captured by the same instrument: the depth figures become differences, the tip
-    /// edge stays as it is. Calibration and CAD cancel but for the head's drift; the pose of the reference counts as well.
+    /// What was lost since `reference` was captured by the same instrument: depth figures become differences, the tip edge
+    /// stays as it is. Calibration, CAD and as-built form cancel but for the head's drift; the pose of the reference counts
+    /// as well. `before` is what the reference's view said of its pose.
     ///
     /// # Errors
     /// The reference has other cells.
-    pub fn since(mut self, reference: &Field, settings: &Settings) -> Result<Self, Mismatch> {
-        self.field = self.field.since(reference)?;
-        self.coverage = self.field.coverage();
+    pub fn since(
+        mut self,
+        reference: &Field,
+        before: Option<&PoseEvidence>,
+        settings: &Settings,
+    ) -> Result<Self, Mismatch> {
+        self.field.same_grid(reference)?;
+        self.samples.retain_mut(|sample| {
+            let then = self
+                .field
+                .cell_at(sample.at_mm)
+                .map_or(f64::NAN, |cell| reference.wear_mm[cell]);
+            sample.wear_mm -= then;
+            then.is_finite()
+        });
+        self.since_baseline = true;
         self.budget.calibration_mm = settings.drift_mm;
         self.budget.cad_mm = 0.0;
+        self.budget.as_built_mm = 0.0;
+        self.budget.film_mm = settings.film_mm / 6f64.sqrt();
         self.budget.reference_mm = self.budget.registration_mm;
-        // What the other teeth showed then is not in the reference.
-        self.shared_mm = 0.0;
-        self.refigure(settings);
+        self.refigure(Some(reference), settings);
+        self.settle(before, settings);
         Ok(self)
     }
 
@@ -359,33 +502,29 @@ impl FlankWear {
         if others.is_empty() {
             return Some(wear);
         }
-        let fields: Vec<&Field> = captures.iter().map(|wear| &wear.field).collect();
-        wear.field = Field::mean(&fields)?;
-        wear.coverage = wear.field.coverage();
-        wear.points = captures.iter().map(|wear| wear.points).sum();
         for other in others {
+            wear.field.same_grid(&other.field).ok()?;
+            wear.samples.extend_from_slice(&other.samples);
+            wear.points += other.points;
             wear.budget.registration_mm = wear
                 .budget
                 .registration_mm
                 .max(other.budget.registration_mm);
-            let worse = |a: &Leakage, b: &Leakage| a.worst() > b.worst();
-            if let (Some(a), Some(b)) = (&other.leakage, &wear.leakage)
-                && worse(a, b)
-            {
-                wear.leakage = other.leakage;
+            let leaks = |wear: &Self| wear.influence.as_ref().map(|i| i.leakage.worst());
+            if leaks(other) > leaks(&wear) {
+                wear.influence.clone_from(&other.influence);
             }
+            wear.tip = wear.tip.or(other.tip);
         }
-        wear.refigure(settings);
+        wear.refigure(None, settings);
         Some(wear)
     }
 
-    /// The same flank with the fit's leakage and the temperature's share counted in.
+    /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
-    pub fn with(mut self, influence: &Influence, settings: &Settings) -> Self {
-        self.leakage = Some(influence.leakage);
-        self.shared_mm = influence.shared_mm;
-        self.budget.temperature_mm = influence.temperature_mm;
-        self.refigure(settings);
+    pub fn with(mut self, influence: Influence, settings: &Settings) -> Self {
+        self.influence = Some(influence);
+        self.settle(None, settings);
         self
     }
 }

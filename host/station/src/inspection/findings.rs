@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use flankscope_metrology::tool::Tool;
 
+use flankscope_metrology::wear::PoseEvidence;
+
 use super::evidence::{Evidence, Phasors};
 use super::plan::Itinerary;
 use super::result::{Feature, FlankMap, ViewRegistration};
@@ -21,6 +23,7 @@ pub(crate) struct Findings {
     pub evidence: Vec<Evidence>,
     pub phasors: Vec<Phasors>,
     pub fields: Vec<Reference>,
+    pub poses: Vec<PoseEvidence>,
     pub maps: Vec<FlankMap>,
     pub deviations_um: Vec<f64>,
 }
@@ -40,6 +43,7 @@ impl Findings {
         let mut evidence = Vec::new();
         let mut phasors = Vec::new();
         let mut fields = Vec::new();
+        let mut poses = Vec::new();
         let mut maps = Vec::new();
         let mut deviations_um = Vec::new();
         for (view, &super::PlannedView { tooth, .. }) in itinerary.views.iter().enumerate() {
@@ -54,6 +58,7 @@ impl Findings {
                 registration.extend(outcome.registration);
                 phasors.extend(outcome.phasors);
                 fields.extend(outcome.fields);
+                poses.extend(outcome.pose);
                 maps.extend(outcome.maps);
                 deviations_um.extend(outcome.deviations_um);
             } else {
@@ -76,6 +81,7 @@ impl Findings {
             evidence,
             phasors,
             fields,
+            poses,
             maps,
             deviations_um,
         }

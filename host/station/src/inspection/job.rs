@@ -268,6 +268,7 @@ impl Station {
             stopped,
             phasors: found.phasors,
             fields: found.fields,
+            poses: found.poses,
             pictures: Pictures {
                 maps: found.maps,
                 deviations_um: found.deviations_um,

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use flankscope_metrology::decision::{Limits, judge};
 use flankscope_metrology::gear::Flank;
-use flankscope_metrology::tool::{Inspect, Tool};
-use flankscope_metrology::verdict::repeating_could_decide;
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Reason, Verdict, repeating_could_decide};
 use flankscope_metrology::wear::{Figure, FlankWear, Settings};
 
 use super::result::Expanded;
@@ -15,7 +16,7 @@ use crate::baseline::Baseline;
 #[derive(Debug)]
 pub(crate) struct Judge {
     pub tool: Arc<Tool>,
-    pub inspect: Inspect,
+    pub limits: Limits,
     pub settings: Settings,
     pub baseline: Option<Arc<Baseline>>,
 }
@@ -32,7 +33,8 @@ impl Judge {
         let reference = baseline
             .field(wear.tooth, wear.flank)
             .ok_or("the baseline lacks this flank; record it again with this tooth")?;
-        let since = wear.clone().since(reference, &self.settings);
+        let before = baseline.pose(wear.tooth);
+        let since = wear.clone().since(reference, before, &self.settings);
         since.map_err(|mismatch| mismatch.to_string())
     }
 
@@ -49,8 +51,14 @@ impl Judge {
             u: together.u_mm,
         };
         Some(match self.judged_wear(&together) {
-            Ok(wear) => Judged::of_wear(&wear, absolute, &self.inspect)
-                .from_captures(measured.iter().map(|wear| self.figure(wear)).collect()),
+            Ok(wear) => {
+                let judged = Judged::of_wear(&wear, absolute, &self.limits);
+                if measured.len() > 1 {
+                    judged.from_captures(measured.iter().map(|wear| self.figure(wear)).collect())
+                } else {
+                    judged
+                }
+            }
             Err(why) => unmeasured_flank(tooth, flank, &self.tool, &why),
         })
     }
@@ -70,8 +78,13 @@ impl Judge {
                 wear.budget.noise_mm,
                 wear.budget.systematic_mm(),
             ];
-            wear.coverage >= self.inspect.least_coverage
-                && repeating_could_decide(um.map(|mm| 1e3 * mm), &self.inspect.rule())
+            matches!(
+                judge(&wear, &self.limits).verdict,
+                Verdict::NoGo
+                    | Verdict::Indeterminate {
+                        reason: Reason::Undecidable { .. }
+                    }
+            ) && repeating_could_decide(um.map(|mm| 1e3 * mm), &self.limits.wear)
         })
     }
 }

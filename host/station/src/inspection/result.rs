@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use flankscope_metrology::leakage::Leakage;
+use flankscope_metrology::wear::PoseEvidence;
 use serde::Serialize;
 
 use crate::baseline::Reference;
@@ -38,7 +39,7 @@ pub struct Feature {
     pub measurements: Vec<Option<Expanded>>,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
-    /// Why it is indeterminate.
+    /// Why it is not go.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Short name of that reason, always the same word for the same cause.
@@ -49,22 +50,41 @@ pub struct Feature {
 /// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
 #[derive(Clone, Debug, Serialize)]
 pub struct FlankDetail {
-    /// Deviation of the flank from CAD as depth of missing material, µm; beside the wear, which is the difference to the
-    /// baseline where there is one.
+    /// Wear depth against CAD, µm; beside the wear, which is the difference to the baseline where there is one.
     pub absolute_um: Expanded,
     /// Expanded uncertainty of the mean loss, µm.
     pub mean_u95_um: f64,
-    /// Area worn beyond the detection limit, mm².
+    /// The largest mean loss over a disc as read, µm: without what noise adds to a maximum taken off.
+    pub raw_um: f64,
+    /// Middle of that disc, mm: along the profile from the zone's smaller radius, and up from its lower end.
+    pub deepest_at_mm: [f64; 2],
+    /// Area of the disc, mm².
+    pub area_mm2: f64,
+    /// Largest mean height of proud material over such a disc, µm; negative where all of the zone has lost.
+    pub proud_um: Expanded,
+    /// Its warning and stop limit, µm.
+    pub proud_limits_um: [f64; 2],
+    /// Loss of the single cell that lost most, by the median of its points, µm; absent where no cell has three points.
+    pub cell_um: Option<Expanded>,
+    /// Its warning and stop limit, µm.
+    pub cell_limits_um: [f64; 2],
+    /// Area of the cells that lost more than the warning limit, mm².
+    pub area_beyond_warn_mm2: f64,
+    /// Area of the cells that lost more than the stop limit, mm².
+    pub area_beyond_limit_mm2: f64,
+    /// Area worn beyond the threshold of detection, mm².
     pub worn_area_mm2: Expanded,
     /// Volume lost there, mm³.
     pub lost_volume_mm3: Expanded,
-    /// Height of material that stands proud, µm.
-    pub buildup_um: Expanded,
-    /// Its volume beyond the detection limit, mm³.
-    pub buildup_volume_mm3: Expanded,
-    /// Radius of the tip edge's rounding, mm; absent when the edge was not seen whole.
+    /// Volume of material that stands proud beyond the threshold of detection, mm³.
+    pub proud_volume_mm3: Expanded,
+    /// Radius of the tip edge's rounding, mm; absent when the edge was not seen.
     pub tip_edge_radius_mm: Option<Expanded>,
-    /// Least depth that is told from none with 5 % errors of both kinds, µm.
+    /// Its warning and stop limit, mm.
+    pub tip_limits_mm: Option<[f64; 2]>,
+    /// The largest mean loss that a disc with unmeasured parts may have, µm; absent when every disc was measured whole.
+    pub hidden_um: Option<f64>,
+    /// Least wear that is told from none with 5 % errors of both kinds, µm.
     pub detection_limit_um: f64,
     /// Standard uncertainty of the wear by source, µm.
     pub budget_um: BTreeMap<&'static str, f64>,
@@ -219,6 +239,9 @@ pub struct Inspection {
     /// Deviation from CAD of every measured flank, cell by cell: what a baseline is made of.
     #[serde(skip)]
     pub fields: Vec<Reference>,
+    /// What every view said of its own pose about the axis: part of a baseline, too.
+    #[serde(skip)]
+    pub poses: Vec<PoseEvidence>,
     /// What only the report draws.
     #[serde(skip)]
     pub pictures: Pictures,

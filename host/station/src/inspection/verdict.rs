@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_metrology::decision::{Cause, Decision, Limits, judge};
 use flankscope_metrology::gear::Flank;
-use flankscope_metrology::leakage::{RECOVERABLE, Recovery};
-use flankscope_metrology::tool::{Inspect, Tool};
-use flankscope_metrology::verdict::{Reason, Verdict, combine, decide, probability_below};
-use flankscope_metrology::wear::{Budget, Figure, FlankWear};
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Reason, Verdict, combine, probability_below};
+use flankscope_metrology::wear::{Budget, COVERAGE_95, Figure, FlankWear};
 
 use super::result::{Expanded, Feature, FlankDetail};
 
@@ -26,6 +26,8 @@ pub struct Judged {
     warn_um: f64,
     limit_um: f64,
     verdict: Verdict,
+    /// The figure behind a warn or no-go.
+    cause: Option<Cause>,
     /// Why it was not measured, where the verdict does not say it.
     unmeasured: Option<String>,
 }
@@ -34,26 +36,11 @@ impl Judged {
     /// Judges a measured flank.
     ///
     /// `absolute` is its figure against CAD, which `wear` itself is without a baseline.
-    pub fn of_wear(wear: &FlankWear, absolute: Figure, inspect: &Inspect) -> Self {
+    pub fn of_wear(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Self {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
-        let verdict = if wear.coverage < inspect.least_coverage {
-            Verdict::Indeterminate {
-                reason: Reason::Coverage {
-                    coverage: wear.coverage,
-                    least: inspect.least_coverage,
-                },
-            }
-        } else if let Some(leakage) = wear.leakage.filter(|l| l.recovery() == Recovery::Refused) {
-            Verdict::Indeterminate {
-                reason: Reason::Leakage {
-                    leakage: leakage.worst(),
-                    limit: RECOVERABLE,
-                },
-            }
-        } else {
-            decide(wear.wear_mm * 1e3, wear.u_mm * 1e3, &inspect.rule())
-        };
-        let conformity = probability_below(inspect.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
+        let Decision { verdict, cause } = judge(wear, limits);
+        let rule = limits.wear;
+        let conformity = probability_below(rule.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
         Self {
             tooth: wear.tooth,
             flank: wear.flank,
@@ -62,64 +49,67 @@ impl Judged {
             mean_um: finite_um(wear.mean_mm),
             coverage_ratio: wear.coverage,
             conformity: conformity.is_finite().then_some(conformity),
-            detail: detail(wear, absolute),
+            detail: detail(wear, absolute, limits),
             measurements: Vec::new(),
-            warn_um: inspect.warn_um,
-            limit_um: inspect.limit_um,
+            warn_um: rule.warn_um,
+            limit_um: rule.limit_um,
             verdict,
+            cause,
             unmeasured: None,
         }
     }
 
-    /// The same verdict with the figures of the captures that it rests on, where there are several.
+    /// The same verdict with the figures of the several captures that it rests on.
     pub fn from_captures(self, measurements: Vec<Option<Expanded>>) -> Self {
         Self {
-            measurements: if measurements.len() > 1 {
-                measurements
-            } else {
-                Vec::new()
-            },
+            measurements,
             ..self
         }
     }
 }
 
 /// The figures beside the judged one.
-fn detail(wear: &FlankWear, absolute: Figure) -> Option<FlankDetail> {
+fn detail(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Option<FlankDetail> {
     let figures = wear.figures?;
-    let expanded = |figure: Figure, scale: f64| Expanded {
-        value: figure.value * scale,
-        u95: 1.96 * figure.u * scale,
+    let expanded = |value: f64, u: f64| Expanded {
+        value,
+        u95: COVERAGE_95 * u,
     };
-    let proud = Figure {
-        u: figures.buildup_mm.u.hypot(wear.budget.systematic_mm()),
-        ..figures.buildup_mm
-    };
+    let of = |figure: Figure| expanded(figure.value, figure.u);
+    let um = |value_mm: f64, u_mm: f64| expanded(1e3 * value_mm, 1e3 * u_mm);
+    // Cells are compared as they are read, but in the pose that the judged figure is in.
+    let moved_mm = wear.mean_mm - figures.mean_mm.value;
+    let beyond = |um: f64| wear.field.area_beyond_mm2(1e-3 * um - moved_mm);
+    let finite = |figure: Expanded| figure.value.is_finite().then_some(figure);
     Some(FlankDetail {
-        absolute_um: expanded(absolute, 1e3),
-        mean_u95_um: 1.96e3 * wear.u_mean_mm(),
-        worn_area_mm2: expanded(figures.worn_area_mm2, 1.0),
-        lost_volume_mm3: expanded(figures.lost_volume_mm3, 1.0),
-        buildup_um: expanded(proud, 1e3),
-        buildup_volume_mm3: expanded(figures.buildup_volume_mm3, 1.0),
-        tip_edge_radius_mm: wear.tip_radius_mm.map(|radius| expanded(radius, 1.0)),
-        detection_limit_um: 1e3 * figures.detection_limit_mm,
+        absolute_um: um(absolute.value, absolute.u),
+        mean_u95_um: 1e3 * COVERAGE_95 * wear.u_mean_mm(),
+        raw_um: 1e3 * wear.raw_mm,
+        deepest_at_mm: figures.at_mm,
+        area_mm2: limits.area_mm2,
+        proud_um: um(wear.proud_mm, wear.u_proud_mm()),
+        proud_limits_um: [limits.proud.warn_um, limits.proud.limit_um],
+        cell_um: finite(um(wear.cell_mm.value, wear.cell_mm.u)),
+        cell_limits_um: [limits.cell.warn_um, limits.cell.limit_um],
+        area_beyond_warn_mm2: beyond(limits.wear.warn_um),
+        area_beyond_limit_mm2: beyond(limits.wear.limit_um),
+        worn_area_mm2: of(figures.worn_area_mm2),
+        lost_volume_mm3: of(figures.lost_volume_mm3),
+        proud_volume_mm3: of(figures.proud_volume_mm3),
+        tip_edge_radius_mm: wear.tip.map(|tip| of(tip.radius_mm)),
+        tip_limits_mm: limits.tip.map(|tip| tip.radius_mm),
+        hidden_um: wear.hidden_mm.map(|mm| 1e3 * mm),
+        detection_limit_um: 1e3 * wear.detection_limit_mm(),
         budget_um: budget_um(&wear.budget),
     })
 }
 
 fn budget_um(budget: &Budget) -> BTreeMap<&'static str, f64> {
-    [
-        ("noise", budget.noise_mm),
-        ("registration", budget.registration_mm),
-        ("leakage", budget.leakage_mm),
-        ("calibration", budget.calibration_mm),
-        ("temperature", budget.temperature_mm),
-        ("cad", budget.cad_mm),
-        ("reference", budget.reference_mm),
-    ]
-    .map(|(name, mm)| (name, 1e3 * mm))
-    .into()
+    budget
+        .terms()
+        .into_iter()
+        .map(|(name, mm)| (name, 1e3 * mm))
+        .collect()
 }
 
 impl From<Judged> for Feature {
@@ -129,7 +119,7 @@ impl From<Judged> for Feature {
                 Some(judged.unmeasured.unwrap_or_else(|| reason.to_string())),
                 Some(reason.code()),
             ),
-            _ => (None, None),
+            verdict => (judged.cause.map(|cause| cause.sentence(verdict)), None),
         };
         Self {
             tooth: judged.tooth,
@@ -180,6 +170,7 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Jud
                 code: "not_measured",
             },
         },
+        cause: None,
         unmeasured: Some(why.to_string()),
     }
 }
@@ -196,14 +187,20 @@ pub fn of_tool(flanks: &[Judged], stopped: Option<&str>) -> (&'static str, Strin
         let names: Vec<String> = flanks
             .iter()
             .filter(|flank| flank.verdict.word() == word)
-            .map(|flank| format!("tooth {} {}", flank.tooth, flank.flank))
+            .map(|flank| {
+                let cause = flank
+                    .cause
+                    .as_ref()
+                    .map(|cause| cause.sentence(&flank.verdict));
+                let why = cause.map_or_else(String::new, |why| format!(" ({why})"));
+                format!("tooth {} {}{why}", flank.tooth, flank.flank)
+            })
             .collect();
         names.join(", ")
     };
     let reason = match &verdict {
         Verdict::Go => format!("all {} flanks are within the warning limit", flanks.len()),
-        Verdict::Warn => format!("beyond the warning limit: {}", named("warn")),
-        Verdict::NoGo => format!("beyond the stop limit: {}", named("no-go")),
+        Verdict::Warn | Verdict::NoGo => named(verdict.word()),
         Verdict::Indeterminate { reason } => {
             let first = flanks.iter().find_map(|flank| flank.unmeasured.as_deref());
             stopped.or(first).map_or_else(

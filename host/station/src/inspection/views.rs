@@ -11,10 +11,10 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, FlankWear, Measured, Settings, Zone};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
 use super::head_error::calibration_um;
@@ -81,6 +81,8 @@ pub struct ViewOutcome {
     pub registration: Vec<ViewRegistration>,
     /// Their deviation from CAD, cell by cell.
     pub fields: Vec<Reference>,
+    /// What the view says of its own pose about the axis, where it was registered.
+    pub pose: Option<PoseEvidence>,
     /// Deviation maps of the two flanks.
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
@@ -149,11 +151,20 @@ fn stage_prior(expected: Rigid<ToolFrame, Cloud>) -> Prior {
     )
 }
 
+/// Of its covariance, what the stages draw anew with every approach; the rest is how head and die are mounted.
+fn approach_covariance() -> Matrix6<f64> {
+    let mut covariance = Matrix6::zeros();
+    covariance[(2, 2)] = ROTATION_SIGMA_RAD * ROTATION_SIGMA_RAD;
+    covariance[(5, 5)] = VERTICAL_SIGMA_MM * VERTICAL_SIGMA_MM;
+    covariance
+}
+
 /// Everything that does not change from check to check.
 pub struct Evaluator {
     judge: Arc<Judge>,
     gear: GearData,
     zone: Zone,
+    datum: Datum,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
     /// Size of the tool relative to its CAD, or why it cannot be judged.
@@ -176,10 +187,12 @@ impl Evaluator {
             .gear
             .clone()
             .ok_or(missing("[gear] in the tool file"))?;
-        let inspect = tool
+        let limits = tool.limits().ok_or(missing("[inspect] in the tool file"))?;
+        let datum = tool
             .inspect
-            .clone()
-            .ok_or(missing("[inspect] in the tool file"))?;
+            .as_ref()
+            .map(|inspect| inspect.datum)
+            .unwrap_or_default();
         let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
         let stage_from_camera = hand_eye(subject)?;
         let volume = subject
@@ -234,7 +247,7 @@ impl Evaluator {
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
         let judge = Judge {
             tool,
-            inspect,
+            limits,
             settings,
             baseline: subject.baseline.clone(),
         };
@@ -242,6 +255,7 @@ impl Evaluator {
             judge: Arc::new(judge),
             gear,
             zone,
+            datum,
             decoder,
             places,
             scale,
@@ -267,7 +281,7 @@ impl Evaluator {
         if inconsistent_ratio > MOST_INCONSISTENT {
             let why = format!(
                 "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press \
-                 vibrates, or light comes over a second reflection",
+                 vibrates, or the light flickers",
                 100.0 * inconsistent_ratio,
                 100.0 * MOST_INCONSISTENT
             );
@@ -318,6 +332,7 @@ impl Evaluator {
         lap("deviation", &mut elapsed_ms);
         let mut leakage = BTreeMap::new();
         let mut wears: Vec<FlankWear> = Vec::new();
+        let mut pose = None;
         let unmeasured = |why: &str| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
         let flanks = match (&registration.status, &self.scale) {
             (_, Err(reason)) => unmeasured(&reason.to_string()),
@@ -327,14 +342,17 @@ impl Evaluator {
                     zone: &self.zone,
                     registration: &registration,
                     prior: &prior,
+                    approach: approach_covariance(),
                     options: &options,
                     closest: &closest,
                     used: &used,
                     temperature: self.judge.tool.temperature.as_ref(),
+                    form_in_doubt: self.judge.settings.as_built_mm > 0.0,
                 }
                 .on(place.tooth);
                 leakage.insert("left", influences[0].leakage);
                 leakage.insert("right", influences[1].leakage);
+                pose = Some(PoseEvidence::clone(&influences[0].evidence));
                 let measured = Measured {
                     points: &located,
                     closest: &closest,
@@ -350,7 +368,7 @@ impl Evaluator {
                     settings,
                 )
                 .into_iter()
-                .zip(&influences)
+                .zip(influences)
                 .map(|(wear, influence)| wear.with(influence, settings))
                 .collect();
                 let captures = std::slice::from_ref(&wears);
@@ -381,6 +399,7 @@ impl Evaluator {
                 ..summary(place, points.len(), &registration, elapsed_ms)
             }],
             fields,
+            pose,
             maps,
             deviations_um,
             phasors: Vec::new(),
@@ -402,7 +421,7 @@ impl Evaluator {
             self.gear.tip_radius_mm.max(self.gear.root_radius_mm) - margin_mm,
         );
         let on_flank = (low_mm..high_mm).contains(&x.hypot(y));
-        match self.judge.inspect.datum {
+        match self.datum {
             Datum::Neighbours => self.gear.tooth_at(y.atan2(x)) != place.tooth,
             Datum::Lands => !on_flank,
             Datum::All => true,
@@ -478,6 +497,7 @@ impl Evaluator {
                 elapsed_ms,
             }],
             fields: Vec::new(),
+            pose: None,
             maps: Vec::new(),
             deviations_um: Vec::new(),
             phasors: Vec::new(),

@@ -165,6 +165,7 @@ impl<'a> Scene<'a> {
                 tool: self.tool.name.clone(),
                 hashes: std::collections::BTreeMap::new(),
                 flanks: golden.fields,
+                poses: golden.pose.into_iter().collect(),
             }),
         )
     }

@@ -35,10 +35,12 @@ pub(super) fn on_master_um(tool: &Tool, head: &HeadModel, seed: u64) -> anyhow::
             frames.push(frame.pixels.to_vec());
             Ok(())
         })?;
+        let golden = plain.judge(&frames, size_px)?;
         let baseline = Baseline {
             tool: tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
-            flanks: plain.judge(&frames, size_px)?.fields,
+            flanks: golden.fields,
+            poses: golden.pose.into_iter().collect(),
         };
         let square = |number: u32, sd_px: f64, baseline| -> anyhow::Result<f64> {
             let head = calibrated(head, draw(number), sd_px);

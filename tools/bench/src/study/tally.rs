@@ -66,8 +66,8 @@ impl Cell {
             _ => 3,
         };
         self.verdicts[verdict] += 1;
-        if let Some(reason) = &feature.reason {
-            *self.reasons.entry(reason.clone()).or_default() += 1;
+        if let Some(reason) = feature.code {
+            *self.reasons.entry(reason.to_owned()).or_default() += 1;
         }
         let (Some(wear), Some(u95), Some(detail)) =
             (feature.wear_um, feature.u95_um, &feature.detail)
@@ -75,7 +75,7 @@ impl Cell {
             return;
         };
         let (value_um, u95_um) = if self.kind == Some(WearKind::Buildup) {
-            (detail.buildup_um.value, detail.buildup_um.u95)
+            (detail.proud_um.value, detail.proud_um.u95)
         } else {
             (wear, u95)
         };

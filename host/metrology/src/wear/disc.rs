@@ -1,0 +1,417 @@
+//! The measurand: the largest mean loss over any disc of a stated area that lies in the zone.
+//!
+//! ```text
+//!  points ──► mean over every disc of a fine lattice, every cell of equal weight ──► largest, climbed to from the best places
+//!  cells' noise ──► the same means of simulated noise ──► bias and scatter of a maximum
+//!  cells without points ──► what a disc that holds some may hide
+//! ```
+//!
+//! Nothing is presumed of the damage's shape, and no point counts less because it lies deep. A part of a disc in which
+//! nothing was measured counts as having lost nothing, so that the figure never exceeds what was seen; what may be lost there
+//! is said beside it.
+
+use std::sync::LazyLock;
+
+use super::field::{Field, Sample};
+use crate::random::normal;
+
+/// Cells across a disc's diameter: the noise of cells and holes as small as this are told apart.
+pub(super) const CELLS_ACROSS: f64 = 5.0;
+/// Steps of the lattice per cell. With two no disc lies farther than 0.14 of its radius from one that is tried.
+const STEPS_PER_CELL: usize = 2;
+/// Places from which the largest mean is climbed to, and how often the step is halved.
+const CLIMBS: usize = 6;
+const HALVINGS: usize = 3;
+/// Simulated captures: the scatter of a maximum is then known to 7 %.
+const DRAWS: usize = 100;
+/// Parts along each side of a cell by which its overlap with a disc is counted.
+const PARTS: usize = 8;
+
+/// Normal deviates, used over and over: the same for every flank, so that the same points give the same bytes.
+static DEVIATES: LazyLock<Vec<f32>> =
+    LazyLock::new(|| (0..1 << 16).map(|i| normal(0x5eed, i) as f32).collect());
+
+/// The largest mean over a disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Peak {
+    /// As read, mm.
+    pub raw_mm: f64,
+    /// Its middle from the zone's corner along profile and height, mm.
+    pub at_mm: [f64; 2],
+    /// By how much noise of the stated size lifts a maximum like this, mm.
+    pub bias_mm: f64,
+    /// Standard uncertainty by noise, mm.
+    pub u_mm: f64,
+}
+
+/// The points of a zone, sorted by cells.
+pub(super) struct Discs<'a> {
+    field: &'a Field,
+    samples: &'a [Sample],
+    /// Samples by cell: `order[start[i]..start[i + 1]]`.
+    order: Vec<u32>,
+    start: Vec<u32>,
+    radius_mm: f64,
+}
+
+/// Overlaps of the cells around a cell with a disc on its middle: offsets and shares of the disc.
+struct Kernel(Vec<([isize; 2], f64)>);
+
+impl<'a> Discs<'a> {
+    pub fn new(field: &'a Field, samples: &'a [Sample], area_mm2: f64) -> Self {
+        let cell_of: Vec<Option<usize>> = samples.iter().map(|s| field.cell_at(s.at_mm)).collect();
+        let mut start = vec![0_u32; field.wear_mm.len() + 1];
+        for cell in cell_of.iter().flatten() {
+            start[cell + 1] += 1;
+        }
+        for i in 1..start.len() {
+            start[i] += start[i - 1];
+        }
+        let mut next = start.clone();
+        let mut order = vec![0; start.last().map_or(0, |&n| n as usize)];
+        for (i, cell) in cell_of.iter().enumerate() {
+            if let Some(cell) = *cell {
+                order[next[cell] as usize] = i as u32;
+                next[cell] += 1;
+            }
+        }
+        Self {
+            field,
+            samples,
+            order,
+            start,
+            radius_mm: radius_mm(area_mm2),
+        }
+    }
+
+    /// The samples of a cell.
+    pub fn of_cell(&self, cell: usize) -> impl Iterator<Item = &Sample> {
+        let range = self.start[cell] as usize..self.start[cell + 1] as usize;
+        self.order[range].iter().map(|&i| &self.samples[i as usize])
+    }
+
+    /// Whether a disc fits into the zone at all.
+    pub fn fits(&self) -> bool {
+        self.field
+            .size_mm()
+            .iter()
+            .all(|length| *length >= 2.0 * self.radius_mm)
+    }
+
+    /// Cells that a disc may touch, along one axis.
+    fn touched(&self, axis: usize, middle_mm: f64) -> std::ops::Range<usize> {
+        let count = [self.field.columns, self.field.rows][axis];
+        let cell_mm = self.field.cell_mm[axis];
+        let low = ((middle_mm - self.radius_mm) / cell_mm).floor().max(0.0) as usize;
+        let high = ((middle_mm + self.radius_mm) / cell_mm).floor() as usize + 1;
+        low..high.min(count)
+    }
+
+    /// Mean over the disc about `middle`, mm: of its measured part, times that part's share. Every measured cell counts by
+    /// the share of its points that lie in the disc, wherever points are dense or sparse.
+    fn mean_mm(&self, middle: [f64; 2], sign: f64) -> f64 {
+        let squared = self.radius_mm * self.radius_mm;
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for row in self.touched(1, middle[1]) {
+            for column in self.touched(0, middle[0]) {
+                let cell = row * self.field.columns + column;
+                let count = self.start[cell + 1] - self.start[cell];
+                if count == 0 {
+                    continue;
+                }
+                let share = 1.0 / f64::from(count);
+                for sample in self.of_cell(cell) {
+                    let [x, y] = [0, 1].map(|k| sample.at_mm[k] - middle[k]);
+                    if x * x + y * y <= squared {
+                        sum += share * sample.wear_mm;
+                        weight += share;
+                    }
+                }
+            }
+        }
+        if weight == 0.0 {
+            return 0.0;
+        }
+        sign * sum / weight * (1.0 - self.unmeasured_share(middle))
+    }
+
+    /// Share of the disc about `middle` that lies in cells without points.
+    fn unmeasured_share(&self, middle: [f64; 2]) -> f64 {
+        let mut unmeasured = 0.0;
+        for row in self.touched(1, middle[1]) {
+            for column in self.touched(0, middle[0]) {
+                let cell = row * self.field.columns + column;
+                if self.start[cell + 1] == self.start[cell] {
+                    let corner = [
+                        column as f64 * self.field.cell_mm[0] - middle[0],
+                        row as f64 * self.field.cell_mm[1] - middle[1],
+                    ];
+                    unmeasured += overlap_mm2(corner, self.field.cell_mm, self.radius_mm);
+                }
+            }
+        }
+        unmeasured / (std::f64::consts::PI * self.radius_mm * self.radius_mm)
+    }
+
+    /// Middles of the discs of the lattice.
+    fn lattice(&self, axis: usize, steps_per_cell: usize) -> Vec<f64> {
+        let length_mm = self.field.size_mm()[axis];
+        let room_mm = length_mm - 2.0 * self.radius_mm;
+        let step_mm = self.field.cell_mm[axis] / steps_per_cell as f64;
+        let count = (room_mm / step_mm).ceil().max(1.0) as usize;
+        // Both ends are tried.
+        (0..=count)
+            .map(|i| self.radius_mm + room_mm * i as f64 / count as f64)
+            .collect()
+    }
+
+    /// The largest mean loss (`sign` 1) or the largest mean height of proud material (-1). None when no disc fits.
+    ///
+    /// `noise_scale` says how many times larger than stated the cells' noise is.
+    pub fn largest(&self, sign: f64, noise_scale: f64) -> Option<Peak> {
+        if !self.fits() {
+            return None;
+        }
+        let [columns, rows] = [0, 1].map(|axis| self.lattice(axis, STEPS_PER_CELL));
+        let mut tried: Vec<(f64, [f64; 2])> = Vec::with_capacity(columns.len() * rows.len());
+        for &y in &rows {
+            for &x in &columns {
+                tried.push((self.mean_mm([x, y], sign), [x, y]));
+            }
+        }
+        let count = CLIMBS.min(tried.len());
+        tried.select_nth_unstable_by(count - 1, |a, b| b.0.total_cmp(&a.0));
+        let (raw_mm, at_mm) = tried[..count]
+            .iter()
+            .map(|&from| self.climb(from, sign))
+            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let [bias_mm, scaled_bias_mm, scatter_mm] = self.of_noise(sign, noise_scale);
+        Some(Peak {
+            raw_mm,
+            at_mm,
+            bias_mm,
+            // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
+            // Rectangular between the two.
+            u_mm: scatter_mm.hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt()),
+        })
+    }
+
+    /// To the largest mean near a place.
+    fn climb(&self, from: (f64, [f64; 2]), sign: f64) -> (f64, [f64; 2]) {
+        let size = self.field.size_mm();
+        let mut best = from;
+        let mut step_mm = self.field.cell_mm[0].min(self.field.cell_mm[1]) / STEPS_PER_CELL as f64;
+        for _ in 0..HALVINGS {
+            step_mm *= 0.5;
+            let [x, y] = best.1;
+            for [dx, dy] in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]] {
+                let middle = [x + dx * step_mm, y + dy * step_mm];
+                let inside = (0..2)
+                    .all(|k| (self.radius_mm..=size[k] - self.radius_mm).contains(&middle[k]));
+                let mean = if inside {
+                    self.mean_mm(middle, sign)
+                } else {
+                    f64::NEG_INFINITY
+                };
+                if mean > best.0 {
+                    best = (mean, middle);
+                }
+            }
+        }
+        best
+    }
+
+    /// Overlaps of a disc on the middle of a cell.
+    fn kernel(&self) -> Kernel {
+        let reach = [0, 1].map(|k| (self.radius_mm / self.field.cell_mm[k] + 0.5).floor() as isize);
+        let mut overlaps = Vec::new();
+        for row in -reach[1]..=reach[1] {
+            for column in -reach[0]..=reach[0] {
+                let corner = [
+                    (column as f64 - 0.5) * self.field.cell_mm[0],
+                    (row as f64 - 0.5) * self.field.cell_mm[1],
+                ];
+                let area = overlap_mm2(corner, self.field.cell_mm, self.radius_mm);
+                if area > 0.0 {
+                    overlaps.push(([column, row], area));
+                }
+            }
+        }
+        // What the overlaps' midpoint rule leaves of 1 is no hole.
+        let whole: f64 = overlaps.iter().map(|(_, area)| area).sum();
+        for (_, share) in &mut overlaps {
+            *share /= whole;
+        }
+        Kernel(overlaps)
+    }
+
+    /// Cells on whose middle a disc lies in the zone.
+    fn middles(&self) -> Vec<[usize; 2]> {
+        let within = |axis: usize| {
+            let (length, cell) = (self.field.size_mm()[axis], self.field.cell_mm[axis]);
+            let count = [self.field.columns, self.field.rows][axis];
+            // A hundredth of a cell: where the disc just fits, rounding must not take the only place away.
+            let slack = 0.01 * cell;
+            (0..count).filter(move |&i| {
+                let middle = (i as f64 + 0.5) * cell;
+                middle >= self.radius_mm - slack && middle <= length - self.radius_mm + slack
+            })
+        };
+        let columns: Vec<usize> = within(0).collect();
+        within(1)
+            .flat_map(|row| columns.iter().map(move |&column| [column, row]))
+            .collect()
+    }
+
+    /// By how much noise lifts the maximum: as stated, scaled; and the maximum's scatter by the scaled noise, mm.
+    fn of_noise(&self, sign: f64, noise_scale: f64) -> [f64; 3] {
+        let kernel = self.kernel();
+        let padded = Padded::new(self.field, &kernel);
+        // Cells that measured nothing bring neither wear nor noise.
+        let value = padded.of(self.field.wear_mm.iter().map(|&w| sign * w));
+        let sigma = padded.of(self.field.variance_mm2.iter().map(|v| v.sqrt()));
+        let places: Vec<usize> = self
+            .middles()
+            .into_iter()
+            .map(|at| padded.index(at))
+            .collect();
+        let means: Vec<f32> = places.iter().map(|&at| padded.mean(&value, at)).collect();
+        let largest = means.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        if !largest.is_finite() {
+            return [f64::NAN; 3];
+        }
+        // A disc so far below the largest that no noise lifts it above takes no part.
+        let weights2: f64 = kernel.0.iter().map(|(_, share)| share * share).sum();
+        let worst = f64::from(sigma.iter().copied().fold(0.0, f32::max)) * weights2.sqrt();
+        let reach = (8.0 * worst * noise_scale) as f32;
+        let rivals: Vec<(usize, f32)> = places
+            .into_iter()
+            .zip(means)
+            .filter(|(_, mean)| *mean >= largest - reach)
+            .collect();
+        let deviates = &*DEVIATES;
+        let mut lifts = [[0.0_f64; 2]; DRAWS];
+        let mut noise = vec![0.0_f32; sigma.len()];
+        for (draw, lift) in lifts.iter_mut().enumerate() {
+            for (i, noise) in noise.iter_mut().enumerate() {
+                *noise = sigma[i] * deviates[(draw * sigma.len() + i) % deviates.len()];
+            }
+            let mut most = [f32::NEG_INFINITY; 2];
+            for &(at, mean) in &rivals {
+                let of_noise = padded.mean(&noise, at);
+                most = [
+                    most[0].max(mean + of_noise),
+                    most[1].max(mean + noise_scale as f32 * of_noise),
+                ];
+            }
+            *lift = most.map(|m| f64::from(m - largest));
+        }
+        let mean = |k: usize| lifts.iter().map(|l| l[k]).sum::<f64>() / DRAWS as f64;
+        let scaled = mean(1);
+        let squares: f64 = lifts.iter().map(|l| (l[1] - scaled).powi(2)).sum();
+        [
+            mean(0).max(0.0),
+            scaled.max(0.0),
+            (squares / (DRAWS - 1) as f64).sqrt(),
+        ]
+    }
+
+    /// The largest mean loss that any disc can have when every cell without points lost `depth_mm`, mm; none when every disc
+    /// was measured whole.
+    pub fn hidden_mm(&self, depth_mm: f64) -> Option<f64> {
+        let (kernel, middles) = (self.kernel(), self.middles());
+        let mut worst: Option<f64> = None;
+        for [column, row] in middles {
+            let (mut unseen, mut sum) = (0.0, 0.0);
+            for &([dx, dy], share) in &kernel.0 {
+                let (x, y) = (column as isize + dx, row as isize + dy);
+                if !(0..self.field.columns as isize).contains(&x)
+                    || !(0..self.field.rows as isize).contains(&y)
+                {
+                    continue;
+                }
+                let wear = self.field.wear_mm[y as usize * self.field.columns + x as usize];
+                if wear.is_finite() {
+                    sum += share * wear;
+                } else {
+                    unseen += share;
+                }
+            }
+            if unseen > 0.0 {
+                worst = Some(
+                    worst
+                        .unwrap_or(f64::NEG_INFINITY)
+                        .max(sum + unseen * depth_mm),
+                );
+            }
+        }
+        worst
+    }
+}
+
+/// Cells with a margin as wide as a disc, so that no disc needs to ask where the zone ends.
+struct Padded {
+    columns: usize,
+    rows: usize,
+    margin: [usize; 2],
+    /// Steps to the cells of a disc, and their shares of it.
+    steps: Vec<(isize, f32)>,
+}
+
+impl Padded {
+    fn new(field: &Field, kernel: &Kernel) -> Self {
+        let margin = [0, 1].map(|k| {
+            let reach = kernel.0.iter().map(|(step, _)| step[k].unsigned_abs());
+            reach.max().unwrap_or(0)
+        });
+        let columns = field.columns + 2 * margin[0];
+        let step =
+            |&([dx, dy], share): &([isize; 2], f64)| (dy * columns as isize + dx, share as f32);
+        Self {
+            columns,
+            rows: field.rows + 2 * margin[1],
+            margin,
+            steps: kernel.0.iter().map(step).collect(),
+        }
+    }
+
+    fn index(&self, [column, row]: [usize; 2]) -> usize {
+        (row + self.margin[1]) * self.columns + column + self.margin[0]
+    }
+
+    /// A field's cells; zero where they are not finite.
+    fn of(&self, cells: impl Iterator<Item = f64>) -> Vec<f32> {
+        let mut padded = vec![0.0; self.columns * self.rows];
+        let inner = self.columns - 2 * self.margin[0];
+        for (i, value) in cells.enumerate().filter(|(_, value)| value.is_finite()) {
+            padded[self.index([i % inner, i / inner])] = value as f32;
+        }
+        padded
+    }
+
+    /// Mean over the disc on a cell of the zone.
+    fn mean(&self, cells: &[f32], at: usize) -> f32 {
+        let cell = |step: isize| cells[at.wrapping_add_signed(step)];
+        self.steps
+            .iter()
+            .map(|&(step, share)| share * cell(step))
+            .sum()
+    }
+}
+
+/// Radius of a disc, mm.
+pub(super) fn radius_mm(area_mm2: f64) -> f64 {
+    (area_mm2 / std::f64::consts::PI).sqrt()
+}
+
+/// Area that a rectangle shares with a disc about the origin, mm2; exact along one axis, by the midpoint rule along the other.
+fn overlap_mm2(corner: [f64; 2], size: [f64; 2], radius_mm: f64) -> f64 {
+    let strip = size[1] / PARTS as f64;
+    (0..PARTS)
+        .map(|i| {
+            let y = corner[1] + (i as f64 + 0.5) * strip;
+            let half = (radius_mm * radius_mm - y * y).max(0.0).sqrt();
+            strip * (half.min(corner[0] + size[0]) - (-half).max(corner[0])).max(0.0)
+        })
+        .sum()
+}
