@@ -307,8 +307,9 @@ fn what_a_flank_does_not_show_is_named_with_its_place_and_the_next_step() {
     // Nothing from 10 to 14 mm, and at mid face (20 mm) nothing between radii 41.9 and 42.3.
     points.retain(|p| {
         let radius = p[0].hypot(p[1]);
-        !(10.0..14.0).contains(&p[2])
-            && !((p[2] - 20.0).abs() < 1.5 && (41.9..42.3).contains(&radius))
+        let gap_of_helix = (10.0..14.0).contains(&p[2]);
+        let gap_of_profile = (p[2] - 20.0).abs() < 1.5 && (41.9..42.3).contains(&radius);
+        !(gap_of_helix || gap_of_profile)
     });
     let evaluation = evaluate(&gear, &points, &settings).unwrap();
     for flank in &evaluation.flanks {

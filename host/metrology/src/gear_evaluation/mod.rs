@@ -39,7 +39,7 @@ use serde::Serialize;
 use crate::gear::{Flank, GearData};
 use crate::verdict::guard_factor;
 use limits::{roll_mm, standard_of_u95};
-use not_told::split;
+use not_told::{joined, split};
 use trace::{Course, Problem, Sample};
 
 /// What to evaluate, and by what.
@@ -602,7 +602,7 @@ fn runout(
         let why = pitches
             .iter()
             .find_map(|pitch| pitch.total_not_told.clone());
-        why.unwrap_or(NotTold::Axis)
+        why.unwrap_or(NotTold::NotSeen)
     };
     places.map(|places| range(&places)).ok_or_else(missing)
 }
@@ -635,25 +635,18 @@ fn value_of(quantity: Quantity, evaluation: &GearEvaluation) -> (Result<f64, Not
                 flanks: flanks.len(),
                 tooth: f.tooth,
                 flank: f.flank,
-                first: Box::new(why.clone().unwrap_or(NotTold::Terms { points: 0 })),
+                first: Box::new(why.clone().unwrap_or(NotTold::NotSeen)),
             }
         });
         (value, values.len())
     };
     let pitches = [&evaluation.left, &evaluation.right];
     let positions = || flanks.iter().filter(|f| f.position_um.is_some()).count();
+    type ReadPitch<'a> = &'a dyn Fn(&PitchFigures) -> Result<f64, NotTold>;
     // Half of the flanks is not all of them: the first side that is missing says why.
-    let both = |read: &dyn Fn(&PitchFigures) -> (Option<f64>, Option<NotTold>)| {
-        let mut value = Ok(0.0_f64);
-        for pitch in pitches {
-            match read(pitch) {
-                (Some(own), _) => value = value.map(|value| value.max(own)),
-                (None, why) => {
-                    return (Err(why.unwrap_or(NotTold::Axis)), positions());
-                }
-            }
-        }
-        (value, positions())
+    let both = |read: ReadPitch<'_>| {
+        let larger = read(pitches[0]).and_then(|left| Ok(left.max(read(pitches[1])?)));
+        (larger, positions())
     };
     match quantity {
         Quantity::ProfileTotal => largest(true, &|f| f.total_um),
@@ -662,11 +655,11 @@ fn value_of(quantity: Quantity, evaluation: &GearEvaluation) -> (Result<f64, Not
         Quantity::HelixTotal => largest(false, &|f| f.total_um),
         Quantity::HelixForm => largest(false, &|f| f.form_um),
         Quantity::HelixSlope => largest(false, &|f| f.slope_um),
-        Quantity::SinglePitch => both(&|p| (p.f_p_um, p.f_p_not_told.clone())),
-        Quantity::CumulativePitch => both(&|p| (p.total_um, p.total_not_told.clone())),
+        Quantity::SinglePitch => both(&|p| joined(p.f_p_um, &p.f_p_not_told)),
+        Quantity::CumulativePitch => both(&|p| joined(p.total_um, &p.total_not_told)),
         Quantity::Runout => {
-            let why = || evaluation.runout_not_told.clone().unwrap_or(NotTold::Axis);
-            (evaluation.runout_um.ok_or_else(why), positions())
+            let runout = joined(evaluation.runout_um, &evaluation.runout_not_told);
+            (runout, positions())
         }
     }
 }

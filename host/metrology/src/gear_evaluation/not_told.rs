@@ -89,6 +89,9 @@ pub enum NotTold {
         /// The first missing.
         first: u32,
     },
+    /// Nothing was seen.
+    #[error("nothing was seen")]
+    NotSeen,
     /// Flanks on one side of the gear fix no axis.
     #[error("the flanks seen do not fix an axis")]
     Axis,
@@ -106,6 +109,7 @@ impl NotTold {
             Self::NoFlank { .. } => "no_flank",
             Self::NoNeighbours { .. } => "no_neighbours",
             Self::TeethMissing { .. } => "teeth_missing",
+            Self::NotSeen => "not_seen",
             Self::Axis => "axis",
         }
     }
@@ -125,6 +129,7 @@ impl NotTold {
             Self::NoFlank { first, .. } => first.next_step(),
             Self::NoNeighbours { .. } => "scan neighbouring teeth at mid face",
             Self::TeethMissing { .. } => "scan all teeth, both sides, at mid face",
+            Self::NotSeen => "scan the gear's flanks",
             Self::Axis => "scan flanks all around the gear",
         }
     }
@@ -146,4 +151,9 @@ pub(super) fn split<T>(told: Result<T, NotTold>) -> (Option<T>, Option<NotTold>)
         Ok(figure) => (Some(figure), None),
         Err(why) => (None, Some(why)),
     }
+}
+
+/// The two as they were before [`split`].
+pub(super) fn joined<T: Copy>(figure: Option<T>, why: &Option<NotTold>) -> Result<T, NotTold> {
+    figure.ok_or_else(|| why.clone().unwrap_or(NotTold::NotSeen))
 }
