@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::gear_evaluation::{CLASSES, GearEvaluation, Settings, evaluate};
+use flankscope_metrology::gear_evaluation::{CLASSES, GearEvaluation, Rating, Settings, evaluate};
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::PROBABILITY;
 use serde::Serialize;
 
 use crate::geometry::load_cloud;
@@ -17,7 +18,11 @@ use crate::output::{Common, Outcome};
 #[command(
     after_help = "Example:\n  flankscope gear --tool die --cloud merged.ply --class 9 --json gear.json\n\n\
     Deviations are along the normal, positive where material stands proud. The standard covers gears; for a die it is\n\
-    used by analogy. A class is only stated where the uncertainty is at most 0.3 of its tolerance.\n\n\
+    used by analogy. A class is only stated where the uncertainty is at most 0.3 of its tolerance.\n\
+    F_alpha and f_f_alpha are read over 95 % of the roll length between the usable radii, from the root end on; f_H_alpha is\n\
+    the rise of their mean line from the root end to the tip radius (ISO 1328-1:2013) or between the radii of --slope-mm,\n\
+    positive for more material towards the tip. A figure that cannot be told says why and what to do next.\n\
+    With --class, a figure keeps the tool's `probability` (95 %): 0.84 of U95 from its tolerance, as wear does.\n\n\
     Exit code: 0 evaluated (with --class: held), 1 --class not held, 2 --class not decidable, 3 could not run"
 )]
 pub struct Args {
@@ -30,9 +35,12 @@ pub struct Args {
     /// The axis that deviations are stated about.
     #[arg(long, value_enum, default_value_t = Axis::Tool)]
     axis: Axis,
-    /// Radii between which the flank is used [default: the active flank].
+    /// Profile control radius and tip form radius: the flank between root rounding and tip edge [default: the active flank].
     #[arg(long, value_name = "A,B", value_parser = two_radii)]
     usable_mm: Option<[f64; 2]>,
+    /// Radii between which f_H_alpha is stated [default: profile control radius and tip radius].
+    #[arg(long, value_name = "A,B", value_parser = two_radii)]
+    slope_mm: Option<[f64; 2]>,
     /// Points up to this far from mid face enter a profile.
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     band_mm: f64,
@@ -62,6 +70,10 @@ struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
     u95_um: f64,
+    /// How far a figure must keep from its tolerance.
+    guard_um: f64,
+    /// Probability with which it then keeps it.
+    probability: f64,
     #[serde(flatten)]
     evaluation: &'a GearEvaluation,
 }
@@ -93,6 +105,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         band_mm: args.band_mm,
         best_fit_axis: args.axis == Axis::Fit,
         u95_um: args.u95_um,
+        slope_mm: args.slope_mm,
         ..Settings::of(gear)
     };
     if let Some(usable_mm) = args.usable_mm {
@@ -100,9 +113,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let evaluation = evaluate(gear, &cloud.points, &settings)
         .with_context(|| format!("cannot evaluate {}", args.cloud.display()))?;
+    let inspect = tool.inspect.as_ref();
+    let probability = inspect.map_or(PROBABILITY, |inspect| inspect.probability);
+    let guard_um = settings.guard_um(probability);
     let judged = args
         .class
-        .map(|class| judge(gear, &evaluation, class, args.u95_um));
+        .map(|class| judge(gear, &evaluation, class, [args.u95_um, guard_um]));
     let (outcome, verdict, reason) = match judged {
         None => (Outcome::Go, None, None),
         Some((outcome, reason)) => {
@@ -118,6 +134,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         verdict,
         reason: reason.clone(),
         u95_um: args.u95_um,
+        guard_um,
+        probability,
         evaluation: &evaluation,
     })?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
@@ -131,16 +149,16 @@ fn judge(
     gear: &GearData,
     evaluation: &GearEvaluation,
     class: u32,
-    u95_um: f64,
+    [u95_um, guard_um]: [f64; 2],
 ) -> (Outcome, String) {
     let mut open = Vec::new();
     let mut broken = Vec::new();
     for rating in &evaluation.ratings {
         let tolerance = rating.quantity.tolerance_um(gear, class);
         match rating.value_um {
-            None => open.push(format!("{} was not seen whole", rating.symbol)),
+            None => open.push(format!("{} is not told: {}", rating.symbol, why(rating))),
             // Only clearly beyond the tolerance is it broken, only clearly within is it held.
-            Some(value) if value - u95_um > tolerance => {
+            Some(value) if value - guard_um > tolerance => {
                 broken.push(format!(
                     "{} = {value:.1} um, tolerance {tolerance} um",
                     rating.symbol
@@ -157,8 +175,8 @@ fn judge(
                     u95_um / tolerance
                 ));
             }
-            Some(value) if value + u95_um > tolerance => open.push(format!(
-                "{} = {value:.1} um is within {u95_um} um of its tolerance {tolerance} um",
+            Some(value) if value + guard_um > tolerance => open.push(format!(
+                "{} = {value:.1} um is within {guard_um:.1} um of its tolerance {tolerance} um",
                 rating.symbol
             )),
             Some(_) => {}
@@ -169,8 +187,20 @@ fn judge(
     } else if !open.is_empty() {
         (Outcome::Indeterminate, open.join("; "))
     } else {
-        (Outcome::Go, format!("every quantity holds class {class}"))
+        let seen = evaluation.ratings.iter().map(|rating| rating.flanks).min();
+        let reason = format!(
+            "every quantity holds class {class} on at least {} of {} flanks",
+            seen.unwrap_or(0),
+            2 * gear.teeth
+        );
+        (Outcome::Go, reason)
     }
+}
+
+/// Why a quantity has no value, and what to do next.
+fn why(rating: &Rating) -> String {
+    let told = rating.not_told.as_ref();
+    told.map_or_else(String::new, |why| format!("{why}; {}", why.next_step()))
 }
 
 fn print_table(
@@ -197,7 +227,18 @@ fn print_table(
             axis.tilt_mrad[0], axis.tilt_mrad[1]
         )?;
     }
-    writeln!(out, "\nquantity     value/um  class  tolerance/um")?;
+    if let Some(why) = &evaluation.axis_not_told {
+        writeln!(out, "{why}; {}", why.next_step())?;
+    }
+    let limits = &evaluation.limits;
+    let [slope_from, slope_to] = limits.slope_radii_mm;
+    let [low, high] = limits.helix_heights_mm;
+    writeln!(
+        out,
+        "profile from radius {:.3} to {:.3} mm, f_H_alpha from {slope_from:.3} to {slope_to:.3} mm; helix from height {low:.2} to {high:.2} mm",
+        limits.control_radius_mm, limits.evaluated_to_radius_mm
+    )?;
+    writeln!(out, "\nquantity     value/um  class  tolerance/um  flanks")?;
     for rating in &evaluation.ratings {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
         let class = match (rating.value_um, rating.class) {
@@ -206,12 +247,13 @@ fn print_table(
         };
         writeln!(
             out,
-            "{:<12} {:>8} {:>6} {:>13}  {}",
+            "{:<12} {:>8} {:>6} {:>13} {:>7}  {}",
             rating.symbol,
             number(rating.value_um),
             class,
             number(rating.tolerance_um),
-            rating.note.as_deref().unwrap_or_default()
+            rating.flanks,
+            rating.note.clone().unwrap_or_else(|| why(rating))
         )?;
     }
     if let Some((verdict, reason)) = judged {

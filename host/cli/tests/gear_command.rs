@@ -116,6 +116,79 @@ fn a_perfect_die_holds_its_class_and_one_bad_pitch_breaks_it() {
 }
 
 #[test]
+fn what_is_not_told_says_why_in_table_document_and_verdict() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = demo(folder.path());
+    let gear = tool.gear.clone().unwrap();
+    // Half of the ring, and nothing of the upper half of it.
+    let mut points = cloud(&tool, |_, _| 0.0);
+    points.retain(|p| p[1] > 0.0 && p[2] < 40.0);
+    write_xyz(&folder.path().join("cloud.xyz"), &points);
+    let base = [
+        "gear",
+        "--tool",
+        "die",
+        "--cloud",
+        "cloud.xyz",
+        "--band-mm",
+        "3",
+    ];
+    let output = flankscope(folder.path(), &base);
+    assert_eq!(output.status.code(), Some(0));
+    let table = String::from_utf8_lossy(&output.stdout).into_owned();
+    for line in table
+        .lines()
+        .filter(|line| line.split_whitespace().nth(1) == Some("-"))
+    {
+        assert!(line.contains(';') && line.contains("scan"), "{line}");
+    }
+    for (symbol, reason) in [
+        ("F_beta ", "the helix has a gap from height"),
+        ("F_p ", "teeth have no left flank with a position"),
+        ("F_r ", "teeth have no left flank with a position"),
+    ] {
+        let line = table.lines().find(|line| line.starts_with(symbol)).unwrap();
+        assert!(line.contains(reason), "{line}");
+    }
+    let slope = format!(
+        "f_H_alpha from {:.3} to {:.3} mm",
+        gear.active_flank_mm()[1],
+        gear.tip_radius_mm
+    );
+    assert!(table.contains(&slope), "{table}");
+
+    let output = flankscope(
+        folder.path(),
+        &[&base[..], &["--class", "10", "--json", "-"]].concat(),
+    );
+    let document = json(&output);
+    assert_eq!(document["verdict"], "indeterminate", "{document}");
+    assert!(
+        document["reason"]
+            .as_str()
+            .unwrap()
+            .contains("F_beta is not told: ")
+    );
+    // The same quantile as for wear: 95 % to one side of a figure whose U95 is 5 um.
+    let guard = document["guard_um"].as_f64().unwrap();
+    assert!(
+        (guard - 5.0 * 1.644_854 / 1.959_964).abs() < 1e-4,
+        "{guard}"
+    );
+    for rating in document["ratings"].as_array().unwrap() {
+        assert_eq!(
+            rating["value_um"].is_null(),
+            rating["not_told"]["next"].is_string(),
+            "{rating}"
+        );
+    }
+    let flank = &document["flanks"][0];
+    assert!(flank["helix"].is_null());
+    assert_eq!(flank["helix_not_told"]["code"], "helix_gap");
+    assert!(document["limits"]["slope_radii_mm"][1].as_f64().unwrap() == gear.tip_radius_mm);
+}
+
+#[test]
 fn what_cannot_be_evaluated_is_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     demo(folder.path());
@@ -135,6 +208,16 @@ fn what_cannot_be_evaluated_is_refused_in_one_line() {
         "no cloud",
         &["gear", "--tool", "die", "--cloud", "none.xyz"],
         &["none.xyz"],
+    );
+    refused(
+        "usable beyond the tip",
+        &[&base[..], &["--usable-mm", "40,42"]].concat(),
+        &["a usable radius = 40", "between tip and root circle"],
+    );
+    refused(
+        "slope",
+        &[&base[..], &["--slope-mm", "41,41"]].concat(),
+        &["two different radii"],
     );
     refused(
         "usable",

@@ -1,23 +1,52 @@
-//! `sample`, `register` and `deviation` as a user runs them: on a gear of another CAD kernel and on damaged files.
+//! `sample`, `register` and `deviation` as a user runs them: on ring gears and on damaged files.
 
 mod support;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
 use flankscope_metrology::mesh::{self, Unit};
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::{cloud, ply};
 use serde_json::Value;
 use support::{Random, assert_refused, flankscope, json, write_xyz};
 
-fn ring84(test: &str) -> Option<PathBuf> {
-    let path =
+/// Runs a test on the ring gear of 84 teeth and module 1, and on that of another CAD kernel if it is there.
+fn on_every_ring84(test: &str, body: impl Fn(&Path)) {
+    let gear = GearSpec {
+        kind: GearKind::Internal,
+        teeth: 84,
+        module_mm: 1.0,
+        pressure_angle_rad: 20f64.to_radians(),
+        tip_radius_mm: 41.0,
+        root_radius_mm: 43.25,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: 51.25,
+        height_mm: [0.0, 66.0],
+    };
+    // As coarse as the foreign one.
+    let meshing = Meshing {
+        chord_error_mm: 4e-3,
+        ..Meshing::default()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let own = folder.path().join("ring84.stl");
+    let mut bytes = Vec::new();
+    write_stl(&gear.mesh(&meshing).unwrap(), "ring gear", &mut bytes).unwrap();
+    std::fs::write(&own, bytes).unwrap();
+    body(&own);
+    let foreign =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/cad-ring84/ring84.stl");
-    if !path.exists() {
-        println!("SKIPPED {test}: shared/data/cad-ring84/ring84.stl is not there");
-        return None;
+    if foreign.exists() {
+        body(&foreign);
+        return;
     }
-    Some(path)
+    assert!(
+        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
+        "{} is missing",
+        foreign.display()
+    );
+    println!("SKIPPED {test} on the foreign CAD: shared/data/cad-ring84/ring84.stl is not there");
 }
 
 /// The points of a sampled cloud about +x, with 10 um of noise.
@@ -50,9 +79,13 @@ fn disturbed(points: &[[f64; 3]]) -> Vec<[f64; 3]> {
 
 #[test]
 fn sampling_is_reproducible_and_on_the_surface() {
-    let Some(cad) = ring84("sampling_is_reproducible_and_on_the_surface") else {
-        return;
-    };
+    on_every_ring84(
+        "sampling_is_reproducible_and_on_the_surface",
+        run_sampling_is_reproducible_and_on_the_surface,
+    );
+}
+
+fn run_sampling_is_reproducible_and_on_the_surface(cad: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let run = |seed: &str, file: &str| {
         let cad = cad.to_str().unwrap();
@@ -67,7 +100,7 @@ fn sampling_is_reproducible_and_on_the_surface() {
     let first = run("7", "a.ply");
     assert_eq!(first, run("7", "b.ply"));
     assert_ne!(first, run("8", "c.ply"));
-    let surface = Surface::new(&mesh::load(&cad, Unit::Mm).unwrap()).unwrap();
+    let surface = Surface::new(&mesh::load(cad, Unit::Mm).unwrap()).unwrap();
     let points = cloud::parse(&first).unwrap().points;
     assert_eq!(points.len(), 20000);
     for p in points.iter() {
@@ -77,9 +110,10 @@ fn sampling_is_reproducible_and_on_the_surface() {
 
 #[test]
 fn a_moved_patch_is_laid_back_and_its_deviation_is_the_noise() {
-    let Some(cad) = ring84("a_moved_patch_is_laid_back") else {
-        return;
-    };
+    on_every_ring84("a_moved_patch_is_laid_back", run_a_moved_patch_is_laid_back);
+}
+
+fn run_a_moved_patch_is_laid_back(cad: &Path) {
     let folder = tempfile::tempdir().unwrap();
     let cad = cad.to_str().unwrap();
     let truth = patch(folder.path(), cad);

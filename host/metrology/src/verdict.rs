@@ -60,8 +60,9 @@ pub fn probability_below(limit: f64, value: f64, u: f64) -> f64 {
     0.5 * libm::erfc((value - limit) / (u * std::f64::consts::SQRT_2))
 }
 
-/// How many standard uncertainties a figure must keep from a limit for a probability of at least one half: the normal
-/// distribution's quantile.
+/// How many standard uncertainties a figure must keep from a limit, so that the limit is kept or exceeded with this
+/// probability: the quantile of the normal distribution, for probabilities from one half up to (not including) one. The one
+/// source of every coverage and guard factor: 1.645 for a one-sided 95 %, `guard_factor(0.975)` = 1.960 for U95.
 pub fn guard_factor(probability: f64) -> f64 {
     let (mut low, mut high) = (0.0, 10.0);
     // 50 halvings of 10 end below 1e-14.

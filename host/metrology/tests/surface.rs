@@ -6,7 +6,7 @@ mod support;
 use flankscope_metrology::mesh::TriMesh;
 use flankscope_metrology::surface::{Feature, Surface};
 use nalgebra::{Rotation3, Vector3};
-use support::{Random, ring84};
+use support::{Random, on_every_ring84};
 
 type V = Vector3<f64>;
 
@@ -254,10 +254,11 @@ fn triangles_without_area_agree_with_brute_force() {
 }
 
 #[test]
-fn a_foreign_gear_agrees_with_brute_force() {
-    let Some(mesh) = ring84("a_foreign_gear_agrees_with_brute_force") else {
-        return;
-    };
+fn ring_gears_agree_with_brute_force() {
+    on_every_ring84("ring_gears_agree_with_brute_force", run_ring_gears);
+}
+
+fn run_ring_gears(mesh: TriMesh) {
     check("ring84", &mesh, 3000, true);
 }
 

@@ -2,7 +2,7 @@
 
 mod support;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use flankscope_metrology::alpha;
 use flankscope_metrology::gear::Flank;
@@ -11,7 +11,7 @@ use flankscope_metrology::registration::{Contact, Options, Response, register};
 use flankscope_metrology::tool::{Tool, ToolError};
 use flankscope_metrology::verdict::{Verdict, combine, decide};
 use flankscope_metrology::wear::{self, FlankWear, Influence, Measured, evaluate};
-use support::{Random, ring84_path};
+use support::{Random, on_every_ring84_file};
 
 const FILE: &str = r#"
 name = "ring84"
@@ -105,9 +105,10 @@ fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
 
 #[test]
 fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
-    let Some(cad) = ring84_path("an_undamaged_gear_is_go") else {
-        return;
-    };
+    on_every_ring84_file("an_undamaged_gear_is_go", run_an_undamaged_gear_is_go);
+}
+
+fn run_an_undamaged_gear_is_go(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = load(folder.path(), FILE, &cad).unwrap();
 
@@ -157,9 +158,10 @@ fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
 
 #[test]
 fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
-    let Some(cad) = ring84_path("a_pit_counts_by_its_depth") else {
-        return;
-    };
+    on_every_ring84_file("a_pit_counts_by_its_depth", run_a_pit_counts_by_its_depth);
+}
+
+fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = load(folder.path(), FILE, &cad).unwrap();
     let pit = |tooth, flank, radius: f64, height: f64| {
@@ -193,9 +195,10 @@ fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
 
 #[test]
 fn a_flank_that_was_not_seen_is_indeterminate() {
-    let Some(cad) = ring84_path("a_flank_that_was_not_seen") else {
-        return;
-    };
+    on_every_ring84_file("a_flank_that_was_not_seen", run_a_flank_that_was_not_seen);
+}
+
+fn run_a_flank_that_was_not_seen(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = load(folder.path(), FILE, &cad).unwrap();
     let measured = Measured {
@@ -223,9 +226,10 @@ fn a_flank_that_was_not_seen_is_indeterminate() {
 
 #[test]
 fn wrong_tool_files_are_named() {
-    let Some(cad) = ring84_path("wrong_tool_files_are_named") else {
-        return;
-    };
+    on_every_ring84_file("wrong_tool_files_are_named", run_wrong_tool_files_are_named);
+}
+
+fn run_wrong_tool_files_are_named(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let refused = |from: &str, to: &str| {
         assert!(FILE.contains(from));
@@ -294,9 +298,13 @@ fn wrong_tool_files_are_named() {
 /// The predicted leakage against what the fit really hides: the same noisy points laid on CAD without and with wear.
 #[test]
 fn leakage_is_what_the_fit_takes_away() {
-    let Some(cad) = ring84_path("leakage_is_what_the_fit_takes_away") else {
-        return;
-    };
+    on_every_ring84_file(
+        "leakage_is_what_the_fit_takes_away",
+        run_leakage_is_what_the_fit_takes_away,
+    );
+}
+
+fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = load(folder.path(), FILE, &cad).unwrap();
     let (gear, zone) = (tool.gear.as_ref().unwrap(), tool.zone().unwrap());
@@ -376,9 +384,13 @@ fn leakage_is_what_the_fit_takes_away() {
 /// A press wears all teeth alike. The pose takes a part of that for a motion; the neighbours tell how much that may be.
 #[test]
 fn what_a_pose_may_hide_of_shared_wear_is_in_the_budget() {
-    let Some(cad) = ring84_path("what_a_pose_may_hide_of_shared_wear_is_in_the_budget") else {
-        return;
-    };
+    on_every_ring84_file(
+        "what_a_pose_may_hide_of_shared_wear_is_in_the_budget",
+        run_what_a_pose_may_hide_of_shared_wear_is_in_the_budget,
+    );
+}
+
+fn run_what_a_pose_may_hide_of_shared_wear_is_in_the_budget(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = load(folder.path(), FILE, &cad).unwrap();
     let (gear, zone) = (tool.gear.as_ref().unwrap(), tool.zone().unwrap());
@@ -438,9 +450,10 @@ fn what_a_pose_may_hide_of_shared_wear_is_in_the_budget() {
 
 #[test]
 fn temperature_is_asked_for_and_kept_to_its_range() {
-    let Some(cad) = ring84_path("temperature_is_asked_for") else {
-        return;
-    };
+    on_every_ring84_file("temperature_is_asked_for", run_temperature_is_asked_for);
+}
+
+fn run_temperature_is_asked_for(cad: PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     assert_eq!(load(folder.path(), FILE, &cad).unwrap().temperature, None);
     let text = format!("{FILE}\n[temperature]\nrange_degc = [10.0, 80.0]\n");

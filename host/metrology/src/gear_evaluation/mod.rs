@@ -3,32 +3,53 @@
 //! | file | holds |
 //! |---|---|
 //! | `axis` | the axis that deviations are stated about |
+//! | `limits` | between which radii and heights figures are read, and which points are flank |
 //! | `trace` | smoothing along profile and helix, and what is read from it |
+//! | `across` | what deviations do across a trace, taken away from it |
 //! | `areal` | the whole flank as a few terms |
 //! | `tolerance` | classes |
+//! | `not_told` | why a figure is missing, and what would bring it |
 //!
 //! Deviations are along the normal of the involute, positive where material stands proud, and exact in closed form
 //! ([`GearData::involute_deviation_mm`]). The standard is for external and internal gears; for a die it is used by analogy.
+//!
+//! Slopes follow the edition of 2013: the mean line is fitted over the evaluated part, 95 % of the roll length from the
+//! profile control radius to the tip form radius, and its rise is stated from the control radius to the tip radius, positive
+//! where there is more material towards the tip; a helix slope over the whole face width. [`Limits`] names the radii, and
+//! [`TraceFigures::slope_usable_um`] gives the rise between the ends of the usable flank beside it.
 
+mod across;
 mod areal;
 mod axis;
+mod limits;
+mod not_told;
 mod tolerance;
 mod trace;
 
 pub use areal::ArealTerms;
 pub use axis::AxisFit;
+pub use limits::Limits;
+pub use not_told::NotTold;
 pub use tolerance::{CLASSES, Quantity};
 pub use trace::TraceFigures;
 
+use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::gear::{Flank, GearData};
+use crate::verdict::guard_factor;
+use limits::{roll_mm, standard_of_u95};
+use not_told::{joined, split};
+use trace::{Course, Problem, Sample};
 
 /// What to evaluate, and by what.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Ends of the usable flank: radii between which it is an involute, mm, in any order.
+    /// Ends of the usable flank: radii between which it is an involute, mm, in any order. That at the root end is the profile
+    /// control radius (beyond any fillet), that at the tip end the tip form radius (before any edge break).
     pub usable_mm: [f64; 2],
+    /// Radii between which the profile slope is stated, mm, in any order; none for the standard's, control and tip radius.
+    pub slope_mm: Option<[f64; 2]>,
     /// Points farther than this from the involute belong to something else, mm.
     pub capture_mm: f64,
     /// A profile trace takes points up to this far from mid face, a helix trace up to half of it (as roll length) from the
@@ -45,11 +66,23 @@ impl Settings {
     pub fn of(gear: &GearData) -> Self {
         Self {
             usable_mm: gear.active_flank_mm(),
+            slope_mm: None,
             capture_mm: 0.15 * gear.module_mm,
             band_mm: 1.0,
             best_fit_axis: false,
             u95_um: 5.0,
         }
+    }
+
+    /// How far a figure must keep from its tolerance to be within or beyond it with a probability: the same guard as for wear
+    /// ([`crate::verdict`]), um.
+    pub fn guard_um(&self, probability: f64) -> f64 {
+        guard_factor(probability) * standard_of_u95(self.u95_um)
+    }
+
+    /// Standard uncertainty of a deviation, mm.
+    fn u_mm(&self) -> f64 {
+        1e-3 * standard_of_u95(self.u95_um)
     }
 }
 
@@ -113,7 +146,7 @@ pub(crate) struct FlankPoint {
     sign: f64,
 }
 
-/// One flank's figures. Traces and terms are missing where the cloud does not cover them.
+/// One flank's figures. Each that is missing has its reason beside it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FlankFigures {
     /// Tooth, from 1.
@@ -122,25 +155,48 @@ pub struct FlankFigures {
     pub flank: Flank,
     /// Profile at mid face.
     pub profile: Option<TraceFigures>,
+    /// Why there is no profile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile_not_told: Option<NotTold>,
     /// Helix at the measuring circle.
     pub helix: Option<TraceFigures>,
+    /// Why there is no helix.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub helix_not_told: Option<NotTold>,
     /// Terms over the whole flank.
     pub areal: Option<ArealTerms>,
-    /// Mean deviation at the measuring circle, which pitch and runout are made of, um.
+    /// Why there are no terms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub areal_not_told: Option<NotTold>,
+    /// Deviation at the measuring circle at mid face, which pitch and runout are made of, um.
     pub position_um: Option<f64>,
+    /// Why there is no position.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_not_told: Option<NotTold>,
 }
 
 /// Pitch deviations of one side of all teeth, at the measuring circle, um.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PitchFigures {
-    /// Single pitch deviation from the tooth before, by tooth; missing where one of the two was not seen.
+    /// Single pitch deviation from the tooth before, by tooth; missing where one of the two has no position.
     pub single_um: Vec<Option<f64>>,
-    /// Largest of them in size.
+    /// Teeth whose flank has no position.
+    pub missing_teeth: Vec<u32>,
+    /// Largest single pitch deviation in size.
     pub f_p_um: Option<f64>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub f_p_not_told: Option<NotTold>,
     /// Largest difference between neighbouring ones.
     pub f_u_um: Option<f64>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub f_u_not_told: Option<NotTold>,
     /// Total cumulative pitch deviation; only when every tooth was seen.
     pub total_um: Option<f64>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub total_not_told: Option<NotTold>,
 }
 
 /// What one quantity comes to over all flanks.
@@ -152,21 +208,31 @@ pub struct Rating {
     pub symbol: &'static str,
     /// Largest value, um; none when nothing could be read.
     pub value_um: Option<f64>,
+    /// Why there is none, and what to do next.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_told: Option<NotTold>,
+    /// Flanks that the value is the largest of.
+    pub flanks: usize,
     /// Best class that holds it.
     pub class: Option<u32>,
     /// Tolerance of that class, um.
     pub tolerance_um: Option<f64>,
     /// Best class that can be stated with this uncertainty: U/T at most 0.3.
     pub best_stateable_class: Option<u32>,
-    /// Set when the class found is better than what can be stated.
+    /// Set when there is a value but no class, or a class better than what can be stated: why.
     pub note: Option<String>,
 }
 
 /// The whole evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GearEvaluation {
+    /// Where figures are read.
+    pub limits: Limits,
     /// How the flanks lie about the tool's axis; taken out of every figure when asked for.
     pub axis: Option<AxisFit>,
+    /// Why that is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis_not_told: Option<NotTold>,
     /// Whether it was taken out.
     pub about_best_fit_axis: bool,
     /// Points on flanks.
@@ -179,14 +245,15 @@ pub struct GearEvaluation {
     pub right: PitchFigures,
     /// Runout; only when every tooth was seen on both sides.
     pub runout_um: Option<f64>,
+    /// Why it is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub runout_not_told: Option<NotTold>,
     /// Classes.
     pub ratings: Vec<Rating>,
 }
 
 /// Largest share of a tolerance that the uncertainty may take for a class to be stated.
 const LARGEST_SHARE: f64 = 0.3;
-/// Of the usable profile this much is evaluated, from the root end on: tips are rounded.
-const EVALUATED_SHARE: f64 = 0.95;
 /// Fewer points than this near the measuring circle leave a flank's position open.
 const LEAST_POSITION_POINTS: usize = 8;
 
@@ -200,22 +267,10 @@ pub fn evaluate(
     settings: &Settings,
 ) -> Result<GearEvaluation, GearEvaluationError> {
     check(gear, settings)?;
-    let roll = |radius: f64| {
-        (radius * radius - gear.base_radius_mm().powi(2))
-            .max(0.0)
-            .sqrt()
-    };
-    let [first, second] = settings.usable_mm;
-    // From the root end to the tip end, whichever of the two is farther out.
-    let root_first = (first - gear.root_radius_mm).abs() < (second - gear.root_radius_mm).abs();
-    let (root_mm, tip_mm) = if root_first {
-        (roll(first), roll(second))
-    } else {
-        (roll(second), roll(first))
-    };
+    let limits = Limits::new(gear, settings);
     let mut found: Vec<FlankPoint> = points
         .iter()
-        .filter_map(|&point| on_flank(gear, point, settings))
+        .filter_map(|&point| limits.flank_point(gear, point, settings.capture_mm))
         .collect();
     if 10 * found.len() < points.len() || found.is_empty() {
         return Err(GearEvaluationError::NotOnFlanks {
@@ -232,12 +287,13 @@ pub fn evaluate(
     found.sort_by_key(|point| (point.tooth, point.flank));
     let flanks: Vec<FlankFigures> = found
         .chunk_by(|a, b| (a.tooth, a.flank) == (b.tooth, b.flank))
-        .map(|own| flank_figures(gear, own, (root_mm, tip_mm), settings))
+        .map(|own| flank_figures(gear, own, &limits, settings))
         .collect();
     let [left, right] = Flank::BOTH.map(|side| pitch(gear, &flanks, side));
-    let runout_um = runout(gear, &flanks);
-    let ratings = ratings(gear, &flanks, [&left, &right], runout_um, settings.u95_um);
-    Ok(GearEvaluation {
+    let (runout_um, runout_not_told) = split(runout(gear, &flanks, [&left, &right]));
+    let mut evaluation = GearEvaluation {
+        limits,
+        axis_not_told: axis.is_none().then_some(NotTold::Axis),
         axis,
         about_best_fit_axis: settings.best_fit_axis,
         points: found.len(),
@@ -245,8 +301,11 @@ pub fn evaluate(
         left,
         right,
         runout_um,
-        ratings,
-    })
+        runout_not_told,
+        ratings: Vec::new(),
+    };
+    evaluation.ratings = ratings(gear, &evaluation, settings.u95_um);
+    Ok(evaluation)
 }
 
 fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError> {
@@ -279,12 +338,35 @@ fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError
             });
         }
     }
+    let base = gear.base_radius_mm();
+    let slope = settings.slope_mm.unwrap_or(settings.usable_mm);
+    for (key, radii) in [
+        ("a usable radius", settings.usable_mm),
+        ("a radius of the profile slope", slope),
+    ] {
+        if let Some(&value) = radii.iter().find(|r| !(**r > base && r.is_finite())) {
+            return Err(GearEvaluationError::Setting {
+                key,
+                value,
+                right: "a radius outside the base circle",
+            });
+        }
+    }
+    let [low, high] = slope;
+    if low == high {
+        return Err(GearEvaluationError::Setting {
+            key: "a radius of the profile slope",
+            value: low,
+            right: "two different radii",
+        });
+    }
+    let (inner, outer) = ends([gear.tip_radius_mm, gear.root_radius_mm]);
     for value in settings.usable_mm {
-        if !(value > gear.base_radius_mm() && value.is_finite()) {
+        if !(inner..=outer).contains(&value) {
             return Err(GearEvaluationError::Setting {
                 key: "a usable radius",
                 value,
-                right: "a radius outside the base circle",
+                right: "a radius between tip and root circle",
             });
         }
     }
@@ -304,99 +386,143 @@ fn ends([a, b]: [f64; 2]) -> (f64, f64) {
     (a.min(b), a.max(b))
 }
 
-fn on_flank(gear: &GearData, point: [f64; 3], settings: &Settings) -> Option<FlankPoint> {
-    let (low, high) = ends(settings.usable_mm);
-    let radius = point[0].hypot(point[1]);
-    if !(low..=high).contains(&radius)
-        || !(gear.height_mm[0]..=gear.height_mm[1]).contains(&point[2])
-    {
-        return None;
-    }
-    let angle = point[1].atan2(point[0]);
-    let tooth = gear.tooth_at(angle);
-    // In a space the nearer tooth is the one whose flank is nearer, on the side that the angle says.
-    let nearest = Flank::BOTH
-        .into_iter()
-        .filter_map(|flank| Some((flank, gear.involute_deviation_mm(tooth, flank, point)?)))
-        .min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))?;
-    let (flank, deviation_mm) = nearest;
-    if deviation_mm.abs() > settings.capture_mm {
-        return None;
-    }
-    // The normal of an involute touches the base circle: it leans back from the tangent by the pressure angle there.
-    let pressure = (gear.base_radius_mm() / radius).acos();
-    let lean = angle + flank.sign() * (std::f64::consts::FRAC_PI_2 + pressure);
-    Some(FlankPoint {
-        tooth,
-        flank,
-        roll_mm: (radius * radius - gear.base_radius_mm().powi(2))
-            .max(0.0)
-            .sqrt(),
-        height_mm: point[2],
-        deviation_mm,
-        normal: [lean.cos(), lean.sin()],
-        sign: flank.sign(),
-    })
-}
-
 fn flank_figures(
     gear: &GearData,
     own: &[FlankPoint],
-    (root_mm, tip_mm): (f64, f64),
+    limits: &Limits,
     settings: &Settings,
 ) -> FlankFigures {
     let [low, high] = gear.height_mm;
     let middle = 0.5 * (low + high);
-    let measuring = (gear.pitch_radius_mm().powi(2) - gear.base_radius_mm().powi(2)).sqrt();
+    let roll = |radius| roll_mm(gear, radius);
+    let measuring = roll(gear.pitch_radius_mm());
+    let [control, tip_form, evaluated] = [
+        limits.control_radius_mm,
+        limits.tip_form_radius_mm,
+        limits.evaluated_to_radius_mm,
+    ]
+    .map(roll);
+    let towards_tip = (tip_form - control).signum();
     // Both lengths run from the root end (or the lower end) on.
-    let along = |point: &FlankPoint| (point.roll_mm - root_mm) * (tip_mm - root_mm).signum();
-    let whole = (tip_mm - root_mm).abs();
-    let evaluated = EVALUATED_SHARE * whole;
-    let mut profile: Vec<(f64, f64)> = own
-        .iter()
-        .filter(|point| (point.height_mm - middle).abs() <= settings.band_mm)
-        .map(|point| (along(point), point.deviation_mm))
-        .collect();
-    let profile = trace::figures(&mut profile, [0.0, evaluated], whole, cutoff(evaluated));
+    let along = |point: &FlankPoint| (point.roll_mm - control) * towards_tip;
+    let usable = (tip_form - control).abs();
+    let evaluated = (evaluated - control).abs();
+    let [slope_from, slope_to] = limits.slope_radii_mm.map(roll);
+    let [helix_low, helix_high] = limits.helix_heights_mm;
     let half_band = 0.5 * settings.band_mm;
-    let near: Vec<&FlankPoint> = own
+    let at_mid_face = |point: &&FlankPoint| (point.height_mm - middle).abs() <= settings.band_mm;
+    let at_circle = |point: &&FlankPoint| (point.roll_mm - measuring).abs() <= half_band;
+    let (profile_cutoff, helix_cutoff) = (cutoff(evaluated), cutoff(helix_high - helix_low));
+
+    let samples: Vec<Sample> = own
         .iter()
-        .filter(|point| (point.roll_mm - measuring).abs() <= half_band)
+        .filter(at_mid_face)
+        .map(|point| Sample {
+            at: along(point),
+            across: point.height_mm - middle,
+            deviation: point.deviation_mm,
+        })
         .collect();
-    let width = high - low;
-    let shortened = (0.05 * width).min(gear.module_mm);
-    let length = width - 2.0 * shortened;
-    let mut helix: Vec<(f64, f64)> = near
+    let course = Course {
+        range: [0.0, evaluated],
+        stated_mm: (slope_to - slope_from).abs(),
+        usable_mm: usable,
+        cutoff_mm: profile_cutoff,
+        reach_mm: settings.band_mm,
+        across_cutoff_mm: helix_cutoff,
+    };
+    let profile = trace::figures(&samples, &course).map_err(|problem| match problem {
+        Problem::Entangled => NotTold::Entangled,
+        Problem::Gap(gap) => NotTold::ProfileGap {
+            radii_mm: gap.map(|at| (control + towards_tip * at).hypot(gear.base_radius_mm())),
+            points: samples.len(),
+            least: trace::LEAST,
+        },
+    });
+    let samples: Vec<Sample> = own
         .iter()
-        .map(|point| (point.height_mm - low, point.deviation_mm))
+        .filter(at_circle)
+        .map(|point| Sample {
+            at: point.height_mm,
+            across: point.roll_mm - measuring,
+            deviation: point.deviation_mm,
+        })
         .collect();
-    let helix = trace::figures(
-        &mut helix,
-        [shortened, width - shortened],
-        width,
-        cutoff(length),
-    );
-    let position: Vec<f64> = near
+    let course = Course {
+        range: limits.helix_heights_mm,
+        stated_mm: high - low,
+        usable_mm: helix_high - helix_low,
+        cutoff_mm: helix_cutoff,
+        reach_mm: half_band,
+        across_cutoff_mm: profile_cutoff,
+    };
+    let helix = trace::figures(&samples, &course).map_err(|problem| match problem {
+        Problem::Entangled => NotTold::Entangled,
+        Problem::Gap(heights_mm) => NotTold::HelixGap {
+            heights_mm,
+            points: samples.len(),
+            least: trace::LEAST,
+        },
+    });
+    let near: Vec<[f64; 3]> = own
         .iter()
-        .filter(|point| (point.height_mm - middle).abs() <= settings.band_mm)
-        .map(|point| point.deviation_mm)
+        .filter(|point| at_mid_face(point) && at_circle(point))
+        .map(|point| {
+            let across = (point.roll_mm - measuring) / half_band;
+            let up = (point.height_mm - middle) / settings.band_mm;
+            [across, up, point.deviation_mm]
+        })
         .collect();
     let unit: Vec<(f64, f64, f64)> = own
         .iter()
         .map(|point| {
-            let v = 2.0 * (point.height_mm - middle) / width;
-            (2.0 * along(point) / whole - 1.0, v, point.deviation_mm)
+            let v = 2.0 * (point.height_mm - middle) / (high - low);
+            (2.0 * along(point) / usable - 1.0, v, point.deviation_mm)
         })
         .collect();
+    let (profile, profile_not_told) = split(profile);
+    let (helix, helix_not_told) = split(helix);
+    let (areal, areal_not_told) =
+        split(areal::terms(&unit).ok_or(NotTold::Terms { points: unit.len() }));
+    let (position_um, position_not_told) = split(position_um(&near));
     FlankFigures {
         tooth: own[0].tooth,
         flank: own[0].flank,
         profile,
+        profile_not_told,
         helix,
-        areal: areal::terms(&unit),
-        position_um: (position.len() >= LEAST_POSITION_POINTS)
-            .then(|| 1e3 * position.iter().sum::<f64>() / position.len() as f64),
+        helix_not_told,
+        areal,
+        areal_not_told,
+        position_um,
+        position_not_told,
     }
+}
+
+/// Deviation on the measuring circle at mid face, from the plane through the points around (across and up from -1 to 1): a mean
+/// would be that of where the points happen to lie.
+fn position_um(near: &[[f64; 3]]) -> Result<f64, NotTold> {
+    let few = NotTold::FewPoints {
+        points: near.len(),
+        least: LEAST_POSITION_POINTS,
+    };
+    if near.len() < LEAST_POSITION_POINTS {
+        return Err(few);
+    }
+    let (mut information, mut gradient) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for &[across, up, deviation] in near {
+        let row = Vector3::new(1.0, across, up);
+        information += row * row.transpose();
+        gradient += row * deviation;
+    }
+    // Points to one side only, or along one line, would make the middle an extrapolation: it must not be less sure than a
+    // single point.
+    let inverse = information.try_inverse().filter(|inverse| {
+        let variance = inverse[(0, 0)];
+        variance > 0.0 && variance <= 1.0
+    });
+    let plane = inverse.ok_or(few)? * gradient;
+    Ok(1e3 * plane[0])
 }
 
 /// Cutoff of the Gaussian for an evaluated length.
@@ -421,19 +547,43 @@ fn pitch(gear: &GearData, flanks: &[FlankFigures], side: Flank) -> PitchFigures 
         .map(|i| Some(arcs[i]? - arcs[(i + count - 1) % count]?))
         .collect();
     let largest = |values: &mut dyn Iterator<Item = f64>| values.map(f64::abs).reduce(f64::max);
-    let neighbours =
+    let mut neighbours =
         (0..count).filter_map(|i| Some(single_um[i]? - single_um[(i + count - 1) % count]?));
-    let all: Option<Vec<f64>> = arcs.iter().copied().collect();
+    let few = |count| NotTold::NoNeighbours { count, flank: side };
+    let missing_teeth: Vec<u32> = (1..=gear.teeth)
+        .filter(|tooth| arcs[*tooth as usize - 1].is_none())
+        .collect();
+    let total = match missing_teeth.first() {
+        None => Ok(range(&arcs.iter().copied().flatten().collect::<Vec<f64>>())),
+        Some(&first) => Err(NotTold::TeethMissing {
+            flank: side,
+            missing: missing_teeth.len(),
+            teeth: count,
+            first,
+        }),
+    };
+    let single = largest(&mut single_um.iter().flatten().copied());
+    let (f_p_um, f_p_not_told) = split(single.ok_or_else(|| few(2)));
+    let (f_u_um, f_u_not_told) = split(largest(&mut neighbours).ok_or_else(|| few(3)));
+    let (total_um, total_not_told) = split(total);
     PitchFigures {
-        f_p_um: largest(&mut single_um.iter().flatten().copied()),
-        f_u_um: largest(&mut neighbours.into_iter()),
-        total_um: all.map(|arcs| range(&arcs)),
+        f_p_um,
+        f_p_not_told,
+        f_u_um,
+        f_u_not_told,
+        total_um,
+        total_not_told,
+        missing_teeth,
         single_um,
     }
 }
 
 /// Range of the radial place of a ball that touches both flanks of a space at the measuring circle.
-fn runout(gear: &GearData, flanks: &[FlankFigures]) -> Option<f64> {
+fn runout(
+    gear: &GearData,
+    flanks: &[FlankFigures],
+    pitches: [&PitchFigures; 2],
+) -> Result<f64, NotTold> {
     let count = gear.teeth as usize;
     let mut positions = vec![[None; 2]; count];
     for flank in flanks {
@@ -447,7 +597,14 @@ fn runout(gear: &GearData, flanks: &[FlankFigures]) -> Option<f64> {
             Some((positions[i][0]? + positions[(i + 1) % count][1]?) / out)
         })
         .collect();
-    places.map(|places| range(&places))
+    // Without a place a flank is missing, and the pitch of its side says which.
+    let missing = || {
+        let why = pitches
+            .iter()
+            .find_map(|pitch| pitch.total_not_told.clone());
+        why.unwrap_or(NotTold::NotSeen)
+    };
+    places.map(|places| range(&places)).ok_or_else(missing)
 }
 
 fn range(values: &[f64]) -> f64 {
@@ -455,58 +612,91 @@ fn range(values: &[f64]) -> f64 {
     high - values.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-fn ratings(
-    gear: &GearData,
-    flanks: &[FlankFigures],
-    pitches: [&PitchFigures; 2],
-    runout_um: Option<f64>,
-    u95_um: f64,
-) -> Vec<Rating> {
-    let traces = |of: &dyn Fn(&FlankFigures) -> Option<f64>| {
-        flanks.iter().filter_map(of).map(f64::abs).reduce(f64::max)
-    };
-    let both = |of: &dyn Fn(&PitchFigures) -> Option<f64>| {
-        let [left, right] = pitches.map(of);
-        // Half of the flanks is not all of them.
-        Some(left?.max(right?))
-    };
-    let value_of = |quantity| match quantity {
-        Quantity::ProfileTotal => traces(&|f| Some(f.profile?.total_um)),
-        Quantity::ProfileForm => traces(&|f| Some(f.profile?.form_um)),
-        Quantity::ProfileSlope => traces(&|f| Some(f.profile?.slope_um)),
-        Quantity::HelixTotal => traces(&|f| Some(f.helix?.total_um)),
-        Quantity::HelixForm => traces(&|f| Some(f.helix?.form_um)),
-        Quantity::HelixSlope => traces(&|f| Some(f.helix?.slope_um)),
-        Quantity::SinglePitch => both(&|p| p.f_p_um),
-        Quantity::CumulativePitch => both(&|p| p.total_um),
-        Quantity::Runout => runout_um,
-    };
-    Quantity::ALL
-        .into_iter()
-        .map(|quantity| {
-            let value_um = value_of(quantity);
-            let class = value_um.and_then(|value| quantity.class_of(gear, value));
-            let stateable = CLASSES
-                .into_iter()
-                .find(|&class| u95_um / quantity.tolerance_um(gear, class) <= LARGEST_SHARE);
-            let note = class
-                .filter(|class| stateable.is_none_or(|least| *class < least))
-                .map(|class| {
-                    let tolerance = quantity.tolerance_um(gear, class);
-                    format!(
-                        "not capable for class {class}: U/T = {:.2}, at most {LARGEST_SHARE}",
-                        u95_um / tolerance
-                    )
-                });
-            Rating {
-                quantity,
-                symbol: quantity.symbol(),
-                value_um,
-                class,
-                tolerance_um: class.map(|class| quantity.tolerance_um(gear, class)),
-                best_stateable_class: stateable,
-                note,
+/// A quantity's value over all flanks, and of how many flanks it is the largest.
+fn value_of(quantity: Quantity, evaluation: &GearEvaluation) -> (Result<f64, NotTold>, usize) {
+    let flanks = &evaluation.flanks;
+    type Read<'a> = &'a dyn Fn(&TraceFigures) -> f64;
+    let largest = |profile: bool, read: Read<'_>| {
+        let told = |f: &FlankFigures| if profile { f.profile } else { f.helix };
+        let values: Vec<f64> = flanks
+            .iter()
+            .filter_map(told)
+            .map(|f| read(&f).abs())
+            .collect();
+        let value = values.iter().copied().reduce(f64::max).ok_or_else(|| {
+            // There is at least one flank, else nothing would have been evaluated.
+            let f = &flanks[0];
+            let why = if profile {
+                &f.profile_not_told
+            } else {
+                &f.helix_not_told
+            };
+            NotTold::NoFlank {
+                flanks: flanks.len(),
+                tooth: f.tooth,
+                flank: f.flank,
+                first: Box::new(why.clone().unwrap_or(NotTold::NotSeen)),
             }
-        })
-        .collect()
+        });
+        (value, values.len())
+    };
+    let pitches = [&evaluation.left, &evaluation.right];
+    let positions = || flanks.iter().filter(|f| f.position_um.is_some()).count();
+    type ReadPitch<'a> = &'a dyn Fn(&PitchFigures) -> Result<f64, NotTold>;
+    // Half of the flanks is not all of them: the first side that is missing says why.
+    let both = |read: ReadPitch<'_>| {
+        let larger = read(pitches[0]).and_then(|left| Ok(left.max(read(pitches[1])?)));
+        (larger, positions())
+    };
+    match quantity {
+        Quantity::ProfileTotal => largest(true, &|f| f.total_um),
+        Quantity::ProfileForm => largest(true, &|f| f.form_um),
+        Quantity::ProfileSlope => largest(true, &|f| f.slope_um),
+        Quantity::HelixTotal => largest(false, &|f| f.total_um),
+        Quantity::HelixForm => largest(false, &|f| f.form_um),
+        Quantity::HelixSlope => largest(false, &|f| f.slope_um),
+        Quantity::SinglePitch => both(&|p| joined(p.f_p_um, &p.f_p_not_told)),
+        Quantity::CumulativePitch => both(&|p| joined(p.total_um, &p.total_not_told)),
+        Quantity::Runout => {
+            let runout = joined(evaluation.runout_um, &evaluation.runout_not_told);
+            (runout, positions())
+        }
+    }
+}
+
+fn ratings(gear: &GearData, evaluation: &GearEvaluation, u95_um: f64) -> Vec<Rating> {
+    let rating = |quantity: Quantity| {
+        let (value, flanks) = value_of(quantity, evaluation);
+        let (value_um, not_told) = split(value);
+        let class = value_um.and_then(|value| quantity.class_of(gear, value));
+        let best_stateable_class = CLASSES
+            .into_iter()
+            .find(|&class| u95_um / quantity.tolerance_um(gear, class) <= LARGEST_SHARE);
+        let note = match (value_um, class) {
+            (Some(_), None) => Some(format!(
+                "beyond class {}, which allows {} um",
+                CLASSES.end(),
+                quantity.tolerance_um(gear, *CLASSES.end())
+            )),
+            (_, Some(class)) if best_stateable_class.is_none_or(|least| class < least) => {
+                Some(format!(
+                    "not capable for class {class}: U/T = {:.2}, at most {LARGEST_SHARE}",
+                    u95_um / quantity.tolerance_um(gear, class)
+                ))
+            }
+            _ => None,
+        };
+        Rating {
+            quantity,
+            symbol: quantity.symbol(),
+            value_um,
+            not_told,
+            flanks,
+            class,
+            tolerance_um: class.map(|class| quantity.tolerance_um(gear, class)),
+            best_stateable_class,
+            note,
+        }
+    };
+    Quantity::ALL.into_iter().map(rating).collect()
 }

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use super::across;
+
 /// Where the Gaussian weighting function passes half of a wave: sqrt(ln 2 / pi) (ISO 16610-21).
 const ALPHA: f64 = 0.469_718_639_349_825_8;
 /// Positions at which a trace is evaluated.
@@ -16,30 +18,81 @@ pub struct TraceFigures {
     pub total_um: f64,
     /// Range of what is left when the mean line is taken away.
     pub form_um: f64,
-    /// Rise of the mean line over the whole length; positive towards the far end.
+    /// Rise of the mean line between the limits that the standard states it for; positive towards the far end.
     pub slope_um: f64,
+    /// Rise of the mean line between the ends of the usable flank (profile: control radius to tip form radius; helix: the
+    /// evaluated height), um.
+    pub slope_usable_um: f64,
     /// Points that went in.
     pub points: usize,
 }
 
-/// Figures of `points` (position, deviation in mm) over `range`, with the mean line extrapolated over `whole_mm`; none where
-/// the trace has a gap.
+/// A point of a trace.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sample {
+    /// Position along the trace, mm.
+    pub at: f64,
+    /// Distance from the line that the trace follows on the flank, mm.
+    pub across: f64,
+    /// Deviation, mm.
+    pub deviation: f64,
+}
+
+/// How a trace is read.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Course {
+    /// Where it is evaluated, mm.
+    pub range: [f64; 2],
+    /// Length between the limits that its slope is stated for, mm.
+    pub stated_mm: f64,
+    /// Length of the usable flank, mm.
+    pub usable_mm: f64,
+    /// Cutoff of its filter, mm.
+    pub cutoff_mm: f64,
+    /// Largest distance of a point from its line, mm.
+    pub reach_mm: f64,
+    /// Cutoff of the filter for traces across it, mm.
+    pub across_cutoff_mm: f64,
+}
+
+/// Why there are no figures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Problem {
+    /// Too few points between two positions, mm.
+    Gap([f64; 2]),
+    /// What changes across the trace cannot be told from what changes along it.
+    Entangled,
+}
+
+/// Fewest points under the filter.
+pub(super) const LEAST: usize = LEAST_POINTS;
+
+/// Figures of a trace. What the deviations do across it is estimated from the same points and taken away, so that points that
+/// lie to one side here and to the other there leave no mark.
 ///
 /// The smoothing is the Gaussian with linear regression (ISO 16610-31, first order), whose ends are as good as its middle.
-pub fn figures(
-    points: &mut [(f64, f64)],
-    range: [f64; 2],
-    whole_mm: f64,
-    cutoff_mm: f64,
-) -> Option<TraceFigures> {
+pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigures, Problem> {
+    let mut points: Vec<(f64, f64)> = across::taken_away(samples, course)?;
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let reach = ALPHA * cutoff_mm;
-    let trace: Vec<(f64, f64)> = (0..POSITIONS)
-        .map(|i| {
-            let at = range[0] + (range[1] - range[0]) * i as f64 / (POSITIONS - 1) as f64;
-            Some((at, smoothed(points, at, reach)?))
-        })
-        .collect::<Option<_>>()?;
+    let reach = ALPHA * course.cutoff_mm;
+    let range = course.range;
+    let position = |i: usize| range[0] + (range[1] - range[0]) * i as f64 / (POSITIONS - 1) as f64;
+    let smooth: Vec<Option<f64>> = (0..POSITIONS)
+        .map(|i| smoothed(&points, position(i), reach))
+        .collect();
+    if let Some(begin) = smooth.iter().position(Option::is_none) {
+        let length = smooth[begin..].iter().take_while(|s| s.is_none()).count();
+        return Err(Problem::Gap([
+            position(begin),
+            position(begin + length - 1),
+        ]));
+    }
+    let trace: Vec<(f64, f64)> = smooth
+        .into_iter()
+        .flatten()
+        .enumerate()
+        .map(|(i, deviation)| (position(i), deviation))
+        .collect();
     let (mean_at, mean) = mean_of(&trace);
     let (mut along, mut rise) = (0.0, 0.0);
     for (at, deviation) in &trace {
@@ -54,10 +107,11 @@ pub fn figures(
     let used = points
         .iter()
         .filter(|(at, _)| (range[0]..=range[1]).contains(at));
-    Some(TraceFigures {
+    Ok(TraceFigures {
         total_um: 1e3 * range_of(&|point| point.1),
         form_um: 1e3 * range_of(&|point| point.1 - slope * (point.0 - mean_at)),
-        slope_um: 1e3 * slope * whole_mm,
+        slope_um: 1e3 * slope * course.stated_mm,
+        slope_usable_um: 1e3 * slope * course.usable_mm,
         points: used.count(),
     })
 }
@@ -98,44 +152,65 @@ mod tests {
     use super::*;
     use std::f64::consts::TAU;
 
+    fn course(range: [f64; 2], stated_mm: f64, cutoff_mm: f64) -> Course {
+        Course {
+            range,
+            stated_mm,
+            usable_mm: range[1] - range[0],
+            cutoff_mm,
+            reach_mm: 0.5,
+            across_cutoff_mm: 0.2,
+        }
+    }
+
+    /// Samples on the line itself.
+    fn on_line(count: u32, deviation: impl Fn(f64) -> f64) -> Vec<Sample> {
+        (0..count)
+            .map(|i| {
+                let at = 1e-3 * f64::from(i);
+                Sample {
+                    at,
+                    across: 0.0,
+                    deviation: deviation(at),
+                }
+            })
+            .collect()
+    }
+
     #[test]
     fn a_line_and_a_wave_are_read_back() {
         // 10 um of slope over 6 mm and a wave of 3 um amplitude, 2 mm long.
         let deviation = |x: f64| 1e-3 * (10.0 * x / 6.0 + 3.0 * (TAU * x / 2.0).cos());
-        let mut points: Vec<(f64, f64)> = (0..6_001)
-            .map(|i| (1e-3 * f64::from(i), deviation(1e-3 * f64::from(i))))
-            .collect();
         let cutoff = 0.2;
-        let got = figures(&mut points, [0.0, 6.0], 6.3, cutoff).unwrap();
+        let got = figures(&on_line(6_001, deviation), &course([0.0, 6.0], 6.3, cutoff)).unwrap();
         // What the filter leaves of the wave (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
         let left = (-std::f64::consts::PI * (ALPHA * cutoff / 2.0_f64).powi(2)).exp();
         assert!((got.slope_um - 10.0 / 6.0 * 6.3).abs() < 0.02, "{got:?}");
+        assert!((got.slope_usable_um - 10.0).abs() < 0.02, "{got:?}");
         assert!((got.form_um - 6.0 * left).abs() < 0.05, "{got:?}");
         assert_eq!(got.points, 6_001);
     }
 
     #[test]
     fn the_filter_halves_a_wave_of_its_cutoff() {
-        let mut points: Vec<(f64, f64)> = (0..20_000)
-            .map(|i| {
-                (
-                    1e-3 * f64::from(i),
-                    1e-3 * (TAU * 1e-3 * f64::from(i)).sin(),
-                )
-            })
-            .collect();
+        let samples = on_line(20_000, |x| 1e-3 * (TAU * x).sin());
         // Truncated at one reach either side, where the weight is 4 %: a few percent off half.
-        let got = figures(&mut points, [5.0, 15.0], 10.0, 1.0).unwrap();
+        let got = figures(&samples, &course([5.0, 15.0], 10.0, 1.0)).unwrap();
         assert!((got.total_um - 1.0).abs() < 0.12, "{got:?}");
     }
 
     #[test]
-    fn a_gap_is_no_trace() {
-        let mut points: Vec<(f64, f64)> = (0..1000)
-            .map(|i| 1e-3 * f64::from(i))
-            .filter(|x| !(0.4..0.6).contains(x))
-            .map(|x| (x, 0.0))
-            .collect();
-        assert_eq!(figures(&mut points, [0.0, 1.0], 1.0, 0.05), None);
+    fn a_gap_is_no_trace_and_is_named() {
+        let mut samples = on_line(1000, |_| 0.0);
+        samples.retain(|sample| !(0.4..0.6).contains(&sample.at));
+        let Err(Problem::Gap([from, to])) = figures(&samples, &course([0.0, 1.0], 1.0, 0.05))
+        else {
+            panic!("a gap must be seen");
+        };
+        // Under the filter, 0.023 mm either side, lie points from beyond the gap's ends.
+        assert!(
+            (from - 0.42).abs() < 0.01 && (to - 0.58).abs() < 0.01,
+            "{from} {to}"
+        );
     }
 }
