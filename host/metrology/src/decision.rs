@@ -204,7 +204,8 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
 
 /// Why `verdict`, which is no no-go, cannot be given.
 fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
-    if wear.coverage < limits.least_coverage && on.coverage {
+    // Negated, so that no number is refused as well.
+    if !(wear.coverage >= limits.least_coverage) && on.coverage {
         return Some(Reason::Coverage {
             coverage: wear.coverage,
             least: limits.least_coverage,
@@ -226,7 +227,7 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
         limits.wear.limit_um
     };
     if let Some(hidden_mm) = wear.hidden_mm
-        && 1e3 * hidden_mm + guard_um > allowed_um
+        && !(1e3 * hidden_mm + guard_um <= allowed_um)
         && on.hidden
     {
         return Some(Reason::Hidden {
@@ -263,4 +264,211 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
         return Some(Reason::TipUnseen);
     }
     None
+}
+
+#[cfg(test)]
+mod campaign;
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::gear::Flank;
+    use crate::leakage::Leakage;
+    use crate::verdict::Rule;
+    use crate::wear::{Figure, Influence, PoseEvidence, Settings};
+
+    fn limits() -> Limits {
+        Limits {
+            wear: Rule::new(30.0, 50.0),
+            proud: Rule::new(30.0, 50.0),
+            cell: Rule::new(60.0, 100.0),
+            tip: Some(TipLimits {
+                radius_mm: [0.25, 0.38],
+                area_mm2: [4e-3, 9e-3],
+            }),
+            least_coverage: 0.8,
+            area_mm2: 0.25,
+            hidden_depth_um: 300.0,
+        }
+    }
+
+    /// A sound flank, seen whole.
+    fn sound() -> FlankWear {
+        let settings = Settings::default();
+        let points: Vec<([f64; 2], f64, f64)> = (0..1600)
+            .map(|i| {
+                let at = [f64::from(i % 40), f64::from(i / 40)].map(|x| (x + 0.5) * 0.05);
+                (at, 1e-3 * ((i % 7) as f64 - 3.0) / 3.0, 0.5e-3)
+            })
+            .collect();
+        let mut wear = FlankWear::of_points((40, Flank::Left), [2.0, 2.0], &points, &settings);
+        wear.tip = Some(tip(0.0));
+        wear
+    }
+
+    fn tip(area_mm2: f64) -> crate::wear::TipLoss {
+        let known = |value| Figure { value, u: 1e-4 };
+        crate::wear::TipLoss {
+            area_mm2: known(area_mm2),
+            radius_mm: known((area_mm2 / 0.0627).sqrt()),
+            whole: true,
+        }
+    }
+
+    fn leaking(uniform: f64) -> Option<Influence> {
+        Some(Influence {
+            leakage: Leakage {
+                uniform,
+                slope: 0.0,
+                pit: 0.0,
+                side: 0.0,
+                flanks: 0.0,
+                ring: 0.0,
+            },
+            evidence: Arc::new(PoseEvidence {
+                tooth: 40,
+                flanks: Vec::new(),
+                stages_mm: 0.0,
+                approach_sigma_mm: 0.0,
+                mount_sigma_mm: 0.0,
+                stages_both_mm: 0.0,
+                both_sigma_mm: 0.0,
+                mount_mm: [0.0; 3],
+            }),
+            others_form: 0.0,
+            temperature_mm: 0.0,
+        })
+    }
+
+    /// Each refusal is the only thing between a go and what it forbids: without it, the same flank passes.
+    #[test]
+    fn switching_a_refusal_off_lets_something_pass() {
+        assert_eq!(judge(&sound(), &limits()).verdict, Verdict::Go);
+        let all = Refusals::ALL;
+        let cases: [(&str, Refusals, fn(&mut FlankWear)); 6] = [
+            (
+                "coverage",
+                Refusals {
+                    coverage: false,
+                    ..all
+                },
+                |w| w.coverage = 0.7,
+            ),
+            (
+                "hidden",
+                Refusals {
+                    hidden: false,
+                    ..all
+                },
+                |w| w.hidden_mm = Some(0.031),
+            ),
+            (
+                "detection_limit",
+                Refusals {
+                    detection: false,
+                    ..all
+                },
+                |w| {
+                    w.budget.calibration_mm = 10e-3;
+                },
+            ),
+            (
+                "disagreement",
+                Refusals {
+                    disagreement: false,
+                    ..all
+                },
+                |w| {
+                    if let Some(figures) = &mut w.figures {
+                        figures.raw_mm = figures.depth_mm.value + 0.06;
+                    }
+                },
+            ),
+            ("leakage", Refusals { pose: false, ..all }, |w| {
+                w.influence = leaking(0.6)
+            }),
+            ("tip_unseen", Refusals { tip: false, ..all }, |w| {
+                w.tip = None
+            }),
+        ];
+        for (code, off, spoil) in cases {
+            let mut wear = sound();
+            spoil(&mut wear);
+            let Verdict::Indeterminate { reason } = judge(&wear, &limits()).verdict else {
+                panic!("{code} is not refused");
+            };
+            assert_eq!(reason.code(), code);
+            assert_eq!(
+                judge_with(&wear, &limits(), off).verdict,
+                Verdict::Go,
+                "{code}"
+            );
+        }
+    }
+
+    /// What is shown to be beyond the stop limit is no-go, whatever else could not be seen.
+    #[test]
+    fn every_figure_has_its_own_limits_and_a_proven_excess_needs_no_more() {
+        let cases: [(&str, fn(&mut FlankWear)); 4] = [
+            ("wear", |w| w.wear_mm = 0.08),
+            ("proud material", |w| w.proud_mm = 0.08),
+            ("loss of a single cell", |w| w.cell_mm.value = 0.15),
+            ("rounding of the tip edge", |w| w.tip = Some(tip(0.02))),
+        ];
+        for (figure, spoil) in cases {
+            for blind in [false, true] {
+                let mut wear = sound();
+                spoil(&mut wear);
+                if blind {
+                    wear.coverage = 0.5;
+                    wear.hidden_mm = Some(0.2);
+                }
+                let decision = judge(&wear, &limits());
+                assert_eq!(decision.verdict, Verdict::NoGo, "{figure}");
+                let sentence = decision.cause.unwrap().sentence(&Verdict::NoGo);
+                assert!(
+                    sentence.starts_with(figure) && sentence.contains("beyond the stop limit"),
+                    "{sentence}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_reason_says_beyond_only_where_it_is() {
+        let mut wear = sound();
+        wear.wear_mm = 28.8e-3;
+        let decision = judge(&wear, &limits());
+        assert_eq!(decision.verdict, Verdict::Warn);
+        let sentence = decision.cause.unwrap().sentence(&decision.verdict);
+        assert!(sentence.contains("within the guard band"), "{sentence}");
+        wear.wear_mm = 31.0e-3;
+        let decision = judge(&wear, &limits());
+        let sentence = decision.cause.unwrap().sentence(&decision.verdict);
+        assert!(sentence.contains("beyond the warning limit"), "{sentence}");
+    }
+
+    #[test]
+    fn nothing_that_is_no_number_is_ever_go() {
+        let cases: [fn(&mut FlankWear); 7] = [
+            |w| w.wear_mm = f64::NAN,
+            |w| w.proud_mm = f64::NAN,
+            |w| w.cell_mm.value = f64::NAN,
+            |w| w.hidden_mm = Some(f64::NAN),
+            |w| w.budget.registration_mm = f64::NAN,
+            |w| w.coverage = f64::NAN,
+            |w| w.influence = leaking(f64::NAN),
+        ];
+        for (i, spoil) in cases.into_iter().enumerate() {
+            let mut wear = sound();
+            spoil(&mut wear);
+            let verdict = judge(&wear, &limits()).verdict;
+            assert!(
+                matches!(verdict, Verdict::Indeterminate { .. }),
+                "{i}: {verdict}"
+            );
+        }
+    }
 }

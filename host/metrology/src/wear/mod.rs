@@ -326,11 +326,33 @@ impl Grid {
                 .fold(0.0, f64::max)
                 .sqrt()
         });
-        let mut samples = self.samples;
-        state_noise(&self.empty, &mut samples);
-        let mut wear = FlankWear {
-            tooth: self.tooth,
-            flank: self.flank,
+        let mut wear = FlankWear::new(
+            (self.tooth, self.flank),
+            self.empty,
+            self.samples,
+            registration_mm,
+            settings,
+        );
+        // Pose and temperature move edge and flank alike; calibration does not.
+        let level_mm = median(wear.field.wear_mm.iter().copied());
+        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
+        wear
+    }
+}
+
+impl FlankWear {
+    /// Wear of the points of an empty field.
+    fn new(
+        (tooth, flank): (u32, Flank),
+        empty: Field,
+        mut samples: Vec<Sample>,
+        registration_mm: f64,
+        settings: &Settings,
+    ) -> Self {
+        state_noise(&empty, &mut samples);
+        let mut wear = Self {
+            tooth,
+            flank,
             wear_mm: f64::NAN,
             u_mm: f64::NAN,
             raw_mm: f64::NAN,
@@ -351,16 +373,31 @@ impl Grid {
                 ..Budget::default()
             },
             influence: None,
-            field: self.empty,
+            field: empty,
             turn: None,
             samples,
             since_baseline: false,
         };
         wear.refigure(None, settings);
-        // Pose and temperature move edge and flank alike; calibration does not.
-        let level_mm = median(wear.field.wear_mm.iter().copied());
-        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
         wear
+    }
+
+    /// Wear of a zone of `size_mm` from points in it: place, wear, standard uncertainty, mm.
+    #[cfg(test)]
+    pub(crate) fn of_points(
+        key: (u32, Flank),
+        size_mm: [f64; 2],
+        points: &[([f64; 2], f64, f64)],
+        settings: &Settings,
+    ) -> Self {
+        let sample = |&(at_mm, wear_mm, sigma_mm): &([f64; 2], f64, f64)| Sample {
+            at_mm,
+            wear_mm,
+            variance_mm2: sigma_mm * sigma_mm,
+        };
+        let samples = points.iter().map(sample).collect();
+        let empty = Field::unmeasured(size_mm, settings.cell_mm());
+        Self::new(key, empty, samples, 0.0, settings)
     }
 }
 
