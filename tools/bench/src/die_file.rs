@@ -18,12 +18,12 @@ const HEADER_BYTES: u64 = 1 << 16;
 #[non_exhaustive]
 pub enum DieFileError {
     /// The file cannot be read.
-    #[error("cannot read the mesh of the die {}: {source}", path.display())]
+    #[error("cannot read the mesh of the die {}: {cause}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// Cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// A folder, a device or a pipe.
     #[error("the mesh of the die {} is no ordinary file; a PLY or STL file is needed", path.display())]
@@ -66,20 +66,20 @@ pub enum DieFileError {
         diagonal_mm: f64,
     },
     /// Damaged, or no mesh.
-    #[error("the mesh of the die {}: {source}", path.display())]
+    #[error("the mesh of the die {}: {cause}", path.display())]
     Mesh {
         /// The file.
         path: PathBuf,
         /// Cause.
-        source: MeshError,
+        cause: MeshError,
     },
     /// A mesh that cannot stand on the bench.
-    #[error("the mesh of the die {}: {source}", path.display())]
+    #[error("the mesh of the die {}: {cause}", path.display())]
     World {
         /// The file.
         path: PathBuf,
         /// Cause.
-        source: WorldError,
+        cause: WorldError,
     },
 }
 
@@ -100,21 +100,21 @@ pub fn load(path: &Path) -> Result<DieMesh, DieFileError> {
                 vertices: read.vertices,
                 triangles: read.triangles,
             })
-            .map_err(|source| DieFileError::World { path, source }),
-            Err(MeshError::Read(source)) => Err(DieFileError::Read { path, source }),
+            .map_err(|cause| DieFileError::World { path, cause }),
+            Err(MeshError::Read(cause)) => Err(DieFileError::Read { path, cause }),
             Err(
                 MeshError::TooSmall { diagonal_mm, .. } | MeshError::TooLarge { diagonal_mm, .. },
             ) => Err(DieFileError::Size { path, diagonal_mm }),
-            Err(source) => Err(DieFileError::Mesh { path, source }),
+            Err(cause) => Err(DieFileError::Mesh { path, cause }),
         },
     }
 }
 
 /// The number of triangles (faces of PLY) that the file's header promises, if it has one; refuses what is too long.
 fn promised_triangles(path: &Path) -> Result<Option<u64>, DieFileError> {
-    let unreadable = |source| DieFileError::Read {
+    let unreadable = |cause| DieFileError::Read {
         path: path.to_path_buf(),
-        source,
+        cause,
     };
     // Asked before opening: to open a pipe is to wait for its writer.
     let about = std::fs::metadata(path).map_err(unreadable)?;
