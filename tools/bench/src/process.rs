@@ -43,7 +43,7 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum Command {
     /// Run the bench until standard input ends.
-    Run(RunArgs),
+    Run(Box<RunArgs>),
     /// The stage controller alone, on a pseudo-terminal, until standard input ends.
     Esp301(Esp301Args),
     /// Measure how often the verdict is right; write tables and plots.

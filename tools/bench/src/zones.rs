@@ -161,7 +161,8 @@ impl Grid {
 
     fn summed_up(&self, deviations_mm: &[Option<f64>], disc_area_mm2: f64) -> ZoneTruth {
         let found: Vec<f64> = deviations_mm.iter().flatten().copied().collect();
-        let loss_um = |mm: f64| -1e3 * mm;
+        // No loss is zero, not minus zero.
+        let loss_um = |mm: f64| 0.0 - 1e3 * mm;
         let missing = deviations_mm.len() - found.len();
         let discs = self.disc_means_mm(deviations_mm, disc_area_mm2);
         ZoneTruth {
