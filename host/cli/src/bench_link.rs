@@ -62,6 +62,13 @@ impl Bench {
         for wear in &args.wear {
             command.args(["--wear", wear]);
         }
+        if let Some(mesh) = &args.die_mesh {
+            command.arg("--die-mesh").arg(mesh);
+        }
+        if let Some(teeth) = scene.teeth {
+            let teeth: Vec<String> = teeth.iter().map(u32::to_string).collect();
+            command.args(["--teeth", &teeth.join(",")]);
+        }
         if let Some(fault) = &args.frame_fault {
             command.args(["--frame-fault", fault]);
         }

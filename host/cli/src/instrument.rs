@@ -61,9 +61,15 @@ pub struct BenchArgs {
     /// Seed of everything random
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Wear of a flank: TOOTH:left|right:DEPTH_UM, a fourth word uniform|tip|pit|buildup may follow
+    /// Wear of a flank, up to 300 um: TOOTH:left|right:DEPTH_UM, and :KIND may follow: uniform, tip, pit, buildup, half (above
+    /// half height), ramp, edge, spall, scratch-along, scratch-across, crater, crack, side (this flank of every tooth) or
+    /// ring (the whole toothing)
     #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
     pub wear: Vec<String>,
+    /// This mesh stands there instead of the CAD: PLY or STL, in mm and in the frame of the CAD, open or closed, up to five
+    /// million triangles; it is the die as it is, so no wear can be added
+    #[arg(long, value_name = "FILE", conflicts_with = "wear")]
+    pub die_mesh: Option<PathBuf>,
     /// How many times faster than real time the bench runs, or max
     #[arg(long, value_name = "1|K|max", default_value = "1")]
     pub speed: String,
@@ -92,6 +98,8 @@ pub struct Scene<'a> {
     pub die: Option<&'a DieArgs>,
     /// A calibration target instead of a die.
     pub target: bool,
+    /// Teeth that are judged instead of the tool file's.
+    pub teeth: Option<&'a [u32]>,
 }
 
 /// A station with its threads running, and the controller's port.
@@ -118,6 +126,7 @@ impl Instrument {
     ) -> anyhow::Result<Self> {
         let scene = Scene {
             press,
+            teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
         Self::start(
@@ -185,10 +194,17 @@ impl<S> Instrument<S> {
         scratch: Scratch,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
+        let simulated = matches!(link, "sim" | "qemu");
+        if let Some(mesh) = bench.die_mesh.as_ref().filter(|_| !simulated) {
+            anyhow::bail!(
+                "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
+                mesh.display()
+            );
+        }
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = station(Arc::clone(&root))?;
-        if matches!(link, "sim" | "qemu") {
+        if simulated {
             return Self::with_bench(station, (link, bench), scene, folder, root, scratch);
         }
         if !quiet {

@@ -199,6 +199,11 @@ impl Args {
         for wear in &bench.wear {
             what += &format!(", wear {wear}");
         }
+        if let Some(mesh) = &bench.die_mesh {
+            // Another content under the same name is another die; what cannot be read is refused by the bench.
+            let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
+            what += &format!(", mesh {}", content.unwrap_or_default());
+        }
         let simulated = self.link == "sim" || self.link == "qemu";
         let named = simulated.then(|| ("bench".to_string(), what));
         named.into_iter().collect()

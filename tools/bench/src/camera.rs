@@ -89,8 +89,8 @@ enum Job {
         counter: u32,
         _hold: Option<Hold>,
     },
-    /// Ends the thread; its truth goes to the sender.
-    Finish(Sender<Truth>),
+    /// Ends the thread; its truth and its world go to the sender.
+    Finish(Sender<(Truth, Box<World>)>),
 }
 
 /// The camera's end in the simulation.
@@ -157,18 +157,18 @@ pub fn start(
 }
 
 impl CameraThread {
-    /// Ends the thread and returns what really was photographed.
+    /// Ends the thread and returns what really was photographed, and the world as it was at the end.
     ///
     /// # Errors
     /// The thread has ended by itself.
-    pub fn finish(mut self) -> anyhow::Result<Truth> {
-        let (sender, truth) = channel();
+    pub fn finish(mut self) -> anyhow::Result<(Truth, Box<World>)> {
+        let (sender, outcome) = channel();
         self.jobs.send(Job::Finish(sender))?;
-        let truth = truth.recv()?;
+        let outcome = outcome.recv()?;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        Ok(truth)
+        Ok(outcome)
     }
 }
 
@@ -287,7 +287,9 @@ impl Darkroom {
                 } => self.develop(&exposure, ended_monotonic_ns),
                 Job::Cycled(count) => self.cycles[0] = count,
                 Job::HandOver { counter, _hold } => self.hand_over(counter),
-                Job::Finish(truth) => return drop(truth.send(self.truth)),
+                Job::Finish(outcome) => {
+                    return drop(outcome.send((self.truth, Box::new(self.world))));
+                }
             }
         }
     }

@@ -7,6 +7,8 @@
 //! | [`ageing`] | how the die wears with press cycles |
 //! | [`camera`] | exposures to frames in shared memory |
 //! | [`truth`] | what really was photographed |
+//! | [`zones`] | how far the die is from its drawing where it is judged |
+//! | [`die_file`] | a die from anyone's mesh file |
 //! | [`demo`] | the built-in die and head |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
 //! | [`study`] | how often the verdict is right, measured on many captures |
@@ -16,8 +18,10 @@ pub mod ageing;
 pub mod camera;
 pub mod demo;
 pub mod devices;
+pub mod die_file;
 pub mod process;
 pub mod qemu;
 pub mod study;
 pub mod truth;
 pub mod world;
+pub mod zones;

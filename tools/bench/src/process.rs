@@ -5,9 +5,11 @@
 
 use std::io::{Read, Write};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
+use flankscope_gear_cad::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::{HeadModel, PatternSet};
@@ -19,9 +21,11 @@ use crate::ageing::Ageing;
 use crate::camera::{self, FrameFault};
 use crate::demo::{self, OtherDie};
 use crate::devices::{self, Controller, InstrumentConfig};
+use crate::die_file;
 use crate::qemu::{Figures, Machine, find_image};
-use crate::truth::Truth;
-use crate::world::{Form, Mount, PatternSpec, Wear, World, WorldConfig};
+use crate::truth::{MeshTruth, Truth};
+use crate::world::{FlankId, Form, Mount, PatternSpec, Wear, World, WorldConfig};
+use crate::zones::Judged;
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -39,7 +43,7 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum Command {
     /// Run the bench until standard input ends.
-    Run(RunArgs),
+    Run(Box<RunArgs>),
     /// The stage controller alone, on a pseudo-terminal, until standard input ends.
     Esp301(Esp301Args),
     /// Measure how often the verdict is right; write tables and plots.
@@ -99,6 +103,12 @@ struct RunArgs {
     /// Damage: TOOTH:FLANK:DEPTH_UM, a kind may follow.
     #[arg(long)]
     wear: Vec<Wear>,
+    /// This mesh stands there instead of the CAD: PLY or STL, mm, in the CAD's frame.
+    #[arg(long, conflicts_with_all = ["target", "wear", "wear_rate", "die"])]
+    die_mesh: Option<PathBuf>,
+    /// Teeth that are judged, for the truth, instead of the tool file's.
+    #[arg(long, value_delimiter = ',')]
+    teeth: Option<Vec<u32>>,
     /// Virtual seconds per second, or max.
     #[arg(long, default_value = "1")]
     speed: Speed,
@@ -280,6 +290,8 @@ struct Exhibit {
     head: HeadModel,
     /// How high it reaches.
     top_mm: Option<f64>,
+    /// What is judged of it.
+    judged: Option<Judged>,
 }
 
 fn exhibit(args: &RunArgs) -> anyhow::Result<Exhibit> {
@@ -289,6 +301,7 @@ fn exhibit(args: &RunArgs) -> anyhow::Result<Exhibit> {
             config: demo::target_world(&target, args.seed),
             head: demo::head(),
             top_mm: None,
+            judged: None,
         });
     }
     let Some(path) = &args.tool else {
@@ -305,11 +318,39 @@ fn exhibit(args: &RunArgs) -> anyhow::Result<Exhibit> {
     } else {
         demo::head()
     };
+    let config = demo::world_of(&tool, &head)?;
     Ok(Exhibit {
-        config: demo::world_of(&tool, &head)?,
+        judged: judged(&tool, &config, args.teeth.as_deref()),
+        config,
         head,
         top_mm: tool.gear.as_ref().map(|gear| gear.height_mm[1]),
     })
+}
+
+/// The zones that a check of the tool judges, on its drawing; teeth that it does not have are left out.
+fn judged(tool: &Tool, config: &WorldConfig, teeth: Option<&[u32]>) -> Option<Judged> {
+    let (zone, inspect) = (tool.zone()?, tool.inspect.as_ref()?);
+    let mut teeth = teeth.unwrap_or(&inspect.teeth).to_vec();
+    teeth.sort_unstable();
+    teeth.dedup();
+    let flanks = teeth
+        .into_iter()
+        .filter(|tooth| (1..=config.gear.teeth).contains(tooth))
+        .flat_map(|tooth| [Flank::Left, Flank::Right].map(|flank| FlankId { tooth, flank }))
+        .collect();
+    Some(Judged {
+        cad: config.cad.clone(),
+        gear: config.gear.clone(),
+        flanks,
+        radius_mm: zone.radius_mm,
+        height_mm: zone.height_mm,
+        disc_area_mm2: wear_area_mm2(tool),
+    })
+}
+
+/// Area of the disc whose mean loss is the wear depth of a zone.
+fn wear_area_mm2(_tool: &Tool) -> f64 {
+    0.25
 }
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {
@@ -337,6 +378,7 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
         mut config,
         head,
         top_mm,
+        judged,
     } = exhibit(args)?;
     let ageing = Ageing {
         initial: args.wear.clone(),
@@ -369,6 +411,20 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let turned_rad =
         args.turned_deg.to_radians() + f64::from(args.turned_teeth) * config.gear.pitch_angle_rad();
     config.mount.table_from_die *= UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
+    let die_mesh = match &args.die_mesh {
+        Some(path) => {
+            let die = die_file::load(path)?;
+            let about = MeshTruth {
+                file: path.display().to_string(),
+                triangles: die.mesh().triangles.len(),
+                degenerate: die.degenerate(),
+                closed: die.is_closed(),
+            };
+            config.die_mesh = Some(Arc::new(die));
+            Some(about)
+        }
+        None => None,
+    };
     let world = World::new(&config)?;
     let set = PatternSet::named(head.pattern_set.as_deref().unwrap_or("insitu12"))?;
     let sets: Vec<(f64, u32)> = set
@@ -420,9 +476,14 @@ fn simulate(args: &RunArgs) -> anyhow::Result<()> {
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
     let outcome = instrument.stop().context("the simulation ended early")?;
     let pace = outcome.pace;
+    let (mut truth, world) = camera_thread.finish()?;
+    if let Some(judged) = &judged {
+        truth.compared(&world, judged);
+    }
+    truth.die_mesh = die_mesh;
     let farewell = Farewell {
         seed: args.seed,
-        truth: camera_thread.finish()?,
+        truth,
         virtual_s: pace.virtual_us as f64 * 1e-6,
         held_ms: pace.held.as_secs_f64() * 1e3,
         lagged_ms: pace.lagged.as_secs_f64() * 1e3,

@@ -6,9 +6,10 @@ use flankscope_gear_cad::Flank;
 use serde::{Deserialize, Serialize};
 
 use crate::devices::Exposure;
-use crate::world::CoreTruth;
+use crate::world::{CoreTruth, FlankId, World};
+use crate::zones::{self, Judged, ZoneTruth};
 
-/// Wear of one flank as the camera's cores met it.
+/// Wear of one flank: as the camera's cores met it anywhere on the flank, and where it is judged.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FlankTruth {
     /// Cores that saw this flank, lit, in all views.
@@ -17,6 +18,33 @@ pub struct FlankTruth {
     pub mean_wear_um: f64,
     /// Largest wear, µm.
     pub max_wear_um: f64,
+    /// The judged zone, whether it was seen or not.
+    #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
+    pub zone: Option<ZoneTruth>,
+}
+
+/// The zone that was judged on some of the flanks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ZonePlace {
+    /// Smallest and largest radius, mm.
+    pub radius_mm: [f64; 2],
+    /// Smallest and largest height, mm.
+    pub height_mm: [f64; 2],
+    /// Area of the disc over which a loss is averaged, mm².
+    pub disc_area_mm2: f64,
+}
+
+/// The mesh that stood there instead of the CAD.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeshTruth {
+    /// The file.
+    pub file: String,
+    /// Triangles with area.
+    pub triangles: usize,
+    /// Triangles without, which were left out.
+    pub degenerate: usize,
+    /// Whether it has an inside.
+    pub closed: bool,
 }
 
 /// A pose at which frames were taken, stage errors included.
@@ -37,6 +65,12 @@ pub struct Truth {
     pub flanks: BTreeMap<String, FlankTruth>,
     /// In order of capture.
     pub poses: Vec<PoseTruth>,
+    /// Where on the flanks the figures of zones come from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zone: Option<ZonePlace>,
+    /// What stood there instead of the CAD.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub die_mesh: Option<MeshTruth>,
 }
 
 impl Truth {
@@ -56,18 +90,31 @@ impl Truth {
         });
         for core in cores.iter().filter(|core| core.lit) {
             let Some(id) = core.flank else { continue };
-            let side = match id.flank {
-                Flank::Left => "left",
-                Flank::Right => "right",
-            };
-            let flank = self
-                .flanks
-                .entry(format!("{}:{side}", id.tooth))
-                .or_default();
+            let flank = self.flanks.entry(name(id)).or_default();
             let wear_um = core.wear_mm * 1e3;
             flank.cores += 1;
             flank.mean_wear_um += (wear_um - flank.mean_wear_um) / flank.cores as f64;
             flank.max_wear_um = flank.max_wear_um.max(wear_um);
         }
     }
+
+    /// Adds how far the die is from its drawing where it is judged.
+    pub fn compared(&mut self, world: &World, judged: &Judged) {
+        for (id, zone) in zones::compare(world, judged) {
+            self.flanks.entry(name(id)).or_default().zone = Some(zone);
+        }
+        self.zone = Some(ZonePlace {
+            radius_mm: judged.radius_mm,
+            height_mm: judged.height_mm,
+            disc_area_mm2: judged.disc_area_mm2,
+        });
+    }
+}
+
+fn name(id: FlankId) -> String {
+    let side = match id.flank {
+        Flank::Left => "left",
+        Flank::Right => "right",
+    };
+    format!("{}:{side}", id.tooth)
 }

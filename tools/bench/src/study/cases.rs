@@ -54,8 +54,8 @@ pub fn cases() -> Vec<Case> {
         },
         group: Group::Wear,
         flank: match kind {
-            WearKind::Uniform | WearKind::Pit => Flank::Left,
             WearKind::Tip | WearKind::Buildup => Flank::Right,
+            _ => Flank::Left,
         },
         number: 0,
         wear: (um > 0.0).then_some((kind, um)),

@@ -1,16 +1,19 @@
 //! The die as it is: the CAD surface with its wear and its form.
 
 use super::WorldError;
+use super::die_mesh::DieMesh;
 use super::form::Form;
+use super::rays::RayCaster;
 use super::refine::refine;
 use super::wear::{FlankId, FlankZone, WearField};
-use flankscope_gear_cad::{Flank, GearSpec, Mesh};
-use std::collections::BTreeSet;
+use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
+use nalgebra::{Matrix2, Point3, Vector2, Vector3};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// Longest edge of the mesh where wear varies, mm: a pit of 1 mm2 and 80 um is then nowhere 0.2 um shallower than its shape.
-const WORN_EDGE_MM: f64 = 0.035;
 /// A vertex of a foreign CAD kernel's flank lies within this of the involute, mm.
 const ON_INVOLUTE_MM: f64 = 0.01;
+/// A surface farther than this from where the drawing has a flank is none, mm.
+const FLANK_REACH_MM: f64 = 1.0;
 /// Coordinates the ray caster is made for, mm.
 const MAX_COORDINATE_MM: f64 = 1000.0;
 
@@ -18,9 +21,18 @@ const MAX_COORDINATE_MM: f64 = 1000.0;
 #[derive(Clone, Debug)]
 pub struct Die {
     mesh: Mesh,
-    flanks: Vec<Option<FlankId>>,
+    source: Source,
     field: WearField,
     growth: f64,
+}
+
+/// Where the surface comes from.
+#[derive(Clone, Debug)]
+enum Source {
+    /// The CAD, with the flank of every triangle.
+    Cad(Vec<Option<FlankId>>),
+    /// A mesh made by anyone, that may be closed.
+    Mesh { closed: bool },
 }
 
 impl Die {
@@ -32,7 +44,7 @@ impl Die {
         let mut flanks: Vec<Option<FlankId>> = mesh
             .triangles
             .iter()
-            .map(|t| flank_of_triangle(gear, t.map(|i| mesh.vertices[i as usize])))
+            .map(|t| flank_of_facet(gear, t.map(|i| mesh.vertices[i as usize]), ON_INVOLUTE_MM))
             .collect();
         for id in field.worn_flanks() {
             if !flanks.contains(&Some(id)) {
@@ -42,22 +54,32 @@ impl Die {
                     limit_mm: ON_INVOLUTE_MM,
                 });
             }
-            let zones = field.varying_zones(id);
-            let wanted = |of: FlankId, corners| {
-                of == id && zones.iter().any(|zone| meets(&field, zone, corners))
-            };
-            refine(&mut mesh, &mut flanks, WORN_EDGE_MM, wanted);
+            for zone in field.varying_zones(id) {
+                let wanted = |of: FlankId, corners| of == id && meets(&field, &zone, corners);
+                refine(&mut mesh, &mut flanks, zone.longest_mm, wanted);
+            }
         }
-        for id in field.worn_flanks() {
-            displace(&mut mesh, &flanks, &field, id);
-        }
+        displace(&mut mesh, &flanks, &field);
         form.apply(&mut mesh, field.gear());
         Ok(Self {
             mesh,
-            flanks,
+            source: Source::Cad(flanks),
             field,
             growth: 1.0,
         })
+    }
+
+    /// A die that is `mesh`, with a form put on it. Its flanks are where `field`'s gear has them.
+    pub fn standing(mesh: &DieMesh, field: WearField, form: Form) -> Self {
+        let closed = mesh.is_closed();
+        let mut mesh = mesh.mesh().clone();
+        form.apply(&mut mesh, field.gear());
+        Self {
+            mesh,
+            source: Source::Mesh { closed },
+            field,
+            growth: 1.0,
+        }
     }
 
     /// Warms the die: every point moves away from the axis and from z = 0 by this factor.
@@ -73,9 +95,48 @@ impl Die {
         &self.mesh
     }
 
-    /// Flank that a triangle of [`Self::mesh`] belongs to; `None` on lands, roots, walls and ends.
+    /// Flank that a triangle of [`Self::mesh`] belongs to; `None` on lands, roots, walls and ends, and for a mesh made by
+    /// anyone, whose triangles know no flanks.
     pub fn flank(&self, triangle: usize) -> Option<FlankId> {
-        self.flanks[triangle]
+        match &self.source {
+            Source::Cad(flanks) => flanks[triangle],
+            Source::Mesh { .. } => None,
+        }
+    }
+
+    /// Flank that a point of the surface belongs to: its triangle's, or for a mesh made by anyone, the one it lies at.
+    pub(crate) fn flank_at(
+        &self,
+        triangle: usize,
+        point: Point3<f64>,
+        normal: Vector3<f64>,
+    ) -> Option<FlankId> {
+        match &self.source {
+            Source::Cad(flanks) => flanks[triangle],
+            Source::Mesh { .. } => {
+                let gear = self.field.gear();
+                let p = (point / self.growth).into();
+                let (id, off_mm) = nearest_flank(gear, p)?;
+                let radius = f64::hypot(p[0], p[1]);
+                let from_land_mm = (radius - gear.tip_radius_mm)
+                    .abs()
+                    .min((radius - gear.root_radius_mm).abs());
+                let [nx, ny] = gear.flank_normal(id.tooth, id.flank, radius);
+                let parallel = normal.x * nx + normal.y * ny > std::f64::consts::FRAC_1_SQRT_2;
+                let near = off_mm.abs() < from_land_mm;
+                (off_mm.abs() <= FLANK_REACH_MM && (parallel || near)).then_some(id)
+            }
+        }
+    }
+
+    /// Whether the sides of a triangle say nothing about inside and outside.
+    pub(crate) fn has_no_winding(&self) -> bool {
+        matches!(self.source, Source::Mesh { .. })
+    }
+
+    /// Whether an eye is inside the material of a die whose triangles' sides do not say so.
+    pub(crate) fn encloses_eye(&self, rays: &RayCaster, eye: Point3<f64>) -> bool {
+        matches!(self.source, Source::Mesh { closed: true }) && rays.encloses(eye)
     }
 
     /// Wear depth (positive: loss) at a point of the real surface that lies on `id`, mm.
@@ -83,6 +144,10 @@ impl Die {
         // The field is defined on the nominal flank: walk back along the normal until depth and foot agree.
         let gear = self.field.gear();
         let point = point.map(|x| x / self.growth);
+        if self.has_no_winding() {
+            // The distance from the drawn flank itself.
+            return nearest_flank(gear, point).map_or(0.0, |(_, off_mm)| -off_mm);
+        }
         let mut depth = 0.0;
         for _ in 0..4 {
             let normal = gear.flank_normal(id.tooth, id.flank, point[0].hypot(point[1]));
@@ -93,7 +158,7 @@ impl Die {
     }
 }
 
-fn check_mesh(cad: &Mesh) -> Result<(), WorldError> {
+pub(super) fn check_mesh(cad: &Mesh) -> Result<(), WorldError> {
     if cad.triangles.is_empty() {
         return Err(WorldError::EmptyMesh);
     }
@@ -147,10 +212,15 @@ pub(crate) fn nearest_flank(gear: &GearSpec, p: [f64; 3]) -> Option<(FlankId, f6
     ))
 }
 
-fn flank_of_triangle(gear: &GearSpec, corners: [[f64; 3]; 3]) -> Option<FlankId> {
+/// The flank that a facet of a drawing belongs to: its corners lie this close to the involute, and it faces as the flank does.
+pub(crate) fn flank_of_facet(
+    gear: &GearSpec,
+    corners: [[f64; 3]; 3],
+    near_mm: f64,
+) -> Option<FlankId> {
     let on = |p: [f64; 3]| {
         nearest_flank(gear, p)
-            .filter(|(_, off)| off.abs() <= ON_INVOLUTE_MM)
+            .filter(|(_, off)| off.abs() <= near_mm)
             .map(|(id, _)| id)
     };
     let id = on(corners[0])?;
@@ -180,20 +250,84 @@ fn meets(field: &WearField, zone: &FlankZone, corners: [[f64; 3]; 3]) -> bool {
     overlaps(profiles, zone.profile_mm) && overlaps(corners.map(|v| v[2]), zone.height_mm)
 }
 
-/// Moves the vertices of one worn flank along its normal by the depth at each.
-fn displace(mesh: &mut Mesh, flanks: &[Option<FlankId>], field: &WearField, id: FlankId) {
-    let of_flank = mesh
-        .triangles
-        .iter()
-        .zip(flanks)
-        .filter(|(_, flank)| **flank == Some(id));
-    let vertices: BTreeSet<u32> = of_flank.flat_map(|(t, _)| *t).collect();
-    for vertex in vertices {
-        let p = &mut mesh.vertices[vertex as usize];
-        let radius = p[0].hypot(p[1]);
-        let depth = field.depth_mm(id, radius, p[2]);
-        let [nx, ny] = field.gear().flank_normal(id.tooth, id.flank, radius);
-        p[0] -= depth * nx;
-        p[1] -= depth * ny;
+/// Whether a place this far from the axis belongs to the toothing, not to the body's wall or bore.
+pub(crate) fn in_toothing(gear: &GearSpec, radius_mm: f64) -> bool {
+    let between_mm = 0.5 * (gear.root_radius_mm + gear.body_radius_mm);
+    match gear.kind {
+        GearKind::Internal => radius_mm < between_mm,
+        GearKind::External => gear.body_radius_mm >= gear.root_radius_mm || radius_mm > between_mm,
     }
+}
+
+/// Moves every vertex of a worn flank along its normal by the depth there, and the toothing inwards by what all of it lost.
+fn displace(mesh: &mut Mesh, flanks: &[Option<FlankId>], field: &WearField) {
+    let ring_mm = field.ring_mm();
+    let worn: BTreeSet<FlankId> = field.worn_flanks().into_iter().collect();
+    let mut vertices: BTreeMap<FlankId, BTreeSet<u32>> = BTreeMap::new();
+    for (triangle, flank) in mesh.triangles.iter().zip(flanks) {
+        if let Some(id) = flank.filter(|id| worn.contains(id)) {
+            vertices.entry(id).or_default().extend(triangle);
+        }
+    }
+    let mut moves = if ring_mm > 0.0 {
+        toothing_inwards(mesh, field.gear(), ring_mm)
+    } else {
+        BTreeMap::new()
+    };
+    for (id, of_flank) in vertices {
+        for vertex in of_flank {
+            let p = mesh.vertices[vertex as usize];
+            let radius = p[0].hypot(p[1]);
+            // What all of the toothing lost has moved the flank already.
+            let depth = field.depth_mm(id, radius, p[2]) - ring_mm;
+            let normal = Vector2::from(field.gear().flank_normal(id.tooth, id.flank, radius));
+            *moves.entry(vertex).or_default() -= depth * normal;
+        }
+    }
+    for (vertex, by) in moves {
+        let p = &mut mesh.vertices[vertex as usize];
+        p[0] += by.x;
+        p[1] += by.y;
+    }
+}
+
+/// How the vertices of the toothing move when all its faces move into the material by `depth_mm`.
+///
+/// A vertex comes to lie on all its faces: where flank and land meet, the edge moves along the bisector and farther than either.
+fn toothing_inwards(mesh: &Mesh, gear: &GearSpec, depth_mm: f64) -> BTreeMap<u32, Vector2<f64>> {
+    /// Faces that differ in direction by less than about a thousandth count as one: across them, nothing is known.
+    const LEAST_RATIO: f64 = 1e-6;
+    let mut faces: BTreeMap<u32, (Matrix2<f64>, Vector2<f64>)> = BTreeMap::new();
+    for t in &mesh.triangles {
+        let [a, b, c] = t.map(|v| Vector3::from(mesh.vertices[v as usize]));
+        let outside = |p: &Vector3<f64>| !in_toothing(gear, p.x.hypot(p.y));
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else {
+            continue;
+        };
+        // End faces stay, and so does the body.
+        if normal.z.abs() > 0.5 || [a, b, c].iter().any(outside) {
+            continue;
+        }
+        let normal = normal.xy().normalize();
+        for &vertex in t {
+            let (squares, sum) = faces.entry(vertex).or_default();
+            *squares += normal * normal.transpose();
+            *sum += normal;
+        }
+    }
+    let solve = |(squares, sum): (Matrix2<f64>, Vector2<f64>)| {
+        let axes = squares.symmetric_eigen();
+        let least = LEAST_RATIO * axes.eigenvalues.max();
+        (0..2)
+            .filter(|&i| axes.eigenvalues[i] > least)
+            .map(|i| {
+                let axis = axes.eigenvectors.column(i).into_owned();
+                axis * (-depth_mm * axis.dot(&sum) / axes.eigenvalues[i])
+            })
+            .sum()
+    };
+    faces
+        .into_iter()
+        .map(|(vertex, face)| (vertex, solve(face)))
+        .collect()
 }

@@ -2,6 +2,7 @@
 //! its own since it was made.
 
 use super::WorldError;
+use super::die::in_toothing;
 use super::random::{Normals, Purpose, stream};
 use flankscope_gear_cad::{GearSpec, Mesh};
 
@@ -48,7 +49,7 @@ impl Form {
         let flanks_mm = self.flanks_mm(gear.teeth);
         for p in &mut mesh.vertices {
             let radius = p[0].hypot(p[1]);
-            if radius < 0.75 * gear.body_radius_mm && radius > 0.0 {
+            if in_toothing(gear, radius) && radius > 0.0 {
                 let angle = p[1].atan2(p[0]);
                 let by = self.radial_mm(angle, (p[2] - bottom) / (top - bottom));
                 // Halves of teeth from +x on, where a space has its middle: right, left, right ...

@@ -15,6 +15,7 @@
 
 mod bundle;
 mod die;
+mod die_mesh;
 mod form;
 mod mount;
 mod optics;
@@ -31,6 +32,8 @@ mod wear;
 
 pub use bundle::{Bundle, BundleSpec};
 pub use die::Die;
+pub(crate) use die::flank_of_facet;
+pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
 pub use form::Form;
 pub use mount::Mount;
 pub use optics::{HeadOptics, Objective, Pinhole};
@@ -41,13 +44,17 @@ pub use scene::CoreTruth;
 pub use sensor::SensorSpec;
 pub use surface::Surface;
 pub use unevenness::Unevenness;
-pub use wear::{FlankId, FlankZone, MAX_DEPTH_UM, Wear, WearError, WearField, WearKind};
+pub use wear::{
+    FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
+};
 
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
+use nalgebra::{Point3, Vector3};
 use random::{Normals, Purpose, stream};
 use rayon::prelude::*;
 use scene::{CoreView, Sight, Stage};
 use sensor::{Rates, Sensor};
+use std::sync::Arc;
 
 /// Everything that defines a world. The same configuration gives the same frames.
 #[derive(Clone, Debug)]
@@ -58,6 +65,8 @@ pub struct WorldConfig {
     pub gear: GearSpec,
     /// What the press has done to it.
     pub wear: Vec<Wear>,
+    /// The die as it is, instead of the CAD and its wear.
+    pub die_mesh: Option<Arc<DieMesh>>,
     /// Size of the warm die relative to its CAD; it grows from the axis and from z = 0.
     pub growth: f64,
     /// Its form as a whole.
@@ -96,6 +105,7 @@ impl WorldConfig {
             cad,
             gear,
             wear: Vec::new(),
+            die_mesh: None,
             growth: 1.0,
             form: Form::default(),
             mount: Mount::perfect(),
@@ -152,6 +162,30 @@ pub enum WorldError {
         got_mm: f64,
         /// Largest magnitude, mm.
         limit_mm: f64,
+    },
+    /// More triangles than a die may have.
+    #[error("the mesh of the die has {got} triangles; at most {max} are possible")]
+    Triangles {
+        /// Triangles there are.
+        got: usize,
+        /// Most.
+        max: usize,
+    },
+    /// All triangles are points or segments.
+    #[error(
+        "all {triangles} triangles of the die's mesh are degenerate; at least one with area is needed"
+    )]
+    NoArea {
+        /// Triangles there are.
+        triangles: usize,
+    },
+    /// Damage for a die that is given as a mesh.
+    #[error(
+        "{got} damages are given beside the mesh of a die; a mesh is the die as it is: cut the damage into it, or leave one out"
+    )]
+    WearOnMesh {
+        /// Damages asked for.
+        got: usize,
     },
     /// A triangle names a vertex that does not exist.
     #[error("triangle {triangle} names vertex {got}, but there are only {vertices}")]
@@ -224,6 +258,7 @@ impl WorldError {
 pub struct World {
     cad: Mesh,
     gear: GearSpec,
+    die_mesh: Option<Arc<DieMesh>>,
     growth: f64,
     optics: HeadOptics,
     mount: Mount,
@@ -260,7 +295,15 @@ impl World {
         WorldError::check("vibration_um", config.vibration_um, 0.0, 100.0)?;
         config.form.validate()?;
         let field = WearField::new(&config.gear, &config.wear)?;
-        let mut die = Die::as_built(&config.cad, field, config.form)?;
+        let mut die = match &config.die_mesh {
+            Some(_) if !config.wear.is_empty() => {
+                return Err(WorldError::WearOnMesh {
+                    got: config.wear.len(),
+                });
+            }
+            Some(mesh) => Die::standing(mesh, field, config.form),
+            None => Die::as_built(&config.cad, field, config.form)?,
+        };
         die.grow(config.growth);
         let mut random = Normals::new(stream(config.head_seed, Purpose::CoreResponse));
         let spread = config.sensor.core_exponent_spread;
@@ -279,6 +322,7 @@ impl World {
         Ok(Self {
             cad: config.cad.clone(),
             gear: config.gear.clone(),
+            die_mesh: config.die_mesh.clone(),
             growth: config.growth,
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
@@ -303,6 +347,12 @@ impl World {
     /// # Errors
     /// Damage that this die cannot have; it then stays as it is.
     pub fn wear_to(&mut self, wear: &[Wear]) -> Result<(), WorldError> {
+        if self.die_mesh.is_some() {
+            return match wear.len() {
+                0 => Ok(()),
+                got => Err(WorldError::WearOnMesh { got }),
+            };
+        }
         let field = WearField::new(&self.gear, wear)?;
         let mut die = Die::as_built(&self.cad, field, self.form)?;
         die.grow(self.growth);
@@ -336,6 +386,31 @@ impl World {
     /// The die as it really is.
     pub fn die(&self) -> &Die {
         &self.die
+    }
+
+    /// How far along `normal` (a unit vector, tool frame) the surface of the die lies from a point of the drawing, mm: the
+    /// nearest place within `reach_mm` to either side, the die at the temperature of its drawing.
+    pub fn surface_along_mm(
+        &self,
+        point_mm: Point3<f64>,
+        normal: Vector3<f64>,
+        reach_mm: f64,
+    ) -> Option<f64> {
+        /// Each ray starts this far behind the point, mm: a surface through the point itself is met by both.
+        const START_MM: f64 = 1e-3;
+        let along = |direction: Vector3<f64>| {
+            let start = self.growth * (point_mm - START_MM * direction).coords;
+            let hit = self.rays.nearest_within(
+                Point3::from(start),
+                self.growth * direction,
+                reach_mm + START_MM,
+            )?;
+            Some(hit.distance - START_MM)
+        };
+        match (along(normal), along(-normal)) {
+            (Some(out), Some(into)) if out.abs() <= into.abs() => Some(out),
+            (out, into) => into.map(|mm| -mm).or(out),
+        }
     }
 
     /// The camera's bundle: where its cores lie on the sensor.

@@ -33,16 +33,14 @@ pub struct RayCaster {
 impl RayCaster {
     /// Prepares `mesh`. Its coordinates must be finite and below 1000 mm.
     pub fn new(mesh: &Mesh) -> Self {
-        let corners: Vec<[Vector3<f64>; 3]> = mesh
+        let corners = |t: &[u32; 3]| t.map(|i| Vector3::from(mesh.vertices[i as usize]));
+        let boxes: Vec<Aabb> = mesh
             .triangles
             .iter()
-            .map(|t| t.map(|i| Vector3::from(mesh.vertices[i as usize])))
-            .collect();
-        let boxes: Vec<Aabb> = corners
-            .iter()
-            .map(|[a, b, c]| {
-                let low = a.inf(b).inf(c).map(|x| x as f32 - BOX_MARGIN_MM);
-                let high = a.sup(b).sup(c).map(|x| x as f32 + BOX_MARGIN_MM);
+            .map(|t| {
+                let [a, b, c] = corners(t);
+                let low = a.inf(&b).inf(&c).map(|x| x as f32 - BOX_MARGIN_MM);
+                let high = a.sup(&b).sup(&c).map(|x| x as f32 + BOX_MARGIN_MM);
                 Aabb {
                     min: <[f32; 3]>::from(low).into(),
                     max: <[f32; 3]>::from(high).into(),
@@ -58,7 +56,7 @@ impl RayCaster {
             .primitive_indices
             .iter()
             .map(|&i| {
-                let [a, b, c] = corners[i as usize];
+                let [a, b, c] = corners(&mesh.triangles[i as usize]);
                 [a, b - a, c - a]
             })
             .collect();
@@ -67,14 +65,24 @@ impl RayCaster {
 
     /// First triangle that the ray meets from `origin` along `direction`, from either side.
     pub fn nearest(&self, origin: Point3<f64>, direction: Vector3<f64>) -> Option<Hit> {
+        self.nearest_within(origin, direction, f64::INFINITY)
+    }
+
+    /// As [`Self::nearest`], no farther than `reach` in units of the direction.
+    pub fn nearest_within(
+        &self,
+        origin: Point3<f64>,
+        direction: Vector3<f64>,
+        reach: f64,
+    ) -> Option<Hit> {
         let mut best: Option<(usize, f64)> = None;
         let mut ignored = RayHit::none();
         self.bvh.ray_traverse(
-            single_precision(origin, direction, f32::INFINITY),
+            single_precision(origin, direction, reach as f32 * (1.0 + 1e-6)),
             &mut ignored,
             |_, leaf| {
                 match self.distance(leaf, origin, direction) {
-                    Some(t) if best.is_none_or(|(_, nearest)| t < nearest) => {
+                    Some(t) if t <= reach && best.is_none_or(|(_, nearest)| t < nearest) => {
                         best = Some((leaf, t));
                         // Rounded up, so that boxes at the same distance are still opened.
                         (t as f32) * (1.0 + 1e-6)
@@ -91,6 +99,31 @@ impl RayCaster {
                 normal: u.cross(&v).normalize(),
             }
         })
+    }
+
+    /// Whether a point lies inside a closed mesh, whichever way its triangles are wound: by the parity of what rays cross, the
+    /// majority of three, because a ray through an edge may count it twice.
+    pub fn encloses(&self, point: Point3<f64>) -> bool {
+        const DIRECTIONS: [[f64; 3]; 3] = [
+            [0.356, 0.271, 0.894],
+            [-0.617, 0.513, 0.597],
+            [0.159, -0.841, -0.517],
+        ];
+        let inside = |direction: [f64; 3]| {
+            let direction = Vector3::from(direction);
+            let mut crossed = 0;
+            let mut ignored = RayHit::none();
+            self.bvh.ray_traverse(
+                single_precision(point, direction, f32::INFINITY),
+                &mut ignored,
+                |_, leaf| {
+                    crossed += usize::from(self.distance(leaf, point, direction).is_some());
+                    f32::INFINITY
+                },
+            );
+            crossed % 2 == 1
+        };
+        DIRECTIONS.into_iter().filter(|d| inside(*d)).count() >= 2
     }
 
     /// Whether anything lies between two points. Leave the surface first: an end on a triangle counts as blocked.

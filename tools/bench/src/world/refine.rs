@@ -2,6 +2,31 @@
 
 use flankscope_gear_cad::Mesh;
 use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+/// Middle vertex of each edge to be halved.
+type Halves = HashMap<(u32, u32), u32, BuildHasherDefault<EdgeHasher>>;
+
+/// Two vertex numbers of our own making: nobody chooses them to collide, so mixing them well is enough.
+#[derive(Default)]
+struct EdgeHasher(u64);
+
+impl Hasher for EdgeHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.write_u32(u32::from(byte));
+        }
+    }
+
+    fn write_u32(&mut self, number: u32) {
+        let mixed = (self.0 ^ u64::from(number)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = mixed ^ (mixed >> 29);
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
 
 /// Halves every edge longer than `longest_mm` of the tagged triangles for which `wanted` holds, until none is left.
 ///
@@ -48,8 +73,8 @@ fn halved_edges<T: Copy>(
     tags: &[Option<T>],
     longest_mm: f64,
     wanted: &impl Fn(T, [[f64; 3]; 3]) -> bool,
-) -> HashMap<(u32, u32), u32> {
-    let mut halves = HashMap::new();
+) -> Halves {
+    let mut halves = Halves::default();
     for (triangle, tag) in mesh.triangles.iter().zip(tags) {
         let Some(tag) = *tag else { continue };
         if !wanted(tag, triangle.map(|v| mesh.vertices[v as usize])) {
@@ -65,7 +90,16 @@ fn halved_edges<T: Copy>(
     let mut before = 0;
     while halves.len() > before {
         before = halves.len();
+        // Most triangles have no halved edge: two looks at their corners tell.
+        let mut at_end = vec![false; mesh.vertices.len()];
+        for &(p, q) in halves.keys() {
+            at_end[p as usize] = true;
+            at_end[q as usize] = true;
+        }
         for triangle in &mesh.triangles {
+            if triangle.iter().filter(|&&v| at_end[v as usize]).count() < 2 {
+                continue;
+            }
             let lengths2 = sides(*triangle).map(|edge| (length2(&mesh.vertices, edge), edge));
             let longest = lengths2
                 .into_iter()
@@ -90,7 +124,7 @@ fn length2(vertices: &[[f64; 3]], (p, q): (u32, u32)) -> f64 {
     (0..3).map(|k| (p[k] - q[k]).powi(2)).sum()
 }
 
-fn halve(vertices: &mut Vec<[f64; 3]>, halves: &mut HashMap<(u32, u32), u32>, edge: (u32, u32)) {
+fn halve(vertices: &mut Vec<[f64; 3]>, halves: &mut Halves, edge: (u32, u32)) {
     let [p, q] = [edge.0, edge.1].map(|v| vertices[v as usize]);
     halves.entry(edge).or_insert_with(|| {
         vertices.push([0, 1, 2].map(|k| 0.5 * (p[k] + q[k])));
@@ -99,12 +133,7 @@ fn halve(vertices: &mut Vec<[f64; 3]>, halves: &mut HashMap<(u32, u32), u32>, ed
 }
 
 /// Pieces of a triangle whose edges are halved as `halves` says, in the same sense of rotation.
-fn divide(
-    vertices: &[[f64; 3]],
-    [a, b, c]: [u32; 3],
-    halves: &HashMap<(u32, u32), u32>,
-    out: &mut Vec<[u32; 3]>,
-) {
+fn divide(vertices: &[[f64; 3]], [a, b, c]: [u32; 3], halves: &Halves, out: &mut Vec<[u32; 3]>) {
     let half = |p, q| halves.get(&key(p, q)).copied();
     match (half(a, b), half(b, c), half(c, a)) {
         (None, None, None) => out.push([a, b, c]),

@@ -116,6 +116,12 @@ pub(crate) struct CoreView {
     pub light: Lanes,
 }
 
+/// A core that sees nothing.
+const DARK: CoreView = CoreView {
+    truth: None,
+    light: [0.0; LANES],
+};
+
 impl Stage<'_> {
     /// All camera cores for one pose of the stages.
     pub(crate) fn look(
@@ -124,6 +130,10 @@ impl Stage<'_> {
         emission: &[Lanes],
     ) -> Vec<CoreView> {
         let eye = tool_from_camera * Point3::origin();
+        if self.die.encloses_eye(self.rays, eye) {
+            // The head has been driven into the die.
+            return self.sights.iter().map(|_| DARK).collect();
+        }
         let lamp =
             tool_from_camera * (self.optics.projector_from_camera.inverse() * Point3::origin());
         (0..self.sights.len())
@@ -141,40 +151,35 @@ impl Stage<'_> {
         lamp: Point3<f64>,
         emission: &[Lanes],
     ) -> CoreView {
-        let dark = CoreView {
-            truth: None,
-            light: [0.0; LANES],
-        };
         let sight = &self.sights[core];
         let along = tool_from_camera * sight.direction;
         let Some(hit) = self.rays.nearest(eye, along) else {
-            return dark;
+            return DARK;
         };
-        // Seen from inside the material: the head has been driven into the die.
-        if hit.normal.dot(&along) >= 0.0 {
-            return dark;
-        }
+        let normal = match hit.normal.dot(&along) {
+            facing if facing < 0.0 => hit.normal,
+            away if away > 0.0 && self.die.has_no_winding() => -hit.normal,
+            // Seen from inside the material: the head has been driven into the die.
+            _ => return DARK,
+        };
         let point = eye + hit.distance * along;
         let p_camera = Point3::from(hit.distance * sight.direction);
         let p_projector = self.optics.projector_from_camera * p_camera;
         let Some(projector_px) = self.optics.projector.project(p_projector) else {
-            return dark;
+            return DARK;
         };
 
         let to_lamp = lamp - point;
-        let faces_lamp = hit.normal.dot(&to_lamp) > 0.0;
+        let faces_lamp = normal.dot(&to_lamp) > 0.0;
         let lighted = self.projector_reaches(projector_px);
         // Just outside the lighted field blur still brings some light; in shadow there is none.
-        let unshaded = faces_lamp
-            && !self
-                .rays
-                .blocked(point + SHADOW_START_MM * hit.normal, lamp);
+        let unshaded = faces_lamp && !self.rays.blocked(point + SHADOW_START_MM * normal, lamp);
         let lit = unshaded && lighted;
-        let flank = self.die.flank(hit.triangle);
+        let flank = self.die.flank_at(hit.triangle, point, normal);
         let truth = CoreTruth {
             core: core as u32,
             point_tool_mm: point.coords.into(),
-            normal_tool: hit.normal.into(),
+            normal_tool: normal.into(),
             lit,
             projector_px,
             flank,
@@ -190,7 +195,7 @@ impl Stage<'_> {
         let returned = self.surface.returned(
             self.seed,
             point,
-            hit.normal,
+            normal,
             to_lamp.normalize(),
             -along.normalize(),
         );
@@ -201,7 +206,7 @@ impl Stage<'_> {
             * nearer
             * projector.brightness(p_projector)
             * self.optics.camera_objective.brightness(p_camera);
-        let normal_camera = tool_from_camera.inverse_transform_vector(&hit.normal);
+        let normal_camera = tool_from_camera.inverse_transform_vector(&normal);
         let blur = self.blur_px2(sight, hit.distance, normal_camera, p_camera, projector_px);
         let mut light = self.gather(projector_px, blur, emission);
         let contrast = self.optics.contrast(p_camera);

@@ -5,6 +5,9 @@ use std::f64::consts::PI;
 use std::str::FromStr;
 
 /// Shape of the damage.
+///
+/// Places are relative to the middle of the flank's profile and of the die's height, where the head looks; what a head sees
+/// of a flank there and judges is taken to be [`VIEW_HALF_MM`] high on either side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WearKind {
     /// The same depth over the whole flank.
@@ -15,6 +18,50 @@ pub enum WearKind {
     Pit,
     /// Material of the workpiece stuck on a patch at half height in the middle of the profile.
     Buildup,
+    /// Everything above half height, with a slope 0.2 mm wide between sound and worn.
+    Half,
+    /// Rising evenly from nothing at half height to the full depth 4 mm above; full from there on.
+    Ramp,
+    /// Worn from an entry edge 4 mm above half height: falls by a factor of e every 2 mm downwards, full above.
+    Edge,
+    /// A round hole of 2.1 mm diameter with a flat bottom and a rim 0.1 mm wide.
+    Spall,
+    /// A groove 0.3 mm wide along the whole height, round at the bottom.
+    ScratchAlong,
+    /// A groove 0.3 mm wide across the whole profile, round at the bottom.
+    ScratchAcross,
+    /// A bowl of 1.2 mm diameter in a wall of material thrown up, a quarter as high as the bowl is deep.
+    Crater,
+    /// A gap 0.1 mm wide at its mouth, sharp at its bottom, and 3 mm long along the height.
+    Crack,
+    /// The same depth over this flank of every tooth.
+    Side,
+    /// The same depth over the whole toothing: both flanks of every tooth and the lands between them.
+    Ring,
+}
+
+impl WearKind {
+    /// Every kind by its name.
+    pub const NAMED: [(&'static str, Self); 14] = [
+        ("uniform", Self::Uniform),
+        ("tip", Self::Tip),
+        ("pit", Self::Pit),
+        ("buildup", Self::Buildup),
+        ("half", Self::Half),
+        ("ramp", Self::Ramp),
+        ("edge", Self::Edge),
+        ("spall", Self::Spall),
+        ("scratch-along", Self::ScratchAlong),
+        ("scratch-across", Self::ScratchAcross),
+        ("crater", Self::Crater),
+        ("crack", Self::Crack),
+        ("side", Self::Side),
+        ("ring", Self::Ring),
+    ];
+
+    fn names() -> String {
+        Self::NAMED.map(|(name, _)| name).join(", ")
+    }
 }
 
 /// One damage.
@@ -70,7 +117,7 @@ pub enum WearError {
         max_um: f64,
     },
     /// The kind has no such name.
-    #[error("kind \"{got}\" is unknown; uniform, tip, pit or buildup are possible")]
+    #[error("kind \"{got}\" is unknown; possible are {}", WearKind::names())]
     Kind {
         /// The part at fault.
         got: String,
@@ -123,17 +170,13 @@ impl FromStr for Wear {
                 got: depth.to_owned(),
                 max_um: MAX_DEPTH_UM,
             })? * 1e-3,
-            kind: match kind.to_ascii_lowercase().as_str() {
-                "uniform" => WearKind::Uniform,
-                "tip" => WearKind::Tip,
-                "pit" => WearKind::Pit,
-                "buildup" => WearKind::Buildup,
-                _ => {
-                    return Err(WearError::Kind {
-                        got: kind.to_owned(),
-                    });
-                }
-            },
+            kind: WearKind::NAMED
+                .into_iter()
+                .find(|(name, _)| name.eq_ignore_ascii_case(kind))
+                .map(|(_, kind)| kind)
+                .ok_or_else(|| WearError::Kind {
+                    got: kind.to_owned(),
+                })?,
         })
     }
 }
@@ -154,6 +197,8 @@ pub struct FlankZone {
     pub profile_mm: [f64; 2],
     /// Smallest and largest height, mm.
     pub height_mm: [f64; 2],
+    /// Longest edge that a mesh of the damage may have there, mm.
+    pub longest_mm: f64,
 }
 
 /// Depth of all wear at every point of every flank.
@@ -163,12 +208,41 @@ pub struct WearField {
     wear: Vec<Wear>,
 }
 
+/// Half the height of what a head sees of a flank and judges, mm.
+pub const VIEW_HALF_MM: f64 = 4.0;
+
+/// Longest edge of the mesh where wear varies, mm: a pit of 1 mm² and 80 µm is then nowhere 0.2 µm shallower than its shape.
+const WORN_EDGE_MM: f64 = 0.035;
+/// The same where it varies slowly, as wear from an edge does, mm: a chord over it sags by 0.1² / 8 of 0.3 / 2², 0.1 µm.
+const SLOW_EDGE_MM: f64 = 0.1;
+/// The same in a crack, mm: an eighth of its width.
+const CRACK_EDGE_MM: f64 = 0.0125;
 /// Length of profile over which tip rounding fades, mm.
 const TIP_FADE_MM: f64 = 0.5;
 /// Area of a pit, mm².
 const PIT_AREA_MM2: f64 = 1.0;
 /// Area of a patch of built-up material, mm².
 const BUILDUP_AREA_MM2: f64 = 2.0;
+/// Width of the slope between the worn and the sound half, mm.
+const HALF_SLOPE_MM: f64 = 0.2;
+/// Length over which wear from an edge falls by a factor of e, mm.
+const EDGE_DECAY_MM: f64 = 2.0;
+/// Depth that is left of wear from an edge where its mesh is fine no longer: e^-7 of 300 µm is 0.3 µm.
+const EDGE_DECAYS: f64 = 7.0;
+/// Radius of a spall in the middle of its rim, and the rim's width, mm.
+const SPALL_RADIUS_MM: f64 = 1.05;
+const SPALL_RIM_MM: f64 = 0.1;
+/// Half the width of a scratch, mm.
+const SCRATCH_HALF_MM: f64 = 0.15;
+/// Radius of a crater's bowl, and of its wall on the outside, mm.
+const CRATER_RADIUS_MM: f64 = 0.6;
+const CRATER_WALL_MM: f64 = 0.9;
+/// Height of that wall relative to the bowl's depth.
+const CRATER_WALL_RATIO: f64 = 0.25;
+/// Half the width and half the length of a crack, and the length over which its ends rise, mm.
+const CRACK_HALF_MM: f64 = 0.05;
+const CRACK_HALF_LENGTH_MM: f64 = 1.5;
+const CRACK_END_MM: f64 = 0.1;
 
 impl WearField {
     /// All of `wear` on `gear`.
@@ -205,17 +279,32 @@ impl WearField {
 
     /// Flanks that carry any wear, each once.
     pub fn worn_flanks(&self) -> Vec<FlankId> {
-        let mut ids: Vec<FlankId> = self
-            .wear
-            .iter()
-            .map(|w| FlankId {
-                tooth: w.tooth,
-                flank: w.flank,
-            })
-            .collect();
+        let mut ids: Vec<FlankId> = Vec::new();
+        for one in &self.wear {
+            let flanks: &[Flank] = match one.kind {
+                WearKind::Ring => &[Flank::Left, Flank::Right],
+                _ => &[one.flank],
+            };
+            let teeth = match one.kind {
+                WearKind::Side | WearKind::Ring => 1..=self.gear.teeth,
+                _ => one.tooth..=one.tooth,
+            };
+            ids.extend(
+                teeth.flat_map(|tooth| flanks.iter().map(move |&flank| FlankId { tooth, flank })),
+            );
+        }
         ids.sort_unstable();
         ids.dedup();
         ids
+    }
+
+    /// Depth that the whole toothing lost, mm: part of [`Self::depth_mm`] on every flank.
+    pub fn ring_mm(&self) -> f64 {
+        self.wear
+            .iter()
+            .filter(|w| w.kind == WearKind::Ring)
+            .map(|w| w.depth_mm)
+            .sum()
     }
 
     /// Depth of material lost along the normal, mm (negative: material gained), where the nominal flank has this radius
@@ -229,26 +318,75 @@ impl WearField {
 
     /// Where the depth on a flank is not the same everywhere: a mesh must be fine there.
     pub fn varying_zones(&self, id: FlankId) -> Vec<FlankZone> {
-        let whole_height = self.gear.height_mm;
-        self.on(id)
-            .filter_map(|w| match w.kind {
-                WearKind::Uniform => None,
-                WearKind::Tip => {
-                    let ends = self.tip_fade_mm();
-                    Some(FlankZone {
-                        profile_mm: [ends[0].min(ends[1]), ends[0].max(ends[1])],
-                        height_mm: whole_height,
-                    })
-                }
-                WearKind::Pit | WearKind::Buildup => {
-                    let ([profile, height], reach) = (self.middle_mm(), patch_radius_mm(w.kind));
-                    Some(FlankZone {
-                        profile_mm: [profile - reach, profile + reach],
-                        height_mm: [height - reach, height + reach],
-                    })
-                }
-            })
-            .collect()
+        self.on(id).flat_map(|w| self.varying(w.kind)).collect()
+    }
+
+    fn varying(&self, kind: WearKind) -> Vec<FlankZone> {
+        let [profile, height] = self.middle_mm();
+        let ends =
+            [self.gear.tip_radius_mm, self.gear.flank_root_radius_mm()].map(|r| self.profile_mm(r));
+        let whole_profile = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        let zone = |profile_mm, height_mm| FlankZone {
+            profile_mm,
+            height_mm,
+            longest_mm: WORN_EDGE_MM,
+        };
+        let patch = |reach: f64| {
+            vec![zone(
+                [profile - reach, profile + reach],
+                [height - reach, height + reach],
+            )]
+        };
+        // A fold across the profile: within an edge's length of it the mesh follows.
+        let fold = |at: f64| {
+            let near = [at - WORN_EDGE_MM, at + WORN_EDGE_MM];
+            zone(whole_profile, near.map(|above| height + above))
+        };
+        match kind {
+            WearKind::Uniform | WearKind::Side | WearKind::Ring => Vec::new(),
+            WearKind::Tip => {
+                let fade = self.tip_fade_mm();
+                let profile_mm = [fade[0].min(fade[1]), fade[0].max(fade[1])];
+                vec![zone(profile_mm, self.gear.height_mm)]
+            }
+            WearKind::Pit | WearKind::Buildup => patch(patch_radius_mm(kind)),
+            WearKind::Half => {
+                let reach = 0.5 * HALF_SLOPE_MM + WORN_EDGE_MM;
+                vec![zone(whole_profile, [height - reach, height + reach])]
+            }
+            WearKind::Ramp => vec![fold(0.0), fold(VIEW_HALF_MM)],
+            WearKind::Edge => {
+                let from = height + VIEW_HALF_MM;
+                let slow = FlankZone {
+                    longest_mm: SLOW_EDGE_MM,
+                    ..zone(whole_profile, [from - EDGE_DECAYS * EDGE_DECAY_MM, from])
+                };
+                vec![slow, fold(VIEW_HALF_MM)]
+            }
+            WearKind::Spall => patch(SPALL_RADIUS_MM + SPALL_RIM_MM),
+            WearKind::ScratchAlong => {
+                let reach = SCRATCH_HALF_MM + WORN_EDGE_MM;
+                vec![zone(
+                    [profile - reach, profile + reach],
+                    self.gear.height_mm,
+                )]
+            }
+            WearKind::ScratchAcross => {
+                let reach = SCRATCH_HALF_MM + WORN_EDGE_MM;
+                vec![zone(whole_profile, [height - reach, height + reach])]
+            }
+            WearKind::Crater => patch(CRATER_WALL_MM),
+            WearKind::Crack => {
+                let [wide, long] = [CRACK_HALF_MM, CRACK_HALF_LENGTH_MM].map(|r| r + CRACK_EDGE_MM);
+                vec![FlankZone {
+                    longest_mm: CRACK_EDGE_MM,
+                    ..zone(
+                        [profile - wide, profile + wide],
+                        [height - long, height + long],
+                    )
+                }]
+            }
+        }
     }
 
     /// Length of the involute from the base circle to a radius: half the squared roll angle times the base radius, mm.
@@ -257,23 +395,51 @@ impl WearField {
     }
 
     fn on(&self, id: FlankId) -> impl Iterator<Item = &Wear> {
-        self.wear
-            .iter()
-            .filter(move |w| w.tooth == id.tooth && w.flank == id.flank)
+        self.wear.iter().filter(move |w| match w.kind {
+            WearKind::Ring => true,
+            WearKind::Side => w.flank == id.flank,
+            _ => w.tooth == id.tooth && w.flank == id.flank,
+        })
     }
 
     /// Depth relative to the largest, with the sign of the loss.
     fn shape(&self, kind: WearKind, profile_mm: f64, height_mm: f64) -> f64 {
+        let [profile, height] = self.middle_mm();
+        let (along, above) = (profile_mm - profile, height_mm - height);
+        let groove = |across: f64| (1.0 - (across / SCRATCH_HALF_MM).powi(2)).max(0.0);
         match kind {
-            WearKind::Uniform => 1.0,
+            WearKind::Uniform | WearKind::Side | WearKind::Ring => 1.0,
+            WearKind::Half => (above / HALF_SLOPE_MM + 0.5).clamp(0.0, 1.0),
+            WearKind::Ramp => (above / VIEW_HALF_MM).clamp(0.0, 1.0),
+            WearKind::Edge => ((above - VIEW_HALF_MM).min(0.0) / EDGE_DECAY_MM).exp(),
+            WearKind::Spall => {
+                let inside_mm = SPALL_RADIUS_MM - along.hypot(above);
+                (inside_mm / SPALL_RIM_MM + 0.5).clamp(0.0, 1.0)
+            }
+            WearKind::ScratchAlong => groove(along),
+            WearKind::ScratchAcross => groove(above),
+            WearKind::Crater => {
+                let away = along.hypot(above);
+                if away < CRATER_RADIUS_MM {
+                    1.0 - (away / CRATER_RADIUS_MM).powi(2)
+                } else if away < CRATER_WALL_MM {
+                    let share = (away - CRATER_RADIUS_MM) / (CRATER_WALL_MM - CRATER_RADIUS_MM);
+                    -CRATER_WALL_RATIO * (PI * share).sin().powi(2)
+                } else {
+                    0.0
+                }
+            }
+            WearKind::Crack => {
+                let mouth = (1.0 - along.abs() / CRACK_HALF_MM).max(0.0);
+                mouth * ((CRACK_HALF_LENGTH_MM - above.abs()) / CRACK_END_MM).clamp(0.0, 1.0)
+            }
             WearKind::Tip => {
                 let [edge, end] = self.tip_fade_mm();
                 let left = 1.0 - (profile_mm - edge) / (end - edge);
                 left.clamp(0.0, 1.0).powi(2)
             }
             WearKind::Pit | WearKind::Buildup => {
-                let [profile, height] = self.middle_mm();
-                let away = (profile_mm - profile).hypot(height_mm - height) / patch_radius_mm(kind);
+                let away = along.hypot(above) / patch_radius_mm(kind);
                 // Smooth at its rim.
                 let bowl = (1.0 - away * away).max(0.0).powi(2);
                 if kind == WearKind::Pit { bowl } else { -bowl }
@@ -332,10 +498,9 @@ mod tests {
             })
         );
         assert_eq!(read("12:r:80:tip").map(|w| w.kind), Ok(WearKind::Tip));
-        assert_eq!(
-            read("12:r:80:buildup").map(|w| w.kind),
-            Ok(WearKind::Buildup)
-        );
+        for (name, kind) in WearKind::NAMED {
+            assert_eq!(read(&format!("12:r:80:{name}")).map(|w| w.kind), Ok(kind));
+        }
     }
 
     #[test]

@@ -1,0 +1,157 @@
+//! A die from a file: what is refused is refused before memory is asked for.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use flankscope_gear_cad::Mesh;
+use flankscope_metrology::mesh::{self, MeshError, Unit};
+
+use crate::world::{DieMesh, MAX_DIE_TRIANGLES, WorldError};
+
+/// Largest file, bytes: text STL of the most triangles takes some 300 bytes for each.
+const MAX_FILE_BYTES: u64 = 4 << 30;
+/// A PLY header is looked for in so many bytes.
+const HEADER_BYTES: u64 = 1 << 16;
+
+/// Why a file is no die.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DieFileError {
+    /// The file cannot be read.
+    #[error("cannot read the mesh of the die {}: {cause}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        cause: std::io::Error,
+    },
+    /// A folder, a device or a pipe.
+    #[error("the mesh of the die {} is no ordinary file; a PLY or STL file is needed", path.display())]
+    NoFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// More bytes than any mesh of the most triangles has.
+    #[error(
+        "the mesh of the die {} has {got_bytes} bytes; at most {max_bytes} are possible", path.display()
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        got_bytes: u64,
+        /// Largest.
+        max_bytes: u64,
+    },
+    /// More triangles than a die may have.
+    #[error(
+        "the mesh of the die {} has {got} triangles; at most {max} are possible", path.display()
+    )]
+    Triangles {
+        /// The file.
+        path: PathBuf,
+        /// Triangles that its header promises.
+        got: u64,
+        /// Most.
+        max: usize,
+    },
+    /// As small or as large as no die is, read in millimetres.
+    #[error(
+        "the mesh of the die {} is {diagonal_mm} mm from corner to corner when read in millimetres, which no die is; write it in millimetres", path.display()
+    )]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Diagonal of its bounding box, mm.
+        diagonal_mm: f64,
+    },
+    /// Damaged, or no mesh.
+    #[error("the mesh of the die {}: {cause}", path.display())]
+    Mesh {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        cause: MeshError,
+    },
+    /// A mesh that cannot stand on the bench.
+    #[error("the mesh of the die {}: {cause}", path.display())]
+    World {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        cause: WorldError,
+    },
+}
+
+/// Reads PLY (text, both byte orders) or STL (text, binary), in millimetres and in the frame of the CAD.
+///
+/// # Errors
+/// [`DieFileError`] names the file, what is wrong with it and what would be right.
+pub fn load(path: &Path) -> Result<DieMesh, DieFileError> {
+    let path = path.to_path_buf();
+    match promised_triangles(&path)? {
+        Some(got) if got > MAX_DIE_TRIANGLES as u64 => Err(DieFileError::Triangles {
+            path,
+            got,
+            max: MAX_DIE_TRIANGLES,
+        }),
+        _ => match mesh::load(&path, Unit::Mm) {
+            Ok(read) => DieMesh::new(Mesh {
+                vertices: read.vertices,
+                triangles: read.triangles,
+            })
+            .map_err(|cause| DieFileError::World { path, cause }),
+            Err(MeshError::Read(cause)) => Err(DieFileError::Read { path, cause }),
+            Err(
+                MeshError::TooSmall { diagonal_mm, .. } | MeshError::TooLarge { diagonal_mm, .. },
+            ) => Err(DieFileError::Size { path, diagonal_mm }),
+            Err(cause) => Err(DieFileError::Mesh { path, cause }),
+        },
+    }
+}
+
+/// The number of triangles (faces of PLY) that the file's header promises, if it has one; refuses what is too long.
+fn promised_triangles(path: &Path) -> Result<Option<u64>, DieFileError> {
+    let unreadable = |cause| DieFileError::Read {
+        path: path.to_path_buf(),
+        cause,
+    };
+    // Asked before opening: to open a pipe is to wait for its writer.
+    let about = std::fs::metadata(path).map_err(unreadable)?;
+    if !about.is_file() {
+        return Err(DieFileError::NoFile {
+            path: path.to_path_buf(),
+        });
+    }
+    if about.len() > MAX_FILE_BYTES {
+        return Err(DieFileError::TooLong {
+            path: path.to_path_buf(),
+            got_bytes: about.len(),
+            max_bytes: MAX_FILE_BYTES,
+        });
+    }
+    let mut head = Vec::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(HEADER_BYTES).read_to_end(&mut head))
+        .map_err(unreadable)?;
+    if head.starts_with(b"ply") {
+        return Ok(faces_of_ply(&head));
+    }
+    let binary = head
+        .get(80..84)
+        .map(|count| u64::from(u32::from_le_bytes([count[0], count[1], count[2], count[3]])));
+    Ok(binary.filter(|triangles| about.len() == 84 + 50 * triangles))
+}
+
+fn faces_of_ply(head: &[u8]) -> Option<u64> {
+    head.split(|&byte| byte == b'\n')
+        .map(|line| String::from_utf8_lossy(line))
+        .take_while(|line| line.trim() != "end_header")
+        .find_map(|line| {
+            line.trim()
+                .strip_prefix("element face ")?
+                .trim()
+                .parse()
+                .ok()
+        })
+}
