@@ -14,6 +14,7 @@ use super::job::Scanner;
 use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 use super::stitch::Stitched;
 use crate::inspection::{Feature, FrameCount, Subject, Timing, calibration_um};
+use crate::origin;
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -125,6 +126,8 @@ impl Scanner {
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
         Scan {
+            origin: self.station.subject.origin(self.station.setting.as_ref()),
+            date: origin::now(),
             verdict,
             reason,
             features,

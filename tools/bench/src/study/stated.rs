@@ -38,6 +38,7 @@ pub(super) fn on_master_um(tool: &Tool, head: &HeadModel, seed: u64) -> anyhow::
         let baseline = Baseline {
             tool: tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
+            simulated: Some(true),
             flanks: plain.judge(&frames, size_px)?.fields,
         };
         let square = |number: u32, sd_px: f64, baseline| -> anyhow::Result<f64> {
