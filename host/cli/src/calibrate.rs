@@ -181,7 +181,10 @@ fn check(
         !setting.link.is_simulated() || made != Some(false),
         "{}: this head was calibrated at a press ({}); the simulated bench cannot test it: name the press by --link PORT",
         path.display(),
-        head.calibration.as_ref().and_then(|made| made.link.as_deref()).unwrap_or("unknown port")
+        head.calibration
+            .as_ref()
+            .and_then(|made| made.link.as_deref())
+            .unwrap_or("unknown port")
     );
     let (test, truth) = self_test(args, &setting.link, folder, &head, target)?;
     save_self_test(&test, path)?;

@@ -19,7 +19,11 @@ use crate::output::{Common, Complaints, Outcome, try_folder, try_place, write_wh
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
-    checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n\
+    checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n  \
+    flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
+    checks a die in a press and keeps what was found. With --tool or --history the link is named: what a result says of\n\
+    a press must not come from the simulated bench. A history holds checks of one of them, never of both.\n\n\
+    The exit code is the verdict's, also when a report cannot be written; that is said on standard error.\n\
     Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
 )]
 pub struct Args {
@@ -182,7 +186,9 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
         writeln!(out, "SIMULATED BENCH: no real die was looked at")?;
     }
     let particulars = origin.particulars().into_iter();
-    let named: Vec<String> = particulars.map(|(name, what)| format!("{name} {what}")).collect();
+    let named: Vec<String> = particulars
+        .map(|(name, what)| format!("{name} {what}"))
+        .collect();
     writeln!(out, "{date}, {}", named.join(", "))
 }
 

@@ -191,7 +191,8 @@ impl Instrument {
                     grid.impose(Arc::make_mut(&mut subject.head))?;
                 }
                 if let Some(path) = &source.baseline {
-                    let baseline = Baseline::load(path, &subject.hashes, setting.link.is_simulated())?;
+                    let baseline =
+                        Baseline::load(path, &subject.hashes, setting.link.is_simulated())?;
                     subject.hashes.insert("baseline", baseline.hash());
                     subject.baseline = Some(Arc::new(baseline));
                 }

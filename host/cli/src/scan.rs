@@ -9,7 +9,7 @@ use anyhow::Context;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
 use flankscope_station::scan::{
-    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner,
+    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner, percent,
 };
 use serde_json::Value;
 
@@ -26,6 +26,8 @@ use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, wri
 #[command(
     after_help = "Example:\n  flankscope scan --views 12x2 --speed max --ovality-um 20 --taper-um 15 --report out\n\
     scans the demo die, 20 um oval and 15 um conical, and writes out/report.html, out/scan.json and out/map.ply\n\n\
+    A verdict is for the teeth and heights of --views, and says what share of the bore that is. Less seen than asked for is\n\
+    indeterminate. With --tool the link is named.\n\n\
     Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
 )]
 pub struct Args {
@@ -331,10 +333,10 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     let registered = |r: &&flankscope_station::scan::ScanRegistration| r.status == "registered";
     writeln!(
         out,
-        "\n{} of {} views, {:.1} % of the bore seen, joint solve in {} rounds",
+        "\n{} of {} views, {} % of the bore seen, joint solve in {} rounds",
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
-        100.0 * scan.coverage_ratio,
+        percent(scan.coverage_ratio),
         scan.joint.rounds
     )?;
     if let Some(form) = &scan.form {

@@ -231,7 +231,10 @@ impl<'a> Log<'a> {
 
     fn say(&self, text: &str) {
         if !self.args.common.quiet {
-            say(&format!("{:7.1} s  {text}", self.start.elapsed().as_secs_f64()));
+            say(&format!(
+                "{:7.1} s  {text}",
+                self.start.elapsed().as_secs_f64()
+            ));
         }
     }
 }

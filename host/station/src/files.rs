@@ -133,7 +133,11 @@ mod tests {
         }
         assert_eq!(std::fs::read(&old).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        for path in [folder.path(), &old.join("below a file"), &new.join("below nothing")] {
+        for path in [
+            folder.path(),
+            &old.join("below a file"),
+            &new.join("below nothing"),
+        ] {
             assert!(try_place(path).is_err(), "{}", path.display());
         }
     }

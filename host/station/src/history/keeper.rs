@@ -48,7 +48,7 @@ impl Keeper {
         baseline: Option<&Baseline>,
     ) -> Result<(), HistoryError> {
         if let Some(simulated) = simulated {
-            self.history.claim(simulated)?;
+            self.history.takes(simulated)?;
         }
         if let Some(baseline) = baseline {
             self.history

@@ -214,38 +214,36 @@ impl History {
         }
     }
 
-    /// Says whether the checks that follow are of the simulated bench. The first one to say so decides for the file.
+    /// Refuses checks of the simulated bench in a history of a press, and the other way around.
     ///
     /// # Errors
-    /// It holds checks of the other kind, or as [`History::record`].
-    pub fn claim(&mut self, simulated: bool) -> Result<(), HistoryError> {
-        let path = self.path.clone();
-        let decided = self.kind()?;
-        let (holds, since) = match decided {
-            Some(decided) => decided,
-            None => {
-                self.connection
-                    .execute(
-                        "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
-                        [simulated],
-                    )
-                    .map_err(self.because("note what it is of"))?;
-                // Somebody else may have been first.
-                self.kind()?.unwrap_or((simulated, String::new()))
-            }
-        };
-        if holds == simulated {
-            Ok(())
-        } else {
-            Err(HistoryError::OtherKind {
-                path,
+    /// It holds checks of the other kind, or cannot be read.
+    pub fn takes(&self, simulated: bool) -> Result<(), HistoryError> {
+        match self.kind()? {
+            Some((holds, since)) if holds != simulated => Err(HistoryError::OtherKind {
+                path: self.path.clone(),
                 simulated: holds,
                 since,
-            })
+            }),
+            _ => Ok(()),
         }
     }
 
-    /// Whether its checks are of the simulated bench, and when that was decided; none while nobody said so.
+    /// The first check decides whether the file is of the simulated bench.
+    fn claim(&mut self, simulated: bool) -> Result<(), HistoryError> {
+        if self.kind()?.is_none() {
+            self.connection
+                .execute(
+                    "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
+                    [simulated],
+                )
+                .map_err(self.because("note what it is of"))?;
+        }
+        // Somebody else may have been first.
+        self.takes(simulated)
+    }
+
+    /// Whether its checks are of the simulated bench, and since when; none while it has no check that says so.
     ///
     /// # Errors
     /// The file cannot be read.

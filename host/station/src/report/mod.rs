@@ -15,12 +15,16 @@ pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 
 use crate::inspection::{FlankMap, Inspection};
+use crate::origin::Origin;
 
 /// The report's page.
 #[derive(Template)]
 #[template(path = "report.html")]
 struct Page<'a> {
     inspection: &'a Inspection,
+    origin: &'a Origin,
+    date: &'a str,
+    check: String,
     maps: Vec<Map<'a>>,
     colour_bar: String,
     histogram: String,
@@ -72,6 +76,9 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         .map(|f| [(-f.warn_um, "warn"), (-f.limit_um, "stop")]);
     let page = Page {
         inspection,
+        origin: &inspection.origin,
+        date: &inspection.date,
+        check: numbered(inspection.id),
         maps,
         colour_bar: chart::colour_bar(full_um),
         histogram: chart::histogram(
@@ -87,6 +94,14 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         max_abs_um: full_um,
     };
     page.render()
+}
+
+/// A check by its number in the history.
+fn numbered(id: Option<i64>) -> String {
+    id.map_or_else(
+        || "in no history".into(),
+        |id| format!("check {id} of its history"),
+    )
 }
 
 fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {

@@ -27,11 +27,11 @@ use super::view::ScannedView;
 use super::workshop::{Store, Workshop};
 use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
-use crate::origin::Setting;
 use crate::inspection::{
     EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
     Subject, Timing, field_slope, hand_eye, peak_memory_mb,
 };
+use crate::origin::Setting;
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
