@@ -29,13 +29,17 @@ fn a_forgotten_port_is_asked_for() {
 }
 
 fn check_origin(document: &Value, link: &str, station: &str, operator: &str) {
+    check_origin_of(document, link, station, operator);
+    assert_eq!(document["head"]["blake3"], document["hashes"]["head"]);
+}
+
+fn check_origin_of(document: &Value, link: &str, station: &str, operator: &str) {
     assert_eq!(document["link"], link, "{document}");
     assert_eq!(document["simulated"], true);
     assert_eq!(document["station"], station);
     assert_eq!(document["operator"], operator);
     assert_eq!(document["tool"], "demo die");
     assert_eq!(document["head"]["name"], "prism head 20 mm");
-    assert_eq!(document["head"]["blake3"], document["hashes"]["head"]);
     let date = document["date"].as_str().unwrap();
     assert!(
         date.len() == 20 && date.ends_with('Z') && date.contains('T'),
@@ -80,6 +84,10 @@ fn a_simulated_check_says_so_in_document_report_and_history() {
     assert_eq!(last["head"], check.json["head"]);
     let page = std::fs::read_to_string(path("out/history.html")).unwrap();
     assert!(page.contains("SIMULATED BENCH") && page.contains("press 7"));
+
+    let again = run(flankscope().args(["replay", &history, "1", "--quiet", "--json", "-"]));
+    assert_eq!(again.code, 0, "{}", again.stderr);
+    check_origin_of(&again.json, "sim", "press 7", "Ada");
 
     // A press does not write to it, and is not even asked.
     let press = inspect(&[

@@ -180,10 +180,13 @@ fn write(text: &str) {
     let _ = std::io::stderr().write_all(text.as_bytes());
 }
 
+/// Said of every result of the simulated bench.
+pub const SIMULATED: &str = "SIMULATED BENCH: no real die was looked at";
+
 /// A line that says where a result comes from, under its verdict.
 pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::io::Result<()> {
     if origin.is_simulated() {
-        writeln!(out, "SIMULATED BENCH: no real die was looked at")?;
+        writeln!(out, "{SIMULATED}")?;
     }
     let particulars = origin.particulars().into_iter();
     let named: Vec<String> = particulars

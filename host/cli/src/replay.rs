@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use flankscope_station::history::{History, Replay};
 use serde_json::json;
 
+use crate::inspect::SIMULATED;
 use crate::instrument;
 use crate::output::{Common, Outcome};
 
@@ -60,6 +61,9 @@ fn print(replay: &Replay) -> anyhow::Result<()> {
         "check {}: {} stored, {} from {} captures: {}",
         replay.id, replay.stored_verdict, replay.verdict, replay.captures, replay.reason
     )?;
+    if replay.origin.get("simulated") == Some(&json!(true)) {
+        writeln!(out, "{SIMULATED}")?;
+    }
     for difference in &replay.versions {
         writeln!(
             out,

@@ -12,6 +12,7 @@ use flankscope_station::report::{figure, html};
 use flankscope_station::watch::{Checked, Shown, Told, WatchSettings};
 use serde_json::{Value, json};
 
+use crate::inspect::SIMULATED;
 use crate::instrument::{BenchArgs, Instrument, Source};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, write_whole};
 
@@ -88,7 +89,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let acknowledged = acknowledgements();
     let mut log = Log::new(args);
     if setting.link.is_simulated() {
-        log.say("SIMULATED BENCH: no real die is looked at");
+        log.say(SIMULATED);
     }
     let shown = instrument.station.watch(
         &instrument.port,

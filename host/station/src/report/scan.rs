@@ -82,7 +82,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         scan,
         origin: &scan.origin,
         date: &scan.date,
-        check: "in no history: scans are not checks",
+        check: "in no history, as all scans",
         percent: percent(scan.coverage_ratio),
         registered: scan.registration.len() - lost.clone().count(),
         deviation: of_cells(scan, "Deviation over the unrolled bore", |cell| {

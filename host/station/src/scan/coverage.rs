@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn a_map_of_which_little_is_seen_everywhere_is_no_go() {
         // Every third row: no field is worse than another, and none was seen.
-        let sparse = of(&map(|_, z| (z / 0.25) as usize % 3 != 0));
+        let sparse = of(&map(|_, z| !((z / 0.25) as usize).is_multiple_of(3)));
         assert_eq!(sparse.holes.len(), sparse.fields);
         assert!(sparse.objection().is_some());
     }
