@@ -235,6 +235,9 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         inspection.reason
     )?;
     write_origin(&mut out, &inspection.origin, &inspection.date)?;
+    if let Some(id) = inspection.id {
+        writeln!(out, "stored as check {id} of its history")?;
+    }
     writeln!(
         out,
         "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",

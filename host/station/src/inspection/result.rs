@@ -180,7 +180,7 @@ pub struct WeakDirection {
 /// The whole result: serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Inspection {
-    /// Number of the check in the history that it was stored in; absent where it is in none.
+    /// Number of the check in the history that it was stored in; null where it is in none.
     pub id: Option<i64>,
     /// Where it comes from.
     #[serde(flatten)]
