@@ -229,20 +229,6 @@ impl History {
         }
     }
 
-    /// The first check decides whether the file is of the simulated bench.
-    fn claim(&mut self, simulated: bool) -> Result<(), HistoryError> {
-        if self.kind()?.is_none() {
-            self.connection
-                .execute(
-                    "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
-                    [simulated],
-                )
-                .map_err(self.because("note what it is of"))?;
-        }
-        // Somebody else may have been first.
-        self.takes(simulated)
-    }
-
     /// Whether its checks are of the simulated bench, and since when; none while it has no check that says so.
     ///
     /// # Errors
@@ -287,21 +273,29 @@ impl History {
         inspection: &Inspection,
         tool_cycles: Option<u32>,
     ) -> Result<i64, HistoryError> {
-        if let Some(simulated) = inspection.origin.simulated {
-            self.claim(simulated)?;
-        }
+        let simulated = inspection.origin.simulated;
+        simulated.map_or(Ok(()), |simulated| self.takes(simulated))?;
         let document =
             serde_json::to_value(inspection).map_err(|source| HistoryError::Document {
                 path: self.path.clone(),
                 source,
             })?;
         let path = self.path.clone();
-        self.insert(inspection, tool_cycles, document)
-            .map_err(|source| HistoryError::Database {
+        let stored = self.insert(inspection, tool_cycles, document);
+        let stored = stored.map_err(|source| HistoryError::Database {
+            path: path.clone(),
+            doing: "store the check",
+            source,
+        })?;
+        match stored {
+            Ok(id) => Ok(id),
+            // Somebody else stored the first check meanwhile, of the other kind.
+            Err((simulated, since)) => Err(HistoryError::OtherKind {
                 path,
-                doing: "store the check",
-                source,
-            })
+                simulated,
+                since,
+            }),
+        }
     }
 
     fn insert(
@@ -309,10 +303,23 @@ impl History {
         inspection: &Inspection,
         tool_cycles: Option<u32>,
         mut document: serde_json::Value,
-    ) -> rusqlite::Result<i64> {
+    ) -> rusqlite::Result<Result<i64, (bool, String)>> {
         let transaction = self
             .connection
             .transaction_with_behavior(TransactionBehavior::Immediate)?;
+        // The first check decides whether the file is of the simulated bench.
+        if let Some(simulated) = inspection.origin.simulated {
+            transaction.execute(
+                "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
+                [simulated],
+            )?;
+            let kind = "SELECT simulated, at FROM kind";
+            let (holds, since) =
+                transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
+            if holds != simulated {
+                return Ok(Err((holds, since)));
+            }
+        }
         let tool = &inspection.tool;
         let counter = i64::from(inspection.press_cycles);
         let last: Option<(i64, i64)> = transaction
@@ -384,7 +391,7 @@ impl History {
             }
         }
         transaction.commit()?;
-        Ok(id)
+        Ok(Ok(id))
     }
 
     /// Keeps the baseline that following checks are judged by.
