@@ -25,6 +25,11 @@ fn a_calibrated_head_checks_the_die() {
     let record = &calibrated.json["calibration"];
     assert_eq!(record["views"], 12, "{record}");
     assert_eq!(record["frames"][2], "stage");
+    // A head from the bench says so.
+    assert_eq!(record["simulated"], true, "{record}");
+    assert_eq!(calibrated.json["link"], "sim");
+    let text = std::fs::read_to_string(&head).unwrap();
+    assert!(text.contains("simulated = true"), "{text}");
     assert!(calibrated.json["cores"].as_u64() > Some(70_000));
     // As good as it says: the article's head measures some ten micrometres, this one shall be known to three.
     let depth_um = record["depth_sigma_um"].as_f64();
@@ -76,6 +81,29 @@ fn a_calibrated_head_checks_the_die() {
     ]));
     assert_eq!(tested.code, 0, "{}", tested.stderr);
     assert_eq!(tested.json["fit"], true, "{}", tested.json);
+
+    // No press is judged with it.
+    let press = ["--link", "/dev/flankscope-is-not-here", "--head", path];
+    let refused = inspect(&press);
+    assert_eq!(refused.code, 3);
+    assert!(
+        refused.stderr.contains("calibrated on the simulated bench"),
+        "{}",
+        refused.stderr
+    );
+    // A head that is not known to be the bench's is not tested there by mistake, nor a press's by intention.
+    let text = std::fs::read_to_string(&head).unwrap();
+    let check = |said: &str, arguments: &[&str], why: &str| {
+        let other = folder.path().join("other.toml");
+        std::fs::write(&other, text.replace("simulated = true", said)).unwrap();
+        let check = ["calibrate", "--quiet", "--check", other.to_str().unwrap()];
+        let run = run(flankscope().args(check).args(arguments));
+        assert_eq!(run.code, 3, "{said}");
+        assert!(run.stderr.contains(why), "{}", run.stderr);
+    };
+    check("", &[], "--link PORT");
+    check("simulated = false", &[], "--link PORT");
+    check("simulated = false", &["--link", "sim"], "cannot test it");
 
     // Nothing is measured with a head that must not judge.
     let refused = |why: &str| {
@@ -143,7 +171,8 @@ fn nothing_to_calibrate_with_is_said() {
     );
     std::fs::write(folder.path().join("target.toml"), "name = 'x'\n").unwrap();
     let target = folder.path().to_str().unwrap();
-    let refused = run(flankscope().args(["calibrate", "--target", target, "-o", head]));
+    let refused =
+        run(flankscope().args(["calibrate", "--link", "sim", "--target", target, "-o", head]));
     assert_eq!(refused.code, 3);
     assert!(
         refused.stderr.contains("target.toml:1") && refused.stderr.contains("exposure_us"),

@@ -34,6 +34,8 @@ fn wear_is_shown_against_the_cycles_of_the_tool() {
             &seed,
             "--wear",
             &wear,
+            "--link",
+            "sim",
             "--history",
             path,
             "--tool-cycles",
@@ -91,7 +93,9 @@ fn a_check_that_cannot_be_stored_is_no_go() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("press.db");
     let path = file.to_str().unwrap().to_owned();
-    let check = std::thread::spawn(move || inspect(&["--teeth", "40", "--history", &path]));
+    let check = std::thread::spawn(move || {
+        inspect(&["--teeth", "40", "--link", "sim", "--history", &path])
+    });
     // The check has begun when its audit row is there; then somebody takes the file and does not give it back.
     let began = |connection: &rusqlite::Connection| {
         connection.query_row("SELECT count(*) FROM audit", [], |row| row.get::<_, i64>(0))
@@ -129,7 +133,8 @@ fn a_no_go_outlives_a_restart_until_it_is_acknowledged() {
             .args([
                 "watch", "--quiet", "--json", "-", "--speed", "4", "--every", "3", "--cycles", "4",
             ])
-            .args(["--teeth", "40", "--history", file.to_str().unwrap()])
+            .args(["--teeth", "40", "--link", "sim"])
+            .args(["--history", file.to_str().unwrap()])
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -187,8 +192,10 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (file, baseline) = (path("press.db"), path("new.json"));
-    let check =
-        |arguments: &[&str]| inspect(&[&["--teeth", "40", "--history", &file], arguments].concat());
+    let check = |arguments: &[&str]| {
+        let stored = ["--teeth", "40", "--link", "sim", "--history", &file];
+        inspect(&[&stored, arguments].concat())
+    };
     // A go, a no-go with pixels as points, wear since a baseline, and a view whose frames do not pair.
     assert_eq!(
         check(&["--seed", "3", "--record-baseline", &baseline]).code,

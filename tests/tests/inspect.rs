@@ -139,14 +139,14 @@ fn a_gear_of_another_cad_kernel() {
     );
     std::fs::write(folder.path().join("tool.toml"), tool).unwrap();
     let folder = folder.path().to_str().unwrap();
-    let undamaged = inspect(&["--tool", folder]);
+    let undamaged = inspect(&["--link", "sim", "--tool", folder]);
     assert_eq!(
         undamaged.code, 0,
         "{} {}",
         undamaged.json["reason"], undamaged.stderr
     );
     for wear in ["31:right:80", "59:left:80"] {
-        let worn = inspect(&["--tool", folder, "--wear", wear]);
+        let worn = inspect(&["--link", "sim", "--tool", folder, "--wear", wear]);
         assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
         assert_eq!(worn.not_go(), [wear.replace(":80", ":no-go")]);
     }
@@ -249,10 +249,19 @@ fn bad_arguments_could_not_run_and_say_what_would_be_right() {
         (&["--wear", "12:left:nan"], "number"),
         (&["--speed", "fast"], "max"),
         (&["--speed", "0"], "0.1"),
-        (&["--tool", "/flankscope-is-not-here"], "tool.toml"),
+        (
+            &["--link", "sim", "--tool", "/flankscope-is-not-here"],
+            "tool.toml",
+        ),
+        (&["--tool", "/flankscope-is-not-here"], "--link PORT"),
+        (&["--history", "/flankscope-is-not-here.db"], "--link PORT"),
+        (&["--link", ""], "/dev/ttyACM0"),
         (&["--no-such-option"], "--no-such-option"),
         (&["--report", "/dev/null/out"], "/dev/null/out"),
-        (&["--json", "/dev/full"], "/dev/full"),
+        (&["--report", "Cargo.toml"], "Cargo.toml"),
+        (&["--json", "/flankscope-is-not-here/a.json"], "a.json"),
+        (&["--json", "/"], "folder"),
+        (&["--record-baseline", "/dev/null/new"], "/dev/null/new"),
     ] {
         let mut command = flankscope();
         command.args(["inspect", "--quiet"]).args(arguments);
@@ -291,7 +300,7 @@ fn a_tool_file_is_read_strictly() {
     ] {
         assert!(good.contains(from), "{from}");
         std::fs::write(&path, good.replacen(from, to, 1)).unwrap();
-        let result = inspect(&["--tool", folder.path().to_str().unwrap()]);
+        let result = inspect(&["--link", "sim", "--tool", folder.path().to_str().unwrap()]);
         assert_eq!(
             result.code, 3,
             "{to}: {} {}",
@@ -381,7 +390,10 @@ fn a_baseline_shows_five_micrometres() {
         .args(["--record-baseline", file])
         .output()
         .unwrap();
-    assert_eq!(bad.status.code(), Some(3));
+    assert_eq!(bad.status.code(), Some(1), "the verdict");
+    let said = String::from_utf8_lossy(&bad.stderr);
+    assert!(said.contains("is no baseline of a new tool"), "{said}");
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), json.to_string());
 }
 
 /// Frames that contradict each other are noticed in every core, not averaged into its point.

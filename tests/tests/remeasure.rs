@@ -52,6 +52,8 @@ fn a_flank_at_its_limit_is_measured_again_and_judged_by_both() {
     let twice = tool(&folder.path().join("twice"), "");
     let check = |tool: &str| -> Run {
         inspect(&[
+            "--link",
+            "sim",
             "--tool",
             tool,
             "--teeth",
@@ -156,7 +158,7 @@ fn a_watch_measures_again_only_within_the_time_it_may_hold_the_press() {
                 "watch", "--quiet", "--json", "-", "--speed", "3", "--every", "3", "--cycles", "4",
             ])
             .args([
-                "--tool", &tool, "--teeth", "40", "--wear", PIT, "--seed", "6",
+                "--link", "sim", "--tool", &tool, "--teeth", "40", "--wear", PIT, "--seed", "6",
             ])
             .args(["--hold-limit-s", hold_s])
             .stdin(Stdio::null());

@@ -126,6 +126,13 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(whole.json["resumed_views"], kept);
     assert_eq!(whole.code, 0, "{} {}", whole.json["reason"], whole.stderr);
     the_article_loses_the_form(&whole);
+    // A go is for what was looked at: a twelfth of the bore.
+    let reason = whole.json["reason"].as_str().unwrap_or_default();
+    let percent = 100.0 * figure(&whole, "/coverage_ratio");
+    assert!((7.0..10.0).contains(&percent), "{percent} %");
+    let said = format!("go for 12 of 84 teeth at 2 heights, {percent:.1} % of the bore looked at");
+    assert!(reason.starts_with(&said), "{reason}");
+    assert_eq!(whole.json["simulated"], true);
     for (what, truth_um) in [("/form/ovality_um", 20.0), ("/form/taper_um", 15.0)] {
         let got = figure(&whole, what);
         assert!(
@@ -168,6 +175,8 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     }
     let page = std::fs::read_to_string(report.join("report.html")).unwrap();
     assert_eq!(page.matches("data:image/png;base64,").count(), 3);
+    let share = format!("for 12 of 84 teeth,<br>{percent:.1} % of the bore");
+    assert!(page.contains(&share) && page.contains("SIMULATED BENCH"));
     let cloud = std::fs::read(report.join("map.ply")).unwrap();
     assert!(cloud.starts_with(b"ply\nformat binary_little_endian 1.0\n"));
 
@@ -229,6 +238,7 @@ fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     assert_eq!(holed.code, 2, "{} {}", holed.json["reason"], holed.stderr);
     let reason = holed.json["reason"].as_str().unwrap_or_default();
     assert!(reason.contains("2 of 24 planned flank fields"), "{reason}");
+    assert!(reason.contains("11 of 84 teeth at 1 height"), "{reason}");
     let holes = holed.json["coverage"]["holes"].as_array().unwrap();
     assert_eq!(
         holes.len(),

@@ -13,11 +13,12 @@ use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
 use flankscope_station::capture::SharedRoot;
+use flankscope_station::origin::{Link, Setting, now};
 use serde::Serialize;
 
 use crate::inspect::Watcher;
-use crate::instrument::{BenchArgs, Instrument, Scene, Scratch};
-use crate::output::{Common, Outcome};
+use crate::instrument::{BenchArgs, Instrument, Place, Scene, Scratch, fits_link};
+use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
 ///
@@ -44,9 +45,8 @@ pub struct Args {
     /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml [default: none]
     #[arg(long, value_name = "DIR", conflicts_with = "check")]
     images: Option<PathBuf>,
-    /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
-    #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
-    link: String,
+    #[command(flatten)]
+    place: Place,
     /// Where the head goes; its core map and its first self-test are written beside it
     #[arg(
         long,
@@ -70,6 +70,8 @@ pub struct Args {
 #[derive(Serialize)]
 struct CheckDocument<'a> {
     head: &'a Path,
+    #[serde(flatten)]
+    made: Made<'a>,
     fit: bool,
     reason: Option<String>,
     self_test: &'a SelfTest,
@@ -80,6 +82,8 @@ struct CheckDocument<'a> {
 #[derive(Serialize)]
 struct Document<'a> {
     head: &'a Path,
+    #[serde(flatten)]
+    made: Made<'a>,
     calibration: &'a CalibrationRecord,
     self_test: Option<&'a SelfTest>,
     cores: Option<usize>,
@@ -87,6 +91,29 @@ struct Document<'a> {
     elapsed_ms: Elapsed,
     #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<serde_json::Value>,
+}
+
+/// Where a result comes from; images from elsewhere have no link.
+#[derive(Serialize)]
+struct Made<'a> {
+    link: Option<String>,
+    simulated: Option<bool>,
+    station: &'a str,
+    operator: Option<&'a str>,
+    date: String,
+}
+
+impl<'a> Made<'a> {
+    fn by(setting: &'a Setting, images: bool) -> Self {
+        let link = Some(&setting.link).filter(|_| !images);
+        Self {
+            link: link.map(Link::to_string),
+            simulated: link.map(Link::is_simulated),
+            station: &setting.station,
+            operator: setting.operator.as_deref(),
+            date: now(),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -104,8 +131,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         None => demo_target(passing.path())?,
     };
     let target = Target::load(&folder.join("target.toml")).context("target")?;
+    args.common.try_json()?;
+    let of_target = ("--target", args.target.is_some() && args.images.is_none());
     match (&args.check, &args.output) {
-        (Some(head), _) => check(args, &folder, target, head),
+        (Some(head), _) => check(args, of_target, &folder, target, head),
         (None, Some(output)) => {
             ensure!(
                 output
@@ -117,6 +146,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
             let job = Job {
                 args,
+                setting: args.place.setting(&[of_target])?,
                 folder: &folder,
                 target,
                 output,
@@ -131,14 +161,38 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 /// Tests a head; one that fails cannot tell anything, hence indeterminate.
-fn check(args: &Args, folder: &Path, target: Target, path: &Path) -> anyhow::Result<Outcome> {
+fn check(
+    args: &Args,
+    of_target: (&str, bool),
+    folder: &Path,
+    target: Target,
+    path: &Path,
+) -> anyhow::Result<Outcome> {
     let mut head = HeadModel::load(path).context("head")?;
-    let (test, truth) = self_test(args, folder, &head, target)?;
+    // A head from the bench is tested there. Of any other, who tests it says where.
+    let made = head.calibration.as_ref().and_then(|made| made.simulated);
+    let of_head = (
+        "--check of a head that is not known to be the bench's",
+        made != Some(true),
+    );
+    let setting = args.place.setting(&[of_target, of_head])?;
+    fits_link(&head, &setting.link)?;
+    ensure!(
+        !setting.link.is_simulated() || made != Some(false),
+        "{}: this head was calibrated at a press ({}); the simulated bench cannot test it: name the press by --link PORT",
+        path.display(),
+        head.calibration
+            .as_ref()
+            .and_then(|made| made.link.as_deref())
+            .unwrap_or("unknown port")
+    );
+    let (test, truth) = self_test(args, &setting.link, folder, &head, target)?;
     save_self_test(&test, path)?;
     head.self_test = Some(test.clone());
     let unfit = head.fit_on(Date::today()).err();
     args.common.write_json(&CheckDocument {
         head: path,
+        made: Made::by(&setting, false),
         fit: unfit.is_none(),
         reason: unfit.as_ref().map(ToString::to_string),
         self_test: &test,
@@ -160,12 +214,13 @@ fn check(args: &Args, folder: &Path, target: Target, path: &Path) -> anyhow::Res
 
 fn self_test(
     args: &Args,
+    link: &Link,
     folder: &Path,
     head: &HeadModel,
     target: Target,
 ) -> anyhow::Result<(SelfTest, Option<serde_json::Value>)> {
     let quiet = args.common.quiet;
-    let mut survey = open(args, folder, |root| {
+    let mut survey = open(args, link, folder, |root| {
         Ok(FitnessSurvey::open(head.clone(), target, root)?)
     })?;
     let mut watcher = Watcher::new(quiet);
@@ -181,6 +236,7 @@ fn self_test(
 /// A calibration to be done.
 struct Job<'a> {
     args: &'a Args,
+    setting: Setting,
     folder: &'a Path,
     target: Target,
     output: &'a Path,
@@ -198,14 +254,16 @@ impl Job<'_> {
     fn by_captures(self, mut head: HeadModel) -> anyhow::Result<Outcome> {
         let Self {
             args,
+            ref setting,
             folder,
             ref target,
             output,
         } = self;
+        let link = &setting.link;
         let quiet = args.common.quiet;
         let begun = Instant::now();
         if head.core_map.is_none() && head.binning > 1 {
-            let mut search = open(args, folder, |root| {
+            let mut search = open(args, link, folder, |root| {
                 Ok(CoreSearch::open(&head, target, root)?)
             })?;
             let mut watcher = Watcher::new(quiet);
@@ -217,7 +275,7 @@ impl Job<'_> {
             head.core_map = Some(map.into());
         }
         let cores = Instant::now();
-        let mut survey = open(args, folder, |root| {
+        let mut survey = open(args, link, folder, |root| {
             Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
         })?;
         let mut watcher = Watcher::new(quiet);
@@ -226,11 +284,11 @@ impl Job<'_> {
             .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
         watcher.finish();
         let truth = survey.close(quiet)?;
-        let record = calibrated.save(output, Date::today(), args.valid_days)?;
+        let record = calibrated.save(output, Some(link), Date::today(), args.valid_days)?;
         let plates = Instant::now();
         let tested = if target.sphere.is_some() && target.limits.is_some() {
             let head = HeadModel::load(output)?;
-            Some(self_test(args, folder, &head, target.clone())?.0)
+            Some(self_test(args, link, folder, &head, target.clone())?.0)
         } else {
             None
         };
@@ -249,10 +307,10 @@ impl Job<'_> {
         let mut folder = CaptureFolder::open(images, head, self.target.clone())?;
         let calibrated = folder.calibrate(|view| {
             if !quiet {
-                eprintln!("{}", view.display());
+                say(&view.display().to_string());
             }
         })?;
-        let record = calibrated.save(self.output, Date::today(), self.args.valid_days)?;
+        let record = calibrated.save(self.output, None, Date::today(), self.args.valid_days)?;
         let plates = Instant::now();
         let tested = folder.self_test(&HeadModel::load(self.output)?, Date::today())?;
         let clock = Clock {
@@ -278,6 +336,7 @@ impl Job<'_> {
         let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
         let document = Document {
             head: output,
+            made: Made::by(&self.setting, args.images.is_some()),
             calibration: record,
             self_test: tested.as_ref(),
             cores: calibrated.cores(),
@@ -308,6 +367,7 @@ impl Job<'_> {
 
 fn open<S>(
     args: &Args,
+    link: &Link,
     folder: &Path,
     station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
 ) -> anyhow::Result<Instrument<S>> {
@@ -315,13 +375,12 @@ fn open<S>(
         target: true,
         ..Scene::default()
     };
-    let (link, quiet) = (args.link.as_str(), args.common.quiet);
     Instrument::before(
         folder,
         link,
         &args.bench,
         scene,
-        quiet,
+        args.common.quiet,
         Scratch::new()?,
         station,
     )
@@ -365,6 +424,9 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
             "{} plates kept aside{with}: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
             aside.views, aside.flatness_rms_um, aside.flatness_um, aside.dots_rms_um
         )?;
+    }
+    if record.simulated == Some(true) {
+        writeln!(out, "SIMULATED BENCH: this head judges nothing at a press")?;
     }
     writeln!(out, "{}: counts until {}", path.display(), record.expires)?;
     Ok(())

@@ -9,13 +9,14 @@ use flankscope_station::history::{Check, History, LEAST_POINTS, Outlook, csv, se
 use flankscope_station::report::{figure, history_html, rate, remaining};
 use serde_json::json;
 
+use crate::inspect::write_origin;
 use crate::output::{Common, Outcome, write_whole};
 
 /// Show how the flanks of a tool wore, how fast they wear, and how many cycles are left.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --history press.db\n  \
-    flankscope history press.db --report out\n\
+    after_help = "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --link sim --history bench.db\n  \
+    flankscope history bench.db --report out\n\
     writes out/history.html with wear against cycles of every flank\n\n\
     The history may be read while a watch writes to it.\n\n\
     Exit code: 0 done, 3 could not run"
@@ -76,6 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     args.common.write_json(&json!({
         "tool": tool,
+        "simulated": history.kind()?.map(|(simulated, _)| simulated),
         "tools": tools,
         "checks": checks.len(),
         "last": checks.last(),
@@ -106,13 +108,22 @@ fn print_table(
     if let Some(last) = checks.last() {
         writeln!(
             out,
-            "{tool}: {} checks, the last (number {}) at {} after {} cycles: {}\n",
+            "{tool}: {} checks, the last (number {}) at {} after {} cycles: {}",
             checks.len(),
             last.id,
             last.at,
             last.tool_cycles,
             last.verdict.to_uppercase()
         )?;
+        write_origin(&mut out, &last.origin, &last.at)?;
+        let unknown = checks.iter().filter(|c| c.origin.simulated.is_none());
+        match unknown.count() {
+            0 => writeln!(out)?,
+            count => writeln!(
+                out,
+                "{count} checks do not say whether they are simulated: an earlier release stored them\n"
+            )?,
+        }
     }
     writeln!(
         out,

@@ -1,22 +1,27 @@
 //! `flankscope inspect`: the in-situ check of the critical teeth.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Context;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Inspection, Progress};
+use flankscope_station::origin::Origin;
 use flankscope_station::report::figure;
+use serde_json::Value;
 
 use crate::instrument::{BenchArgs, Instrument, Source};
-use crate::output::{Common, Outcome, write_whole};
+use crate::output::{Common, Complaints, Outcome, try_folder, try_place, write_whole};
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
     format!(
         "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
-        checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n\
+        checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n  \
+        flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
+        checks a die in a press and keeps what was found. With --tool or --history the link is named: what a result says of\n\
+        a press must not come from the simulated bench. A history holds checks of one of them, never of both.\n\n\
+        The exit code is the verdict's, also when a report cannot be written; that is said on standard error.\n\
         Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn\n\n{}",
         flankscope_station::report::DEFINITIONS
     )
@@ -47,11 +52,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    if let Some(report) = &args.report {
-        // Before anything moves: a check whose report cannot be written should not begin.
-        std::fs::create_dir_all(report)
-            .with_context(|| format!("cannot make the report folder {}", report.display()))?;
-    }
+    args.try_places()?;
     let mut instrument = Instrument::open(&args.source, &args.bench, None, quiet)?;
     let mut watcher = Watcher::new(quiet);
     let inspection =
@@ -61,26 +62,55 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 watcher.show(progress);
             })?;
     watcher.finish();
-    let mut document = serde_json::to_value(&inspection)?;
-    if let Some(truth) = instrument.close(quiet)? {
-        document["truth"] = truth;
+    // The verdict stands, and is stored. It is said and returned whatever happens to the papers.
+    let mut complaints = Complaints::default();
+    if args.common.shows_table() {
+        complaints.hear(print_table(&inspection));
+    }
+    let truth = complaints.hear(instrument.close(quiet)).flatten();
+    let document = serde_json::to_value(&inspection).map_err(Into::into);
+    if let Some(mut document) = complaints.hear(document) {
+        if let Some(truth) = truth {
+            document["truth"] = truth;
+        }
+        complaints.hear(args.common.write_json(&document));
+        complaints.hear(args.write_report(&inspection, &document));
     }
     if let Some(path) = &args.record_baseline {
-        Baseline::of(&inspection)?.save(path)?;
+        let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path));
+        complaints.hear(recorded.map_err(Into::into));
     }
-    if let Some(report) = &args.report {
-        let page = flankscope_station::report::html(&inspection)?;
-        write_whole(&report.join("report.html"), page.as_bytes())?;
-        write_whole(
-            &report.join("inspection.json"),
-            serde_json::to_string_pretty(&document)?.as_bytes(),
-        )?;
+    Ok(complaints.end(&inspection.verdict, &inspection.reason))
+}
+
+impl Args {
+    /// Before anything moves: a check whose results cannot be written should not begin.
+    fn try_places(&self) -> anyhow::Result<()> {
+        self.common.try_json()?;
+        if let Some(folder) = &self.report {
+            try_folder(folder, &["report.html", "inspection.json"])?;
+        }
+        self.record_baseline.as_deref().map_or(Ok(()), try_place)
     }
-    args.common.write_json(&document)?;
-    if !quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print_table(&inspection, args.report.as_deref())?;
+
+    fn write_report(&self, inspection: &Inspection, document: &Value) -> anyhow::Result<()> {
+        let Some(folder) = &self.report else {
+            return self.show("add --report DIR for maps, histogram and timeline as one HTML file");
+        };
+        // The document first: what it says cannot be drawn again.
+        let text = serde_json::to_string_pretty(document)?;
+        write_whole(&folder.join("inspection.json"), text.as_bytes())?;
+        let page = flankscope_station::report::html(inspection)?;
+        write_whole(&folder.join("report.html"), page.as_bytes())?;
+        self.show(&format!("report: {}", folder.join("report.html").display()))
     }
-    Ok(Outcome::of_verdict(&inspection.verdict))
+
+    fn show(&self, line: &str) -> anyhow::Result<()> {
+        if self.common.shows_table() {
+            writeln!(std::io::stdout(), "{line}")?;
+        }
+        Ok(())
+    }
 }
 
 /// Tells on standard error how far the check is.
@@ -114,12 +144,11 @@ impl Watcher {
                 if frame == 0 {
                     self.begin_line("LED on, frames ");
                 }
-                eprint!("{}", if frame == 0 { '.' } else { '|' });
+                write(if frame == 0 { "." } else { "|" });
                 if frame + 1 == frames {
-                    eprintln!(" {frames}");
+                    write(&format!(" {frames}\n"));
                     self.open_line = false;
                 }
-                let _ = std::io::stderr().flush();
                 return;
             }
             Progress::Recapture(view) => format!("view {} is captured again", view + 1),
@@ -133,25 +162,48 @@ impl Watcher {
             Progress::Evaluated(view) => format!("view {} evaluated", view + 1),
         };
         self.begin_line(&line);
-        eprintln!();
+        write("\n");
         self.open_line = false;
     }
 
     fn begin_line(&mut self, text: &str) {
         self.finish();
-        eprint!("{:6.2} s  {text}", self.start.elapsed().as_secs_f64());
+        write(&format!(
+            "{:6.2} s  {text}",
+            self.start.elapsed().as_secs_f64()
+        ));
         self.open_line = true;
     }
 
     /// Ends the open line.
     pub fn finish(&mut self) {
         if std::mem::take(&mut self.open_line) {
-            eprintln!();
+            write("\n");
         }
     }
 }
 
-fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result<()> {
+/// Writes to standard error, if anybody listens.
+fn write(text: &str) {
+    let _ = std::io::stderr().write_all(text.as_bytes());
+}
+
+/// Said of every result of the simulated bench.
+pub const SIMULATED: &str = "SIMULATED BENCH: no real die was looked at";
+
+/// A line that says where a result comes from, under its verdict.
+pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::io::Result<()> {
+    if origin.is_simulated() {
+        writeln!(out, "{SIMULATED}")?;
+    }
+    let particulars = origin.particulars().into_iter();
+    let named: Vec<String> = particulars
+        .map(|(name, what)| format!("{name} {what}"))
+        .collect();
+    writeln!(out, "{date}, {}", named.join(", "))
+}
+
+fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(
         out,
@@ -190,6 +242,10 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
         inspection.verdict.to_uppercase(),
         inspection.reason
     )?;
+    write_origin(&mut out, &inspection.origin, &inspection.date)?;
+    if let Some(id) = inspection.id {
+        writeln!(out, "stored as check {id} of its history")?;
+    }
     writeln!(
         out,
         "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",
@@ -202,12 +258,5 @@ fn print_table(inspection: &Inspection, report: Option<&Path>) -> anyhow::Result
         frames.bytes_copied,
         inspection.peak_memory_mb.unwrap_or(f64::NAN),
     )?;
-    match report {
-        Some(folder) => writeln!(out, "report: {}", folder.join("report.html").display())?,
-        None => writeln!(
-            out,
-            "add --report DIR for maps, histogram and timeline as one HTML file"
-        )?,
-    }
     Ok(())
 }

@@ -12,8 +12,10 @@ use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, Keeper};
 use flankscope_station::inspection::{Station, Subject};
+use flankscope_station::origin::{Link, Setting};
 
 use crate::grid::Grid;
+use crate::output::say;
 use crate::scan::DieArgs;
 use crate::watch::PressArgs;
 
@@ -26,10 +28,8 @@ pub struct Source {
     /// Head file instead of the tool folder's, for example a fresh calibration
     #[arg(long, value_name = "HEAD.toml")]
     pub head: Option<PathBuf>,
-    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
-    /// port such as /dev/ttyACM0
-    #[arg(long, value_name = "sim|qemu|PORT", default_value = "sim")]
-    pub link: String,
+    #[command(flatten)]
+    pub place: Place,
     /// Teeth to check instead of the tool file's, for example 12,40,68
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     pub teeth: Option<Vec<u32>>,
@@ -52,6 +52,64 @@ pub struct Source {
     /// Remove the phasors of a go after N later checks; other verdicts keep theirs
     #[arg(long, value_name = "N", default_value_t = 1000, requires = "history")]
     pub keep_phasors: u32,
+}
+
+impl Source {
+    /// Where it is looked.
+    pub fn setting(&self) -> anyhow::Result<Setting> {
+        self.place.setting(&[
+            ("--tool", self.tool.is_some()),
+            ("--history", self.history.is_some()),
+        ])
+    }
+}
+
+/// Where it is looked, and for whom: every result says so.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Place {
+    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
+    /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
+    #[arg(long, value_name = "sim|qemu|PORT")]
+    link: Option<Link>,
+    /// Name of this station in every result [default: the host's name]
+    #[arg(long, value_name = "NAME")]
+    station: Option<String>,
+    /// Who measures, in every result [default: the user, as the system says]
+    #[arg(long, value_name = "NAME")]
+    operator: Option<String>,
+}
+
+impl Place {
+    /// The setting. With one of the options in `real`, each by its name and whether it was given, it is not for the
+    /// built-in demo any more, and the link must have been named.
+    pub fn setting(&self, real: &[(&str, bool)]) -> anyhow::Result<Setting> {
+        let given = real.iter().find(|(_, given)| *given);
+        let link = match (&self.link, given) {
+            (Some(link), _) => link.clone(),
+            (None, None) => Link::Sim,
+            (None, Some((option, _))) => anyhow::bail!(
+                "{option} without --link: is the die real or simulated? Add --link PORT, the controller's port such as \
+                 /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
+            ),
+        };
+        Ok(Setting {
+            link,
+            station: self.station.clone().unwrap_or_else(host_name),
+            operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+        })
+    }
+}
+
+/// A head that was calibrated on the simulated bench knows nothing of a real one.
+pub fn fits_link(head: &HeadModel, link: &Link) -> anyhow::Result<()> {
+    let made = head.calibration.as_ref().and_then(|made| made.simulated);
+    anyhow::ensure!(
+        link.is_simulated() || made != Some(true),
+        "head \"{}\" was calibrated on the simulated bench, {link} is a real press: calibrate it there \
+         (flankscope calibrate --link {link} -o HEAD.toml)",
+        head.name
+    );
+    Ok(())
 }
 
 /// What only the simulated bench knows.
@@ -129,9 +187,10 @@ impl Instrument {
             teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
+        let setting = source.setting()?;
         Self::start(
             [source.tool.as_deref(), source.head.as_deref()],
-            &source.link,
+            &setting.link,
             bench,
             scene,
             quiet,
@@ -141,18 +200,28 @@ impl Instrument {
                     grid.impose(Arc::make_mut(&mut subject.head))?;
                 }
                 if let Some(path) = &source.baseline {
-                    let baseline = Baseline::load(path, &subject.hashes)?;
+                    let baseline =
+                        Baseline::load(path, &subject.hashes, setting.link.is_simulated())?;
                     subject.hashes.insert("baseline", baseline.hash());
                     subject.baseline = Some(Arc::new(baseline));
                 }
-                let mut station = Station::open(subject, source.teeth.as_deref(), root)?;
+                let teeth = source.teeth.as_deref();
+                let mut station = Station::open(subject, setting.clone(), teeth, root)?;
                 if let Some(path) = &source.history {
                     let history = History::open(path)?;
+                    let unknown = history.of_unknown_origin()?;
+                    if unknown > 0 {
+                        say(&format!(
+                            "history {}: {unknown} checks of an earlier release do not say whether they are simulated; they \
+                             stay, and no trend mixes them with new ones",
+                            path.display()
+                        ));
+                    }
                     station.keep(Keeper::new(
                         history,
                         source.tool_cycles,
                         source.keep_phasors,
-                        operator(),
+                        setting.operator.clone().unwrap_or_else(user_name),
                     ))?;
                 }
                 Ok(station)
@@ -167,7 +236,7 @@ impl<S> Instrument<S> {
     /// The files are the tool's folder and a head file instead of the one in it.
     pub fn start(
         [tool, head]: [Option<&Path>; 2],
-        link: &str,
+        link: &Link,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
@@ -179,6 +248,7 @@ impl<S> Instrument<S> {
             None => demo_tool(scratch.path())?,
         };
         let subject = load(&folder, head, scratch.path())?;
+        fits_link(&subject.head, link)?;
         Self::before(&folder, link, bench, scene, quiet, scratch, |root| {
             station(subject, root)
         })
@@ -187,14 +257,14 @@ impl<S> Instrument<S> {
     /// Starts what `station` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
     pub fn before(
         folder: &Path,
-        link: &str,
+        link: &Link,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
         scratch: Scratch,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
-        let simulated = matches!(link, "sim" | "qemu");
+        let simulated = link.is_simulated();
         if let Some(mesh) = bench.die_mesh.as_ref().filter(|_| !simulated) {
             anyhow::bail!(
                 "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
@@ -204,15 +274,16 @@ impl<S> Instrument<S> {
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = station(Arc::clone(&root))?;
-        if simulated {
-            return Self::with_bench(station, (link, bench), scene, folder, root, scratch);
-        }
+        let Link::Port(port) = link else {
+            let controller = link.to_string();
+            return Self::with_bench(station, (&controller, bench), scene, folder, root, scratch);
+        };
         if !quiet {
-            eprintln!("frames are expected in {}", root.path().display());
+            say(&format!("frames are expected in {}", root.path().display()));
         }
         Ok(Self {
             station,
-            port: PathBuf::from(link),
+            port: port.clone(),
             settings: ClientSettings::default(),
             #[cfg(feature = "bench")]
             bench: None,
@@ -260,7 +331,7 @@ impl<S> Instrument<S> {
         if let Some(bench) = self.bench {
             let truth = bench.finish()?;
             if let Some(notice) = truth.notice().filter(|_| !quiet) {
-                eprintln!("{notice}");
+                say(&notice);
             }
             return Ok(Some(serde_json::to_value(&truth)?));
         }
@@ -324,8 +395,17 @@ fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
     )
 }
 
+/// This host, as the system says.
+fn host_name() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    match name.trim() {
+        "" => "unknown".into(),
+        name => name.to_owned(),
+    }
+}
+
 /// Who runs this program, as the system says.
-fn operator() -> String {
+fn user_name() -> String {
     let name = ["USER", "LOGNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());

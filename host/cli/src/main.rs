@@ -76,6 +76,8 @@ fn main() -> ExitCode {
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .without_time()
+        // A standard error that is full must not end a check.
+        .log_internal_errors(false)
         .init();
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),
@@ -96,7 +98,7 @@ fn main() -> ExitCode {
     match result {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            output::say(&format!("error: {error:#}"));
             Outcome::CouldNotRun.into()
         }
     }

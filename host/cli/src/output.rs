@@ -51,6 +51,19 @@ pub struct Common {
 }
 
 impl Common {
+    /// Whether a table goes to standard output.
+    pub fn shows_table(&self) -> bool {
+        !self.quiet && self.json.as_deref() != Some(Path::new("-"))
+    }
+
+    /// Tries whether the JSON document will have a place, before anything moves.
+    pub fn try_json(&self) -> anyhow::Result<()> {
+        match &self.json {
+            Some(path) if path != Path::new("-") => try_place(path).context("--json"),
+            _ => Ok(()),
+        }
+    }
+
     /// Writes the JSON document, if one was asked for.
     pub fn write_json<T: serde::Serialize>(&self, document: &T) -> anyhow::Result<()> {
         let Some(path) = &self.json else {
@@ -59,8 +72,11 @@ impl Common {
         let mut text = serde_json::to_string_pretty(document)?;
         text.push('\n');
         if path == Path::new("-") {
-            std::io::stdout().write_all(text.as_bytes())?;
-            return Ok(());
+            let mut out = std::io::stdout().lock();
+            return out
+                .write_all(text.as_bytes())
+                .and_then(|()| out.flush())
+                .context("cannot write to standard output");
         }
         write_whole(path, text.as_bytes())
     }
@@ -73,4 +89,53 @@ impl Common {
 pub fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     flankscope_station::files::write_whole(path, bytes)
         .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Tries whether a file can be written later, before anything moves; an older one there stays as it is.
+///
+/// # Errors
+/// Names the path and why it cannot be written.
+pub fn try_place(path: &Path) -> anyhow::Result<()> {
+    flankscope_station::files::try_place(path)
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Makes a folder for results and tries whether these files of it can be written, before anything moves.
+///
+/// # Errors
+/// Names the path and why it cannot be made or written.
+pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    files
+        .iter()
+        .try_for_each(|file| try_place(&folder.join(file)))
+}
+
+/// Says something on standard error; that nobody can hear it stops nothing.
+pub fn say(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// What went wrong on paper once a verdict stood. It changes neither the verdict nor the exit code, and keeps no other
+/// paper back.
+#[derive(Debug, Default)]
+pub struct Complaints(Vec<anyhow::Error>);
+
+impl Complaints {
+    /// Keeps what went wrong; hands over what did not.
+    pub fn hear<T>(&mut self, result: anyhow::Result<T>) -> Option<T> {
+        result.map_err(|error| self.0.push(error)).ok()
+    }
+
+    /// Complains on standard error, with the verdict for those who have only that; returns the verdict's outcome.
+    pub fn end(self, verdict: &str, reason: &str) -> Outcome {
+        for error in &self.0 {
+            say(&format!("error: {error:#}"));
+        }
+        if !self.0.is_empty() {
+            say(&format!("the verdict stands: {verdict}: {reason}"));
+        }
+        Outcome::of_verdict(verdict)
+    }
 }

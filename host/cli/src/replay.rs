@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use flankscope_station::history::{History, Replay};
 use serde_json::json;
 
+use crate::inspect::SIMULATED;
 use crate::instrument;
 use crate::output::{Common, Outcome};
 
@@ -14,7 +15,7 @@ use crate::output::{Common, Outcome};
 /// Tool, head and CAD are read from --tool as they are now; teeth, temperature, grid and baseline are those of the check.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope inspect --history press.db\n  flankscope replay press.db 1\n\
+    after_help = "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope replay bench.db 1\n\
     computes the first check of the history again\n\n\
     Exit code: that of the verdict when nothing differs: 0 go, 1 no-go, 2 indeterminate, 4 warn; 2 when something differs, \
     3 could not run: phasors are missing or damaged"
@@ -60,6 +61,9 @@ fn print(replay: &Replay) -> anyhow::Result<()> {
         "check {}: {} stored, {} from {} captures: {}",
         replay.id, replay.stored_verdict, replay.verdict, replay.captures, replay.reason
     )?;
+    if replay.origin.get("simulated") == Some(&json!(true)) {
+        writeln!(out, "{SIMULATED}")?;
+    }
     for difference in &replay.versions {
         writeln!(
             out,

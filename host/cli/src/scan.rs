@@ -7,13 +7,16 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_metrology::deviation::{Order, Statistics};
+use flankscope_station::origin::Link;
 use flankscope_station::scan::{
-    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner,
+    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner, percent,
 };
+use serde_json::Value;
 
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
-use crate::instrument::{BenchArgs, Instrument, Scene};
-use crate::output::{Common, Outcome, write_whole};
+use crate::inspect::write_origin;
+use crate::instrument::{BenchArgs, Instrument, Place, Scene};
+use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, write_whole};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
 ///
@@ -23,6 +26,8 @@ use crate::output::{Common, Outcome, write_whole};
 #[command(
     after_help = "Example:\n  flankscope scan --views 12x2 --speed max --ovality-um 20 --taper-um 15 --report out\n\
     scans the demo die, 20 um oval and 15 um conical, and writes out/report.html, out/scan.json and out/map.ply\n\n\
+    A verdict is for the teeth and heights of --views, and says what share of the bore that is. Less seen than asked for is\n\
+    indeterminate. With --tool the link is named.\n\n\
     Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
 )]
 pub struct Args {
@@ -32,9 +37,8 @@ pub struct Args {
     /// Head file instead of the tool folder's, for example a fresh calibration
     #[arg(long, value_name = "HEAD.toml")]
     head: Option<PathBuf>,
-    /// Controller: `sim` for the simulated bench, else a serial port such as /dev/ttyACM0
-    #[arg(long, value_name = "sim|PORT", default_value = "sim")]
-    link: String,
+    #[command(flatten)]
+    place: Place,
     /// Views around the die by layers over its height
     #[arg(long, value_name = "AROUNDxLAYERS", default_value = "84x7")]
     views: Grid,
@@ -181,7 +185,7 @@ pub struct DieArgs {
 
 impl Args {
     /// What stands on the simulated bench: a scan that goes on must find the same there.
-    fn on_the_bench(&self) -> BTreeMap<String, String> {
+    fn on_the_bench(&self, link: &Link) -> BTreeMap<String, String> {
         let (bench, die) = (&self.bench, &self.die);
         let mut what = format!(
             "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
@@ -204,8 +208,7 @@ impl Args {
             let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
             what += &format!(", mesh {}", content.unwrap_or_default());
         }
-        let simulated = self.link == "sim" || self.link == "qemu";
-        let named = simulated.then(|| ("bench".to_string(), what));
+        let named = link.is_simulated().then(|| ("bench".to_string(), what));
         named.into_iter().collect()
     }
 }
@@ -214,11 +217,8 @@ impl Args {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
     let (method, paper) = args.paper.settings(args.bench.seed)?;
-    if let Some(report) = &args.report {
-        // Before anything moves: a scan whose report cannot be written should not begin.
-        std::fs::create_dir_all(report)
-            .with_context(|| format!("cannot make the report folder {}", report.display()))?;
-    }
+    let setting = args.place.setting(&[("--tool", args.tool.is_some())])?;
+    args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,
         None => Some(tempfile::tempdir().context("cannot make a folder for the views")?),
@@ -235,7 +235,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let mut instrument = Instrument::start(
         [args.tool.as_deref(), args.head.as_deref()],
-        &args.link,
+        &setting.link,
         &args.bench,
         scene,
         quiet,
@@ -243,7 +243,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             if let Some(grid) = args.grid {
                 grid.impose(Arc::make_mut(&mut subject.head))?;
             }
-            let scanner = Scanner::open(subject, args.views, session, &args.on_the_bench(), root)?;
+            let bench = args.on_the_bench(&setting.link);
+            let setting = setting.clone();
+            let scanner = Scanner::open(subject, setting, args.views, session, &bench, root)?;
             let scanner = scanner.against(args.reference.as_deref())?;
             Ok(scanner.by_method(method, paper)?)
         },
@@ -255,34 +257,65 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 show(progress);
             }
         })?;
+    // The verdict stands. It is said and returned whatever happens to the papers.
+    let mut complaints = Complaints::default();
     if args.report.is_some() || args.raster {
-        instrument.station.compare(&mut scan, args.raster)?;
+        let compared = instrument.station.compare(&mut scan, args.raster);
+        complaints.hear(compared.map_err(Into::into));
     }
-    let mut document = serde_json::to_value(&scan)?;
-    if let Some(truth) = instrument.close(quiet)? {
-        document["truth"] = truth;
-        document["truth"]["ovality_um"] = args.die.ovality_um.abs().into();
-        document["truth"]["taper_um"] = args.die.taper_um.into();
+    if args.common.shows_table() {
+        complaints.hear(print(&scan));
     }
-    if let Some(report) = &args.report {
-        let page = flankscope_station::report::scan_html(&scan)?;
-        write_whole(&report.join("report.html"), page.as_bytes())?;
-        let text = serde_json::to_string_pretty(&document)?;
-        write_whole(&report.join("scan.json"), text.as_bytes())?;
-        flankscope_station::files::stream_whole(&report.join("map.ply"), |file| {
-            flankscope_station::report::scan_ply(&scan, file)
-        })?;
+    let truth = complaints.hear(instrument.close(quiet)).flatten();
+    let document = serde_json::to_value(&scan).map_err(Into::into);
+    if let Some(mut document) = complaints.hear(document) {
+        if let Some(truth) = truth {
+            document["truth"] = truth;
+            document["truth"]["ovality_um"] = args.die.ovality_um.abs().into();
+            document["truth"]["taper_um"] = args.die.taper_um.into();
+        }
+        complaints.hear(args.common.write_json(&document));
+        complaints.hear(args.write_report(&scan, &document));
     }
     if let Some(mesh) = &args.mesh {
-        write_file(mesh, |file| {
+        complaints.hear(write_file(mesh, |file| {
             flankscope_station::report::scan_mesh(&scan, file)
+        }));
+    }
+    Ok(complaints.end(&scan.verdict, &scan.reason))
+}
+
+impl Args {
+    /// Before anything moves: a scan whose results cannot be written should not begin.
+    fn try_places(&self) -> anyhow::Result<()> {
+        self.common.try_json()?;
+        if let Some(folder) = &self.report {
+            try_folder(folder, &["report.html", "scan.json", "map.ply"])?;
+        }
+        self.mesh.as_deref().map_or(Ok(()), try_place)
+    }
+
+    fn write_report(&self, scan: &Scan, document: &Value) -> anyhow::Result<()> {
+        let Some(folder) = &self.report else {
+            return self.show("add --report DIR for the map as HTML and PLY");
+        };
+        // The document first: what it says cannot be drawn again.
+        let text = serde_json::to_string_pretty(document)?;
+        write_whole(&folder.join("scan.json"), text.as_bytes())?;
+        let page = flankscope_station::report::scan_html(scan)?;
+        write_whole(&folder.join("report.html"), page.as_bytes())?;
+        write_file(&folder.join("map.ply"), |file| {
+            flankscope_station::report::scan_ply(scan, file)
         })?;
+        self.show(&format!("report: {}", folder.join("report.html").display()))
     }
-    args.common.write_json(&document)?;
-    if !quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print(&scan, args.report.as_deref())?;
+
+    fn show(&self, line: &str) -> anyhow::Result<()> {
+        if self.common.shows_table() {
+            writeln!(std::io::stdout(), "{line}")?;
+        }
+        Ok(())
     }
-    Ok(Outcome::of_verdict(&scan.verdict))
 }
 
 fn show(progress: Progress) {
@@ -291,24 +324,24 @@ fn show(progress: Progress) {
             done,
             of,
             remaining,
-        } => eprintln!(
+        } => say(&format!(
             "{done:>4} of {of} views, {} s to go",
             remaining.as_secs_f64().round()
-        ),
-        Progress::Recapture(view) => eprintln!("view {view} is captured again"),
-        Progress::Stitching => eprintln!("all views are laid on the CAD together"),
+        )),
+        Progress::Recapture(view) => say(&format!("view {view} is captured again")),
+        Progress::Stitching => say("all views are laid on the CAD together"),
     }
 }
 
-fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
+fn print(scan: &Scan) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     let registered = |r: &&flankscope_station::scan::ScanRegistration| r.status == "registered";
     writeln!(
         out,
-        "\n{} of {} views, {:.1} % of the bore seen, joint solve in {} rounds",
+        "\n{} of {} views, {} % of the bore seen, joint solve in {} rounds",
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
-        100.0 * scan.coverage_ratio,
+        percent(scan.coverage_ratio),
         scan.joint.rounds
     )?;
     if let Some(form) = &scan.form {
@@ -338,6 +371,7 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
         print_methods(&mut out, &scan.methods)?;
     }
     writeln!(out, "\n{}: {}", scan.verdict.to_uppercase(), scan.reason)?;
+    write_origin(&mut out, &scan.origin, &scan.date)?;
     writeln!(
         out,
         "scan {:.1} s, last view to result {:.1} s, {} of {} frames, {:.0} MB",
@@ -347,10 +381,6 @@ fn print(scan: &Scan, report: Option<&Path>) -> anyhow::Result<()> {
         scan.frames.triggered,
         scan.peak_memory_mb.unwrap_or(f64::NAN),
     )?;
-    match report {
-        Some(folder) => writeln!(out, "report: {}", folder.join("report.html").display())?,
-        None => writeln!(out, "add --report DIR for the map as HTML and PLY")?,
-    }
     Ok(())
 }
 

@@ -1,17 +1,20 @@
 //! `flankscope watch`: check every N press cycles, as a service.
 
-use std::io::BufRead;
-use std::path::PathBuf;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use flankscope_station::inspection::Inspection;
+use flankscope_station::origin::now;
 use flankscope_station::report::{figure, html};
 use flankscope_station::watch::{Checked, Shown, Told, WatchSettings};
 use serde_json::{Value, json};
 
+use crate::inspect::SIMULATED;
 use crate::instrument::{BenchArgs, Instrument, Source};
-use crate::output::{Common, Outcome, write_whole};
+use crate::output::{Common, Complaints, Outcome, say, try_folder, write_whole};
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
@@ -69,10 +72,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "--hold-limit-s {}: more than 0 and at most 600 seconds are possible",
         args.hold_limit_s
     );
+    // Before anything moves: a watch whose results cannot be written should not begin.
+    args.common.try_json()?;
     if let Some(folder) = &args.report {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
+        try_folder(folder, &["report.html"])?;
+        open_lines(&folder.join("checks.jsonl"))?;
     }
+    let setting = args.source.setting()?;
     let quiet = args.common.quiet;
     let mut instrument = Instrument::open(&args.source, &args.bench, Some(&args.press), quiet)?;
     let settings = WatchSettings {
@@ -82,6 +88,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let acknowledged = acknowledgements();
     let mut log = Log::new(args);
+    if setting.link.is_simulated() {
+        log.say(SIMULATED);
+    }
     let shown = instrument.station.watch(
         &instrument.port,
         instrument.settings,
@@ -89,16 +98,27 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &acknowledged,
         |told| log.take(told),
     )?;
-    let truth = instrument.close(quiet)?;
-    if let Some(error) = log.failure {
-        return Err(error);
-    }
-    args.common
-        .write_json(&json!({ "shown": shown.word(), "checks": log.checks, "truth": truth }))?;
-    Ok(match shown {
-        Shown::Unchecked => Outcome::Indeterminate,
-        shown => Outcome::of_verdict(shown.word()),
-    })
+    let mut complaints = Complaints::default();
+    let truth = complaints.hear(instrument.close(quiet)).flatten();
+    complaints.hear(args.common.write_json(&json!({
+        "link": setting.link.to_string(),
+        "simulated": setting.link.is_simulated(),
+        "station": setting.station,
+        "operator": setting.operator,
+        "date": now(),
+        "shown": shown.word(),
+        "checks": log.checks,
+        "truth": truth,
+    })));
+    // What nobody checked is indeterminate.
+    Ok(complaints.end(shown.word(), "this is what the press was shown last"))
+}
+
+/// Opens the file that a line is added to for every check.
+fn open_lines(path: &Path) -> anyhow::Result<std::fs::File> {
+    let mut options = std::fs::OpenOptions::new();
+    let file = options.append(true).create(true).open(path);
+    file.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// A message for every line that somebody types: a name, or nothing.
@@ -119,7 +139,6 @@ struct Log<'a> {
     args: &'a Args,
     start: Instant,
     checks: Vec<Value>,
-    failure: Option<anyhow::Error>,
 }
 
 impl<'a> Log<'a> {
@@ -128,7 +147,6 @@ impl<'a> Log<'a> {
             args,
             start: Instant::now(),
             checks: Vec::new(),
-            failure: None,
         }
     }
 
@@ -146,17 +164,12 @@ impl<'a> Log<'a> {
             )),
             Told::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
             Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
-            Told::Checked(checked) => {
-                if let Err(error) = self.keep(&checked) {
-                    self.failure = Some(error);
-                    return false;
-                }
-            }
+            Told::Checked(checked) => self.keep(&checked),
         }
         true
     }
 
-    fn keep(&mut self, checked: &Checked) -> anyhow::Result<()> {
+    fn keep(&mut self, checked: &Checked) {
         let Checked {
             cycle,
             inspection,
@@ -192,23 +205,37 @@ impl<'a> Log<'a> {
             self.say("ALARM: no-go stays until it is acknowledged (press Enter)");
         }
         let line = json!({ "cycle": cycle, "shown": shown.word(), "inspection": inspection });
-        if let Some(folder) = &self.args.report {
-            write_whole(&folder.join("report.html"), html(inspection)?.as_bytes())?;
-            use std::io::Write as _;
-            let path = folder.join("checks.jsonl");
-            let mut file = std::fs::OpenOptions::new()
-                .append(true)
-                .create(true)
-                .open(&path)?;
-            writeln!(file, "{line}").with_context(|| format!("cannot write {}", path.display()))?;
-        }
+        // The press is watched on, whatever becomes of the papers.
+        let mut complaints = Complaints::default();
+        complaints.hear(self.add_line(&line));
+        complaints.hear(self.write_page(inspection));
+        let _ = complaints.end(&inspection.verdict, &inspection.reason);
         self.checks.push(line);
-        Ok(())
+    }
+
+    fn add_line(&self, line: &Value) -> anyhow::Result<()> {
+        let Some(folder) = &self.args.report else {
+            return Ok(());
+        };
+        let path = folder.join("checks.jsonl");
+        // In one piece, so that no other line ends up in it.
+        let added = open_lines(&path)?.write_all(format!("{line}\n").as_bytes());
+        added.with_context(|| format!("cannot write {}", path.display()))
+    }
+
+    fn write_page(&self, inspection: &Inspection) -> anyhow::Result<()> {
+        match &self.args.report {
+            Some(folder) => write_whole(&folder.join("report.html"), html(inspection)?.as_bytes()),
+            None => Ok(()),
+        }
     }
 
     fn say(&self, text: &str) {
         if !self.args.common.quiet {
-            eprintln!("{:7.1} s  {text}", self.start.elapsed().as_secs_f64());
+            say(&format!(
+                "{:7.1} s  {text}",
+                self.start.elapsed().as_secs_f64()
+            ));
         }
     }
 }

@@ -10,7 +10,7 @@ use flankscope_metrology::leakage;
 use flankscope_metrology::registration::{Contact, Options, Response, register};
 use flankscope_metrology::tool::{Tool, ToolError};
 use flankscope_metrology::verdict::{Verdict, combine, decide};
-use flankscope_metrology::wear::{self, FlankWear, Influence, Measured, evaluate};
+use flankscope_metrology::wear::{self, FlankWear, Measured, evaluate};
 use support::{Random, on_every_ring84_file};
 
 const FILE: &str = r#"
@@ -373,78 +373,11 @@ fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
             "{leakage:?} against {seen}"
         );
         if use_judged {
-            assert!(leakage.uniform > leakage::ACCEPTED, "{leakage:?}");
+            assert!(leakage.uniform > 0.1, "{leakage:?}");
         } else {
             assert!(leakage.worst() < 0.02, "{leakage:?}");
         }
-        assert!(leakage.common > 0.3, "{leakage:?}");
-    }
-}
-
-/// A press wears all teeth alike. The pose takes a part of that for a motion; the neighbours tell how much that may be.
-#[test]
-fn what_a_pose_may_hide_of_shared_wear_is_in_the_budget() {
-    on_every_ring84_file(
-        "what_a_pose_may_hide_of_shared_wear_is_in_the_budget",
-        run_what_a_pose_may_hide_of_shared_wear_is_in_the_budget,
-    );
-}
-
-fn run_what_a_pose_may_hide_of_shared_wear_is_in_the_budget(cad: PathBuf) {
-    let folder = tempfile::tempdir().unwrap();
-    let tool = load(folder.path(), FILE, &cad).unwrap();
-    let (gear, zone) = (tool.gear.as_ref().unwrap(), tool.zone().unwrap());
-    let (depth_mm, judged) = (0.060, (1, Flank::Right));
-    for all in [true, false] {
-        let points = view(&tool, 8, |tooth, flank, _, _| {
-            let worn = flank == judged.1 && (all || tooth == judged.0);
-            if worn { depth_mm } else { 0.0 }
-        });
-        let is_used = |p: &[f64; 3]| gear.tooth_at(p[1].atan2(p[0])) != judged.0;
-        let used: Vec<[f64; 3]> = points.iter().copied().filter(is_used).collect();
-        let options = Options {
-            teeth: Some(84),
-            ..Options::default()
-        };
-        let found = register(&tool.surface, &used, None, &options);
-        let laid: Vec<[f64; 3]> = points
-            .iter()
-            .map(|&p| found.tool_from_cloud.apply(p))
-            .collect();
-        let closest = tool.surface.closest_many(&laid);
-        let contacts: Vec<Contact> = closest
-            .iter()
-            .zip(&points)
-            .map(|(c, p)| Contact::of(c, &found, is_used(p)))
-            .collect();
-        let places = wear::places(gear, &closest);
-        let response = Response::new(&contacts, &found, None, &options);
-        let influence = Influence {
-            leakage: leakage::of_flank(gear, &zone, judged, &response, &contacts, &places),
-            shared_mm: leakage::shared_mm(&zone, judged, &closest, &places),
-            temperature_mm: 0.0,
-        };
-        let measured = Measured {
-            points: &laid,
-            closest: &closest,
-            sigma_mm: None,
-        };
-        let settings = tool.wear_settings();
-        let seen = evaluate(gear, &zone, &[judged.0], measured, Some(&found), &settings)
-            .into_iter()
-            .find(|wear| wear.flank == judged.1)
-            .unwrap();
-        let whole = seen.clone().with(&influence, &settings);
-        println!("all {all}: seen {seen:?}\nwhole {whole:?}\n{influence:?}");
-        assert_eq!(whole.wear_mm, seen.wear_mm);
-        assert!((whole.wear_mm - depth_mm).abs() < 1.96 * whole.u_mm);
-        if all {
-            assert!(seen.wear_mm < 0.75 * depth_mm, "{}", seen.wear_mm);
-            assert!((seen.wear_mm - depth_mm).abs() > 1.96 * seen.u_mm);
-        } else {
-            // One worn tooth is no common wear, and costs no certainty.
-            assert!(whole.u_mm < 6e-3);
-        }
+        assert!(leakage.side > 0.3, "{leakage:?}");
     }
 }
 

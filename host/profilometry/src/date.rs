@@ -29,9 +29,14 @@ impl Date {
     /// The clock's day.
     pub fn today() -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH);
-        let days = since.map_or(0, |since| since.as_secs() / 86_400);
+        Self::of_days(since.map_or(0, |since| since.as_secs() / 86_400))
+    }
+
+    /// The day that many days after 1 January 1970.
+    #[must_use]
+    pub fn of_days(days: u64) -> Self {
         Self {
-            days_since_1970: days as i64,
+            days_since_1970: i64::try_from(days).unwrap_or(i64::MAX / 2),
         }
     }
 

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::files;
 use crate::inspection::Inspection;
+use crate::origin::looked_at;
 
 /// A file of other people is not read beyond this, bytes: 84 teeth with both flanks need 4 MB.
 const MOST_BYTES: u64 = 64 << 20;
@@ -22,6 +23,9 @@ pub struct Baseline {
     pub tool: String,
     /// BLAKE3 of tool file, CAD and head file: a difference only means wear when all three are the same.
     pub hashes: BTreeMap<String, String>,
+    /// Whether it is of the simulated bench; files of earlier releases do not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated: Option<bool>,
     /// The flanks.
     pub flanks: Vec<Reference>,
     /// What each view said of its own pose about the axis, with the neighbours in it.
@@ -96,6 +100,16 @@ pub enum BaselineError {
         /// Hash now.
         now: String,
     },
+    /// A difference between the simulated bench and a press is no wear.
+    #[error(
+        "baseline {} was recorded with {}, this is {}: record one here", path.display(), looked_at(!simulated), looked_at(*simulated)
+    )]
+    OtherKind {
+        /// The file.
+        path: PathBuf,
+        /// Whether the simulated bench is looked at now.
+        simulated: bool,
+    },
     /// A capture that does not deserve to be a baseline.
     #[error("a check that ended in {verdict} is no baseline of a new tool; it must end in go")]
     NotNew {
@@ -119,18 +133,20 @@ impl Baseline {
         Ok(Self {
             tool: inspection.tool.clone(),
             hashes: inspection.hashes.iter().map(hash).collect(),
+            simulated: inspection.origin.simulated,
             flanks: inspection.fields.clone(),
             poses: inspection.poses.clone(),
         })
     }
 
-    /// Reads a baseline for an instrument with these files.
+    /// Reads a baseline for an instrument with these files, at the simulated bench or not.
     ///
     /// # Errors
-    /// Unreadable, malformed, or recorded with other files.
+    /// Unreadable, malformed, recorded with other files, or on the bench where this is a press.
     pub fn load(
         path: &Path,
         hashes: &BTreeMap<&'static str, String>,
+        simulated: bool,
     ) -> Result<Self, BaselineError> {
         let file = |source| BaselineError::File {
             path: path.to_owned(),
@@ -162,6 +178,10 @@ impl Baseline {
                     rows,
                 });
             }
+        }
+        if baseline.simulated.is_some_and(|there| there != simulated) {
+            let path = path.to_owned();
+            return Err(BaselineError::OtherKind { path, simulated });
         }
         for (&what, now) in hashes {
             let recorded = baseline.hashes.get(what).cloned().unwrap_or_default();

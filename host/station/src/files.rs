@@ -28,14 +28,10 @@ pub fn stream_whole(
         write(&mut file)?;
         return file.flush();
     }
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
     // Readable by others as any file is: the process's umask decides.
     let mut file = tempfile::Builder::new()
         .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
-        .tempfile_in(folder)?;
+        .tempfile_in(folder_of(path))?;
     {
         let mut buffered = io::BufWriter::with_capacity(1 << 20, file.as_file_mut());
         write(&mut buffered)?;
@@ -44,6 +40,43 @@ pub fn stream_whole(
     file.as_file().sync_all()?;
     file.persist(path).map_err(|error| error.error)?;
     Ok(())
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// What a place is tried with: a page of results, generously.
+const PROBE_BYTES: usize = 1 << 20;
+
+/// Tries whether [`write_whole`] will be able to write to `path`; an older file there stays as it is, and nothing is left.
+///
+/// # Errors
+/// As [`write_whole`], or there is a folder at `path`.
+pub fn try_place(path: &Path) -> io::Result<()> {
+    match std::fs::metadata(path) {
+        Ok(meta) if meta.is_dir() => {
+            let why = "it is a folder, where a file should go";
+            return Err(io::Error::new(io::ErrorKind::IsADirectory, why));
+        }
+        // Who listens at a pipe should not hear a trial.
+        Ok(meta) if !meta.is_file() => {
+            return Ok(rustix::fs::access(path, rustix::fs::Access::WRITE_OK)?);
+        }
+        _ => {}
+    }
+    if path.file_name().is_none() {
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "it names no file",
+        ));
+    }
+    let mut probe = tempfile::tempfile_in(folder_of(path))?;
+    probe.write_all(&vec![0; PROBE_BYTES])?;
+    probe.sync_data()
 }
 
 /// BLAKE3 of some bytes, as hexadecimal text.
@@ -88,5 +121,24 @@ mod tests {
                 .file_type()
                 .is_char_device()
         );
+    }
+
+    #[test]
+    fn a_place_is_tried_without_a_trace() {
+        let folder = tempfile::tempdir().unwrap();
+        let (new, old) = (folder.path().join("new"), folder.path().join("old"));
+        std::fs::write(&old, b"old").unwrap();
+        for path in [&new, &old, Path::new("/dev/null"), Path::new("/dev/full")] {
+            try_place(path).unwrap();
+        }
+        assert_eq!(std::fs::read(&old).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        for path in [
+            folder.path(),
+            &old.join("below a file"),
+            &new.join("below nothing"),
+        ] {
+            assert!(try_place(path).is_err(), "{}", path.display());
+        }
     }
 }

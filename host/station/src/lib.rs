@@ -13,6 +13,7 @@ pub mod controller;
 pub mod files;
 pub mod history;
 pub mod inspection;
+pub mod origin;
 pub mod report;
 pub mod scan;
 pub mod watch;

@@ -2,7 +2,9 @@
 
 mod inspections;
 
-use flankscope_station::history::{History, HistoryError, Keeper};
+use flankscope_station::history::{History, HistoryError, Keeper, csv, series};
+use flankscope_station::inspection::Inspection;
+use flankscope_station::origin::{HeadId, Link, Origin, Setting};
 use inspections::inspection;
 use rusqlite::Connection;
 
@@ -90,7 +92,7 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
     drop(History::open(&path("later.db")).unwrap());
     Connection::open(path("later.db"))
         .unwrap()
-        .pragma_update(None, "user_version", 2)
+        .pragma_update(None, "user_version", 3)
         .unwrap();
     Connection::open(path("other.db"))
         .unwrap()
@@ -107,8 +109,8 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
             matches!(
                 later,
                 HistoryError::Newer {
-                    got: 2,
-                    known: 1,
+                    got: 3,
+                    known: 2,
                     ..
                 }
             ),
@@ -223,4 +225,179 @@ fn what_is_open_ends_with_an_acknowledgement() {
         (noted[0].who.as_str(), noted[0].inspection),
         ("Ada", Some(3))
     );
+}
+
+/// A check that says where it comes from.
+fn check_at(link: &str, press_cycles: u32) -> Inspection {
+    let setting = Setting {
+        link: link.parse::<Link>().unwrap(),
+        station: "press 7".into(),
+        operator: Some("Ada".into()),
+    };
+    let head = HeadId {
+        name: "demo, 20 mm".into(),
+        blake3: "ab".repeat(32),
+    };
+    Inspection {
+        origin: Origin::new(Some(&setting), head),
+        ..inspection(press_cycles, "go", "all is well")
+    }
+}
+
+#[test]
+fn simulated_and_real_checks_never_share_a_history() {
+    let folder = tempfile::tempdir().unwrap();
+    for (first, other, holds) in [
+        ("sim", "/dev/ttyACM0", "the simulated bench"),
+        ("/dev/ttyACM0", "qemu", "a real press"),
+    ] {
+        let path = folder.path().join(holds);
+        let mut history = History::open(&path).unwrap();
+        assert_eq!(history.kind().unwrap(), None);
+        history.record(&check_at(first, 1), None).unwrap();
+        let error = history.record(&check_at(other, 2), None).unwrap_err();
+        assert!(
+            matches!(error, HistoryError::OtherKind { simulated, .. } if simulated == (first == "sim")),
+            "{error}"
+        );
+        let said = error.to_string();
+        assert!(said.contains(&format!("holds checks of {holds}")), "{said}");
+        // Already when it is opened, before anything moves.
+        assert!(history.takes(other == "qemu").is_err());
+        assert!(history.takes(first == "sim").is_ok());
+        let mut keeper = keeper(history);
+        let mut refused = check_at(other, 3);
+        keeper.keep(&mut refused);
+        assert_eq!(
+            (refused.id, refused.verdict.as_str()),
+            (None, "indeterminate")
+        );
+        let reader = History::read(&path).unwrap();
+        assert_eq!(reader.checks("die").unwrap().len(), 1);
+        let connection = Connection::open(&path).unwrap();
+        for sql in [
+            "UPDATE kind SET simulated = 1 - simulated",
+            "DELETE FROM kind",
+        ] {
+            assert!(connection.execute(sql, []).is_err(), "{sql}");
+        }
+    }
+}
+
+#[test]
+fn a_check_says_where_it_comes_from_in_row_document_and_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut history = History::open(&folder.path().join("press.db")).unwrap();
+    let stored = check_at("sim", 1);
+    history.record(&stored, None).unwrap();
+    let checks = history.checks("die").unwrap();
+    assert_eq!(checks[0].origin, stored.origin);
+    assert!(checks[0].origin.is_simulated());
+    let document: serde_json::Value = serde_json::from_str(&history.document(1).unwrap()).unwrap();
+    for (key, value) in [
+        ("id", serde_json::json!(1)),
+        ("link", "sim".into()),
+        ("simulated", true.into()),
+        ("station", "press 7".into()),
+        ("operator", "Ada".into()),
+        ("date", stored.date.as_str().into()),
+        ("tool", "die".into()),
+    ] {
+        assert_eq!(document[key], value, "{key}");
+    }
+    assert_eq!(document["head"]["name"], "demo, 20 mm");
+    assert_eq!(document["head"]["blake3"], "ab".repeat(32));
+    let mut table = Vec::new();
+    csv(&checks, &mut table).unwrap();
+    let table = String::from_utf8(table).unwrap();
+    let mut lines = table.lines();
+    assert!(
+        lines
+            .next()
+            .unwrap()
+            .ends_with("code,link,simulated,head,head_blake3,station,operator")
+    );
+    let row = format!(",sim,true,\"demo, 20 mm\",{},press 7,Ada", "ab".repeat(32));
+    assert!(lines.all(|line| line.ends_with(&row)), "{table}");
+}
+
+/// The tables as the first release made them, with a check.
+const LAYOUT_1: &str = "
+CREATE TABLE baseline (blake3 TEXT PRIMARY KEY, at TEXT NOT NULL, tool TEXT NOT NULL, document TEXT NOT NULL) STRICT;
+CREATE TABLE inspection (
+    id INTEGER PRIMARY KEY AUTOINCREMENT,
+    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
+    tool TEXT NOT NULL,
+    tool_cycles INTEGER NOT NULL CHECK (tool_cycles >= 0),
+    press_cycles INTEGER NOT NULL CHECK (press_cycles >= 0),
+    baseline TEXT REFERENCES baseline (blake3),
+    verdict TEXT NOT NULL CHECK (verdict IN ('go', 'warn', 'no-go', 'indeterminate')),
+    reason TEXT NOT NULL,
+    document TEXT NOT NULL
+) STRICT;
+CREATE INDEX inspection_of_tool ON inspection (tool, id);
+CREATE TABLE flank (
+    inspection INTEGER NOT NULL REFERENCES inspection (id),
+    tooth INTEGER NOT NULL,
+    flank TEXT NOT NULL CHECK (flank IN ('left', 'right')),
+    wear_um REAL, u95_um REAL, warn_um REAL NOT NULL, limit_um REAL NOT NULL,
+    verdict TEXT NOT NULL, code TEXT,
+    PRIMARY KEY (inspection, tooth, flank)
+) STRICT, WITHOUT ROWID;
+CREATE TABLE acknowledgement (id INTEGER PRIMARY KEY AUTOINCREMENT,
+    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')), tool TEXT NOT NULL, who TEXT NOT NULL,
+    inspection INTEGER REFERENCES inspection (id)) STRICT;
+CREATE TABLE audit (id INTEGER PRIMARY KEY AUTOINCREMENT,
+    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')), who TEXT NOT NULL, what TEXT NOT NULL,
+    detail TEXT NOT NULL) STRICT;
+CREATE TRIGGER inspection_keeps_UPDATE BEFORE UPDATE ON inspection
+    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
+INSERT INTO inspection (tool, tool_cycles, press_cycles, verdict, reason, document)
+    VALUES ('die', 100, 100, 'no-go', 'worn', '{}');
+INSERT INTO flank VALUES (1, 12, 'left', 60.0, 4.0, 30.0, 50.0, 'no-go', NULL);
+PRAGMA application_id = 0x464C4E4B;
+PRAGMA user_version = 1;
+";
+
+#[test]
+fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    Connection::open(&path)
+        .unwrap()
+        .execute_batch(LAYOUT_1)
+        .unwrap();
+    let unknown = |history: &History, checks: usize| {
+        let stored = history.checks("die").unwrap();
+        assert_eq!(stored.len(), checks);
+        assert_eq!(stored[0].origin, Origin::default());
+        assert!(stored[0].origin.place().contains("unknown"));
+        assert_eq!(history.of_unknown_origin().unwrap(), 1);
+    };
+    // Who only reads changes nothing.
+    let reader = History::read(&path).unwrap();
+    unknown(&reader, 1);
+    assert_eq!(reader.kind().unwrap(), None);
+    let mut history = History::open(&path).unwrap();
+    unknown(&history, 1);
+    unknown(&reader, 1);
+    assert_eq!(
+        history.open_verdicts("die").unwrap(),
+        ["no-go"],
+        "it still stands"
+    );
+    assert_eq!(history.record(&check_at("sim", 120), None).unwrap(), 2);
+    unknown(&reader, 2);
+    assert!(history.takes(false).is_err());
+    let checks = history.checks("die").unwrap();
+    assert_eq!(checks[1].tool_cycles, 120, "counted on");
+    // No trend mixes what may be a bench's with what is.
+    let found = series(&checks);
+    assert!(
+        found.iter().all(|flank| flank.points.len() == 1),
+        "{found:?}"
+    );
+    // Opening it again changes nothing more.
+    drop(history);
+    unknown(&History::open(&path).unwrap(), 2);
 }

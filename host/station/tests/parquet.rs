@@ -3,6 +3,7 @@
 mod inspections;
 
 use flankscope_station::history::{History, parquet};
+use flankscope_station::origin::{HeadId, Origin};
 use inspections::inspection;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::{Field, Row};
@@ -11,7 +12,18 @@ use parquet::record::{Field, Row};
 fn every_figure_is_there_and_what_is_missing_is_null() {
     let folder = tempfile::tempdir().unwrap();
     let mut history = History::open(&folder.path().join("press.db")).unwrap();
-    history.record(&inspection(8, "go", ""), None).unwrap();
+    let mut first = inspection(8, "go", "");
+    first.origin = Origin {
+        link: Some("sim".into()),
+        simulated: Some(true),
+        head: Some(HeadId {
+            name: "head".into(),
+            blake3: "ab".repeat(32),
+        }),
+        station: Some("press 7".into()),
+        operator: None,
+    };
+    history.record(&first, None).unwrap();
     let mut lost = inspection(16, "indeterminate", "");
     lost.features[0].wear_um = None;
     lost.features[0].u95_um = None;
@@ -38,6 +50,8 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
     assert_eq!(rows.len(), expected.len());
     for (row, (check, flank)) in rows.iter().zip(expected) {
         let text = |text: &str| Field::Str(text.to_owned());
+        let of = |word: &Option<String>| word.as_deref().map_or(Field::Null, text);
+        let head = check.origin.head.as_ref();
         let number = |value: Option<f64>| value.map_or(Field::Null, Field::Double);
         for (name, value) in [
             ("check", Field::Long(check.id)),
@@ -55,10 +69,24 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
             ("limit_um", Field::Double(50.0)),
             ("verdict", text(&flank.verdict)),
             ("code", flank.code.as_deref().map_or(Field::Null, text)),
+            ("link", of(&check.origin.link)),
+            (
+                "simulated",
+                check.origin.simulated.map_or(Field::Null, Field::Bool),
+            ),
+            ("head", head.map_or(Field::Null, |head| text(&head.name))),
+            (
+                "head_blake3",
+                head.map_or(Field::Null, |head| text(&head.blake3)),
+            ),
+            ("station", of(&check.origin.station)),
+            ("operator", Field::Null),
         ] {
             assert_eq!(field(row, name), value, "{name} of {flank:?}");
         }
     }
     assert_eq!(field(&rows[6], "wear_um"), Field::Null);
+    assert_eq!(field(&rows[0], "simulated"), Field::Bool(true));
+    assert_eq!(field(&rows[6], "simulated"), Field::Null, "nobody said so");
     assert!(!parquet(&[]).unwrap().is_empty());
 }

@@ -217,6 +217,7 @@ fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
         baseline: baseline.map(str::to_owned),
         verdict: verdict.into(),
         reason: String::new(),
+        origin: flankscope_station::origin::Origin::default(),
         flanks: vec![FlankRow {
             tooth: 7,
             flank: "left".into(),

@@ -349,8 +349,8 @@ fn judged(tool: &Tool, config: &WorldConfig, teeth: Option<&[u32]>) -> Option<Ju
 }
 
 /// Area of the disc whose mean loss is the wear depth of a zone.
-fn wear_area_mm2(_tool: &Tool) -> f64 {
-    0.25
+fn wear_area_mm2(tool: &Tool) -> f64 {
+    tool.wear_settings().area_mm2
 }
 
 fn simulate(args: &RunArgs) -> anyhow::Result<()> {

@@ -18,6 +18,12 @@ pub struct CalibrationRecord {
     pub expires: Date,
     /// The artefact's name.
     pub target: String,
+    /// Through which link they were made, `sim` or `qemu` for the simulated bench; absent for images from elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub link: Option<String>,
+    /// Whether they are of the simulated bench; absent where nobody knows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated: Option<bool>,
     /// Frames that the calibration ties together.
     pub frames: Vec<String>,
     /// Unit of its lengths: `mm`.
@@ -90,6 +96,8 @@ impl CalibrationRecord {
             date,
             expires: date.plus_days(valid_days),
             target: target.to_owned(),
+            link: None,
+            simulated: None,
             frames: FRAMES.map(str::to_owned).to_vec(),
             unit: "mm".to_owned(),
             blake3: geometry_blake3(head),

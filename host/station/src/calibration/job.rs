@@ -24,6 +24,7 @@ use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
 use crate::files;
 use crate::inspection::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
+use crate::origin::Link;
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
@@ -267,13 +268,15 @@ impl Calibrated {
         Some(map.positions_px.len())
     }
 
-    /// Writes the head's file, and beside it its core map, if it has one; returns what the file says of the calibration.
+    /// Writes the head's file, and beside it its core map, if it has one; returns what the file says of the calibration:
+    /// also through which link it was made, or nothing of that for images from elsewhere.
     ///
     /// # Errors
     /// [`SaveError`].
     pub fn save(
         &self,
         path: &Path,
+        link: Option<&Link>,
         date: Date,
         valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
@@ -285,14 +288,18 @@ impl Calibrated {
             write(path.with_file_name(&name), csv.as_bytes())?;
             head.cores = Some(reference);
         }
-        let record = CalibrationRecord::new(
-            &self.adjusted,
-            &head,
-            &self.target,
-            self.hold_out,
-            date,
-            valid_days,
-        );
+        let record = CalibrationRecord {
+            link: link.map(Link::to_string),
+            simulated: link.map(Link::is_simulated),
+            ..CalibrationRecord::new(
+                &self.adjusted,
+                &head,
+                &self.target,
+                self.hold_out,
+                date,
+                valid_days,
+            )
+        };
         head.calibration = Some(record.clone());
         write(path.to_owned(), head.to_toml()?.as_bytes())?;
         Ok(record)

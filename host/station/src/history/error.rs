@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::origin::looked_at;
+
 /// Why a history cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -39,6 +41,19 @@ pub enum HistoryError {
         got: i32,
         /// Latest known.
         known: i32,
+    },
+    /// Simulated checks and real ones never share a history.
+    #[error(
+        "history {} holds checks of {} since {since}, this is {}: name another file by --history, or the --link that it was begun with",
+        path.display(), looked_at(*simulated), looked_at(!simulated)
+    )]
+    OtherKind {
+        /// The file.
+        path: PathBuf,
+        /// Whether the checks in it are of the simulated bench.
+        simulated: bool,
+        /// When it was begun.
+        since: String,
     },
     /// A result that cannot be put into words.
     #[error("history {}: the result cannot be written as JSON: {source}", path.display())]

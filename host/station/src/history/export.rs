@@ -11,14 +11,18 @@ use super::store::Check;
 pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,
-        "check,at,tool,tool_cycles,press_cycles,baseline,check_verdict,tooth,flank,wear_um,u95_um,warn_um,limit_um,verdict,code"
+        "check,at,tool,tool_cycles,press_cycles,baseline,check_verdict,tooth,flank,wear_um,u95_um,warn_um,limit_um,verdict,code,\
+         link,simulated,head,head_blake3,station,operator"
     )?;
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for check in checks {
+        let head = check.origin.head.as_ref();
+        let text = |text: Option<&str>| text.map_or_else(String::new, quoted);
+        let simulated = check.origin.simulated.map(|yes| yes.to_string());
         for flank in &check.flanks {
             writeln!(
                 out,
-                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 check.id,
                 check.at,
                 quoted(&check.tool),
@@ -34,6 +38,12 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 flank.limit_um,
                 flank.verdict,
                 flank.code.as_deref().unwrap_or_default(),
+                text(check.origin.link.as_deref()),
+                simulated.as_deref().unwrap_or_default(),
+                text(head.map(|head| head.name.as_str())),
+                head.map_or("", |head| head.blake3.as_str()),
+                text(check.origin.station.as_deref()),
+                text(check.origin.operator.as_deref()),
             )?;
         }
     }

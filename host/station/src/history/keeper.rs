@@ -39,12 +39,17 @@ impl Keeper {
         }
     }
 
-    /// Notes that the instrument begins to work with this tool, and keeps the baseline that it judges by.
+    /// Notes that the instrument begins to work with this tool, at the simulated bench or not, and keeps the baseline
+    /// that it judges by.
     pub(crate) fn begin(
         &mut self,
         tool: &str,
+        simulated: Option<bool>,
         baseline: Option<&Baseline>,
     ) -> Result<(), HistoryError> {
+        if let Some(simulated) = simulated {
+            self.history.takes(simulated)?;
+        }
         if let Some(baseline) = baseline {
             self.history
                 .keep_baseline(&baseline.hash(), tool, &baseline.document())?;

@@ -1,6 +1,8 @@
 //! Every figure of a history as an Apache Parquet file, for the tools that read columns: the columns are those of the CSV.
 
-use ::parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
+use ::parquet::data_type::{
+    BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type,
+};
 use ::parquet::errors::ParquetError;
 use ::parquet::file::properties::WriterProperties;
 use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
@@ -25,6 +27,12 @@ const SCHEMA: &str = "message history {
     REQUIRED DOUBLE limit_um;
     REQUIRED BINARY verdict (STRING);
     OPTIONAL BINARY code (STRING);
+    OPTIONAL BINARY link (STRING);
+    OPTIONAL BOOLEAN simulated;
+    OPTIONAL BINARY head (STRING);
+    OPTIONAL BINARY head_blake3 (STRING);
+    OPTIONAL BINARY station (STRING);
+    OPTIONAL BINARY operator (STRING);
 }";
 
 /// A flank and the check that it is of.
@@ -67,6 +75,13 @@ fn write(
     columns.all::<DoubleType>(|(_, flank)| flank.limit_um)?;
     columns.all::<ByteArrayType>(|(_, flank)| text(&flank.verdict))?;
     columns.some::<ByteArrayType>(|(_, flank)| flank.code.as_deref().map(text))?;
+    let head = |check: &Check| check.origin.head.clone();
+    columns.some::<ByteArrayType>(|(check, _)| check.origin.link.as_deref().map(text))?;
+    columns.some::<BoolType>(|(check, _)| check.origin.simulated)?;
+    columns.some::<ByteArrayType>(|(check, _)| head(check).map(|head| text(&head.name)))?;
+    columns.some::<ByteArrayType>(|(check, _)| head(check).map(|head| text(&head.blake3)))?;
+    columns.some::<ByteArrayType>(|(check, _)| check.origin.station.as_deref().map(text))?;
+    columns.some::<ByteArrayType>(|(check, _)| check.origin.operator.as_deref().map(text))?;
     columns.group.close()?;
     Ok(())
 }

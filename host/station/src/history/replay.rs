@@ -75,6 +75,9 @@ pub struct Difference {
 pub struct Replay {
     /// Its number.
     pub id: i64,
+    /// Where the check comes from, as its document says; empty where an earlier release stored it.
+    #[serde(flatten)]
+    pub origin: BTreeMap<&'static str, Value>,
     /// The stored verdict.
     pub stored_verdict: String,
     /// The verdict as computed now.
@@ -88,6 +91,17 @@ pub struct Replay {
     /// What differs; none when every figure is the same to the last bit.
     pub differences: Vec<Difference>,
 }
+
+/// What a document says of where its check comes from.
+const ORIGIN: [&str; 7] = [
+    "link",
+    "simulated",
+    "head",
+    "tool",
+    "station",
+    "operator",
+    "date",
+];
 
 /// What a replay reads of the stored document.
 #[derive(Deserialize)]
@@ -191,8 +205,13 @@ impl Replay {
             &host,
             &mut versions,
         );
+        let origin = ORIGIN.into_iter().filter_map(|key| {
+            let said = document.get(key)?;
+            Some((key, said.clone()))
+        });
         Ok(Self {
             id,
+            origin: origin.collect(),
             stored_verdict: stored.verdict,
             verdict: found.verdict.into(),
             reason: found.reason,

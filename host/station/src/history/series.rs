@@ -33,15 +33,16 @@ pub struct Point {
 }
 
 /// The checks that can be compared with the last one: of the same life of the tool, which begins anew where its cycles
-/// fall back, and judged by the same baseline.
+/// fall back, judged by the same baseline, and like it of the simulated bench, of a press, or of nobody knows what.
 pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
     let fallen = checks
         .windows(2)
         .rposition(|pair| pair[1].tool_cycles < pair[0].tool_cycles);
-    let baseline = checks.last().map(|last| &last.baseline);
+    let like = |check: &Check| (check.baseline.clone(), check.origin.simulated);
+    let last = checks.last().map(like);
     checks[fallen.map_or(0, |at| at + 1)..]
         .iter()
-        .filter(move |check| Some(&check.baseline) == baseline)
+        .filter(move |check| Some(like(check)) == last)
 }
 
 /// The measured figures of every flank, by tooth and flank.

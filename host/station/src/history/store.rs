@@ -6,8 +6,9 @@ use std::time::Duration;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, params};
 
 use super::error::HistoryError;
-use super::schema::{APPLICATION_ID, KEPT, TABLES, VERSION};
+use super::schema::{APPLICATION_ID, FROM_1_TO_2, KEPT, TABLES, VERSION};
 use crate::inspection::Inspection;
+use crate::origin::{HeadId, Origin};
 
 /// How long a writer waits for another one. Readers never wait and never keep a writer waiting.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -38,6 +39,9 @@ pub struct Check {
     pub verdict: String,
     /// Why.
     pub reason: String,
+    /// Where it comes from; nothing is known of the checks of layout 1.
+    #[serde(flatten)]
+    pub origin: Origin,
     /// One entry per inspected flank.
     pub flanks: Vec<FlankRow>,
 }
@@ -77,7 +81,7 @@ pub struct Acknowledgement {
 }
 
 impl History {
-    /// Opens a history for writing; makes it where there is none.
+    /// Opens a history for writing; makes it where there is none, and brings an earlier layout up to this one.
     ///
     /// # Errors
     /// The file cannot be opened, is none of this instrument, or of a later release.
@@ -152,6 +156,10 @@ impl History {
 
     /// Makes the tables of an empty file, all or none of them.
     fn make_tables(&self) -> Result<(), HistoryError> {
+        let pragma = |name: &str| -> rusqlite::Result<i32> {
+            self.connection
+                .pragma_query_value(None, name, |row| row.get(0))
+        };
         let make = || {
             // Another process may be making them at the same time: the lock comes before the look.
             self.connection.execute_batch("BEGIN IMMEDIATE")?;
@@ -160,18 +168,15 @@ impl History {
                     .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
             if objects == 0 {
                 self.connection.execute_batch(TABLES)?;
-                for table in KEPT {
-                    for event in ["UPDATE", "DELETE"] {
-                        self.connection.execute_batch(&format!(
-                            "CREATE TRIGGER {table}_keeps_{event} BEFORE {event} ON {table} \
-                             BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END"
-                        ))?;
-                    }
-                }
+                KEPT.into_iter().try_for_each(|table| self.protect(table))?;
                 self.connection
                     .pragma_update(None, "application_id", APPLICATION_ID)?;
                 self.connection
                     .pragma_update(None, "user_version", VERSION)?;
+            } else if pragma("application_id")? == APPLICATION_ID && pragma("user_version")? == 1 {
+                self.connection.execute_batch(FROM_1_TO_2)?;
+                self.protect("kind")?;
+                self.connection.pragma_update(None, "user_version", 2)?;
             }
             self.connection.execute_batch("COMMIT")
         };
@@ -179,6 +184,17 @@ impl History {
             let _ = self.connection.execute_batch("ROLLBACK");
             self.because("make its tables")(error)
         })
+    }
+
+    /// Rows of this table are only added.
+    fn protect(&self, table: &str) -> rusqlite::Result<()> {
+        for event in ["UPDATE", "DELETE"] {
+            self.connection.execute_batch(&format!(
+                "CREATE TRIGGER {table}_keeps_{event} BEFORE {event} ON {table} \
+                 BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END"
+            ))?;
+        }
+        Ok(())
     }
 
     fn check_layout(&self) -> Result<(), HistoryError> {
@@ -198,41 +214,112 @@ impl History {
         }
     }
 
+    /// Refuses checks of the simulated bench in a history of a press, and the other way around.
+    ///
+    /// # Errors
+    /// It holds checks of the other kind, or cannot be read.
+    pub fn takes(&self, simulated: bool) -> Result<(), HistoryError> {
+        match self.kind()? {
+            Some((holds, since)) if holds != simulated => Err(HistoryError::OtherKind {
+                path: self.path.clone(),
+                simulated: holds,
+                since,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether its checks are of the simulated bench, and since when; none while it has no check that says so.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn kind(&self) -> Result<Option<(bool, String)>, HistoryError> {
+        if self.number("user_version")? < 2 {
+            return Ok(None);
+        }
+        self.connection
+            .query_row("SELECT simulated, at FROM kind", [], |row| {
+                Ok((row.get(0)?, row.get(1)?))
+            })
+            .optional()
+            .map_err(self.because("read what it is of"))
+    }
+
+    /// How many of its checks may be of the simulated bench or of a press: an earlier release stored them.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn of_unknown_origin(&self) -> Result<i64, HistoryError> {
+        let unknown = if self.number("user_version")? < 2 {
+            "SELECT count(*) FROM inspection"
+        } else {
+            "SELECT count(*) FROM inspection WHERE simulated IS NULL"
+        };
+        self.connection
+            .query_row(unknown, [], |row| row.get(0))
+            .map_err(self.because("read it"))
+    }
+
     /// Stores a check, whole or not at all; when this returns, it is on the disk. Returns its number.
     ///
     /// `tool_cycles` says how many cycles the tool has done. Without it they are counted on from the last stored check by
     /// the controller's counter, which begins at zero with its power-up.
     ///
     /// # Errors
-    /// The disk is full, the file is locked for too long, or worse. Nothing of the check is stored then.
+    /// The disk is full, the file is locked for too long, it holds checks of the other kind, or worse. Nothing of the check
+    /// is stored then.
     pub fn record(
         &mut self,
         inspection: &Inspection,
         tool_cycles: Option<u32>,
     ) -> Result<i64, HistoryError> {
+        let simulated = inspection.origin.simulated;
+        simulated.map_or(Ok(()), |simulated| self.takes(simulated))?;
         let document =
-            serde_json::to_string(inspection).map_err(|source| HistoryError::Document {
+            serde_json::to_value(inspection).map_err(|source| HistoryError::Document {
                 path: self.path.clone(),
                 source,
             })?;
         let path = self.path.clone();
-        self.insert(inspection, tool_cycles, &document)
-            .map_err(|source| HistoryError::Database {
+        let stored = self.insert(inspection, tool_cycles, document);
+        let stored = stored.map_err(|source| HistoryError::Database {
+            path: path.clone(),
+            doing: "store the check",
+            source,
+        })?;
+        match stored {
+            Ok(id) => Ok(id),
+            // Somebody else stored the first check meanwhile, of the other kind.
+            Err((simulated, since)) => Err(HistoryError::OtherKind {
                 path,
-                doing: "store the check",
-                source,
-            })
+                simulated,
+                since,
+            }),
+        }
     }
 
     fn insert(
         &mut self,
         inspection: &Inspection,
         tool_cycles: Option<u32>,
-        document: &str,
-    ) -> rusqlite::Result<i64> {
+        mut document: serde_json::Value,
+    ) -> rusqlite::Result<Result<i64, (bool, String)>> {
         let transaction = self
             .connection
             .transaction_with_behavior(TransactionBehavior::Immediate)?;
+        // The first check decides whether the file is of the simulated bench.
+        if let Some(simulated) = inspection.origin.simulated {
+            transaction.execute(
+                "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
+                [simulated],
+            )?;
+            let kind = "SELECT simulated, at FROM kind";
+            let (holds, since) =
+                transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
+            if holds != simulated {
+                return Ok(Err((holds, since)));
+            }
+        }
         let tool = &inspection.tool;
         let counter = i64::from(inspection.press_cycles);
         let last: Option<(i64, i64)> = transaction
@@ -249,20 +336,41 @@ impl History {
             // The controller was switched off in between.
             (None, Some((cycles, _))) => cycles + counter,
         };
+        // Nobody else adds a row meanwhile: the check knows its number before it has one.
+        let id: i64 = transaction.query_row(
+            "SELECT 1 + coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'inspection'), 0)",
+            [],
+            |row| row.get(0),
+        )?;
+        document["id"] = id.into();
+        let Origin {
+            link,
+            simulated,
+            head,
+            station,
+            operator,
+        } = &inspection.origin;
         transaction.execute(
-            "INSERT INTO inspection (tool, tool_cycles, press_cycles, baseline, verdict, reason, document) \
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+            "INSERT INTO inspection (id, tool, tool_cycles, press_cycles, baseline, verdict, reason, document, \
+             link, simulated, head, head_blake3, station, operator) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
             params![
+                id,
                 tool,
                 tool_cycles,
                 counter,
                 inspection.hashes.get("baseline"),
                 inspection.verdict,
                 inspection.reason,
-                document
+                document.to_string(),
+                link,
+                simulated,
+                head.as_ref().map(|head| &head.name),
+                head.as_ref().map(|head| &head.blake3),
+                station,
+                operator
             ],
         )?;
-        let id = transaction.last_insert_rowid();
         {
             let mut row = transaction.prepare(
                 "INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code) \
@@ -283,7 +391,7 @@ impl History {
             }
         }
         transaction.commit()?;
-        Ok(id)
+        Ok(Ok(id))
     }
 
     /// Keeps the baseline that following checks are judged by.
@@ -351,11 +459,24 @@ impl History {
     /// # Errors
     /// The file cannot be read.
     pub fn checks(&self, tool: &str) -> Result<Vec<Check>, HistoryError> {
+        // A file of layout 1 that is only read stays as it is.
+        let origin = if self.number("user_version")? < 2 {
+            "NULL, NULL, NULL, NULL, NULL, NULL"
+        } else {
+            "link, simulated, head, head_blake3, station, operator"
+        };
         let mut checks = self.rows(
-            "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason FROM inspection \
-             WHERE tool = ?1 ORDER BY id",
+            &format!(
+                "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason, {origin} FROM inspection \
+                 WHERE tool = ?1 ORDER BY id"
+            ),
             [tool],
             |row| {
+                let (name, blake3): (Option<String>, Option<String>) = (row.get(10)?, row.get(11)?);
+                let head = name.map(|name| HeadId {
+                    name,
+                    blake3: blake3.unwrap_or_default(),
+                });
                 Ok(Check {
                     id: row.get(0)?,
                     at: row.get(1)?,
@@ -365,6 +486,13 @@ impl History {
                     baseline: row.get(5)?,
                     verdict: row.get(6)?,
                     reason: row.get(7)?,
+                    origin: Origin {
+                        link: row.get(8)?,
+                        simulated: row.get(9)?,
+                        head,
+                        station: row.get(12)?,
+                        operator: row.get(13)?,
+                    },
                     flanks: Vec::new(),
                 })
             },

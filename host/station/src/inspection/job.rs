@@ -29,6 +29,7 @@ use crate::baseline::Baseline;
 use crate::capture::{Frame, ServiceError, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientError, ClientSettings};
 use crate::history::{HistoryError, Keeper};
+use crate::origin::{self, HeadId, Origin, Setting};
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -43,6 +44,17 @@ pub struct Subject {
     pub baseline: Option<Arc<Baseline>>,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
+}
+
+impl Subject {
+    /// What a result says of where it comes from, found in this setting.
+    pub(crate) fn origin(&self, setting: Option<&Setting>) -> Origin {
+        let head = HeadId {
+            name: self.head.name.clone(),
+            blake3: self.hashes.get("head").cloned().unwrap_or_default(),
+        };
+        Origin::new(setting, head)
+    }
 }
 
 /// Why a check could not run at all. What goes wrong once it runs ends in an indeterminate verdict instead.
@@ -106,12 +118,14 @@ pub enum Progress {
 }
 
 impl Station {
-    /// Starts the capture and compute threads for one subject, with frames arriving below `root`.
+    /// Starts the capture and compute threads for one subject, with frames arriving below `root`. Results say that they
+    /// come from `setting`.
     ///
     /// # Errors
     /// The subject is unfit, or shared memory is refused.
     pub fn open(
         subject: Subject,
+        setting: Setting,
         teeth: Option<&[u32]>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
@@ -130,15 +144,19 @@ impl Station {
             outcome.phasors.push(Phasors::of(sums));
             outcome
         };
-        Self::start(subject, itinerary, decoder, root, evaluate)
+        let mut station = Self::start(subject, itinerary, decoder, root, evaluate)?;
+        station.setting = Some(setting);
+        Ok(station)
     }
 
     /// Stores every check from now on: a verdict is then only given once it is on the disk.
     ///
     /// # Errors
-    /// The history cannot be written.
+    /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
     pub fn keep(&mut self, mut keeper: Keeper) -> Result<(), InspectError> {
-        keeper.begin(&self.subject.tool.name, self.subject.baseline.as_deref())?;
+        let simulated = self.setting.as_ref().map(|s| s.link.is_simulated());
+        let baseline = self.subject.baseline.as_deref();
+        keeper.begin(&self.subject.tool.name, simulated, baseline)?;
         self.keeper = Some(keeper);
         Ok(())
     }
@@ -259,6 +277,8 @@ impl Station {
             press_cycles: run.press_cycles,
             peak_memory_mb: peak_memory_mb(),
             registration: found.registration,
+            origin: self.subject.origin(self.setting.as_ref()),
+            date: origin::now(),
             tool: self.subject.tool.name.clone(),
             temperature_degc: self.subject.temperature_degc,
             versions,

@@ -7,6 +7,7 @@ use flankscope_metrology::wear::PoseEvidence;
 use serde::Serialize;
 
 use crate::baseline::Reference;
+use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
 pub use super::recorder::Picture;
@@ -199,9 +200,13 @@ pub struct WeakDirection {
 /// The whole result: serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Inspection {
-    /// Number of the check in the history that it was stored in.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    /// Number of the check in the history that it was stored in; null where it is in none.
     pub id: Option<i64>,
+    /// Where it comes from.
+    #[serde(flatten)]
+    pub origin: Origin,
+    /// When it ended: ISO 8601, UTC, by the host's clock.
+    pub date: String,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
     /// Why, in one sentence.

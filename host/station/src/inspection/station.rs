@@ -13,6 +13,7 @@ use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSetti
 use super::views::ViewOutcome;
 use crate::capture::{FrameReceiver, SharedRoot};
 use crate::history::Keeper;
+use crate::origin::Setting;
 
 /// The instrument's host side: its threads run, frames have a place to arrive.
 ///
@@ -29,6 +30,8 @@ pub struct Station<O = ViewOutcome, S = Subject> {
     pub(crate) itinerary: Arc<Itinerary>,
     /// Where checks are stored, if they are.
     pub(crate) keeper: Option<Keeper>,
+    /// Where it works; not told where nobody asks.
+    pub(crate) setting: Option<Setting>,
 }
 
 impl<O: Send + 'static, S> Station<O, S> {
@@ -102,6 +105,7 @@ impl<O: Send + 'static, S> Station<O, S> {
             compute: Some(compute),
             itinerary,
             keeper: None,
+            setting: None,
         })
     }
 

@@ -16,6 +16,9 @@ struct Page<'a> {
     tool: &'a str,
     checks: usize,
     last: Option<&'a Check>,
+    last_number: String,
+    simulated: bool,
+    unknown: usize,
     flanks: Vec<Flank<'a>>,
     listed: Vec<&'a Check>,
     acknowledgements: &'a [Acknowledgement],
@@ -48,6 +51,12 @@ pub fn history_html(
         tool,
         checks: checks.len(),
         last: checks.last(),
+        last_number: super::numbered(checks.last().map(|last| last.id)),
+        simulated: checks.iter().any(|check| check.origin.is_simulated()),
+        unknown: checks
+            .iter()
+            .filter(|check| check.origin.simulated.is_none())
+            .count(),
         flanks: flanks.collect(),
         listed: checks.iter().rev().take(LISTED).collect(),
         acknowledgements,

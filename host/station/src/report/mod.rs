@@ -15,6 +15,7 @@ pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 
 use crate::inspection::{FlankMap, Inspection};
+use crate::origin::Origin;
 
 /// What the figures of a check are: the same words in reports, help texts and documentation.
 pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in its \
@@ -28,6 +29,9 @@ is told from none with 5 % errors of both kinds: damage that takes less than tha
 #[template(path = "report.html")]
 struct Page<'a> {
     inspection: &'a Inspection,
+    origin: &'a Origin,
+    date: &'a str,
+    check: String,
     maps: Vec<Map<'a>>,
     colour_bar: String,
     histogram: String,
@@ -79,6 +83,9 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         .map(|f| [(-f.warn_um, "warn"), (-f.limit_um, "stop")]);
     let page = Page {
         inspection,
+        origin: &inspection.origin,
+        date: &inspection.date,
+        check: numbered(inspection.id),
         maps,
         colour_bar: chart::colour_bar(full_um),
         histogram: chart::histogram(
@@ -94,6 +101,14 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         max_abs_um: full_um,
     };
     page.render()
+}
+
+/// A check by its number in the history.
+fn numbered(id: Option<i64>) -> String {
+    id.map_or_else(
+        || "in no history".into(),
+        |id| format!("check {id} of its history"),
+    )
 }
 
 fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {

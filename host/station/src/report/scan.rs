@@ -9,7 +9,8 @@ use flankscope_metrology::deviation::Statistics;
 use super::plot::{Axes, Series, binned};
 use super::{chart, colour};
 use crate::inspection::Feature;
-use crate::scan::{Metrics, OppositeTeeth, Scan, ScanRegistration};
+use crate::origin::Origin;
+use crate::scan::{Metrics, OppositeTeeth, Scan, ScanRegistration, percent};
 
 /// Smallest full scale of the pictures, µm.
 const LEAST_FULL_UM: f64 = 20.0;
@@ -24,6 +25,10 @@ const WORST_SPACINGS: usize = 6;
 #[template(path = "scan.html")]
 struct Page<'a> {
     scan: &'a Scan,
+    origin: &'a Origin,
+    date: &'a str,
+    check: &'static str,
+    percent: String,
     registered: usize,
     deviation: String,
     colour_bar: String,
@@ -75,6 +80,10 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     spacing.truncate(WORST_SPACINGS);
     let page = Page {
         scan,
+        origin: &scan.origin,
+        date: &scan.date,
+        check: "in no history, as all scans",
+        percent: percent(scan.coverage_ratio),
         registered: scan.registration.len() - lost.clone().count(),
         deviation: of_cells(scan, "Deviation over the unrolled bore", |cell| {
             colour::diverging(cell.deviation_mm * 1e3 / full_um)

@@ -1,29 +1,36 @@
 //! What should have been seen and was not: a flank that nobody looked at is never a go.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::cylinder::{CylinderMap, Layout};
 use flankscope_metrology::gear::{Flank, GearData};
 use serde::Serialize;
 
 use crate::inspection::PlannedView;
 
-/// A field of which less than this share was seen is a hole. Some six cells lie across a flank, of which a die that stands askew
-/// hides one or two at an edge.
+/// A field of which less than this share was seen is a hole. Some five cells lie across a judged flank, of which a die that
+/// stands askew hides one or two at an edge.
 pub(super) const LEAST_COVERAGE: f64 = 0.6;
-/// More holes than this, share of all fields, and the scan is no go.
-pub(super) const MOST_HOLES: f64 = 0.05;
 /// A view answers for at most so much of its tooth above and below its middle, mm: its field is 10 mm wide and round.
 const HALF_FIELD_MM: f64 = 4.0;
 
-/// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height.
+/// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height. A scan is for the teeth
+/// and heights that it looked at and says nothing of the others.
 #[derive(Clone, Debug, Serialize)]
 pub struct Coverage {
     /// How many.
     pub fields: usize,
-    /// Least share of a field that has to be seen, of what the best one shows.
+    /// Teeth that were asked for and seen: both flanks, at every height asked for.
+    pub teeth: usize,
+    /// Teeth of the gear.
+    pub of_teeth: u32,
+    /// Heights asked for.
+    pub heights: usize,
+    /// Least share of a field that has to be seen.
     pub least_ratio: f64,
-    /// Those that were not.
+    /// Share that was seen of the field of which least was seen.
+    pub worst_ratio: f64,
+    /// Those of which less was seen than has to be.
     pub holes: Vec<Hole>,
 }
 
@@ -36,15 +43,23 @@ pub struct Hole {
     pub flank: String,
     /// Height of the view's middle, mm.
     pub vertical_mm: f64,
-    /// Share that was seen, of what the best field shows.
+    /// Share that was seen.
     pub seen_ratio: f64,
 }
 
+/// Cells of the map across a flank between two radii, by the gear's own involute.
+pub(super) fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
+    let [from, to] = radius_mm.map(|r| gear.half_tooth_rad(r.max(gear.base_radius_mm())));
+    let span_rad = (to.unwrap_or(0.0) - from.unwrap_or(0.0)).abs();
+    (span_rad / std::f64::consts::TAU * layout.columns as f64).max(1.0)
+}
+
 impl Coverage {
-    /// Counts the cells of every field.
+    /// Counts the cells of every field between these radii.
     pub(super) fn of(
         map: &CylinderMap,
         gear: &GearData,
+        radius_mm: [f64; 2],
         planned: &[PlannedView],
         least_ratio: f64,
     ) -> Self {
@@ -55,7 +70,8 @@ impl Coverage {
             if let (Some(at), Some(row)) = (
                 gear.place(cell.point, cell.normal),
                 layout.row_of(cell.point[2]),
-            ) {
+            ) && (radius_mm[0]..=radius_mm[1]).contains(&at.radius_mm)
+            {
                 let rows = seen
                     .entry((at.tooth, at.flank))
                     .or_insert_with(|| vec![0; layout.rows]);
@@ -64,59 +80,83 @@ impl Coverage {
         }
         let [low, high] = layout.height_mm;
         let row_mm = (high - low) / layout.rows as f64;
-        let count = |tooth: u32, flank: Flank, vertical_mm: f64| {
+        let across = cells_across(gear, &layout, radius_mm);
+        let ratio = |tooth: u32, flank: Flank, vertical_mm: f64| {
             let row = |z: f64| ((z - low) / row_mm).clamp(0.0, layout.rows as f64) as usize;
             let rows = row(vertical_mm - HALF_FIELD_MM)..row(vertical_mm + HALF_FIELD_MM);
+            let all = rows.len().max(1) as f64 * across;
             let cells = seen.get(&(tooth, flank)).and_then(|of| of.get(rows));
-            cells.map_or(0, |cells| cells.iter().sum::<usize>())
+            let cells = cells.map_or(0, |cells| cells.iter().sum::<usize>());
+            (cells as f64 / all).min(1.0)
         };
-        let fields: Vec<(u32, Flank, f64, usize)> = planned
+        let fields: Vec<Hole> = planned
             .iter()
             .flat_map(|view| Flank::BOTH.map(|flank| (view.tooth, flank, view.vertical_mm)))
-            .map(|(tooth, flank, z)| (tooth, flank, z, count(tooth, flank, z)))
+            .map(|(tooth, flank, vertical_mm)| Hole {
+                tooth,
+                flank: flank.to_string(),
+                vertical_mm,
+                seen_ratio: ratio(tooth, flank, vertical_mm),
+            })
             .collect();
-        let most = fields.iter().map(|field| field.3).max().unwrap_or(0).max(1) as f64;
-        let holes = fields
-            .iter()
-            .filter_map(|&(tooth, flank, vertical_mm, cells)| {
-                let seen_ratio = cells as f64 / most;
-                (seen_ratio < least_ratio).then(|| Hole {
-                    tooth,
-                    flank: flank.to_string(),
-                    vertical_mm,
-                    seen_ratio,
-                })
-            });
+        let worst_ratio = fields.iter().map(|field| field.seen_ratio);
+        let worst_ratio = worst_ratio.reduce(f64::min).unwrap_or(0.0);
+        let mut heights: Vec<f64> = planned.iter().map(|view| view.vertical_mm).collect();
+        heights.sort_by(f64::total_cmp);
+        heights.dedup();
+        let mut teeth: BTreeSet<u32> = planned.iter().map(|view| view.tooth).collect();
+        let count = fields.len();
+        let is_hole = |field: &Hole| field.seen_ratio < least_ratio;
+        let holes: Vec<Hole> = fields.into_iter().filter(is_hole).collect();
+        for hole in &holes {
+            teeth.remove(&hole.tooth);
+        }
         Self {
-            fields: fields.len(),
+            fields: count,
+            teeth: teeth.len(),
+            of_teeth: gear.teeth,
+            heights: heights.len(),
             least_ratio,
-            holes: holes.collect(),
+            worst_ratio,
+            holes,
         }
     }
 
-    /// Share of the fields that are holes.
+    /// What a verdict is for, in words; `bore_ratio` is the share of the bore that was seen.
     #[must_use]
-    pub fn hole_ratio(&self) -> f64 {
-        self.holes.len() as f64 / self.fields.max(1) as f64
+    pub fn looked_at(&self, bore_ratio: f64) -> String {
+        format!(
+            "{} of {} teeth at {} height{}, {} % of the bore",
+            self.teeth,
+            self.of_teeth,
+            self.heights,
+            if self.heights == 1 { "" } else { "s" },
+            percent(bore_ratio)
+        )
     }
 
-    /// Why the scan cannot be a go, if it cannot.
+    /// Why the scan cannot be a go, if it cannot: less was seen than was asked for.
     pub(super) fn objection(&self) -> Option<String> {
         let first = self.holes.first()?;
-        (self.hole_ratio() > MOST_HOLES).then(|| {
-            format!(
-                "{} of {} planned flank fields were seen to less than {:.0} %, at most {:.0} % of them may be; the first is tooth {} {} at {:.1} mm with {:.0} %",
-                self.holes.len(),
-                self.fields,
-                100.0 * self.least_ratio,
-                100.0 * MOST_HOLES,
-                first.tooth,
-                first.flank,
-                first.vertical_mm,
-                100.0 * first.seen_ratio,
-            )
-        })
+        Some(format!(
+            "{} of {} planned flank fields were seen to less than {:.0} %; the first is tooth {} {} at {:.1} mm with {:.0} %",
+            self.holes.len(),
+            self.fields,
+            100.0 * self.least_ratio,
+            first.tooth,
+            first.flank,
+            first.vertical_mm,
+            100.0 * first.seen_ratio,
+        ))
     }
+}
+
+/// A share in percent; only all of it is 100.
+#[must_use]
+pub fn percent(ratio: f64) -> String {
+    let rounded = (1e3 * ratio).round() / 10.0;
+    let most = if ratio < 1.0 { 99.9 } else { 100.0 };
+    format!("{:.1}", rounded.min(most))
 }
 
 #[cfg(test)]
@@ -158,26 +198,28 @@ mod tests {
                     if lost(tooth, z) {
                         continue;
                     }
-                    let point = gear
-                        .flank_point(tooth, flank, 42.0, z)
-                        .expect("on the flank");
-                    let angle = point[1].atan2(point[0]);
-                    let side = flank.sign();
-                    let column = ((angle / std::f64::consts::TAU + 0.5) * layout.columns as f64)
-                        .rem_euclid(layout.columns as f64)
-                        as usize;
-                    let witness = Witness {
-                        cell: (row * layout.columns + column) as u32,
-                        weight: 1e6,
-                        deviation_mm: 0.0,
-                        point: point.map(|c| c as f32),
-                        normal: [
-                            (-side * angle.sin()) as f32,
-                            (side * angle.cos()) as f32,
-                            0.0,
-                        ],
-                    };
-                    map.add_view(&[witness], |_| 0.0);
+                    for radius in [41.2, 41.6, 42.0, 42.4, 42.8] {
+                        let point = gear
+                            .flank_point(tooth, flank, radius, z)
+                            .expect("on the flank");
+                        let angle = point[1].atan2(point[0]);
+                        let side = flank.sign();
+                        let column = ((angle / std::f64::consts::TAU + 0.5) * layout.columns as f64)
+                            .rem_euclid(layout.columns as f64)
+                            as usize;
+                        let witness = Witness {
+                            cell: (row * layout.columns + column) as u32,
+                            weight: 1e6,
+                            deviation_mm: 0.0,
+                            point: point.map(|c| c as f32),
+                            normal: [
+                                (-side * angle.sin()) as f32,
+                                (side * angle.cos()) as f32,
+                                0.0,
+                            ],
+                        };
+                        map.add_view(&[witness], |_| 0.0);
+                    }
                 }
             }
         }
@@ -196,36 +238,54 @@ mod tests {
             .collect()
     }
 
+    fn of(map: &CylinderMap) -> Coverage {
+        Coverage::of(
+            map,
+            &gear(),
+            gear().active_flank_mm(),
+            &plan(),
+            LEAST_COVERAGE,
+        )
+    }
+
     #[test]
     fn a_whole_map_has_no_hole_and_an_empty_one_nothing_else() {
-        let whole = Coverage::of(&map(|_, _| false), &gear(), &plan(), LEAST_COVERAGE);
+        let whole = of(&map(|_, _| false));
         assert_eq!((whole.fields, whole.holes.len()), (2 * 588, 0));
         assert_eq!(whole.objection(), None);
-        let nothing = Coverage::of(&map(|_, _| true), &gear(), &plan(), LEAST_COVERAGE);
-        assert_eq!(nothing.hole_ratio(), 1.0);
+        assert_eq!((whole.teeth, whole.heights), (84, 7));
+        let said = whole.looked_at(0.1234);
+        assert_eq!(said, "84 of 84 teeth at 7 heights, 12.3 % of the bore");
+        let nothing = of(&map(|_, _| true));
+        assert_eq!((nothing.holes.len(), nothing.teeth), (2 * 588, 0));
+        assert_eq!(nothing.worst_ratio, 0.0);
         assert!(nothing.objection().is_some());
     }
 
     #[test]
-    fn a_hole_is_named_and_too_many_of_them_are_no_go() {
-        // The third layer (18.9..28.3 mm) of five teeth: 10 of 1176 fields.
-        let third = |tooth: u32, z: f64| (20..25).contains(&tooth) && (18.9..28.3).contains(&z);
-        let few = Coverage::of(&map(third), &gear(), &plan(), LEAST_COVERAGE);
-        assert_eq!(few.holes.len(), 10);
-        assert_eq!((few.holes[0].tooth, few.holes[0].seen_ratio), (20, 0.0));
-        assert_eq!(few.objection(), None, "below one percent");
-        // Five teeth over the whole height: 70 of 1176, 6 %.
-        let five = Coverage::of(
-            &map(|tooth, _| (20..25).contains(&tooth)),
-            &gear(),
-            &plan(),
-            LEAST_COVERAGE,
-        );
-        assert_eq!(five.holes.len(), 70);
-        let why = five.objection().expect("too many");
+    fn every_hole_is_named_and_one_is_enough() {
+        // The third layer (18.9..28.3 mm) of one tooth.
+        let one = of(&map(|tooth, z| tooth == 20 && (18.9..28.3).contains(&z)));
+        assert_eq!((one.holes.len(), one.teeth), (2, 83));
+        assert_eq!((one.holes[0].tooth, one.holes[0].seen_ratio), (20, 0.0));
+        let why = one.objection().expect("a hole");
         assert!(
-            why.contains("70 of 1176") && why.contains("tooth 20"),
+            why.contains("2 of 1176") && why.contains("tooth 20"),
             "{why}"
         );
+    }
+
+    #[test]
+    fn a_map_of_which_little_is_seen_everywhere_is_no_go() {
+        // Every third row: no field is worse than another, and none was seen.
+        let sparse = of(&map(|_, z| !((z / 0.25) as usize).is_multiple_of(3)));
+        assert_eq!(sparse.holes.len(), sparse.fields);
+        assert!(sparse.objection().is_some());
+    }
+
+    #[test]
+    fn only_all_of_it_is_a_hundred_percent() {
+        let said = [0.0847, 0.9996, 1.0].map(percent);
+        assert_eq!(said, ["8.5", "99.9", "100.0"]);
     }
 }

@@ -9,11 +9,12 @@ use flankscope_metrology::joint::{Solution, ViewInformation};
 use flankscope_metrology::spacing::opposite;
 use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
 
-use super::coverage::{Coverage, LEAST_COVERAGE};
+use super::coverage::{Coverage, LEAST_COVERAGE, cells_across};
 use super::job::Scanner;
 use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
 use super::stitch::Stitched;
 use crate::inspection::{Feature, FrameCount, Subject, Timing, calibration_um};
+use crate::origin;
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -73,8 +74,15 @@ impl Scanner {
         let (features, judged) = self.features(&map);
         let spacing = self.spacing(&map, &views, &joint);
         let mut verdict = combine(judged).to_string();
+        let zone = self.station.subject.tool.zone();
+        let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
+        let coverage = Coverage::of(&map, &self.gear, radius_mm, planned, LEAST_COVERAGE);
+        // A verdict is for what was looked at, and says so.
+        let looked_at = coverage.looked_at(map.coverage());
         let mut reason = match verdict.as_str() {
-            "go" => "every flank that was seen is below the warning limit".to_string(),
+            "go" => format!(
+                "go for {looked_at} looked at: every flank that was seen is below the warning limit"
+            ),
             other => {
                 let named: Vec<String> = features
                     .iter()
@@ -82,21 +90,24 @@ impl Scanner {
                     .take(5)
                     .map(|f| format!("tooth {} {}", f.tooth, f.flank))
                     .collect();
-                format!("{other}: {}", named.join(", "))
+                format!("{other}: {}; {looked_at} looked at", named.join(", "))
             }
         };
-        let coverage = Coverage::of(&map, &self.gear, planned, LEAST_COVERAGE);
-        if verdict == "go" && !coverage.holes.is_empty() {
-            reason += &format!(
-                "; {} of {} flank fields were seen to less than {:.0} %",
-                coverage.holes.len(),
-                coverage.fields,
-                100.0 * coverage.least_ratio
-            );
-        }
-        // What is missing takes nothing from a wear that was found.
-        if let Some(why) = coverage.objection().filter(|_| verdict != "no-go") {
-            (verdict, reason) = ("indeterminate".into(), why);
+        match coverage.objection() {
+            // What is missing takes nothing from a wear that was found.
+            Some(why) if verdict == "no-go" => reason += &format!("; {why}"),
+            Some(why) if verdict == "go" => {
+                (verdict, reason) = (
+                    "indeterminate".into(),
+                    format!("less was seen than was asked for: {why}; {looked_at} looked at"),
+                );
+            }
+            Some(why) => {
+                verdict = "indeterminate".into();
+                reason =
+                    format!("less was seen than was asked for: {why}; what was seen is {reason}");
+            }
+            None => {}
         }
         let registered = laid.len() as f64 / planned.len() as f64;
         if registered < LEAST_REGISTERED {
@@ -125,6 +136,8 @@ impl Scanner {
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
         Scan {
+            origin: self.station.subject.origin(self.station.setting.as_ref()),
+            date: origin::now(),
             verdict,
             reason,
             features,
@@ -215,7 +228,9 @@ impl Scanner {
                 sums.2 += (cell.sigma_mm * 1e3).powi(2);
             }
         }
-        let most = flanks.values().map(|sums| sums.0).max().unwrap_or(1) as f64;
+        let layout = map.layout();
+        let radii = [self.gear.tip_radius_mm, self.gear.root_radius_mm];
+        let all = layout.rows as f64 * cells_across(&self.gear, &layout, radii);
         let Subject { tool, head, .. } = &self.station.subject;
         let rule = tool
             .inspect
@@ -242,7 +257,7 @@ impl Scanner {
                     wear_um: Some(mean_um),
                     u95_um: Some(1.96 * u_um),
                     mean_um: Some(mean_um),
-                    coverage_ratio: cells as f64 / most,
+                    coverage_ratio: (cells as f64 / all).min(1.0),
                     warn_um: rule.warn_um,
                     limit_um: rule.limit_um,
                     conformity: Some(probability_below(rule.limit_um, mean_um, u_um)),

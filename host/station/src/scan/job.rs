@@ -31,6 +31,7 @@ use crate::inspection::{
     EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
     Subject, Timing, field_slope, hand_eye, peak_memory_mb,
 };
+use crate::origin::Setting;
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
@@ -96,12 +97,14 @@ pub struct Scanner {
 
 impl Scanner {
     /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads. `of` names what
-    /// else must be the same for the scan to go on, beside grid, tool, CAD and head.
+    /// else must be the same for the scan to go on, beside grid, tool, CAD and head. The result says that it comes from
+    /// `setting`.
     ///
     /// # Errors
     /// The subject is unfit, the folder is another scan's or damaged, or shared memory is refused.
     pub fn open(
         subject: Subject,
+        setting: Setting,
         grid: Grid,
         folder: &Path,
         of: &BTreeMap<String, String>,
@@ -119,9 +122,10 @@ impl Scanner {
             store,
         } = Workshop::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
-        let station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
+        let mut station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
             views.scan(view, sums)
         })?;
+        station.setting = Some(setting);
         Ok(Self {
             station,
             store,
@@ -141,7 +145,9 @@ impl Scanner {
     /// The earlier result cannot be used.
     pub fn against(mut self, earlier: Option<&Path>) -> Result<Self, ReferenceError> {
         let cad = self.station.subject.hashes.get("cad").map(String::as_str);
-        let load = |path: &Path| Reference::load(path, cad);
+        let setting = self.station.setting.as_ref();
+        let simulated = setting.map(|setting| setting.link.is_simulated());
+        let load = |path: &Path| Reference::load(path, cad, simulated);
         self.reference = earlier.map(load).transpose()?;
         Ok(self)
     }

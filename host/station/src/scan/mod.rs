@@ -46,7 +46,7 @@ mod view;
 mod workshop;
 
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
-pub use coverage::{Coverage, Hole};
+pub use coverage::{Coverage, Hole, percent};
 pub use grid::{Grid, GridError};
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};

@@ -8,6 +8,7 @@ use flankscope_metrology::gear::Flank;
 use serde::{Deserialize, Serialize};
 
 use crate::inspection::Feature;
+use crate::origin::looked_at;
 
 /// Why there is nothing to compare with.
 #[derive(Debug, thiserror::Error)]
@@ -41,6 +42,16 @@ pub enum ReferenceError {
         /// Its reason.
         reason: String,
     },
+    /// A scan of the simulated bench beside one of a press.
+    #[error(
+        "{path} is a scan of {}, this is one of {}: they say nothing about each other; name a scan of the same die", looked_at(!simulated), looked_at(*simulated)
+    )]
+    OtherKind {
+        /// The file.
+        path: PathBuf,
+        /// Whether this scan is of the simulated bench.
+        simulated: bool,
+    },
     /// A scan against another CAD.
     #[error(
         "{path} was measured against another CAD: its BLAKE3 is {got}, this tool's is {expected}"
@@ -62,6 +73,8 @@ struct Document {
     reason: String,
     features: Vec<Entry>,
     hashes: BTreeMap<String, String>,
+    /// Absent in those of earlier releases.
+    simulated: Option<bool>,
 }
 
 #[derive(Deserialize)]
@@ -78,11 +91,16 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Reads a scan's document, or that in a report's folder; `cad` is the BLAKE3 of this scan's CAD.
+    /// Reads a scan's document, or that in a report's folder; `cad` is the BLAKE3 of this scan's CAD, `simulated` says
+    /// whether it is of the simulated bench.
     ///
     /// # Errors
-    /// It cannot be read, is no scan's, judges no flank, or is of another CAD.
-    pub fn load(path: &Path, cad: Option<&str>) -> Result<Self, ReferenceError> {
+    /// It cannot be read, is no scan's, judges no flank, is of another CAD, or of the bench where this is of a press.
+    pub fn load(
+        path: &Path,
+        cad: Option<&str>,
+        simulated: Option<bool>,
+    ) -> Result<Self, ReferenceError> {
         let path = if path.is_dir() {
             path.join("scan.json")
         } else {
@@ -103,6 +121,11 @@ impl Reference {
                 got: got.into(),
                 expected: expected.into(),
             });
+        }
+        if let (Some(there), Some(simulated)) = (document.simulated, simulated)
+            && there != simulated
+        {
+            return Err(ReferenceError::OtherKind { path, simulated });
         }
         let of = |entry: &Entry| flank_mean(entry.tooth, &entry.flank, entry.mean_um);
         let flanks: Vec<FlankMean> = document.features.iter().filter_map(of).collect();

@@ -14,10 +14,16 @@ use super::overlaps::Steps;
 use super::paper::PaperStitched;
 use super::reference::Placement;
 use crate::inspection::{Feature, FrameCount, Timing};
+use crate::origin::Origin;
 
 /// The whole result: serialised as the `--json` document.
 #[derive(Clone, Debug, Serialize)]
 pub struct Scan {
+    /// Where it comes from.
+    #[serde(flatten)]
+    pub origin: Origin,
+    /// When it ended: ISO 8601, UTC, by the host's clock.
+    pub date: String,
     /// `go`, `warn`, `no-go` or `indeterminate`.
     pub verdict: String,
     /// Why, in one sentence.

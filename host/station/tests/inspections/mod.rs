@@ -3,6 +3,7 @@
 use flankscope_station::inspection::{
     Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };
+use flankscope_station::origin::Origin;
 
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
 pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection {
@@ -31,6 +32,8 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
     };
     Inspection {
         id: None,
+        origin: Origin::default(),
+        date: "2026-01-31T12:00:00Z".into(),
         verdict: verdict.into(),
         reason: reason.into(),
         features: [12, 40, 68]
@@ -55,6 +58,7 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         stopped: None,
         phasors: vec![phasors],
         fields: Vec::new(),
+        poses: Vec::new(),
         pictures: Pictures::default(),
     }
 }

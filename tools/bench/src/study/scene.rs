@@ -164,6 +164,7 @@ impl<'a> Scene<'a> {
             Some(Baseline {
                 tool: self.tool.name.clone(),
                 hashes: std::collections::BTreeMap::new(),
+                simulated: Some(true),
                 flanks: golden.fields,
                 poses: golden.pose.into_iter().collect(),
             }),

@@ -39,6 +39,7 @@ pub(super) fn on_master_um(tool: &Tool, head: &HeadModel, seed: u64) -> anyhow::
         let baseline = Baseline {
             tool: tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
+            simulated: Some(true),
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
         };

@@ -1,0 +1,210 @@
+//! Where a result comes from: through which link, from a bench or a press, by which head, at which station, for whom.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use flankscope_profilometry::date::Date;
+use serde::Serialize;
+
+/// What the instrument's controller is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// The simulated bench.
+    Sim,
+    /// The simulated bench, with the firmware image in the emulator.
+    Qemu,
+    /// A controller at a port.
+    Port(PathBuf),
+}
+
+/// Not a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "an empty text is no link; sim, qemu or the controller's port, such as /dev/ttyACM0, would be"
+)]
+pub struct NoLink;
+
+impl Link {
+    /// Whether there is no real die at its other end.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        !matches!(self, Self::Port(_))
+    }
+}
+
+impl FromStr for Link {
+    type Err = NoLink;
+
+    fn from_str(text: &str) -> Result<Self, NoLink> {
+        match text {
+            "" => Err(NoLink),
+            "sim" => Ok(Self::Sim),
+            "qemu" => Ok(Self::Qemu),
+            port => Ok(Self::Port(port.into())),
+        }
+    }
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sim => f.write_str("sim"),
+            Self::Qemu => f.write_str("qemu"),
+            Self::Port(port) => port.display().fmt(f),
+        }
+    }
+}
+
+/// Where an instrument works, and for whom.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Setting {
+    /// Its controller.
+    pub link: Link,
+    /// Name of the station.
+    pub station: String,
+    /// Who runs it, if that is known.
+    pub operator: Option<String>,
+}
+
+/// A head by name and file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct HeadId {
+    /// Its name, as its file says.
+    pub name: String,
+    /// BLAKE3 of its file.
+    pub blake3: String,
+}
+
+/// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Origin {
+    /// `sim`, `qemu` or the controller's port.
+    pub link: Option<String>,
+    /// Whether it is of the simulated bench: no real die was looked at.
+    pub simulated: Option<bool>,
+    /// The head.
+    pub head: Option<HeadId>,
+    /// Name of the station.
+    pub station: Option<String>,
+    /// Who ran it.
+    pub operator: Option<String>,
+}
+
+impl Origin {
+    /// Of a result that an instrument in this setting found with this head.
+    #[must_use]
+    pub fn new(setting: Option<&Setting>, head: HeadId) -> Self {
+        Self {
+            link: setting.map(|setting| setting.link.to_string()),
+            simulated: setting.map(|setting| setting.link.is_simulated()),
+            head: Some(head),
+            station: setting.map(|setting| setting.station.clone()),
+            operator: setting.and_then(|setting| setting.operator.clone()),
+        }
+    }
+
+    /// Whether it is known to be of the simulated bench.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.simulated == Some(true)
+    }
+
+    /// What was looked at, in words.
+    #[must_use]
+    pub fn place(&self) -> String {
+        let through = |what: &str| match &self.link {
+            Some(link) => format!("{what} ({link})"),
+            None => what.to_owned(),
+        };
+        match self.simulated {
+            Some(true) => through("simulated bench"),
+            Some(false) => through("press"),
+            None => "unknown: stored by an earlier release".into(),
+        }
+    }
+
+    /// Each particular with its name, for a table.
+    #[must_use]
+    pub fn particulars(&self) -> Vec<(&'static str, String)> {
+        let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "–".into());
+        let head = self.head.as_ref();
+        vec![
+            ("looked at", self.place()),
+            ("station", or_dash(&self.station)),
+            ("operator", or_dash(&self.operator)),
+            ("head", or_dash(&head.map(|head| head.name.clone()))),
+        ]
+    }
+}
+
+/// What is looked at, by whether it is simulated.
+pub(crate) fn looked_at(simulated: bool) -> &'static str {
+    if simulated {
+        "the simulated bench"
+    } else {
+        "a real press"
+    }
+}
+
+/// This moment by the host's clock: ISO 8601, UTC, to the second.
+#[must_use]
+pub fn now() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    moment(since.map_or(0, |since| since.as_secs()))
+}
+
+fn moment(seconds: u64) -> String {
+    const DAY: u64 = 86_400;
+    let day = Date::of_days(seconds / DAY);
+    let of_day = seconds % DAY;
+    format!(
+        "{day}T{:02}:{:02}:{:02}Z",
+        of_day / 3600,
+        of_day / 60 % 60,
+        of_day % 60
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_read_and_say_whether_a_die_is_there() {
+        for (text, simulated) in [("sim", true), ("qemu", true), ("/dev/ttyACM0", false)] {
+            let link: Link = text.parse().unwrap();
+            assert_eq!(
+                (link.to_string().as_str(), link.is_simulated()),
+                (text, simulated)
+            );
+        }
+        assert!("".parse::<Link>().is_err());
+    }
+
+    #[test]
+    fn moments_are_written_in_utc() {
+        assert_eq!(moment(0), "1970-01-01T00:00:00Z");
+        assert_eq!(moment(951_827_696), "2000-02-29T12:34:56Z");
+        assert_eq!(moment(4_102_444_799), "2099-12-31T23:59:59Z");
+    }
+
+    #[test]
+    fn an_unknown_origin_says_so() {
+        let unknown = Origin::default();
+        assert!(unknown.place().contains("unknown") && !unknown.is_simulated());
+        let head = HeadId {
+            name: "head".into(),
+            blake3: String::new(),
+        };
+        let setting = Setting {
+            link: Link::Qemu,
+            station: "press 7".into(),
+            operator: None,
+        };
+        let known = Origin::new(Some(&setting), head);
+        assert_eq!(known.place(), "simulated bench (qemu)");
+        assert_eq!(known.simulated, Some(true));
+    }
+}
