@@ -310,9 +310,14 @@ fn case(seed: u64) -> Case {
     let raster = Raster::of(&shape);
     let (largest, deepest) = raster.largest(limits().area_mm2);
     let target_um = draw.uniform(0.0, 120.0);
-    // A shape that only stands proud cannot be scaled to a loss: it is as it is.
-    let scale = if largest > 1e-3 {
-        target_um / largest
+    // A shape that only stands proud cannot be scaled to a loss. Nothing is deeper than half a millimetre: the measuring
+    // volume ends, and the tooth.
+    let most = raster
+        .depth
+        .iter()
+        .fold(0.0_f64, |most, d| most.max(d.abs()));
+    let scale = if largest > 0.0 {
+        (target_um / largest).min(500.0 / most)
     } else {
         10.0
     };
@@ -323,7 +328,7 @@ fn case(seed: u64) -> Case {
         } else {
             deepest
         };
-        (at, draw.uniform(0.03, 0.45))
+        (at, draw.uniform(0.05, 0.6))
     });
     let wear = measure(&mut draw, |p| scale * shape.at(p), hole);
     let with = |refusals| judge_with(&wear, &limits(), refusals);
@@ -372,6 +377,8 @@ fn random_damage_is_never_passed_and_sound_flanks_are_not_refused() {
     );
     assert!(false_go.0 <= 0.05 && false_pass.0 <= 0.05 && false_go_at_warn.0 <= 0.05);
     assert!(false_alarm.0 <= 0.01);
+    // Edges of damage between points, and the place of a maximum, are all that the stated uncertainty does not know to 95 %.
+    assert!(coverage.0 >= 0.9);
     // An instrument that never says go is safe and useless. Single cells and proud material refuse some of these.
     assert!(useful.0 > 0.4);
 

@@ -40,7 +40,7 @@ pub(super) struct Peak {
     pub at_mm: [f64; 2],
     /// By how much noise of the stated size lifts a maximum like this, mm.
     pub bias_mm: f64,
-    /// Standard uncertainty by noise, mm.
+    /// Standard uncertainty by noise, and by where its points happen to lie, mm.
     pub u_mm: f64,
 }
 
@@ -135,6 +135,38 @@ impl<'a> Discs<'a> {
         sign * sum / weight * (1.0 - self.unmeasured_share(middle))
     }
 
+    /// Standard uncertainty of the mean over the disc about `middle` by where its points happen to lie, mm: on an edge of damage
+    /// a point more on the one side or the other changes it. From how much the points of a cell differ beyond their noise;
+    /// a slope leaves next to nothing within a cell.
+    fn sampling_mm(&self, middle: [f64; 2], noise_scale: f64) -> f64 {
+        let squared = self.radius_mm * self.radius_mm;
+        let (mut variance, mut weight) = (0.0, 0.0);
+        for row in self.touched(1, middle[1]) {
+            for column in self.touched(0, middle[0]) {
+                let cell = row * self.field.columns + column;
+                let count = f64::from(self.start[cell + 1] - self.start[cell]);
+                let inside = |sample: &&Sample| {
+                    let [x, y] = [0, 1].map(|k| sample.at_mm[k] - middle[k]);
+                    x * x + y * y <= squared
+                };
+                let share = self.of_cell(cell).filter(inside).count() as f64 / count.max(1.0);
+                weight += share;
+                if count >= 2.0 {
+                    let mean = self.field.wear_mm[cell];
+                    let squares: f64 = self.of_cell(cell).map(|s| (s.wear_mm - mean).powi(2)).sum();
+                    let of_noise = noise_scale * noise_scale * self.field.variance_mm2[cell];
+                    let of_mean = squares / (count - 1.0) / count;
+                    variance += share * share * (of_mean - of_noise).max(0.0);
+                }
+            }
+        }
+        if weight > 0.0 {
+            variance.sqrt() / weight
+        } else {
+            0.0
+        }
+    }
+
     /// Share of the disc about `middle` that lies in cells without points.
     fn unmeasured_share(&self, middle: [f64; 2]) -> f64 {
         let mut unmeasured = 0.0;
@@ -192,7 +224,9 @@ impl<'a> Discs<'a> {
             bias_mm,
             // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
             // Rectangular between the two.
-            u_mm: scatter_mm.hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt()),
+            u_mm: scatter_mm
+                .hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt())
+                .hypot(self.sampling_mm(at_mm, noise_scale)),
         })
     }
 
