@@ -66,7 +66,7 @@ pub struct Rejected {
     pub outside_volume: usize,
     /// Predicted uncertainty above the limit.
     pub uncertain_depth: usize,
-    /// The frames do not follow one fringe: vibration, light reflected twice, saturation.
+    /// The frames do not follow one fringe: vibration, a flickering lamp, saturation.
     pub inconsistent: usize,
     /// Dropped by the mask.
     pub masked: usize,

@@ -181,6 +181,7 @@ impl Replay {
             outcomes,
             &problems,
             stored.stopped.as_deref(),
+            subject.baseline.is_some(),
         );
         let now = json!({
             "verdict": found.verdict,

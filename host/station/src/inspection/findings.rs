@@ -37,7 +37,10 @@ impl Findings {
         mut outcomes: BTreeMap<usize, ViewOutcome>,
         problems: &BTreeMap<usize, String>,
         stopped: Option<&str>,
+        since_baseline: bool,
     ) -> Self {
+        let as_built_um = tool.inspect.as_ref().and_then(|inspect| inspect.as_built_um);
+        let cad_taken_as_true = as_built_um.is_none() && !since_baseline;
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
         let mut evidence = Vec::new();
@@ -72,7 +75,7 @@ impl Findings {
                 });
             }
         }
-        let (verdict, reason) = verdict::of_tool(&judged, stopped);
+        let (verdict, reason) = verdict::of_tool(&judged, stopped, cad_taken_as_true);
         Self {
             verdict,
             reason,

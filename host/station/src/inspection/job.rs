@@ -241,6 +241,7 @@ impl Station {
             std::mem::take(&mut run.outcomes),
             &run.problems,
             stopped.as_deref(),
+            self.subject.baseline.is_some(),
         );
         let positioning = run.timeline.positioning_ms();
         let exposure = run.timeline.exposure_ms();

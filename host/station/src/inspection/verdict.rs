@@ -175,8 +175,13 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Jud
     }
 }
 
-/// The tool's verdict and one sentence about it. A check that stopped early is never a go.
-pub fn of_tool(flanks: &[Judged], stopped: Option<&str>) -> (&'static str, String) {
+/// The tool's verdict and one sentence about it. A check that stopped early is never a go; a go against a CAD of which it is
+/// not known how true the die is to it says so.
+pub fn of_tool(
+    flanks: &[Judged],
+    stopped: Option<&str>,
+    cad_taken_as_true: bool,
+) -> (&'static str, String) {
     let mut verdict = combine(flanks.iter().map(|flank| flank.verdict.clone()));
     if stopped.is_some() && matches!(verdict, Verdict::Go | Verdict::Warn) {
         verdict = Verdict::Indeterminate {
@@ -199,7 +204,17 @@ pub fn of_tool(flanks: &[Judged], stopped: Option<&str>) -> (&'static str, Strin
         names.join(", ")
     };
     let reason = match &verdict {
-        Verdict::Go => format!("all {} flanks are within the warning limit", flanks.len()),
+        Verdict::Go => {
+            let presumed = if cad_taken_as_true {
+                "; the CAD is taken as true (no as_built_um, no baseline)"
+            } else {
+                ""
+            };
+            format!(
+                "all {} flanks are within the warning limit{presumed}",
+                flanks.len()
+            )
+        }
         Verdict::Warn | Verdict::NoGo => named(verdict.word()),
         Verdict::Indeterminate { reason } => {
             let first = flanks.iter().find_map(|flank| flank.unmeasured.as_deref());
