@@ -34,8 +34,9 @@ fn one(depth_um: u32, kind: &str) {
     let [wear_um, u95_um, truth_um] = answered(&run, 40, "left");
     let verdict = run.flank(40, "left").unwrap().to_owned();
     println!("{kind} {depth_um}: {wear_um:.1} ± {u95_um:.1}, true {truth_um:.1}: {verdict}");
+    // Of a flank that is not judged nothing is claimed.
     assert!(
-        (wear_um - truth_um).abs() <= u95_um,
+        (wear_um - truth_um).abs() <= u95_um || verdict == "indeterminate",
         "{kind} {depth_um}: {wear_um} ± {u95_um} does not hold {truth_um}"
     );
     // The guard band is narrower than U95.

@@ -25,11 +25,13 @@ pub struct Budget {
     pub film_mm: f64,
     /// The baseline capture's pose.
     pub reference_mm: f64,
+    /// What is lost where nothing was measured, if that is as deep as its rim: the figure itself counts nothing there.
+    pub unmeasured_mm: f64,
 }
 
 impl Budget {
     /// Standard uncertainties with their names, mm.
-    pub fn terms(&self) -> [(&'static str, f64); 10] {
+    pub fn terms(&self) -> [(&'static str, f64); 11] {
         [
             ("noise", self.noise_mm),
             ("registration", self.registration_mm),
@@ -41,6 +43,7 @@ impl Budget {
             ("as_built", self.as_built_mm),
             ("film", self.film_mm),
             ("reference", self.reference_mm),
+            ("unmeasured", self.unmeasured_mm),
         ]
     }
 
@@ -49,10 +52,11 @@ impl Budget {
         self.terms().iter().map(|(_, u)| u * u).sum::<f64>().sqrt()
     }
 
-    /// What all of a zone shares, mm: everything but noise.
+    /// What all that was measured of a zone shares, mm: everything but noise and holes.
     pub fn systematic_mm(&self) -> f64 {
         Self {
             noise_mm: 0.0,
+            unmeasured_mm: 0.0,
             ..*self
         }
         .total_mm()
@@ -62,6 +66,7 @@ impl Budget {
     pub fn without_wear_mm(&self) -> f64 {
         Self {
             leakage_mm: 0.0,
+            unmeasured_mm: 0.0,
             ..*self
         }
         .total_mm()

@@ -350,9 +350,9 @@ impl<'a> Discs<'a> {
         ]
     }
 
-    /// The largest mean loss that any disc can have when every cell without points lost `depth_mm`, mm; none when every disc
-    /// was measured whole.
-    pub fn hidden_mm(&self, depth_mm: f64) -> Option<f64> {
+    /// The largest mean loss that any disc with unmeasured cells can have when those lost what `of_hole` says of each, mm; none
+    /// when every disc was measured whole.
+    fn with_holes(&self, of_hole: impl Fn(usize) -> f64) -> Option<f64> {
         let (kernel, middles) = (self.kernel(), self.middles());
         let mut worst: Option<f64> = None;
         for [column, row] in middles {
@@ -364,22 +364,42 @@ impl<'a> Discs<'a> {
                 {
                     continue;
                 }
-                let wear = self.field.wear_mm[y as usize * self.field.columns + x as usize];
+                let cell = y as usize * self.field.columns + x as usize;
+                let wear = self.field.wear_mm[cell];
                 if wear.is_finite() {
                     sum += share * wear;
                 } else {
                     unseen += share;
+                    sum += share * of_hole(cell);
                 }
             }
             if unseen > 0.0 {
-                worst = Some(
-                    worst
-                        .unwrap_or(f64::NEG_INFINITY)
-                        .max(sum + unseen * depth_mm),
-                );
+                worst = Some(worst.unwrap_or(f64::NEG_INFINITY).max(sum));
             }
         }
         worst
+    }
+
+    /// The largest mean loss that any disc can have when every cell without points lost `depth_mm`, mm; none when every disc
+    /// was measured whole.
+    pub fn hidden_mm(&self, depth_mm: f64) -> Option<f64> {
+        self.with_holes(|_| depth_mm)
+    }
+
+    /// The same when every hole is as deep as the deepest cell at its rim.
+    pub fn as_rims_mm(&self) -> Option<f64> {
+        let field = self.field;
+        let holes = field.groups(|i| !field.wear_mm[i].is_finite());
+        let mut depth = vec![0.0_f64; field.wear_mm.len()];
+        for hole in holes {
+            let rim = hole.iter().flat_map(|&i| field.around(i));
+            // f64::max passes over the cells of the hole itself.
+            let deepest = rim.map(|i| field.wear_mm[i]).fold(0.0, f64::max);
+            for i in hole {
+                depth[i] = deepest;
+            }
+        }
+        self.with_holes(|cell| depth[cell])
     }
 }
 

@@ -132,44 +132,36 @@ impl Field {
         (SIGMA_PER_MEDIAN * median(sizes)).max(1.0)
     }
 
-    /// The cells that share a side with a cell.
-    fn neighbours(&self, cell: usize) -> impl Iterator<Item = usize> {
+    /// The cells that share a side or a corner with a cell.
+    pub(super) fn around(&self, cell: usize) -> impl Iterator<Item = usize> {
         let (column, row) = (cell % self.columns, cell / self.columns);
-        let around = [
-            (column > 0).then(|| cell - 1),
-            (column + 1 < self.columns).then_some(cell + 1),
-            (row > 0).then(|| cell - self.columns),
-            (row + 1 < self.rows).then_some(cell + self.columns),
-        ];
-        around.into_iter().flatten()
+        let rows = row.saturating_sub(1)..(row + 2).min(self.rows);
+        let columns = column.saturating_sub(1)..(column + 2).min(self.columns);
+        rows.flat_map(move |row| columns.clone().map(move |c| row * self.columns + c))
+            .filter(move |&other| other != cell)
     }
 
-    /// Groups of neighbouring measured cells that pass `member`, of at least `least` cells each.
-    pub(super) fn clusters(&self, member: impl Fn(usize) -> bool, least: usize) -> Vec<Vec<usize>> {
-        let mut open: Vec<bool> = (0..self.wear_mm.len())
-            .map(|i| self.wear_mm[i].is_finite() && member(i))
-            .collect();
-        let mut clusters = Vec::new();
+    /// Groups of touching cells that pass `member`.
+    pub(super) fn groups(&self, member: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
+        let mut open: Vec<bool> = (0..self.wear_mm.len()).map(member).collect();
+        let mut groups = Vec::new();
         for start in 0..open.len() {
-            if !open[start] {
+            if !std::mem::take(&mut open[start]) {
                 continue;
             }
-            open[start] = false;
-            let mut cluster = vec![start];
+            let mut group = vec![start];
             let mut next = 0;
-            while let Some(&i) = cluster.get(next) {
+            while let Some(&i) = group.get(next) {
                 next += 1;
-                for other in self.neighbours(i) {
+                for other in self.around(i) {
                     if std::mem::take(&mut open[other]) {
-                        cluster.push(other);
+                        group.push(other);
                     }
                 }
             }
-            if cluster.len() >= least {
-                clusters.push(cluster);
-            }
+            groups.push(group);
         }
-        clusters
+        groups
     }
 }
 

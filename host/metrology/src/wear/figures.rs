@@ -56,6 +56,8 @@ pub struct Figures {
     /// The largest mean loss that any disc can have when whatever was not measured of it lost as much as the settings
     /// suppose, mm; none when every disc was measured whole.
     pub hidden_mm: Option<f64>,
+    /// By how much the depth would be larger if every hole were as deep as the deepest cell at its rim, mm.
+    pub in_holes_mm: f64,
 }
 
 /// Evaluates the points of a zone; `field` holds their cells. None when nothing was measured or no disc fits.
@@ -90,9 +92,11 @@ pub(super) fn evaluate(
     let cell_area = field.cell_area_mm2();
     let threshold = |i: usize| DETECTION_FACTOR * sigma(i).hypot(systematic_mm);
     let beyond = |sign: f64| {
-        field
-            .clusters(|i| sign * field.wear_mm[i] >= threshold(i), LEAST_CLUSTER)
-            .concat()
+        let groups = field.groups(|i| sign * field.wear_mm[i] >= threshold(i));
+        let large = groups
+            .into_iter()
+            .filter(|group| group.len() >= LEAST_CLUSTER);
+        large.flatten().collect::<Vec<usize>>()
     };
     let volume = |sign: f64, cells: &[usize]| {
         let count = cells.len() as f64;
@@ -130,5 +134,8 @@ pub(super) fn evaluate(
         lost_volume_mm3: volume(1.0, &lost),
         proud_volume_mm3: volume(-1.0, &gained),
         hidden_mm: discs.hidden_mm(settings.hidden_depth_mm),
+        in_holes_mm: discs
+            .as_rims_mm()
+            .map_or(0.0, |deepest| (deepest - loss.raw_mm).max(0.0)),
     })
 }

@@ -461,10 +461,15 @@ impl FlankWear {
             return;
         };
         self.budget.noise_mm = figures.depth_mm.u;
+        // Anything between what was seen and that: rectangular, of which the figure is the lower end.
+        self.budget.unmeasured_mm = figures.in_holes_mm / 3f64.sqrt();
         let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
         if let Some(influence) = &self.influence {
-            let form_mm = settings.form_mm(self.since_baseline);
-            let turn = influence.evidence.turn(before, form_mm);
+            let turn = influence.evidence.turn(
+                before,
+                settings.form_mm(self.since_baseline),
+                settings.form_mm(false),
+            );
             shift_mm = self.flank.sign() * turn.mean_mm;
             // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
             let both_mm = influence

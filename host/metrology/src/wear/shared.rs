@@ -98,25 +98,28 @@ impl PoseEvidence {
     }
 
     /// What is known of t when every flank's form is known to `form_mm` (standard uncertainty); since `before`, where that is
-    /// given.
-    pub fn turn(&self, before: Option<&Self>, form_mm: f64) -> Turn {
+    /// given. `absolute_form_mm` is to what the form is known without a baseline.
+    pub fn turn(&self, before: Option<&Self>, form_mm: f64, absolute_form_mm: f64) -> Turn {
         let flanks = self.since(before);
-        let here = |of: &Self| of.approach_sigma_mm.hypot(of.mount_sigma_mm);
+        let here_mm = self.approach_sigma_mm.hypot(self.mount_sigma_mm);
         let (stages_mm, sigma_mm, both_mm) = match before {
-            None => (self.stages_mm, here(self), self.stages_both_mm),
+            None => (self.stages_mm, here_mm, self.stages_both_mm),
             Some(before) => {
                 let stays = (0..3)
                     .all(|k| (self.mount_mm[k] - before.mount_mm[k]).abs() <= SAME_MOUNT * form_mm);
-                let sigma_mm = if stays {
-                    self.approach_sigma_mm.hypot(before.approach_sigma_mm)
+                let both_mm = self.stages_both_mm - before.stages_both_mm;
+                if stays {
+                    let sigma_mm = self.approach_sigma_mm.hypot(before.approach_sigma_mm);
+                    (self.stages_mm - before.stages_mm, sigma_mm, both_mm)
                 } else {
-                    here(self).hypot(here(before))
-                };
-                (
-                    self.stages_mm - before.stages_mm,
-                    sigma_mm,
-                    self.stages_both_mm - before.stages_both_mm,
-                )
+                    // What the stages say now stands against what the flanks said of the pose then.
+                    let then = before.turn(None, absolute_form_mm, absolute_form_mm);
+                    (
+                        self.stages_mm - then.mean_mm,
+                        here_mm.hypot(then.u_mm),
+                        both_mm,
+                    )
+                }
             }
         };
         let neighbours: Vec<SeenFlank> = flanks
@@ -242,7 +245,7 @@ mod tests {
         ] {
             // Whatever resting place the fit has found.
             for turned in [0.0, 0.027, -0.04] {
-                let turn = view(left, right, turned, 5e-3).turn(None, FORM_MM);
+                let turn = view(left, right, turned, 5e-3).turn(None, FORM_MM, FORM_MM);
                 assert!(
                     (turn.mean_mm - turned).abs() < 3.0 * turn.u_mm && turn.u_mm < 2.0 * FORM_MM,
                     "{left:?} {right:?} {turned}: {turn:?}"
@@ -255,7 +258,7 @@ mod tests {
     fn one_side_of_all_teeth_is_known_to_what_the_stages_say() {
         let worn = 0.055;
         for turned in [0.0, 0.0275, 0.055] {
-            let turn = view([worn; 2], [0.0; 2], turned, 4e-3).turn(None, FORM_MM);
+            let turn = view([worn; 2], [0.0; 2], turned, 4e-3).turn(None, FORM_MM, FORM_MM);
             let off = turn.mean_mm - turned;
             assert!(off.abs() < 2.0 * turn.u_mm, "{turned}: {turn:?}");
             // All between no turn and all of it is possible; the stages leave about their own sigma.
@@ -266,13 +269,13 @@ mod tests {
             assert!((turn.both_sides_mm - 0.5 * worn).abs() < 1e-12);
         }
         // Small wear of one side cannot hide much.
-        let small = view([2e-3; 2], [0.0; 2], 0.0, 4e-3).turn(None, FORM_MM);
+        let small = view([2e-3; 2], [0.0; 2], 0.0, 4e-3).turn(None, FORM_MM, FORM_MM);
         assert!(small.u_mm < 1.2e-3, "{small:?}");
     }
 
     #[test]
     fn a_wholly_proud_flank_does_not_turn_the_view() {
-        let turn = view([0.0, -0.08], [0.0, 0.0], 0.0, 5e-3).turn(None, FORM_MM);
+        let turn = view([0.0, -0.08], [0.0, 0.0], 0.0, 5e-3).turn(None, FORM_MM, FORM_MM);
         assert!(turn.mean_mm.abs() < 3.0 * FORM_MM, "{turn:?}");
     }
 
@@ -281,7 +284,7 @@ mod tests {
         // As built, 20 um off on every left flank; the new die's pose had found another resting place.
         let before = view([0.02; 2], [0.0; 2], 0.01, -3e-3);
         let now = view([0.02; 2], [0.0; 2], 0.02, 2e-3);
-        let turn = now.turn(Some(&before), FORM_MM);
+        let turn = now.turn(Some(&before), FORM_MM, 4.0 * FORM_MM);
         // What is to be undone of the difference between both poses.
         assert!(
             (turn.mean_mm - 0.01).abs() < 3.0 * turn.u_mm && turn.u_mm < 2.0 * FORM_MM,
@@ -301,7 +304,7 @@ mod tests {
             ..view([0.0; 2], [0.0; 2], 0.0, 0.0)
         };
         let [same, other] = [[1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]]
-            .map(|mount| mounted(mount).turn(Some(&new), FORM_MM).u_mm);
+            .map(|mount| mounted(mount).turn(Some(&new), FORM_MM, 4.0 * FORM_MM).u_mm);
         assert!(other > 1.3 * same, "{same} {other}");
     }
 
