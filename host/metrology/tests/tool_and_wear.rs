@@ -117,7 +117,10 @@ fn run_an_undamaged_gear_is_go(cad: PathBuf) {
     for wear in &good {
         println!("{wear:?}");
         assert_eq!(verdict(&tool, wear), Verdict::Go);
-        assert!(wear.coverage > 0.99, "{}", wear.coverage);
+        // Points fall at random: of cells that expect n of them, exp(-n) have none.
+        let cells = wear.field.wear_mm.len() as f64;
+        let expected = 1.0 - (-(wear.points as f64) / cells).exp();
+        assert!((wear.coverage - expected).abs() < 0.02, "{}", wear.coverage);
         assert!(
             wear.wear_mm.abs() < 3.0 * wear.u_mm && wear.u_mm < 6e-3,
             "{wear:?}"

@@ -18,11 +18,12 @@ use crate::inspection::{FlankMap, Inspection};
 use crate::origin::Origin;
 
 /// What the figures of a check are: the same words in reports, help texts and documentation.
-pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in its \
-zone; nothing is presumed of the damage's shape. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is the \
-judged part of a flank: zone_radius_mm by zone_height_mm in tool.toml. Proud is the largest mean height of material over such a \
-disc, cell the loss of the single cell that lost most, tip the radius of the tip edge's rounding. Detects is the least wear that \
-is told from none with 5 % errors of both kinds: damage that takes less than that off every disc of the stated area can hide.";
+pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in \
+its zone; nothing is presumed of the damage's shape. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is \
+the judged part of a flank: zone_radius_mm by zone_height_mm in tool.toml. Proud is the largest mean height of material over \
+such a disc, cell the loss of the single cell that lost most (a cell is a fifth of the disc's diameter wide), tip the radius of \
+the tip edge's rounding. Detects is the least wear that is told from none with 5 % errors of both kinds: damage that takes less \
+than that off every disc of the stated area can hide.";
 
 /// The report's page.
 #[derive(Template)]
@@ -151,6 +152,13 @@ pub fn figure(value: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn documentation_and_report_define_the_figures_in_the_same_words() {
+        let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let formats = words(include_str!("../../../../docs/formats.md"));
+        assert!(formats.contains(&words(DEFINITIONS)));
+    }
 
     #[test]
     fn figures_have_one_decimal_and_no_negative_zero() {
