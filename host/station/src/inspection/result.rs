@@ -91,6 +91,15 @@ pub struct FlankDetail {
     pub budget_um: BTreeMap<&'static str, f64>,
 }
 
+impl FlankDetail {
+    /// The sources of uncertainty that are not nothing at the precision of a report.
+    #[must_use]
+    pub fn shown_budget(&self) -> Vec<(&'static str, f64)> {
+        let shown = self.budget_um.iter().filter(|(_, um)| **um >= 0.005);
+        shown.map(|(name, um)| (*name, *um)).collect()
+    }
+}
+
 /// A figure with its expanded uncertainty (95 %), same unit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Expanded {
