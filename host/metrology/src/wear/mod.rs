@@ -159,6 +159,8 @@ pub struct FlankWear {
     pub turn: Option<Turn>,
     /// The points.
     samples: Vec<Sample>,
+    /// What the view of each capture said of its pose about the axis.
+    evidence: Vec<Arc<PoseEvidence>>,
     /// Whether it is the difference to a baseline.
     since_baseline: bool,
 }
@@ -376,6 +378,7 @@ impl FlankWear {
             field: empty,
             turn: None,
             samples,
+            evidence: Vec::new(),
             since_baseline: false,
         };
         wear.refigure(None, settings);
@@ -465,11 +468,12 @@ impl FlankWear {
         self.budget.unmeasured_mm = figures.in_holes_mm / 3f64.sqrt();
         let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
         if let Some(influence) = &self.influence {
-            let turn = influence.evidence.turn(
-                before,
-                settings.form_mm(self.since_baseline),
-                settings.form_mm(false),
-            );
+            let forms = [self.since_baseline, false].map(|since| settings.form_mm(since));
+            let turns = self
+                .evidence
+                .iter()
+                .map(|of| of.turn(before, forms[0], forms[1]));
+            let turn = Turn::of_all(turns);
             shift_mm = self.flank.sign() * turn.mean_mm;
             // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
             let both_mm = influence
@@ -556,6 +560,7 @@ impl FlankWear {
             if leaks(other) > leaks(&wear) {
                 wear.influence.clone_from(&other.influence);
             }
+            wear.evidence.extend(other.evidence.iter().cloned());
             wear.tip = wear.tip.or(other.tip);
         }
         wear.refigure(None, settings);
@@ -565,6 +570,7 @@ impl FlankWear {
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
     pub fn with(mut self, influence: Influence, settings: &Settings) -> Self {
+        self.evidence = vec![Arc::clone(&influence.evidence)];
         self.influence = Some(influence);
         self.settle(None, settings);
         self

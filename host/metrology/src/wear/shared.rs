@@ -69,6 +69,34 @@ pub struct Turn {
     pub both_hidden_mm: f64,
 }
 
+impl Turn {
+    /// What points of several captures, each in its own pose, must be turned by in the mean; as uncertain as the worst of them,
+    /// since they share die, mount and the form of the flanks.
+    pub(super) fn of_all(turns: impl Iterator<Item = Self>) -> Self {
+        let (mut count, mut sum, mut worst) = (0.0, 0.0, [0.0_f64; 2]);
+        let mut both_sides_mm = 0.0;
+        for turn in turns {
+            count += 1.0;
+            sum += turn.mean_mm;
+            // A figure that is no number stays one.
+            for (worst, of) in worst.iter_mut().zip([turn.u_mm, turn.both_hidden_mm]) {
+                if of > *worst || of.is_nan() {
+                    *worst = of;
+                }
+            }
+            if turn.both_sides_mm.abs() > f64::abs(both_sides_mm) || turn.both_sides_mm.is_nan() {
+                both_sides_mm = turn.both_sides_mm;
+            }
+        }
+        Self {
+            mean_mm: sum / count,
+            u_mm: worst[0],
+            both_sides_mm,
+            both_hidden_mm: worst[1],
+        }
+    }
+}
+
 /// Points of the numerical integral, and how many standard deviations of the stages it spans.
 const STEPS: usize = 2_000;
 const SPAN: f64 = 6.0;
