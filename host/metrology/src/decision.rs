@@ -337,6 +337,7 @@ mod tests {
                 both_sigma_mm: 0.0,
                 mount_mm: [0.0; 3],
             }),
+            form_scatter_mm: 0.0,
             others_form: 0.0,
             temperature_mm: 0.0,
         })

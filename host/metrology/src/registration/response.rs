@@ -72,8 +72,18 @@ impl<'a> Response<'a> {
         prior: Option<&Prior>,
         options: &Options,
     ) -> Self {
-        let centre = Vector3::from(registration.centre_mm);
-        let arm = registration.arm_mm;
+        let at = (registration.centre_mm, registration.arm_mm);
+        Self::of_points(contacts, at, prior, options)
+    }
+
+    /// The answer of a fit of these points about a centre, with the length (both mm) that scales turns to shifts.
+    pub fn of_points(
+        contacts: &'a [Contact],
+        (centre_mm, arm): ([f64; 3], f64),
+        prior: Option<&Prior>,
+        options: &Options,
+    ) -> Self {
+        let centre = Vector3::from(centre_mm);
         let mut information = Matrix6::zeros();
         for contact in contacts.iter().filter(|c| c.weight > 0.0) {
             let row = contact.row(centre, arm);

@@ -6,6 +6,7 @@
 //!        ├──► cells: what is drawn, recorded, and where nothing was measured                              │   with budget
 //!        ├──► edge: rounding of the tip                                                                   │
 //!        └──► all flanks in view: what a turn of the pose may hide (shared) ──────────────────────────────┘
+//!  points of many views ──► parts of cells (gather) ──► the same
 //! ```
 //!
 //! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
@@ -16,6 +17,7 @@ mod disc;
 mod edge;
 mod field;
 mod figures;
+mod gather;
 mod shared;
 
 use std::sync::Arc;
@@ -27,6 +29,7 @@ pub use edge::{TipLoss, tip_loss_mm2};
 pub use field::{Field, Mismatch};
 use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
+pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 
 use crate::gear::{Flank, FlankPlace, GearData};
@@ -197,6 +200,9 @@ pub struct Influence {
     pub leakage: Leakage,
     /// What the view says of its own pose about the axis.
     pub evidence: Arc<PoseEvidence>,
+    /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
+    /// settings state is known.
+    pub form_scatter_mm: f64,
     /// Root of the sum of squares of what the judged flank reads of a unit error in the form of each other flank.
     pub others_form: f64,
     /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
@@ -463,7 +469,8 @@ impl FlankWear {
         self.budget.noise_mm = figures.depth_mm.u;
         let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
         if let Some(influence) = &self.influence {
-            let form_mm = settings.form_mm(self.since_baseline);
+            let stated_mm = settings.form_mm(self.since_baseline);
+            let form_mm = stated_mm.hypot(influence.form_scatter_mm);
             let turn = influence.evidence.turn(before, form_mm);
             shift_mm = self.flank.sign() * turn.mean_mm;
             // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.

@@ -103,6 +103,7 @@ impl Fitted<'_> {
                     &places,
                 ),
                 evidence: Arc::clone(&evidence),
+                form_scatter_mm: 0.0,
                 others_form: squares.sqrt(),
                 temperature_mm: self.temperature.map_or(0.0, |t| mean(sum).abs() * t.u_k),
             }
