@@ -23,6 +23,7 @@ mod shared;
 use std::sync::Arc;
 
 use nalgebra::{Vector3, Vector6};
+use rayon::prelude::*;
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
@@ -241,6 +242,20 @@ pub fn evaluate(
     registration: Option<&Registration>,
     settings: &Settings,
 ) -> Vec<FlankWear> {
+    let places = places(gear, measured.closest);
+    evaluate_placed(gear, zone, teeth, measured, &places, registration, settings)
+}
+
+/// As [`evaluate`], of points of which is known where they lie on the gear ([`places`]).
+pub fn evaluate_placed(
+    gear: &GearData,
+    zone: &Zone,
+    teeth: &[u32],
+    measured: Measured<'_>,
+    places: &[Option<FlankPlace>],
+    registration: Option<&Registration>,
+    settings: &Settings,
+) -> Vec<FlankWear> {
     let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
     let size_mm = [
         gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
@@ -263,8 +278,7 @@ pub fn evaluate(
     let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
 
     let points = measured.points.iter().zip(measured.closest);
-    for (index, ((point, closest), place)) in points.zip(places(gear, measured.closest)).enumerate()
-    {
+    for (index, ((point, closest), place)) in points.zip(places).enumerate() {
         let Some(place) = place else {
             if let Some(under) = edge::UnderEdge::of(gear, *point)
                 && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
@@ -288,7 +302,7 @@ pub fn evaluate(
             continue;
         }
         let wear_mm = -closest.signed_distance_mm;
-        grid.edge.add(&place, wear_mm);
+        grid.edge.add(place, wear_mm);
         let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
         };
@@ -308,9 +322,14 @@ pub fn evaluate(
         *count += 1;
     }
     grids
-        .into_iter()
+        .into_par_iter()
         .map(|grid| grid.wear(gear, registration, settings))
         .collect()
+}
+
+/// Makes ready what all evaluations share, so that the first one need not.
+pub fn prepare() {
+    disc::prepare();
 }
 
 impl Grid {
