@@ -201,7 +201,8 @@ impl<'a> Gathered<'a> {
         Some((cell * PARTS + row) * PARTS + column)
     }
 
-    /// Its wear. `registration_mm` is the standard uncertainty that the poses of the views leave in its deviation, mm.
+    /// Its wear; without its points, so that neither [`FlankWear::since`] nor [`FlankWear::together`] finds any in it.
+    /// `registration_mm` is the standard uncertainty that the poses of the views leave in its deviation, mm.
     pub fn wear(self, registration_mm: f64, settings: &Settings) -> FlankWear {
         let samples = self.parts.iter().filter(|part| part.weight > 0.0);
         let samples = samples.map(|part| Sample {
@@ -212,6 +213,8 @@ impl<'a> Gathered<'a> {
         let samples = samples.collect();
         let mut wear = FlankWear::new(self.key, self.empty, samples, registration_mm, settings);
         wear.points = self.points;
+        // All flanks of a die together would not fit into memory with them.
+        wear.samples = Vec::new();
         let level_mm = median(wear.field.wear_mm.iter().copied());
         wear.tip = self.edge.loss(self.gear, level_mm, settings.calibration_mm);
         wear

@@ -497,8 +497,8 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
             .map(|count| of_flank.iter().map(count).sum::<usize>() as f64);
         let key @ (tooth, flank) = of_flank[0].key;
         let share = cells / all_cells.max(1.0);
-        // Negated, so that no number is left out as well.
-        if !is_asked(tooth) && !(share >= LEAST_SEEN) {
+        let seen = share >= LEAST_SEEN;
+        if !is_asked(tooth) && !seen {
             continue;
         }
         let measured = || of_flank.iter().filter(|z| z.mean_mm.is_finite());
@@ -582,7 +582,7 @@ mod tests {
 
     /// What is known of a turn when all left and all right flanks read these, each with its own 3 um.
     fn turn_um(left_um: f64, right_um: f64, proud_um: f64) -> [f64; 2] {
-        let own = |tooth: u32| if tooth % 2 == 0 { 2e-3 } else { -2e-3 };
+        let own = |tooth: u32| if tooth.is_multiple_of(2) { 2e-3 } else { -2e-3 };
         let mut flanks: Vec<SeenFlank> = (1..=84)
             .flat_map(|tooth| {
                 [
