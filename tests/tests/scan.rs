@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh, Meshing, write_ply};
 use flankscope_tests::{Run, flankscope, run};
 
 fn scan(args: &[&str]) -> Run {
@@ -264,6 +265,119 @@ fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     assert_eq!(lost.len(), 1, "{lost:?}");
     assert_eq!(lost[0]["view"], 0);
     assert!(lost[0]["reason"].is_string(), "{lost:?}");
+}
+
+/// The feature of a flank.
+fn feature<'a>(run: &'a Run, tooth: u64, flank: &str) -> &'a serde_json::Value {
+    let features = run.json["features"].as_array();
+    let found = features.into_iter().flatten().find(|feature| {
+        feature["tooth"].as_u64() == Some(tooth) && feature["flank"].as_str() == Some(flank)
+    });
+    found.unwrap_or_else(|| panic!("no {flank} flank of tooth {tooth}: {}", run.json["reason"]))
+}
+
+/// The demo die's drawing.
+fn gear() -> GearSpec {
+    let module_mm = 82.9 / 84.0;
+    GearSpec {
+        kind: GearKind::Internal,
+        teeth: 84,
+        module_mm,
+        pressure_angle_rad: 20f64.to_radians(),
+        tip_radius_mm: 41.45 - module_mm,
+        root_radius_mm: 41.45 + 1.25 * module_mm,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: 88.5,
+        height_mm: [0.0, 66.0],
+    }
+}
+
+/// The demo die as a mesh in slices of 0.75 mm, and whether a vertex of it lies on the left flank of tooth 11 between two
+/// heights: the left flank of a tooth that twelve views look at.
+fn die(height_mm: [f64; 2]) -> (Mesh, Vec<bool>) {
+    let gear = gear();
+    let slices = Meshing {
+        axial_slices: 88,
+        ..Meshing::default()
+    };
+    let mesh = gear.mesh(&slices).unwrap();
+    let [low, high] = [height_mm[0] - 1e-6, height_mm[1] + 1e-6];
+    let on_flank = |p: &[f64; 3]| {
+        let radius = p[0].hypot(p[1]);
+        let off_rad = p[1].atan2(p[0]).rem_euclid(std::f64::consts::TAU)
+            - gear.flank_angle_rad(11, Flank::Left, radius);
+        let on = radius < gear.root_radius_mm + 1e-6 && off_rad.abs() < 1e-6;
+        on && (low..high).contains(&p[2])
+    };
+    let chosen = mesh.vertices.iter().map(on_flank).collect();
+    (mesh, chosen)
+}
+
+/// A scan of one layer around that stands on the bench as this mesh: views look at 29 to 37 mm of teeth 4, 11, 18, ...
+fn scan_of_mesh(mesh: &Mesh) -> Run {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("die.ply");
+    let mut bytes = Vec::new();
+    write_ply(mesh, &mut bytes).unwrap();
+    std::fs::write(&path, bytes).unwrap();
+    scan(&["--views", "12x1", "--die-mesh", path.to_str().unwrap()])
+}
+
+/// All flanks but the left one of tooth 11 are go.
+#[track_caller]
+fn assert_others_go(run: &Run) {
+    for of in run.json["features"].as_array().unwrap() {
+        if (of["tooth"].as_u64(), of["flank"].as_str()) != (Some(11), Some("left")) {
+            assert_eq!(of["verdict"], "go", "{of}");
+        }
+    }
+    assert_eq!(run.json["features"].as_array().map(Vec::len), Some(24));
+}
+
+#[test]
+fn damage_of_an_eighth_of_a_flank_is_no_go_and_other_flanks_stay_go() {
+    // 200 um gone over an eighth of the height, a sixth of what the view looks at.
+    let (mut mesh, worn) = die([36.0, 44.25]);
+    let gear = gear();
+    for (p, _) in mesh.vertices.iter_mut().zip(worn).filter(|(_, worn)| *worn) {
+        let [nx, ny] = gear.flank_normal(11, Flank::Left, p[0].hypot(p[1]));
+        p[0] -= 0.2 * nx;
+        p[1] -= 0.2 * ny;
+    }
+    let worn = scan_of_mesh(&mesh);
+    assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
+    let reason = worn.json["reason"].as_str().unwrap_or_default();
+    assert!(reason.starts_with("no-go: tooth 11 left;"), "{reason}");
+    let found = feature(&worn, 11, "left");
+    let why = found["reason"].as_str().unwrap_or_default();
+    assert!(
+        why.starts_with("wear ") && why.contains("beyond the stop limit"),
+        "{why}"
+    );
+    let [wear_um, u95_um, mean_um] =
+        ["wear_um", "u95_um", "mean_um"].map(|key| found[key].as_f64().unwrap());
+    assert!((wear_um - 200.0).abs() < u95_um, "{wear_um} +- {u95_um} um");
+    // What was judged before: below the stop limit.
+    assert!((20.0..50.0).contains(&mean_um), "{mean_um} um");
+    let [low, high] = [0, 1].map(|k| found["detail"]["zone_height_mm"][k].as_f64().unwrap());
+    assert!((low - 29.0).abs() < 1e-9 && (high - 37.0).abs() < 1e-9);
+    assert_others_go(&worn);
+}
+
+#[test]
+fn a_patch_that_no_view_saw_is_never_go() {
+    let (mut mesh, lost) = die([32.25, 33.0]);
+    mesh.triangles
+        .retain(|t| !t.iter().all(|&v| lost[v as usize]));
+    let holed = scan_of_mesh(&mesh);
+    assert_eq!(holed.code, 2, "{} {}", holed.json["reason"], holed.stderr);
+    let found = feature(&holed, 11, "left");
+    // An eleventh of what the view was asked for: enough was measured, but not the disc that fits into the hole.
+    assert_eq!(found["code"], "hidden", "{found}");
+    assert!(found["coverage_ratio"].as_f64().unwrap() > 0.8, "{found}");
+    let hidden_um = found["detail"]["hidden_um"].as_f64().unwrap();
+    assert!(hidden_um > 250.0, "{hidden_um} um");
+    assert_others_go(&holed);
 }
 
 #[test]

@@ -204,8 +204,9 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
 
 /// Why `verdict`, which is no no-go, cannot be given.
 fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
-    // Negated, so that no number is refused as well.
-    if !(wear.coverage >= limits.least_coverage) && on.coverage {
+    // What is no number is refused as well: it is never enough.
+    let enough = wear.coverage >= limits.least_coverage;
+    if !enough && on.coverage {
         return Some(Reason::Coverage {
             coverage: wear.coverage,
             least: limits.least_coverage,
@@ -226,8 +227,9 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
     } else {
         limits.wear.limit_um
     };
+    let allowed = |hidden_mm: f64| 1e3 * hidden_mm + guard_um <= allowed_um;
     if let Some(hidden_mm) = wear.hidden_mm
-        && !(1e3 * hidden_mm + guard_um <= allowed_um)
+        && !allowed(hidden_mm)
         && on.hidden
     {
         return Some(Reason::Hidden {
@@ -237,7 +239,8 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
         });
     }
     let detects_um = 1e3 * wear.detection_limit_mm();
-    if !(detects_um < limits.wear.warn_um) && on.detection {
+    let detects = detects_um < limits.wear.warn_um;
+    if !detects && on.detection {
         let largest = wear
             .budget
             .terms()
@@ -337,6 +340,7 @@ mod tests {
                 both_sigma_mm: 0.0,
                 mount_mm: [0.0; 3],
             }),
+            form_scatter_mm: 0.0,
             others_form: 0.0,
             temperature_mm: 0.0,
         })

@@ -234,6 +234,26 @@ impl GearData {
         Some([radius_mm * angle.cos(), radius_mm * angle.sin(), height_mm])
     }
 
+    /// Radius at which the involute is so long from the base circle, mm.
+    pub fn radius_mm(&self, profile_mm: f64) -> f64 {
+        let base = self.base_radius_mm();
+        (base * (base + 2.0 * profile_mm)).max(0.0).sqrt()
+    }
+
+    /// Normal of a flank's involute at a place on it, out of the material: the gradient of
+    /// [`Self::involute_deviation_mm`].
+    pub fn flank_normal(&self, flank: Flank, point: [f64; 3]) -> [f64; 3] {
+        let radius = point[0].hypot(point[1]);
+        let cos = (self.base_radius_mm() / radius).min(1.0);
+        let along = flank.sign() * cos;
+        let out = match self.kind {
+            Kind::Internal => -1.0,
+            Kind::External => 1.0,
+        } * (1.0 - cos * cos).sqrt();
+        let [x, y] = [point[0] / radius, point[1] / radius];
+        [out * x - along * y, out * y + along * x, 0.0]
+    }
+
     /// Distance of a point from a flank's involute along the normal, mm; positive outside the material.
     ///
     /// Exact, because curves at a constant distance from an involute are involutes of the same base circle: turning the

@@ -116,6 +116,18 @@ impl Solution {
         }
     }
 
+    /// What is not known of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
+    /// left of the shared parameters and of its own stray motion. `None` when its information is not positive.
+    pub fn pose_covariance(&self, view: &ViewInformation) -> Option<Matrix6<f64>> {
+        let centre = Vector3::from(view.centre_mm);
+        let pose = self.stages.tool_from_camera(view.at);
+        let slope = slope(&self.stages, view.at, &pose, centre);
+        let of_stages = self.covariance.fixed_view::<PARAMETERS, PARAMETERS>(0, 0);
+        let tolerance = self.local.covariance(centre).cholesky()?.inverse();
+        let held = self.local.without_form(view)?.information + tolerance;
+        Some(slope * of_stages * slope.transpose() + held.cholesky()?.inverse())
+    }
+
     /// Claims no more of what is shared than another solution does, one without overlaps: what they add there rests on the
     /// calibration of the field.
     #[must_use]

@@ -72,8 +72,18 @@ impl<'a> Response<'a> {
         prior: Option<&Prior>,
         options: &Options,
     ) -> Self {
-        let centre = Vector3::from(registration.centre_mm);
-        let arm = registration.arm_mm;
+        let at = (registration.centre_mm, registration.arm_mm);
+        Self::of_points(contacts, at, prior, options)
+    }
+
+    /// The answer of a fit of these points about a centre, with the length (both mm) that scales turns to shifts.
+    pub fn of_points(
+        contacts: &'a [Contact],
+        (centre_mm, arm): ([f64; 3], f64),
+        prior: Option<&Prior>,
+        options: &Options,
+    ) -> Self {
+        let centre = Vector3::from(centre_mm);
         let mut information = Matrix6::zeros();
         for contact in contacts.iter().filter(|c| c.weight > 0.0) {
             let row = contact.row(centre, arm);
@@ -101,21 +111,36 @@ impl<'a> Response<'a> {
 
     /// The motion by which the fit answers deviations of `field_mm(i)` at contact `i`.
     pub fn answer(&self, field_mm: impl Fn(usize) -> f64) -> Answer {
-        let mut gradient = Vector6::zeros();
+        let [answer] = self.answers(|i| [field_mm(i)]);
+        answer
+    }
+
+    /// The same for several fields, in one pass over the contacts.
+    pub fn answers<const N: usize>(&self, fields_mm: impl Fn(usize) -> [f64; N]) -> [Answer; N] {
+        let mut gradients = [Vector6::zeros(); N];
         for (i, contact) in self.contacts.iter().enumerate() {
             if contact.weight > 0.0 {
-                let deviation = field_mm(i);
-                if deviation != 0.0 {
-                    gradient += contact.row(self.centre, self.arm) * (contact.weight * deviation);
+                let fields = fields_mm(i);
+                if fields.iter().all(|deviation| *deviation == 0.0) {
+                    continue;
+                }
+                let row = contact.row(self.centre, self.arm);
+                for (gradient, deviation) in gradients.iter_mut().zip(fields) {
+                    if deviation != 0.0 {
+                        *gradient += row * (contact.weight * deviation);
+                    }
                 }
             }
         }
-        gradient /= self.correlated_points;
-        Answer {
-            step: self.information.step(&gradient, 0.0, self.open_above_mm),
+        gradients.map(|gradient| Answer {
+            step: self.information.step(
+                &(gradient / self.correlated_points),
+                0.0,
+                self.open_above_mm,
+            ),
             centre: self.centre,
             arm: self.arm,
-        }
+        })
     }
 }
 

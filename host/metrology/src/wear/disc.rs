@@ -31,6 +31,11 @@ const PARTS: usize = 8;
 static DEVIATES: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..1 << 16).map(|i| normal(0x5eed, i) as f32).collect());
 
+/// Draws them, so that the first evaluation need not.
+pub(super) fn prepare() {
+    LazyLock::force(&DEVIATES);
+}
+
 /// The largest mean over a disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Peak {
@@ -197,10 +202,10 @@ impl<'a> Discs<'a> {
             .collect()
     }
 
-    /// The largest mean loss (`sign` 1) or the largest mean height of proud material (-1). None when no disc fits.
+    /// The largest mean loss and the largest mean height of proud material. None when no disc fits.
     ///
     /// `noise_scale` says how many times larger than stated the cells' noise is.
-    pub fn largest(&self, sign: f64, noise_scale: f64) -> Option<Peak> {
+    pub fn largest(&self, noise_scale: f64) -> Option<[Peak; 2]> {
         if !self.fits() {
             return None;
         }
@@ -208,17 +213,16 @@ impl<'a> Discs<'a> {
         let mut tried: Vec<(f64, [f64; 2])> = Vec::with_capacity(columns.len() * rows.len());
         for &y in &rows {
             for &x in &columns {
-                tried.push((self.mean_mm([x, y], sign), [x, y]));
+                tried.push((self.mean_mm([x, y], 1.0), [x, y]));
             }
         }
-        let count = CLIMBS.min(tried.len());
-        tried.select_nth_unstable_by(count - 1, |a, b| b.0.total_cmp(&a.0));
-        let (raw_mm, at_mm) = tried[..count]
-            .iter()
-            .map(|&from| self.climb(from, sign))
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let [bias_mm, scaled_bias_mm, scatter_mm] = self.of_noise(sign, noise_scale);
-        Some(Peak {
+        let loss = self.highest(tried.clone(), 1.0)?;
+        for (mean, _) in &mut tried {
+            *mean = -*mean;
+        }
+        let proud = self.highest(tried, -1.0)?;
+        let noise = self.of_noise(noise_scale);
+        let peak = |(raw_mm, at_mm), [bias_mm, scaled_bias_mm, scatter_mm]: [f64; 3]| Peak {
             raw_mm,
             at_mm,
             bias_mm,
@@ -227,7 +231,18 @@ impl<'a> Discs<'a> {
             u_mm: scatter_mm
                 .hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt())
                 .hypot(self.sampling_mm(at_mm, noise_scale)),
-        })
+        };
+        Some([peak(loss, noise[0]), peak(proud, noise[1])])
+    }
+
+    /// Climbs from the best of the discs tried.
+    fn highest(&self, mut tried: Vec<(f64, [f64; 2])>, sign: f64) -> Option<(f64, [f64; 2])> {
+        let count = CLIMBS.min(tried.len());
+        tried.select_nth_unstable_by(count - 1, |a, b| b.0.total_cmp(&a.0));
+        tried[..count]
+            .iter()
+            .map(|&from| self.climb(from, sign))
+            .max_by(|a, b| a.0.total_cmp(&b.0))
     }
 
     /// To the largest mean near a place.
@@ -297,12 +312,13 @@ impl<'a> Discs<'a> {
             .collect()
     }
 
-    /// By how much noise lifts the maximum: as stated, scaled; and the maximum's scatter by the scaled noise, mm.
-    fn of_noise(&self, sign: f64, noise_scale: f64) -> [f64; 3] {
+    /// By how much noise lifts the maximum, of loss and of proud material: as stated, scaled; and the maximum's scatter by the
+    /// scaled noise, mm. Both feel the same draws of noise, whose means over the discs are computed once.
+    fn of_noise(&self, noise_scale: f64) -> [[f64; 3]; 2] {
         let kernel = self.kernel();
         let padded = Padded::new(self.field, &kernel);
         // Cells that measured nothing bring neither wear nor noise.
-        let value = padded.of(self.field.wear_mm.iter().map(|&w| sign * w));
+        let value = padded.of(self.field.wear_mm.iter().copied());
         let sigma = padded.of(self.field.variance_mm2.iter().map(|v| v.sqrt()));
         let places: Vec<usize> = self
             .middles()
@@ -310,44 +326,64 @@ impl<'a> Discs<'a> {
             .map(|at| padded.index(at))
             .collect();
         let means: Vec<f32> = places.iter().map(|&at| padded.mean(&value, at)).collect();
-        let largest = means.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        if !largest.is_finite() {
-            return [f64::NAN; 3];
+        let largest = [1.0_f32, -1.0].map(|sign| {
+            means
+                .iter()
+                .map(|mean| sign * mean)
+                .fold(f32::NEG_INFINITY, f32::max)
+        });
+        if !largest.iter().all(|largest| largest.is_finite()) {
+            return [[f64::NAN; 3]; 2];
         }
         // A disc so far below the largest that no noise lifts it above takes no part.
         let weights2: f64 = kernel.0.iter().map(|(_, share)| share * share).sum();
         let worst = f64::from(sigma.iter().copied().fold(0.0, f32::max)) * weights2.sqrt();
         let reach = (8.0 * worst * noise_scale) as f32;
-        let rivals: Vec<(usize, f32)> = places
+        // A disc is no rival on a side where it starts at minus infinity.
+        let rivals: Vec<(usize, [f32; 2])> = places
             .into_iter()
             .zip(means)
-            .filter(|(_, mean)| *mean >= largest - reach)
+            .map(|(at, mean)| {
+                let of = |k: usize, mean: f32| {
+                    if mean >= largest[k] - reach {
+                        mean
+                    } else {
+                        f32::NEG_INFINITY
+                    }
+                };
+                (at, [of(0, mean), of(1, -mean)])
+            })
+            .filter(|(_, of)| of.iter().any(|mean| mean.is_finite()))
             .collect();
         let deviates = &*DEVIATES;
-        let mut lifts = [[0.0_f64; 2]; DRAWS];
+        let mut lifts = [[[0.0_f64; 2]; DRAWS]; 2];
         let mut noise = vec![0.0_f32; sigma.len()];
-        for (draw, lift) in lifts.iter_mut().enumerate() {
+        for draw in 0..DRAWS {
             for (i, noise) in noise.iter_mut().enumerate() {
                 *noise = sigma[i] * deviates[(draw * sigma.len() + i) % deviates.len()];
             }
-            let mut most = [f32::NEG_INFINITY; 2];
-            for &(at, mean) in &rivals {
+            let mut most = [[f32::NEG_INFINITY; 2]; 2];
+            for &(at, means) in &rivals {
                 let of_noise = padded.mean(&noise, at);
-                most = [
-                    most[0].max(mean + of_noise),
-                    most[1].max(mean + noise_scale as f32 * of_noise),
-                ];
+                let scaled = noise_scale as f32 * of_noise;
+                for (most, mean) in most.iter_mut().zip(means) {
+                    *most = [most[0].max(mean + of_noise), most[1].max(mean + scaled)];
+                }
             }
-            *lift = most.map(|m| f64::from(m - largest));
+            for side in 0..2 {
+                lifts[side][draw] = most[side].map(|m| f64::from(m - largest[side]));
+            }
         }
-        let mean = |k: usize| lifts.iter().map(|l| l[k]).sum::<f64>() / DRAWS as f64;
-        let scaled = mean(1);
-        let squares: f64 = lifts.iter().map(|l| (l[1] - scaled).powi(2)).sum();
-        [
-            mean(0).max(0.0),
-            scaled.max(0.0),
-            (squares / (DRAWS - 1) as f64).sqrt(),
-        ]
+        lifts.map(|lifts| {
+            let mean = |k: usize| lifts.iter().map(|l| l[k]).sum::<f64>() / DRAWS as f64;
+            let scaled = mean(1);
+            let squares: f64 = lifts.iter().map(|l| (l[1] - scaled).powi(2)).sum();
+            [
+                mean(0).max(0.0),
+                scaled.max(0.0),
+                (squares / (DRAWS - 1) as f64).sqrt(),
+            ]
+        })
     }
 
     /// The largest mean loss that any disc with unmeasured cells can have when those lost what `of_hole` says of each, mm; none
@@ -468,4 +504,135 @@ fn overlap_mm2(corner: [f64; 2], size: [f64; 2], radius_mm: f64) -> f64 {
             strip * (half.min(corner[0] + size[0]) - (-half).max(corner[0])).max(0.0)
         })
         .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    impl Discs<'_> {
+        /// One side alone, step by step: what [`Discs::largest`] has to equal. The largest mean loss (`sign` 1) or the largest mean height of proud material (-1). None when no disc fits.
+        ///
+        /// `noise_scale` says how many times larger than stated the cells' noise is.
+        fn largest_of(&self, sign: f64, noise_scale: f64) -> Option<Peak> {
+            if !self.fits() {
+                return None;
+            }
+            let [columns, rows] = [0, 1].map(|axis| self.lattice(axis, STEPS_PER_CELL));
+            let mut tried: Vec<(f64, [f64; 2])> = Vec::with_capacity(columns.len() * rows.len());
+            for &y in &rows {
+                for &x in &columns {
+                    tried.push((self.mean_mm([x, y], sign), [x, y]));
+                }
+            }
+            let count = CLIMBS.min(tried.len());
+            tried.select_nth_unstable_by(count - 1, |a, b| b.0.total_cmp(&a.0));
+            let (raw_mm, at_mm) = tried[..count]
+                .iter()
+                .map(|&from| self.climb(from, sign))
+                .max_by(|a, b| a.0.total_cmp(&b.0))?;
+            let [bias_mm, scaled_bias_mm, scatter_mm] = self.of_noise_of(sign, noise_scale);
+            Some(Peak {
+                raw_mm,
+                at_mm,
+                bias_mm,
+                // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
+                // Rectangular between the two.
+                u_mm: scatter_mm.hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt()),
+            })
+        }
+
+        /// By how much noise lifts the maximum: as stated, scaled; and the maximum's scatter by the scaled noise, mm.
+        fn of_noise_of(&self, sign: f64, noise_scale: f64) -> [f64; 3] {
+            let kernel = self.kernel();
+            let padded = Padded::new(self.field, &kernel);
+            // Cells that measured nothing bring neither wear nor noise.
+            let value = padded.of(self.field.wear_mm.iter().map(|&w| sign * w));
+            let sigma = padded.of(self.field.variance_mm2.iter().map(|v| v.sqrt()));
+            let places: Vec<usize> = self
+                .middles()
+                .into_iter()
+                .map(|at| padded.index(at))
+                .collect();
+            let means: Vec<f32> = places.iter().map(|&at| padded.mean(&value, at)).collect();
+            let largest = means.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+            if !largest.is_finite() {
+                return [f64::NAN; 3];
+            }
+            // A disc so far below the largest that no noise lifts it above takes no part.
+            let weights2: f64 = kernel.0.iter().map(|(_, share)| share * share).sum();
+            let worst = f64::from(sigma.iter().copied().fold(0.0, f32::max)) * weights2.sqrt();
+            let reach = (8.0 * worst * noise_scale) as f32;
+            let rivals: Vec<(usize, f32)> = places
+                .into_iter()
+                .zip(means)
+                .filter(|(_, mean)| *mean >= largest - reach)
+                .collect();
+            let deviates = &*DEVIATES;
+            let mut lifts = [[0.0_f64; 2]; DRAWS];
+            let mut noise = vec![0.0_f32; sigma.len()];
+            for (draw, lift) in lifts.iter_mut().enumerate() {
+                for (i, noise) in noise.iter_mut().enumerate() {
+                    *noise = sigma[i] * deviates[(draw * sigma.len() + i) % deviates.len()];
+                }
+                let mut most = [f32::NEG_INFINITY; 2];
+                for &(at, mean) in &rivals {
+                    let of_noise = padded.mean(&noise, at);
+                    most = [
+                        most[0].max(mean + of_noise),
+                        most[1].max(mean + noise_scale as f32 * of_noise),
+                    ];
+                }
+                *lift = most.map(|m| f64::from(m - largest));
+            }
+            let mean = |k: usize| lifts.iter().map(|l| l[k]).sum::<f64>() / DRAWS as f64;
+            let scaled = mean(1);
+            let squares: f64 = lifts.iter().map(|l| (l[1] - scaled).powi(2)).sum();
+            [
+                mean(0).max(0.0),
+                scaled.max(0.0),
+                (squares / (DRAWS - 1) as f64).sqrt(),
+            ]
+        }
+    }
+
+    #[test]
+    fn both_sides_at_once_are_as_each_alone() {
+        for seed in 0..12 {
+            let mut field = Field::unmeasured([1.7, 6.0], 0.11);
+            let samples: Vec<Sample> = (0..6000)
+                .map(|i| {
+                    let u = |k: u64| crate::random::uniform(seed, 3 * i + k);
+                    let at_mm = [1.7 * u(0), 6.0 * u(1)];
+                    let step = if at_mm[1] > 4.0 && seed % 3 == 0 {
+                        0.05
+                    } else {
+                        0.0
+                    };
+                    Sample {
+                        at_mm,
+                        wear_mm: step + 1e-3 * normal(seed + 50, i),
+                        variance_mm2: 0.25e-6,
+                    }
+                })
+                .filter(|s| seed % 2 == 0 || s.at_mm[0] < 1.2 || s.at_mm[1] > 2.0)
+                .collect();
+            let mut sums = vec![[0.0; 3]; field.wear_mm.len()];
+            for s in &samples {
+                if let Some(cell) = field.cell_at(s.at_mm) {
+                    sums[cell][0] += 1.0;
+                    sums[cell][1] += s.wear_mm;
+                    sums[cell][2] += s.variance_mm2;
+                }
+            }
+            for (i, [n, wear, variance]) in sums.into_iter().enumerate() {
+                field.wear_mm[i] = wear / n;
+                field.variance_mm2[i] = variance / (n * n);
+            }
+            let discs = Discs::new(&field, &samples, 0.25);
+            let both = discs.largest(1.7).unwrap();
+            let alone = [1.0, -1.0].map(|sign| discs.largest_of(sign, 1.7).unwrap());
+            assert_eq!(both, alone, "{seed}");
+        }
+    }
 }

@@ -78,6 +78,12 @@ impl TipBand {
     /// Takes a point whose nearest surface is no flank, if it lies in the material under the band: where the edge is worn away,
     /// the tip land is nearer than the flank was. Its loss is its distance from the involute.
     pub fn add_under(&mut self, gear: &GearData, at: &UnderEdge) {
+        let (place, wear_mm) = self.place_under(gear, at);
+        self.add(&place, wear_mm);
+    }
+
+    /// Where such a point counts on the flank, and its wear, mm.
+    pub fn place_under(&self, gear: &GearData, at: &UnderEdge) -> (FlankPlace, f64) {
         let wear_mm = -at.deviation_mm;
         let place = FlankPlace {
             tooth: at.tooth,
@@ -91,7 +97,7 @@ impl TipBand {
             },
             height_mm: at.height_mm,
         };
-        self.add(&place, wear_mm);
+        (place, wear_mm)
     }
 
     /// What the edge has lost beyond the `level_mm` that the rest of the flank shows; none when less than half of the band

@@ -73,8 +73,7 @@ pub(super) fn evaluate(
     }
     let scale = field.noise_scale();
     let discs = Discs::new(field, samples, settings.area_mm2);
-    let loss = discs.largest(1.0, scale)?;
-    let proud = discs.largest(-1.0, scale)?;
+    let [loss, proud] = discs.largest(scale)?;
 
     let n = measured.len() as f64;
     let sigma = |i: usize| scale * field.variance_mm2[i].sqrt();

@@ -6,6 +6,7 @@
 //!        ├──► cells: what is drawn, recorded, and where nothing was measured                              │   with budget
 //!        ├──► edge: rounding of the tip                                                                   │
 //!        └──► all flanks in view: what a turn of the pose may hide (shared) ──────────────────────────────┘
+//!  points of many views ──► parts of cells (gather) ──► the same
 //! ```
 //!
 //! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
@@ -16,17 +17,20 @@ mod disc;
 mod edge;
 mod field;
 mod figures;
+mod gather;
 mod shared;
 
 use std::sync::Arc;
 
 use nalgebra::{Vector3, Vector6};
+use rayon::prelude::*;
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
 pub use field::{Field, Mismatch};
 use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
+pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 
 use crate::gear::{Flank, FlankPlace, GearData};
@@ -199,6 +203,9 @@ pub struct Influence {
     pub leakage: Leakage,
     /// What the view says of its own pose about the axis.
     pub evidence: Arc<PoseEvidence>,
+    /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
+    /// settings state is known.
+    pub form_scatter_mm: f64,
     /// Root of the sum of squares of what the judged flank reads of a unit error in the form of each other flank.
     pub others_form: f64,
     /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
@@ -237,6 +244,20 @@ pub fn evaluate(
     registration: Option<&Registration>,
     settings: &Settings,
 ) -> Vec<FlankWear> {
+    let places = places(gear, measured.closest);
+    evaluate_placed(gear, zone, teeth, measured, &places, registration, settings)
+}
+
+/// As [`evaluate`], of points of which is known where they lie on the gear ([`places`]).
+pub fn evaluate_placed(
+    gear: &GearData,
+    zone: &Zone,
+    teeth: &[u32],
+    measured: Measured<'_>,
+    places: &[Option<FlankPlace>],
+    registration: Option<&Registration>,
+    settings: &Settings,
+) -> Vec<FlankWear> {
     let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
     let size_mm = [
         gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
@@ -259,8 +280,7 @@ pub fn evaluate(
     let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
 
     let points = measured.points.iter().zip(measured.closest);
-    for (index, ((point, closest), place)) in points.zip(places(gear, measured.closest)).enumerate()
-    {
+    for (index, ((point, closest), place)) in points.zip(places).enumerate() {
         let Some(place) = place else {
             if let Some(under) = edge::UnderEdge::of(gear, *point)
                 && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
@@ -284,7 +304,7 @@ pub fn evaluate(
             continue;
         }
         let wear_mm = -closest.signed_distance_mm;
-        grid.edge.add(&place, wear_mm);
+        grid.edge.add(place, wear_mm);
         let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
         };
@@ -304,9 +324,14 @@ pub fn evaluate(
         *count += 1;
     }
     grids
-        .into_iter()
+        .into_par_iter()
         .map(|grid| grid.wear(gear, registration, settings))
         .collect()
+}
+
+/// Makes ready what all evaluations share, so that the first one need not.
+pub fn prepare() {
+    disc::prepare();
 }
 
 impl Grid {
@@ -468,7 +493,8 @@ impl FlankWear {
         self.budget.unmeasured_mm = figures.in_holes_mm / 3f64.sqrt();
         let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
         if let Some(influence) = &self.influence {
-            let forms = [self.since_baseline, false].map(|since| settings.form_mm(since));
+            let forms = [self.since_baseline, false]
+                .map(|since| settings.form_mm(since).hypot(influence.form_scatter_mm));
             let turns = self
                 .evidence
                 .iter()

@@ -8,7 +8,7 @@ use flankscope_metrology::leakage;
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Temperature;
-use flankscope_metrology::wear::{Influence, PoseEvidence, SeenFlank, Zone, places};
+use flankscope_metrology::wear::{Influence, PoseEvidence, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 
 /// A flank with fewer points says nothing of the pose.
@@ -26,6 +26,8 @@ pub(super) struct Fitted<'a> {
     /// Every point on the surface, and whether the fit used it.
     pub closest: &'a [Closest],
     pub used: &'a [bool],
+    /// Where every point lies on the gear.
+    pub places: &'a [Option<FlankPlace>],
     pub temperature: Option<&'a Temperature>,
     /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on.
     pub form_in_doubt: bool,
@@ -54,7 +56,6 @@ impl Fitted<'_> {
             .zip(self.used)
             .map(|(closest, &used)| Contact::of(closest, self.registration, used))
             .collect();
-        let places = places(self.gear, self.closest);
         let response = Response::new(&contacts, self.registration, Some(self.prior), self.options);
         // One kelvin more than thought: every point farther from axis and seat by the expansion, less what the pose takes.
         let grown = |contact: &Contact| {
@@ -62,7 +63,8 @@ impl Fitted<'_> {
             self.temperature.map_or(0.0, |t| t.expansion_per_k * along)
         };
         let answer = response.answer(|i| grown(&contacts[i]));
-        let seen = self.seen(&places);
+        let places = self.places;
+        let seen = self.seen(places);
         let evidence = Arc::new(self.evidence(tooth, &seen));
         // How much of a unit error in the form of each other flank the pose passes on.
         let answers: Vec<_> = seen
@@ -76,10 +78,11 @@ impl Fitted<'_> {
                 response.answer(on)
             })
             .collect();
+        let leakage = leakage::of_tooth(self.gear, self.zone, tooth, &response, &contacts, places);
         Flank::BOTH.map(|flank| {
             let (mut sum, mut count) = (0.0, 0.0);
             let mut passed_on = vec![0.0; answers.len()];
-            for (contact, place) in contacts.iter().zip(&places) {
+            for (contact, place) in contacts.iter().zip(places) {
                 if place.is_some_and(|p| {
                     (p.tooth, p.flank) == (tooth, flank)
                         && self.zone.holds(p.radius_mm, p.height_mm)
@@ -94,15 +97,9 @@ impl Fitted<'_> {
             let mean = |sum: f64| if count > 0.0 { sum / count } else { 0.0 };
             let squares: f64 = passed_on.iter().map(|&sum| mean(sum).powi(2)).sum();
             Influence {
-                leakage: leakage::of_flank(
-                    self.gear,
-                    self.zone,
-                    (tooth, flank),
-                    &response,
-                    &contacts,
-                    &places,
-                ),
+                leakage: leakage[usize::from(flank == Flank::Right)],
                 evidence: Arc::clone(&evidence),
+                form_scatter_mm: 0.0,
                 others_form: squares.sqrt(),
                 temperature_mm: self.temperature.map_or(0.0, |t| mean(sum).abs() * t.u_k),
             }

@@ -61,6 +61,9 @@ pub struct FlankDetail {
     pub deepest_at_mm: [f64; 2],
     /// Area of the disc, mm².
     pub area_mm2: f64,
+    /// Of a scan, lower and upper end of the zone that these figures are of, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zone_height_mm: Option<[f64; 2]>,
     /// Largest mean height of proud material over such a disc, µm; negative where all of the zone has lost.
     pub proud_um: Expanded,
     /// Its warning and stop limit, µm.

@@ -59,6 +59,24 @@ impl Judged {
         }
     }
 
+    /// The verdict.
+    pub(crate) fn verdict(&self) -> &Verdict {
+        &self.verdict
+    }
+
+    /// The wear, µm, where there is one.
+    pub(crate) fn wear_um(&self) -> Option<f64> {
+        self.wear_um
+    }
+
+    /// The same, with the heights that it is for, mm.
+    pub(crate) fn over(mut self, height_mm: [f64; 2]) -> Self {
+        if let Some(detail) = &mut self.detail {
+            detail.zone_height_mm = Some(height_mm);
+        }
+        self
+    }
+
     /// The same verdict with the figures of the several captures that it rests on.
     pub fn from_captures(self, measurements: Vec<Option<Expanded>>) -> Self {
         Self {
@@ -87,6 +105,7 @@ fn detail(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Option<FlankDe
         raw_um: 1e3 * wear.raw_mm,
         deepest_at_mm: figures.at_mm,
         area_mm2: limits.area_mm2,
+        zone_height_mm: None,
         proud_um: um(wear.proud_mm, wear.u_proud_mm()),
         proud_limits_um: [limits.proud.warn_um, limits.proud.limit_um],
         cell_um: finite(um(wear.cell_mm.value, wear.cell_mm.u)),

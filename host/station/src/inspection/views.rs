@@ -239,6 +239,8 @@ impl Evaluator {
                 })
             })
             .collect::<Result<_, EvaluatorError>>()?;
+        // What the first verdict need not wait for.
+        wear::prepare();
         let settings = Settings {
             calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
             ..tool.wear_settings()
@@ -337,7 +339,9 @@ impl Evaluator {
         let flanks = match (&registration.status, &self.scale) {
             (_, Err(reason)) => unmeasured(&reason.to_string()),
             (Status::Registered, Ok(_)) => {
-                let influences = Fitted {
+                let (gear, settings) = (&self.gear, &self.judge.settings);
+                let places = wear::places(gear, &closest);
+                let fitted = Fitted {
                     gear: &self.gear,
                     zone: &self.zone,
                     registration: &registration,
@@ -346,31 +350,31 @@ impl Evaluator {
                     options: &options,
                     closest: &closest,
                     used: &used,
+                    places: &places,
                     temperature: self.judge.tool.temperature.as_ref(),
                     form_in_doubt: self.judge.settings.as_built_mm > 0.0,
-                }
-                .on(place.tooth);
-                leakage.insert("left", influences[0].leakage);
-                leakage.insert("right", influences[1].leakage);
-                pose = Some(PoseEvidence::clone(&influences[0].evidence));
+                };
                 let measured = Measured {
                     points: &located,
                     closest: &closest,
                     sigma_mm: Some(&sigma),
                 };
-                let (gear, settings) = (&self.gear, &self.judge.settings);
-                wears = wear::evaluate(
-                    gear,
-                    &self.zone,
-                    &[place.tooth],
-                    measured,
-                    Some(&registration),
-                    settings,
-                )
-                .into_iter()
-                .zip(influences)
-                .map(|(wear, influence)| wear.with(influence, settings))
-                .collect();
+                let (influences, measured) = rayon::join(
+                    || fitted.on(place.tooth),
+                    || {
+                        let (zone, teeth) = (&self.zone, &[place.tooth]);
+                        let of = Some(&registration);
+                        wear::evaluate_placed(gear, zone, teeth, measured, &places, of, settings)
+                    },
+                );
+                leakage.insert("left", influences[0].leakage);
+                leakage.insert("right", influences[1].leakage);
+                pose = Some(PoseEvidence::clone(&influences[0].evidence));
+                wears = measured
+                    .into_iter()
+                    .zip(influences)
+                    .map(|(wear, influence)| wear.with(influence, settings))
+                    .collect();
                 let captures = std::slice::from_ref(&wears);
                 let judged = |flank| self.judge.flank(place.tooth, flank, captures);
                 Flank::BOTH.into_iter().filter_map(judged).collect()

@@ -48,7 +48,7 @@ pub struct Hole {
 }
 
 /// Cells of the map across a flank between two radii, by the gear's own involute.
-pub(super) fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
+fn cells_across(gear: &GearData, layout: &Layout, radius_mm: [f64; 2]) -> f64 {
     let [from, to] = radius_mm.map(|r| gear.half_tooth_rad(r.max(gear.base_radius_mm())));
     let span_rad = (to.unwrap_or(0.0) - from.unwrap_or(0.0)).abs();
     (span_rad / std::f64::consts::TAU * layout.columns as f64).max(1.0)

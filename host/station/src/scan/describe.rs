@@ -1,29 +1,41 @@
 //! What was stitched, to the document: registration, flanks, coverage, form, verdict.
 
 use std::collections::BTreeMap;
+use std::time::Instant;
 
 use flankscope_metrology::cylinder::CylinderMap;
 use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
-use flankscope_metrology::gear::Flank;
 use flankscope_metrology::joint::{Solution, ViewInformation};
 use flankscope_metrology::spacing::opposite;
-use flankscope_metrology::verdict::{Rule, Verdict, combine, decide, probability_below};
+use flankscope_metrology::verdict::combine;
 
-use super::coverage::{Coverage, LEAST_COVERAGE, cells_across};
-use super::job::Scanner;
-use super::result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
+use super::coverage::{Coverage, LEAST_COVERAGE};
+use super::flanks::JudgedFlanks;
+use super::job::{ScanError, Scanner};
+use super::result::{
+    FlankSeen, Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+};
 use super::stitch::Stitched;
-use crate::inspection::{Feature, FrameCount, Subject, Timing, calibration_um};
+use crate::inspection::{FrameCount, Timing, calibration_um};
 use crate::origin;
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
-/// A flank with fewer cells seen is not judged.
-const LEAST_CELLS: usize = 20;
 
 impl Scanner {
     /// The document of what was stitched; `lost` says why views stayed lost.
-    pub(super) fn describe(&self, stitched: Stitched, lost: &BTreeMap<usize, String>) -> Scan {
+    pub(super) fn describe(
+        &self,
+        stitched: Stitched,
+        lost: &BTreeMap<usize, String>,
+    ) -> Result<Scan, ScanError> {
+        let begun = Instant::now();
+        let JudgedFlanks {
+            features,
+            verdicts,
+            means,
+        } = self.features(&stitched)?;
+        let took_ms = begun.elapsed().as_secs_f64() * 1e3;
         let Stitched {
             views,
             refused,
@@ -35,8 +47,9 @@ impl Scanner {
             map,
             rms_about_form_mm,
             quality,
-            elapsed_ms,
+            mut elapsed_ms,
         } = stitched;
+        elapsed_ms.insert("wear", took_ms);
         let mut lost = lost.clone();
         lost.extend(refused);
         let laid: BTreeMap<usize, _> = views
@@ -71,9 +84,8 @@ impl Scanner {
             }
         });
         let registration: Vec<_> = registration.collect();
-        let (features, judged) = self.features(&map);
         let spacing = self.spacing(&map, &views, &joint);
-        let mut verdict = combine(judged).to_string();
+        let mut verdict = combine(verdicts).to_string();
         let zone = self.station.subject.tool.zone();
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let coverage = Coverage::of(&map, &self.gear, radius_mm, planned, LEAST_COVERAGE);
@@ -81,7 +93,7 @@ impl Scanner {
         let looked_at = coverage.looked_at(map.coverage());
         let mut reason = match verdict.as_str() {
             "go" => format!(
-                "go for {looked_at} looked at: every flank that was seen is below the warning limit"
+                "go for {looked_at} looked at: every flank that was asked for is within the warning limit"
             ),
             other => {
                 let named: Vec<String> = features
@@ -135,12 +147,13 @@ impl Scanner {
             "protocol",
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
-        Scan {
+        Ok(Scan {
             origin: self.station.subject.origin(self.station.setting.as_ref()),
             date: origin::now(),
             verdict,
             reason,
             features,
+            flank_means: means.into_iter().map(FlankSeen::from).collect(),
             form: form.filter(|_| registered >= LEAST_REGISTERED),
             spacing,
             timing_ms: Timing::default(),
@@ -186,7 +199,7 @@ impl Scanner {
             hashes: self.station.subject.hashes.clone(),
             map,
             quality,
-        }
+        })
     }
 
     /// Distances of teeth across the bore, where both were seen.
@@ -212,63 +225,5 @@ impl Scanner {
                 Some(OppositeTeeth::new(of, views_mm, calibration_mm))
             })
             .collect()
-    }
-
-    /// Mean loss of every flank that was seen. The cells of a flank share what is wrong with the poses, so their
-    /// uncertainties do not average out.
-    fn features(&self, map: &CylinderMap) -> (Vec<Feature>, Vec<Verdict>) {
-        let mut flanks: BTreeMap<(u32, bool), (usize, f64, f64)> = BTreeMap::new();
-        for cell in map.cells() {
-            if let Some(at) = self.gear.place(cell.point, cell.normal) {
-                let sums = flanks
-                    .entry((at.tooth, at.flank == Flank::Right))
-                    .or_default();
-                sums.0 += 1;
-                sums.1 -= cell.deviation_mm * 1e3;
-                sums.2 += (cell.sigma_mm * 1e3).powi(2);
-            }
-        }
-        let layout = map.layout();
-        let radii = [self.gear.tip_radius_mm, self.gear.root_radius_mm];
-        let all = layout.rows as f64 * cells_across(&self.gear, &layout, radii);
-        let Subject { tool, head, .. } = &self.station.subject;
-        let rule = tool
-            .inspect
-            .as_ref()
-            .map_or(Rule::new(f64::NAN, f64::NAN), |i| i.rule());
-        let calibration_um = calibration_um(tool, head);
-        flanks
-            .into_iter()
-            .filter(|(_, (cells, ..))| *cells >= LEAST_CELLS)
-            .map(|((tooth, right), (cells, loss, variance))| {
-                let mean_um = loss / cells as f64;
-                let u_um = (variance / cells as f64 + calibration_um * calibration_um).sqrt();
-                let verdict = decide(mean_um, u_um, &rule);
-                let (reason, code) = match &verdict {
-                    Verdict::Indeterminate { reason } => {
-                        (Some(reason.to_string()), Some(reason.code()))
-                    }
-                    _ => (None, None),
-                };
-                let flank = if right { Flank::Right } else { Flank::Left };
-                let feature = Feature {
-                    tooth,
-                    flank: flank.to_string(),
-                    wear_um: Some(mean_um),
-                    u95_um: Some(1.96 * u_um),
-                    mean_um: Some(mean_um),
-                    coverage_ratio: (cells as f64 / all).min(1.0),
-                    warn_um: rule.warn_um,
-                    limit_um: rule.limit_um,
-                    conformity: Some(probability_below(rule.limit_um, mean_um, u_um)),
-                    detail: None,
-                    measurements: Vec::new(),
-                    verdict: verdict.to_string(),
-                    reason,
-                    code,
-                };
-                (feature, verdict)
-            })
-            .unzip()
     }
 }

@@ -85,10 +85,10 @@ pub enum Progress {
 #[derive(Debug)]
 pub struct Scanner {
     pub(super) station: Station<ScannedView>,
-    store: Store,
+    pub(super) store: Store,
     pub(super) grid: Grid,
     pub(super) gear: GearData,
-    nominal: Stages,
+    pub(super) nominal: Stages,
     pub(super) resumed: usize,
     method: Method,
     paper: PaperSettings,
@@ -322,7 +322,7 @@ impl Scanner {
             &self.nominal,
             over,
         )?;
-        let mut scan = self.describe(empty, &BTreeMap::new());
+        let mut scan = self.describe(empty, &BTreeMap::new())?;
         scan.disown(why);
         Ok(scan)
     }
@@ -341,7 +341,7 @@ impl Scanner {
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
         let shared = ours.joint.stages.clone();
         let stretch = stretch_of_views(&ours, session, tool)?;
-        let mut scan = self.describe(ours, lost);
+        let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
         let turned = turned_rad(&shared, nominal, planned);
         scan.teeth_turned_deg = turned.to_degrees();
@@ -351,7 +351,7 @@ impl Scanner {
             return Ok(scan);
         }
         if let Some(reference) = &self.reference {
-            let placement = reference.compare(&scan.features, self.gear.teeth);
+            let placement = reference.compare(&scan.flank_means, self.gear.teeth);
             let objection = placement.objection();
             scan.placement = Some(placement);
             if let Some(why) = objection {

@@ -1,9 +1,12 @@
 //! A view's points on the CAD, gathered by the cells of the unrolled bore.
 
+use std::collections::BTreeMap;
+
 use flankscope_metrology::cylinder::{Layout, Witness, witnesses};
-use flankscope_metrology::gear::GearData;
+use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::joint::{Pose, ViewInformation, compress_laid};
 use flankscope_metrology::surface::{Closest, Surface};
+use flankscope_metrology::wear::{FlankView, Measured};
 use nalgebra::{Isometry3, Point3};
 
 use super::view::Kept;
@@ -51,6 +54,17 @@ impl Laid {
     pub fn witnesses(&self, layout: &Layout, points: &[Kept]) -> Vec<Witness> {
         let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
         witnesses(layout, &self.closest, &sigma_mm)
+    }
+
+    /// What the view saw of every flank.
+    pub fn flanks(&self, gear: &GearData, points: &[Kept]) -> BTreeMap<(u32, Flank), FlankView> {
+        let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
+        let measured = Measured {
+            points: &self.located,
+            closest: &self.closest,
+            sigma_mm: Some(&sigma_mm),
+        };
+        FlankView::of(gear, measured)
     }
 
     /// What the view says of its pose.

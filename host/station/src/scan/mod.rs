@@ -25,11 +25,13 @@
 //! | `workshop` | what is done with a view once its frames are there |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
+//! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 
 mod comparison;
 mod coverage;
 mod describe;
+mod flanks;
 mod grid;
 mod job;
 mod lay;
@@ -53,6 +55,8 @@ pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
 pub use paper::PaperSettings;
 pub use reference::{Placement, ReferenceError};
-pub use result::{Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching};
+pub use result::{
+    FlankSeen, Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+};
 pub use session::SessionError;
 pub use workshop::{Processing, ProcessingError};

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
 use flankscope_metrology::cylinder::{Layout, Witness, moved};
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::wear::{FlankPoint, FlankView};
 use nalgebra::Isometry3;
 
 use super::session::SessionError;
@@ -16,8 +18,17 @@ use super::session::SessionError;
 struct Place {
     offset: u64,
     witnesses: usize,
+    flanks: BTreeMap<(u32, Flank), FlankPlace>,
     /// At which it was laid on the CAD.
     tool_from_camera: Isometry3<f64>,
+}
+
+/// Where the points of one flank lie in the file: first those on it, then those under its edge.
+#[derive(Clone, Copy, Debug)]
+struct FlankPlace {
+    offset: u64,
+    on: usize,
+    under: usize,
 }
 
 /// A file without a name in the session folder: it goes with the process, since all of it follows from the views' points.
@@ -47,24 +58,72 @@ impl Patches {
         }
     }
 
-    /// Keeps a view's patch instead of an older one.
+    /// Keeps a view's patch, and its points by flank, instead of older ones.
     pub fn keep(
         &mut self,
         view: usize,
         tool_from_camera: Isometry3<f64>,
         witnesses: &[Witness],
+        flanks: &BTreeMap<(u32, Flank), FlankView>,
     ) -> Result<(), SessionError> {
-        let bytes: &[u8] = bytemuck::cast_slice(witnesses);
-        let written = self.file.write_all_at(bytes, self.end);
-        written.map_err(|error| self.trouble(error))?;
+        let offset = self.write(bytemuck::cast_slice(witnesses))?;
+        let mut kept = BTreeMap::new();
+        for (&key, seen) in flanks {
+            let place = FlankPlace {
+                offset: self.write(bytemuck::cast_slice(&seen.on))?,
+                on: seen.on.len(),
+                under: seen.under.len(),
+            };
+            self.write(bytemuck::cast_slice(&seen.under))?;
+            kept.insert(key, place);
+        }
         let place = Place {
-            offset: self.end,
+            offset,
             witnesses: witnesses.len(),
+            flanks: kept,
             tool_from_camera,
         };
         self.places.insert(view, place);
-        self.end += bytes.len() as u64;
         Ok(())
+    }
+
+    /// Appends bytes; returns where they lie.
+    fn write(&mut self, bytes: &[u8]) -> Result<u64, SessionError> {
+        let offset = self.end;
+        let written = self.file.write_all_at(bytes, offset);
+        written.map_err(|error| self.trouble(error))?;
+        self.end += bytes.len() as u64;
+        Ok(offset)
+    }
+
+    /// Every flank that a view saw, view by view.
+    pub fn flanks(&self) -> impl Iterator<Item = (u32, Flank)> + '_ {
+        self.places
+            .values()
+            .flat_map(|place| place.flanks.keys().copied())
+    }
+
+    /// What a view saw of a flank, and how the view has moved from there to `tool_from_camera`; none where it saw nothing.
+    pub fn flank(
+        &self,
+        view: usize,
+        key: (u32, Flank),
+        tool_from_camera: &Isometry3<f64>,
+    ) -> Result<Option<(FlankView, Isometry3<f64>)>, SessionError> {
+        let Some(place) = self.places.get(&view) else {
+            return Ok(None);
+        };
+        let Some(of) = place.flanks.get(&key) else {
+            return Ok(None);
+        };
+        let mut points = vec![FlankPoint::zeroed(); of.on + of.under];
+        let read = self
+            .file
+            .read_exact_at(bytemuck::cast_slice_mut(&mut points), of.offset);
+        read.map_err(|error| self.trouble(error))?;
+        let under = points.split_off(of.on);
+        let motion = tool_from_camera * place.tool_from_camera.inverse();
+        Ok(Some((FlankView { on: points, under }, motion)))
     }
 
     /// Pose at which a view was laid on the CAD, if it was.

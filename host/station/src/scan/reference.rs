@@ -7,7 +7,7 @@ use flankscope_metrology::fingerprint::{Comparison, FlankMean, compare};
 use flankscope_metrology::gear::Flank;
 use serde::{Deserialize, Serialize};
 
-use crate::inspection::Feature;
+use super::result::FlankSeen;
 use crate::origin::looked_at;
 
 /// Why there is nothing to compare with.
@@ -72,6 +72,8 @@ struct Document {
     verdict: String,
     reason: String,
     features: Vec<Entry>,
+    /// Absent in those of earlier releases, whose features are all flanks that were seen.
+    flank_means: Option<Vec<Entry>>,
     hashes: BTreeMap<String, String>,
     /// Absent in those of earlier releases.
     simulated: Option<bool>,
@@ -128,7 +130,8 @@ impl Reference {
             return Err(ReferenceError::OtherKind { path, simulated });
         }
         let of = |entry: &Entry| flank_mean(entry.tooth, &entry.flank, entry.mean_um);
-        let flanks: Vec<FlankMean> = document.features.iter().filter_map(of).collect();
+        let entries = document.flank_means.as_ref().unwrap_or(&document.features);
+        let flanks: Vec<FlankMean> = entries.iter().filter_map(of).collect();
         if flanks.is_empty() {
             return Err(ReferenceError::Empty {
                 path,
@@ -140,9 +143,9 @@ impl Reference {
     }
 
     /// Compares with this scan's flanks on a gear of so many teeth.
-    pub(super) fn compare(&self, features: &[Feature], teeth: u32) -> Placement {
-        let of = |f: &Feature| flank_mean(f.tooth, &f.flank, f.mean_um);
-        let now: Vec<FlankMean> = features.iter().filter_map(of).collect();
+    pub(super) fn compare(&self, seen: &[FlankSeen], teeth: u32) -> Placement {
+        let of = |f: &FlankSeen| flank_mean(f.tooth, &f.flank, Some(f.mean_um));
+        let now: Vec<FlankMean> = seen.iter().filter_map(of).collect();
         Placement::of(compare(teeth, &self.flanks, &now))
     }
 }

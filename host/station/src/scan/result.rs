@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use flankscope_metrology::cylinder::{BoreForm, CylinderMap, FieldQuality};
+use flankscope_metrology::fingerprint::FlankMean;
 use flankscope_metrology::spacing::Spacing;
 
 use super::comparison::MethodResult;
@@ -28,8 +29,10 @@ pub struct Scan {
     pub verdict: String,
     /// Why, in one sentence.
     pub reason: String,
-    /// One entry per flank that was seen: its mean loss.
+    /// One entry per flank that was asked for, and per other flank that shows damage: judged as in a check.
     pub features: Vec<Feature>,
+    /// Mean loss of every flank that was seen, asked for or not: what a later scan recognises the die by.
+    pub flank_means: Vec<FlankSeen>,
     /// Size, ovality and taper of the bore; absent when too little was seen.
     pub form: Option<Form>,
     /// Distances of teeth from those across the bore, where both were seen.
@@ -91,6 +94,7 @@ impl Scan {
         self.verdict = "indeterminate".into();
         self.reason = why;
         self.features.clear();
+        self.flank_means.clear();
         self.spacing.clear();
         self.form = None;
     }
@@ -101,6 +105,7 @@ impl Scan {
         self.verdict = "indeterminate".into();
         self.reason = "the article's method claims no uncertainty, so it gives no verdict; --method surface does".into();
         self.features.clear();
+        self.flank_means.clear();
         self.spacing.clear();
         self.form = figures.form;
         let mut refused: BTreeMap<usize, String> = laid.refused.into_iter().collect();
@@ -187,6 +192,27 @@ impl OppositeTeeth {
             distance_mm: of.distance_mm,
             deviation_um: of.deviation_mm * 1e3,
             u95_um: 1.96e3 * sigma_mm,
+        }
+    }
+}
+
+/// Mean loss of one flank as far as it was seen.
+#[derive(Clone, Debug, Serialize)]
+pub struct FlankSeen {
+    /// Tooth, from 1.
+    pub tooth: u32,
+    /// `left` or `right`.
+    pub flank: String,
+    /// Mean loss, µm.
+    pub mean_um: f64,
+}
+
+impl From<FlankMean> for FlankSeen {
+    fn from(of: FlankMean) -> Self {
+        Self {
+            tooth: of.tooth,
+            flank: of.flank.to_string(),
+            mean_um: -of.deviation_um,
         }
     }
 }

@@ -214,7 +214,11 @@ impl<'a> Common<'a> {
             if moved.is_none_or(|mm| mm > RELAY_MM) {
                 let points = self.session.points(*view)?;
                 let laid = Laid::new(&self.tool.surface, *pose, &points);
-                patches.keep(*view, *pose, &laid.witnesses(layout, &points))?;
+                let flanks = match &self.tool.gear {
+                    Some(gear) => laid.flanks(gear, &points),
+                    None => BTreeMap::new(),
+                };
+                patches.keep(*view, *pose, &laid.witnesses(layout, &points), &flanks)?;
                 relaid += 1;
             }
         }

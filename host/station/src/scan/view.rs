@@ -5,12 +5,14 @@ use std::sync::Arc;
 
 use flankscope_metrology::cylinder::{Layout, Witness};
 use flankscope_metrology::frames::Rigid;
+use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::joint::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::outlier;
 use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
@@ -62,13 +64,14 @@ pub(crate) struct LaidView {
     pub information: ViewInformation,
     /// What it says of the map, there.
     pub witnesses: Vec<Witness>,
+    /// What it saw of every flank, there.
+    pub flanks: BTreeMap<(u32, Flank), FlankView>,
 }
 
 /// The compute thread's state.
 pub(super) struct ViewScanner {
     tool: Arc<Tool>,
-    teeth: u32,
-    pitch_mm: f64,
+    gear: GearData,
     layout: Layout,
     decoder: Arc<Decoder>,
     itinerary: Arc<Itinerary>,
@@ -90,9 +93,8 @@ impl ViewScanner {
         let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
         let mut scanner = Self {
             tool: Arc::clone(&subject.tool),
-            teeth: gear.teeth,
-            pitch_mm: gear.pitch_rad() * gear.pitch_radius_mm(),
             layout: layout(gear),
+            gear: gear.clone(),
             decoder,
             itinerary,
             joint: Solution::prior(nominal, Local::default()),
@@ -133,8 +135,9 @@ impl ViewScanner {
             .collect();
         let first = coordinates(&points, FIRST_POSE);
         let surface = &self.tool.surface;
-        let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * self.pitch_mm {
-            search_phase(surface, &first, &expected, self.teeth)
+        let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
+        let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * pitch_mm {
+            search_phase(surface, &first, &expected, self.gear.teeth)
         } else {
             expected
         };
@@ -143,7 +146,7 @@ impl ViewScanner {
         let options = Options {
             initial: Rigid::from_isometry(start),
             prior: Some(prior),
-            teeth: Some(self.teeth),
+            teeth: Some(self.gear.teeth),
             ..Options::default()
         };
         let registration = register(surface, &first, None, &options);
@@ -180,6 +183,7 @@ impl ViewScanner {
         self.known.insert(view, information.clone());
         LaidView {
             witnesses: laid.witnesses(&self.layout, points),
+            flanks: laid.flanks(&self.gear, points),
             information,
         }
     }

@@ -44,8 +44,9 @@ impl Store {
         };
         self.session
             .keep(view, &scanned.points, scanned.tool_from_camera)?;
+        let pose = laid.information.tool_from_camera;
         self.patches
-            .keep(view, laid.information.tool_from_camera, &laid.witnesses)?;
+            .keep(view, pose, &laid.witnesses, &laid.flanks)?;
         self.known.insert(view, laid.information);
         Ok(Ok(()))
     }

@@ -1,0 +1,612 @@
+//! What a scan says of the wear of every flank: the same measurand, judged by the same rules as in a check between strokes.
+//!
+//! ```text
+//!  points of every view by flank (patches) ─► moved to the joint solve's poses ─► zone by zone: wear ─┐
+//!  what each view may hide or leave open (pose) ──────────────────────────────────────────────────────┤
+//!  medians of all flanks: what a turn of the die may hide ────────────────────────────────────────────┴─► judge
+//! ```
+//!
+//! A die that is put down by hand has no known turn, and a bore that is larger all around looks like a head farther from the
+//! wall: what a scan knows of one side of all teeth, and of all flanks together, is what the flanks themselves say. Wear is
+//! against the CAD: ovality, taper and pitch as built count as wear, as in a check without a baseline.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use flankscope_metrology::decision::Limits;
+use flankscope_metrology::fingerprint::FlankMean;
+use flankscope_metrology::frames::Rigid;
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
+use flankscope_metrology::joint::{Local, Solution, Stages, ViewInformation};
+use flankscope_metrology::leakage::{Leakage, of_tooth};
+use flankscope_metrology::registration::{Contact, Options, Prior, Response};
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Verdict;
+use flankscope_metrology::wear::{
+    Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
+};
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use rayon::prelude::*;
+
+use super::job::{ScanError, Scanner};
+use super::session::SessionError;
+use super::stitch::Stitched;
+use super::view::{SAMPLE, coordinates};
+use super::workshop::Store;
+use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
+
+/// Where every tooth is in the middle of a view, layers that are no farther apart than twice this are asked for everything
+/// between them, mm: a field is 10 mm wide, and what its round rim lacks there the views beside it show.
+const JOINED_MM: f64 = 5.0;
+/// Else a view is asked for so much above and below its middle, mm: its field is round.
+const ASKED_MM: f64 = 4.0;
+/// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
+const END_PER_MODULE: f64 = 0.1;
+/// Of a flank that was not asked for, less than this share of a zone says nothing.
+const LEAST_SEEN: f64 = 0.02;
+/// Turns of the die on its table, as wear, among which nothing but the flanks tells: standard deviation, mm. Wider than any
+/// wear that is still a gear, narrow enough for the integral's steps to stay below a micrometre.
+const ANY_TURN_MM: f64 = 0.1;
+/// The lower quartile of a normal distribution lies so many standard deviations below its median; and the standard error of
+/// that of n values is this many over the root of n.
+const QUARTILE_SIGMAS: f64 = 0.674_5;
+const QUARTILE_ERROR: f64 = 1.362_6;
+/// Median of |x| to standard deviation for a normal distribution.
+const SIGMA_PER_MAD: f64 = 1.4826;
+/// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
+/// the joint solve counts them.
+const PATCHES: f64 = 80.0;
+const FORM_MM: f64 = 10e-3;
+/// A flank with fewer of a view's sample lies at its rim.
+const LEAST_OF_SAMPLE: usize = 25;
+
+type Key = (u32, Flank);
+
+/// What is said of the flanks.
+#[derive(Default)]
+pub(super) struct JudgedFlanks {
+    pub features: Vec<Feature>,
+    pub verdicts: Vec<Verdict>,
+    /// Mean deviation of every flank that was seen, asked for or not.
+    pub means: Vec<FlankMean>,
+}
+
+/// What one view's pose may do to the flanks of its middle tooth.
+#[derive(Clone, Copy)]
+struct Held {
+    tooth: u32,
+    vertical_mm: f64,
+    /// Left, right.
+    leakage: [Leakage; 2],
+    /// Standard uncertainty of either flank's deviation by the pose, mm.
+    sigma_mm: [f64; 2],
+    /// Flanks in view.
+    flanks: usize,
+}
+
+/// The heights that a plan asks for, tooth by tooth: around every view's middle; of a scan of all of so many teeth, joined
+/// where layers are near each other or the end of the toothing is.
+fn asked(planned: &[PlannedView], teeth: u32, height_mm: [f64; 2]) -> BTreeMap<u32, Vec<[f64; 2]>> {
+    let mut middles: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for view in planned {
+        middles
+            .entry(view.tooth)
+            .or_default()
+            .push(view.vertical_mm);
+    }
+    let [bottom, top] = height_mm;
+    let all = middles.len() >= teeth as usize;
+    let reach = |to_edge_mm: f64| {
+        if all && to_edge_mm <= JOINED_MM {
+            to_edge_mm
+        } else {
+            ASKED_MM
+        }
+    };
+    let of_tooth = |(tooth, mut at): (u32, Vec<f64>)| {
+        at.sort_by(f64::total_cmp);
+        at.dedup();
+        let mut zones: Vec<[f64; 2]> = Vec::new();
+        for (i, &middle) in at.iter().enumerate() {
+            let below = i.checked_sub(1).map(|j| 0.5 * (middle - at[j]));
+            let above = at.get(i + 1).map(|next| 0.5 * (next - middle));
+            let low = middle - reach(below.unwrap_or(middle - bottom));
+            let high = middle + reach(above.unwrap_or(top - middle));
+            match zones.last_mut() {
+                Some(last) if low - last[1] < 1e-6 => last[1] = high,
+                _ => zones.push([low, high]),
+            }
+        }
+        (tooth, zones)
+    };
+    middles.into_iter().map(of_tooth).collect()
+}
+
+/// The middle one of the finite values; none without any.
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// How the form of a die's flanks scatters about the median of each side, mm.
+fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
+    let off = Flank::BOTH.into_iter().flat_map(|side| {
+        let of_side = || flanks.iter().filter(move |flank| flank.flank == side);
+        let middle = median(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
+        of_side().map(move |flank| (flank.median_mm - middle).abs())
+    });
+    SIGMA_PER_MAD * median(off).unwrap_or(0.0)
+}
+
+/// What all flanks say of a turn of the die, of which nothing else is known; and how well the form of a die whose flanks
+/// scatter by this is known from as many, mm.
+///
+/// Each side counts by its lower quartile, lifted to where the median of a side without wear is: damage of up to three
+/// quarters of a side does not reach it, nor does material that sticks to less than a quarter.
+fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
+    let mut fewest = f64::INFINITY;
+    let sides = Flank::BOTH.into_iter().filter_map(|side| {
+        let of_side = flanks.iter().filter(|flank| flank.flank == side);
+        let mut mm: Vec<f64> = of_side.map(|flank| flank.median_mm).collect();
+        mm.sort_by(f64::total_cmp);
+        fewest = fewest.min(mm.len() as f64);
+        Some(SeenFlank {
+            tooth: 0,
+            flank: side,
+            median_mm: mm.get(mm.len() / 4)? + QUARTILE_SIGMAS * scatter_mm,
+            per_turn: side.sign(),
+        })
+    });
+    let evidence = PoseEvidence {
+        tooth: 0,
+        flanks: sides.collect(),
+        stages_mm: 0.0,
+        approach_sigma_mm: ANY_TURN_MM,
+        mount_sigma_mm: 0.0,
+        stages_both_mm: 0.0,
+        both_sigma_mm: f64::INFINITY,
+        mount_mm: [0.0; 3],
+    };
+    (
+        evidence,
+        QUARTILE_ERROR * scatter_mm / fewest.max(1.0).sqrt(),
+    )
+}
+
+/// Row by which a small motion about `centre` acts on the deviation of a point with this normal.
+fn row(point: [f64; 3], normal: [f64; 3], centre: Vector3<f64>) -> Vector6<f64> {
+    let normal = Vector3::from(normal);
+    let turn = (Vector3::from(point) - centre).cross(&normal);
+    Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z)
+}
+
+/// What the flanks of a scan are judged from and by.
+struct Judging<'a> {
+    gear: &'a GearData,
+    tool: &'a Tool,
+    planned: &'a [PlannedView],
+    store: &'a Store,
+    nominal: &'a Stages,
+    /// Standard uncertainty of a flank's deviation by the head's calibration, mm.
+    calibration_mm: f64,
+}
+
+impl Scanner {
+    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
+        let subject = &self.station.subject;
+        let judging = Judging {
+            gear: &self.gear,
+            tool: &subject.tool,
+            planned: &self.station.itinerary.views,
+            store: &self.store,
+            nominal: &self.nominal,
+            calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
+        };
+        judging.flanks(stitched)
+    }
+}
+
+impl Judging<'_> {
+    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    fn flanks(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
+        let (tool, planned) = (self.tool, self.planned);
+        let asked = asked(planned, self.gear.teeth, self.gear.height_mm);
+        let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
+            let why = "[inspect] is missing in the tool file: there are no limits to judge by";
+            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, why));
+            let judged = asked.keys().flat_map(none).collect::<Vec<_>>();
+            return Ok(JudgedFlanks {
+                verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
+                features: judged.into_iter().map(Feature::from).collect(),
+                means: Vec::new(),
+            });
+        };
+        let settings = Settings {
+            calibration_mm: self.calibration_mm,
+            ..tool.wear_settings()
+        };
+        let end_mm = END_PER_MODULE * self.gear.module_mm;
+        let [bottom, top] = self.gear.height_mm;
+        let zone_of = |[low, high]: [f64; 2]| Zone {
+            radius_mm: zone.radius_mm,
+            height_mm: [low.max(bottom + end_mm), high.min(top - end_mm)],
+        };
+        let held = self.held(stitched, &zone)?;
+        let everywhere: Vec<[f64; 2]> = {
+            let mut all: Vec<[f64; 2]> = asked.values().flatten().copied().collect();
+            all.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+            all.dedup();
+            all
+        };
+        // Flanks that were asked for, and any other that a view saw.
+        let mut keys: BTreeSet<Key> = self.store.patches.flanks().collect();
+        keys.extend(
+            asked
+                .keys()
+                .flat_map(|&tooth| Flank::BOTH.map(|f| (tooth, f))),
+        );
+        let zones: Vec<(Key, Zone)> = keys
+            .into_iter()
+            .flat_map(|key| {
+                let heights = asked.get(&key.0).unwrap_or(&everywhere);
+                heights.iter().map(move |height| (key, zone_of(*height)))
+            })
+            .collect();
+        let views: Vec<(usize, &Isometry3<f64>)> = stitched
+            .views
+            .iter()
+            .zip(&stitched.joint.poses)
+            .map(|((view, _), pose)| (*view, pose))
+            .collect();
+        let steps = [stitched.steps.around, stitched.steps.up]
+            .into_iter()
+            .flatten();
+        // Of two views that lie a step apart each has its share.
+        let steps_mm = steps
+            .map(|step| 1e-3 * step.after_um / 2f64.sqrt())
+            .fold(0.0, f64::max);
+        let measured: Result<Vec<(Zone, FlankWear)>, SessionError> = zones
+            .par_iter()
+            .map(|&(key, zone)| {
+                let mut all = Gathered::new(self.gear, zone, key, &settings);
+                for &(view, pose) in &views {
+                    let Some((seen, motion)) = self.store.patches.flank(view, key, pose)? else {
+                        continue;
+                    };
+                    let back = pose.inverse();
+                    all.add(&seen, &motion, |foot| {
+                        let in_camera = back * Point3::from(foot);
+                        stitched.quality.variance_mm2(in_camera.into())
+                    });
+                }
+                let registration_mm = of_zone(&held, key, &zone)
+                    .map(|(of, side)| of.sigma_mm[side])
+                    .fold(steps_mm, worse);
+                Ok((zone, all.wear(registration_mm, &settings)))
+            })
+            .collect();
+        let measured = measured?;
+        let is_asked = |wear: &FlankWear| asked.contains_key(&wear.tooth);
+        let seen: Vec<SeenFlank> = measured
+            .iter()
+            .filter(|(_, wear)| is_asked(wear) && wear.coverage >= limits.least_coverage)
+            .filter_map(|(_, wear)| {
+                Some(SeenFlank {
+                    tooth: wear.tooth,
+                    flank: wear.flank,
+                    median_mm: median(wear.field.wear_mm.iter().copied())?,
+                    per_turn: wear.flank.sign(),
+                })
+            })
+            .collect();
+        let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
+        let evidence = Arc::new(evidence);
+        let judged = measured.into_par_iter().map(|(zone, wear)| {
+            let influence = self.influence(&held, &zone, &wear, &evidence, form_scatter_mm);
+            let wear = match influence {
+                Some(influence) => wear.with(influence, &settings),
+                None => wear,
+            };
+            judge(wear, &zone, &limits)
+        });
+        let judged: Vec<OfZone> = judged.collect();
+        Ok(of_flanks(&judged, |tooth| asked.contains_key(&tooth)))
+    }
+
+    /// What the poses of the views do to the flanks that they were asked for.
+    fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
+        let nominal = Solution::prior(self.nominal.clone(), Local::default());
+        let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+        let held: Result<Vec<Option<Held>>, SessionError> = views
+            .into_par_iter()
+            .map(|((view, info), pose)| {
+                let sample = coordinates(&self.store.session.sample(*view, SAMPLE)?, SAMPLE);
+                let planned = &self.planned[*view];
+                let covariance = stitched.joint.pose_covariance(info);
+                // Nothing is taken as known of die and head but what the files say: the views could have been moved by the
+                // wear of all of them.
+                let prior = nominal.predict(info.at);
+                Ok(covariance.map(|covariance| {
+                    self.held_by(planned, zone, info, (&sample, pose), (&prior, &covariance))
+                }))
+            })
+            .collect();
+        Ok(held?.into_iter().flatten().collect())
+    }
+
+    fn held_by(
+        &self,
+        planned: &PlannedView,
+        zone: &Zone,
+        info: &ViewInformation,
+        (sample, pose): (&[[f64; 3]], &Isometry3<f64>),
+        (prior, covariance): (&Prior, &Matrix6<f64>),
+    ) -> Held {
+        let located: Vec<[f64; 3]> = sample
+            .iter()
+            .map(|&p| (pose * Point3::from(p)).into())
+            .collect();
+        let closest = self.tool.surface.closest_many(&located);
+        let contacts: Vec<Contact> = closest
+            .iter()
+            .map(|hit| Contact {
+                point: hit.point,
+                normal: hit.normal,
+                weight: FORM_MM.powi(-2),
+            })
+            .collect();
+        let places = places(self.gear, &closest);
+        let centre = Vector3::from(info.centre_mm);
+        let squares: f64 = contacts
+            .iter()
+            .map(|of| (Vector3::from(of.point) - centre).norm_squared())
+            .sum();
+        let count = contacts.len().max(1) as f64;
+        let options = Options {
+            correlated_points: count / PATCHES,
+            ..Options::default()
+        };
+        // The expected pose is where the view is: what is asked is how deviations would move it.
+        let prior = Prior {
+            tool_from_cloud: Rigid::from_isometry(*pose),
+            ..prior.clone()
+        };
+        let at = (info.centre_mm, (squares / count).sqrt());
+        let response = Response::of_points(&contacts, at, Some(&prior), &options);
+        let heights = Zone {
+            radius_mm: zone.radius_mm,
+            height_mm: [-ASKED_MM, ASKED_MM].map(|mm| planned.vertical_mm + mm),
+        };
+        let mut seen: BTreeMap<Key, usize> = BTreeMap::new();
+        for place in places.iter().flatten() {
+            *seen.entry((place.tooth, place.flank)).or_default() += 1;
+        }
+        let tooth = planned.tooth;
+        let leakage = of_tooth(self.gear, &heights, tooth, &response, &contacts, &places);
+        let sigma_mm = Flank::BOTH.map(|flank| {
+            let own = |place: &Option<FlankPlace>| {
+                place.is_some_and(|of| (of.tooth, of.flank) == (planned.tooth, flank))
+            };
+            contacts
+                .iter()
+                .zip(&places)
+                .filter(|(_, place)| own(place))
+                .map(|(of, _)| {
+                    let row = row(of.point, of.normal, centre);
+                    row.dot(&(covariance * row)).max(0.0).sqrt()
+                })
+                .fold(0.0, f64::max)
+        });
+        Held {
+            tooth: planned.tooth,
+            vertical_mm: planned.vertical_mm,
+            leakage,
+            sigma_mm,
+            flanks: seen.values().filter(|n| **n >= LEAST_OF_SAMPLE).count(),
+        }
+    }
+
+    /// What acts on a flank beside its points: the worst of the views that were asked for it.
+    fn influence(
+        &self,
+        held: &[Held],
+        zone: &Zone,
+        wear: &FlankWear,
+        evidence: &Arc<PoseEvidence>,
+        form_scatter_mm: f64,
+    ) -> Option<Influence> {
+        let (worst, side) = of_zone(held, (wear.tooth, wear.flank), zone).reduce(|a, b| {
+            let leaks = |(of, side): (&Held, usize)| of.leakage[side].worst();
+            if leaks(b) > leaks(a) || leaks(b).is_nan() {
+                b
+            } else {
+                a
+            }
+        })?;
+        let leakage = worst.leakage[side];
+        // Growing towards the axis by what a thermometer leaves: a flank feels the part along its normal, at most all of it
+        // that its normal's angle lets through. That the poses may take it up is not counted on.
+        let temperature_mm = self.tool.temperature.map_or(0.0, |t| {
+            let radius_mm = 0.5 * (zone.radius_mm[0] + zone.radius_mm[1]);
+            let cos = (self.gear.base_radius_mm() / radius_mm).min(1.0);
+            t.expansion_per_k * t.u_k * radius_mm * (1.0 - cos * cos).sqrt()
+        });
+        Some(Influence {
+            leakage,
+            evidence: Arc::clone(evidence),
+            form_scatter_mm,
+            // Every other flank in view passes on as much as this one.
+            others_form: leakage.uniform * (worst.flanks.saturating_sub(1) as f64).sqrt(),
+            temperature_mm,
+        })
+    }
+}
+
+/// The views that were asked for a zone of a flank, and which of their flanks it is; all of them for one that nobody asked
+/// for.
+fn of_zone<'a>(
+    held: &'a [Held],
+    (tooth, flank): Key,
+    zone: &Zone,
+) -> impl Iterator<Item = (&'a Held, usize)> {
+    let side = usize::from(flank == Flank::Right);
+    let [low, high] = zone.height_mm;
+    let own = move |of: &&Held| of.tooth == tooth && (low..high).contains(&of.vertical_mm);
+    let any = !held.iter().any(|of| own(&of));
+    held.iter()
+        .filter(move |of| any || own(of))
+        .map(move |of| (of, side))
+}
+
+/// The larger; no number at all where one is none.
+fn worse(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
+}
+
+/// One zone of a flank with its verdict.
+struct OfZone {
+    key: Key,
+    mean_mm: f64,
+    /// Measured area, as a number of cells.
+    cells: usize,
+    all_cells: usize,
+    judged: Judged,
+}
+
+fn judge(wear: FlankWear, zone: &Zone, limits: &Limits) -> OfZone {
+    let absolute = Figure {
+        value: wear.wear_mm,
+        u: wear.u_mm,
+    };
+    OfZone {
+        key: (wear.tooth, wear.flank),
+        mean_mm: wear.mean_mm,
+        cells: wear.field.measured().count(),
+        all_cells: wear.field.wear_mm.len(),
+        judged: Judged::of_wear(&wear, absolute, limits).over(zone.height_mm),
+    }
+}
+
+/// Zones to flanks: of several zones of a flank, the one behind its verdict stands for it.
+fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
+    let mut all = JudgedFlanks::default();
+    for of_flank in zones.chunk_by(|a, b| a.key == b.key) {
+        let [cells, all_cells] = [|z: &OfZone| z.cells, |z: &OfZone| z.all_cells]
+            .map(|count| of_flank.iter().map(count).sum::<usize>() as f64);
+        let key @ (tooth, flank) = of_flank[0].key;
+        let share = cells / all_cells.max(1.0);
+        let seen = share >= LEAST_SEEN;
+        if !is_asked(tooth) && !seen {
+            continue;
+        }
+        let measured = || of_flank.iter().filter(|z| z.mean_mm.is_finite());
+        let mean_mm = measured().map(|z| z.cells as f64 * z.mean_mm).sum::<f64>()
+            / measured().map(|z| z.cells as f64).sum::<f64>();
+        if mean_mm.is_finite() {
+            all.means.push(FlankMean {
+                tooth,
+                flank,
+                deviation_um: -1e3 * mean_mm,
+            });
+        }
+        let worst = of_flank.iter().max_by(|a, b| {
+            let rank = |z: &OfZone| severity(z.judged.verdict());
+            let wear = |z: &OfZone| z.judged.wear_um().unwrap_or(f64::NEG_INFINITY);
+            rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
+        });
+        let Some(worst) = worst else { continue };
+        // Nobody asked for it: what is missing of it is no fault, what it shows is one.
+        let shows = matches!(worst.judged.verdict(), Verdict::NoGo | Verdict::Warn);
+        if !is_asked(key.0) && !shows {
+            continue;
+        }
+        all.verdicts.push(worst.judged.verdict().clone());
+        let mut feature = Feature::from(worst.judged.clone());
+        feature.coverage_ratio = share;
+        feature.mean_um = mean_mm.is_finite().then_some(1e3 * mean_mm);
+        all.features.push(feature);
+    }
+    all
+}
+
+/// Rank of a verdict where several are joined: as [`flankscope_metrology::verdict::combine`] does.
+fn severity(verdict: &Verdict) -> u8 {
+    match verdict {
+        Verdict::Go => 0,
+        Verdict::Warn => 1,
+        Verdict::Indeterminate { .. } => 2,
+        Verdict::NoGo => 3,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(heights: &[f64]) -> Vec<PlannedView> {
+        heights
+            .iter()
+            .map(|&vertical_mm| PlannedView {
+                tooth: 7,
+                rotation_rad: 0.0,
+                vertical_mm,
+            })
+            .collect()
+    }
+
+    fn zones(teeth: u32, heights: &[f64]) -> Vec<[f64; 2]> {
+        asked(&plan(heights), teeth, [0.0, 66.0])[&7].clone()
+    }
+
+    #[test]
+    fn near_layers_of_all_teeth_are_asked_for_whole_flanks_and_others_for_their_fields() {
+        let seven: Vec<f64> = (0..7).map(|k| 66.0 * (f64::from(k) + 0.5) / 7.0).collect();
+        let whole = zones(1, &seven);
+        assert_eq!(whole.len(), 1);
+        assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
+        assert_eq!(zones(84, &seven).len(), 7);
+        assert_eq!(zones(84, &[16.5, 49.5]), [[12.5, 20.5], [45.5, 53.5]]);
+        assert_eq!(zones(1, &[16.5, 49.5]), [[12.5, 20.5], [45.5, 53.5]]);
+    }
+
+    fn flank(tooth: u32, flank: Flank, median_mm: f64) -> SeenFlank {
+        SeenFlank {
+            tooth,
+            flank,
+            median_mm,
+            per_turn: flank.sign(),
+        }
+    }
+
+    /// What is known of a turn when all left and all right flanks read these, each with its own 3 um.
+    fn turn_um(left_um: f64, right_um: f64, proud_um: f64) -> [f64; 2] {
+        let own = |tooth: u32| if tooth.is_multiple_of(2) { 2e-3 } else { -2e-3 };
+        let mut flanks: Vec<SeenFlank> = (1..=84)
+            .flat_map(|tooth| {
+                [
+                    flank(tooth, Flank::Left, 1e-3 * left_um + own(tooth)),
+                    flank(tooth, Flank::Right, 1e-3 * right_um + own(tooth / 2)),
+                ]
+            })
+            .collect();
+        flanks[20].median_mm -= 1e-3 * proud_um;
+        let (evidence, form_mm) = evidence(&flanks, scatter_mm(&flanks));
+        let turn = evidence.turn(None, 2e-3_f64.hypot(form_mm));
+        [turn.mean_mm, turn.u_mm].map(|mm| 1e3 * mm)
+    }
+
+    #[test]
+    fn sound_flanks_pin_the_turn_and_one_sided_wear_of_all_leaves_it_open() {
+        let [mean, u] = turn_um(0.0, 0.0, 0.0);
+        assert!(mean.abs() < 1.0 && u < 2.0, "{mean} {u}");
+        // Stuck material on one flank changes nothing.
+        let [mean, u] = turn_um(0.0, 0.0, 80.0);
+        assert!(mean.abs() < 1.0 && u < 2.0, "{mean} {u}");
+        // 55 um off one side of all, shared out by the turn: anything between the sides is possible.
+        let [mean, u] = turn_um(27.5, 27.5, 0.0);
+        assert!(mean.abs() < 2.0, "{mean}");
+        assert!((u - 55.0 / 12f64.sqrt()).abs() < 3.0, "{u}");
+    }
+}
