@@ -593,7 +593,7 @@ mod tests {
             .collect();
         flanks[20].median_mm -= 1e-3 * proud_um;
         let (evidence, form_mm) = evidence(&flanks, scatter_mm(&flanks));
-        let turn = evidence.turn(None, 2e-3_f64.hypot(form_mm));
+        let turn = evidence.turn(None, 2e-3_f64.hypot(form_mm), 2e-3);
         [turn.mean_mm, turn.u_mm].map(|mm| 1e3 * mm)
     }
 
