@@ -282,6 +282,9 @@ mod tests {
     use crate::verdict::Rule;
     use crate::wear::{Figure, Influence, PoseEvidence, Settings};
 
+    /// Does something to a flank.
+    type Spoil = fn(&mut FlankWear);
+
     fn limits() -> Limits {
         Limits {
             wear: Rule::new(30.0, 50.0),
@@ -351,7 +354,7 @@ mod tests {
     fn switching_a_refusal_off_lets_something_pass() {
         assert_eq!(judge(&sound(), &limits()).verdict, Verdict::Go);
         let all = Refusals::ALL;
-        let cases: [(&str, Refusals, fn(&mut FlankWear)); 6] = [
+        let cases: [(&str, Refusals, Spoil); 6] = [
             (
                 "coverage",
                 Refusals {
@@ -415,7 +418,7 @@ mod tests {
     /// What is shown to be beyond the stop limit is no-go, whatever else could not be seen.
     #[test]
     fn every_figure_has_its_own_limits_and_a_proven_excess_needs_no_more() {
-        let cases: [(&str, fn(&mut FlankWear)); 4] = [
+        let cases: [(&str, Spoil); 4] = [
             ("wear", |w| w.wear_mm = 0.08),
             ("proud material", |w| w.proud_mm = 0.08),
             ("loss of a single cell", |w| w.cell_mm.value = 0.15),
