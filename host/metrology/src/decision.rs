@@ -282,6 +282,9 @@ mod tests {
     use crate::verdict::Rule;
     use crate::wear::{Figure, Influence, PoseEvidence, Settings};
 
+    /// Does something to a flank.
+    type Spoil = fn(&mut FlankWear);
+
     fn limits() -> Limits {
         Limits {
             wear: Rule::new(30.0, 50.0),
