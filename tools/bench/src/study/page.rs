@@ -139,8 +139,8 @@ impl Page<'_> {
              calibration**, made on the bench from 13 views of the demo target by the code of `flankscope calibrate` (core map, \
              lenses, poses, hand-eye and residual fields; plates that lie as their certificate says, stages that err, noise); a \
              die of its own; one of eight teeth at one of three heights. The instrument takes the calibration's uncertainty from \
-             that calibration's own record: {} µm along the view, {} µm across it. Every row is captured {} in every block, \
-             each time approached anew (±15 mdeg, ±5 µm).\n",
+             that calibration's own record: {} µm along the view, {} µm across it. Every row is captured {} in every block \
+             (captures that deserve no verdict, and single measures, in every fourth), each time approached anew (±15 mdeg, ±5 µm).\n",
             range(|b| b.depth_sigma_um),
             range(|b| b.lateral_sigma_um),
             match self.args.captures {
