@@ -8,7 +8,7 @@ use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::Feature;
 use serde::Serialize;
 
-use super::calibration::Rig;
+use super::calibration::{Calibrated, Rig};
 use super::capture::{Instrument, Trouble, judged};
 use super::cases::{Case, Damaged, Group, Right};
 use super::setup::{Place, Setup, flank};
@@ -31,6 +31,9 @@ pub struct BlockReport {
     pub depth_sigma_um: f64,
     /// The same across the view.
     pub lateral_sigma_um: f64,
+    /// Why calibrations of other heads, drawn before this one, were refused.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub refused: Vec<String>,
 }
 
 /// One figure: of which case and row, its truth, and what was found.
@@ -49,19 +52,22 @@ pub(super) struct Block<'a> {
     wholly: bool,
     rig: Rig,
     head: HeadModel,
+    /// Why calibrations of other heads, drawn before, were refused.
+    refused: Vec<String>,
     place: Place,
 }
 
 impl<'a> Block<'a> {
     pub fn new(setup: &'a Setup, number: u32, seed: u64) -> anyhow::Result<Self> {
         let own = (seed << 16) | u64::from(number);
-        let rig = Rig::new(own);
+        let Calibrated { rig, head, refused } = Calibrated::first_of(own)?;
         Ok(Self {
             setup,
             seed: own,
             wholly: number.is_multiple_of(4),
-            head: rig.calibrated(own)?,
+            head,
             rig,
+            refused,
             place: Place::of_block(number),
         })
     }
@@ -72,6 +78,7 @@ impl<'a> Block<'a> {
             place: self.place,
             depth_sigma_um: record.map_or(f64::NAN, |r| r.depth_sigma_um),
             lateral_sigma_um: record.map_or(f64::NAN, |r| r.lateral_sigma_um),
+            refused: self.refused.clone(),
         }
     }
 

@@ -24,6 +24,33 @@ const STAGE_SIGMA: [f64; 2] = [
 /// The pattern set of target and die.
 const PATTERNS: &str = "insitu12";
 
+/// Heads that are tried in place of one whose calibration is refused.
+const ATTEMPTS: u64 = 8;
+
+/// A head, its calibration, and how many others were refused before it.
+pub(super) struct Calibrated {
+    pub rig: Rig,
+    pub head: HeadModel,
+    pub refused: Vec<String>,
+}
+
+impl Calibrated {
+    /// The first head of those that `seed` draws whose calibration goes through: the code refuses what it does not trust, and
+    /// somebody else's head is then used.
+    pub fn first_of(seed: u64) -> anyhow::Result<Self> {
+        let mut refused = Vec::new();
+        for attempt in 0..ATTEMPTS {
+            let own = seed | (attempt << 40);
+            let rig = Rig::new(own);
+            match rig.calibrated(own) {
+                Ok(head) => return Ok(Self { rig, head, refused }),
+                Err(error) => refused.push(error.to_string()),
+            }
+        }
+        anyhow::bail!("no head could be calibrated: {}", refused.join("; "))
+    }
+}
+
 /// What a calibration is made of.
 pub(super) struct Rig {
     /// The head as it is.
@@ -34,7 +61,7 @@ pub(super) struct Rig {
 
 impl Rig {
     /// The demo head with the individual traits of `head_seed`.
-    pub fn new(head_seed: u64) -> Self {
+    fn new(head_seed: u64) -> Self {
         let mut optics = HeadOptics::prism_20mm();
         optics.make_uneven(LENS_ERROR_UM, head_seed);
         Self { optics, head_seed }
@@ -42,7 +69,7 @@ impl Rig {
 
     /// The head as a calibration finds it: `seed` draws how the target's plates lie, the stages' errors and the noise. Beside
     /// it stands what the calibration says of itself.
-    pub fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
+    fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
         let target = demo::target();
         let mut config = demo::target_world(&target, seed);
         config.optics = self.optics.clone();

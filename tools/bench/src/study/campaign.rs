@@ -4,7 +4,7 @@ use flankscope_gear_cad::Flank;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_station::inspection::Feature;
 
-use super::calibration::Rig;
+use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble, judged};
 use super::setup::{Place, Setup, flank, on_all_cores};
 use super::truth;
@@ -50,8 +50,7 @@ pub fn random_damages(
 
 fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<Vec<Judgement>> {
     let own = (seed << 16) | u64::from(number);
-    let rig = Rig::new(own);
-    let head = rig.calibrated(own)?;
+    let Calibrated { rig, head, .. } = Calibrated::first_of(own)?;
     let place = Place::of_block(number);
     let tool = setup.tool(place, false);
     let instrument = Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?;

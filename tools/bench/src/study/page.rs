@@ -148,6 +148,24 @@ impl Page<'_> {
                 n => format!("{n} times"),
             }
         )?;
+        let refused: Vec<&String> = self
+            .outcome
+            .blocks
+            .iter()
+            .flat_map(|b| &b.refused)
+            .collect();
+        if !refused.is_empty() {
+            writeln!(
+                text,
+                "Calibrations of {} other heads were refused (\"{}\"); another head was drawn in their place.\n",
+                refused.len(),
+                refused
+                    .iter()
+                    .map(|why| why.as_str())
+                    .collect::<Vec<_>>()
+                    .join("\"; \""),
+            )?;
+        }
         writeln!(
             text,
             "Three dies: *drawn*, as its CAD; *built*, every flank off along the pitch circle by {FLANKS_UM:.2} µm (standard \
