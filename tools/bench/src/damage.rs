@@ -323,7 +323,39 @@ pub fn largest_mean_um(
     1e3 * largest
 }
 
-/// The drawing with a damage on some of its flanks.
+/// The drawing with facets fine enough, where these flanks are judged, for any damage: the surface is where it was.
+///
+/// # Errors
+/// A flank that the drawing does not have.
+pub fn refined(
+    drawing: &Mesh,
+    gear: &GearSpec,
+    flanks: &[FlankId],
+    judged: Rectangle,
+) -> Result<Mesh, WorldError> {
+    let zones: Vec<(FlankId, FlankZone)> = flanks
+        .iter()
+        .map(|&id| (id, fine_zone(gear, judged)))
+        .collect();
+    Ok(DieMesh::damaged(drawing, gear, &zones, |_, _| 0.0)?
+        .mesh()
+        .clone())
+}
+
+fn fine_zone(gear: &GearSpec, judged: Rectangle) -> FlankZone {
+    let base = gear.base_radius_mm();
+    let ends_mm = [gear.tip_radius_mm, gear.flank_root_radius_mm()]
+        .map(|r| (r * r - base * base).max(0.0) / (2.0 * base));
+    let [low, high] = judged.height_mm;
+    let reach_mm = 2.0 * BEYOND_MM + MESH_EDGE_MM;
+    FlankZone {
+        profile_mm: [ends_mm[0].min(ends_mm[1]), ends_mm[0].max(ends_mm[1])],
+        height_mm: [low - reach_mm, high + reach_mm],
+        longest_mm: MESH_EDGE_MM,
+    }
+}
+
+/// The drawing with a damage on some of its flanks. One whose flanks are [`refined`] already is done sooner.
 ///
 /// # Errors
 /// A flank that the drawing does not have.
@@ -332,21 +364,9 @@ pub fn cut_into(
     gear: &GearSpec,
     damages: &[(FlankId, Damage)],
 ) -> Result<Arc<DieMesh>, WorldError> {
-    let base = gear.base_radius_mm();
-    let ends_mm = [gear.tip_radius_mm, gear.flank_root_radius_mm()]
-        .map(|r| (r * r - base * base).max(0.0) / (2.0 * base));
     let zones: Vec<(FlankId, FlankZone)> = damages
         .iter()
-        .map(|(id, damage)| {
-            let [low, high] = damage.judged.height_mm;
-            let reach_mm = 2.0 * BEYOND_MM + MESH_EDGE_MM;
-            let zone = FlankZone {
-                profile_mm: [ends_mm[0].min(ends_mm[1]), ends_mm[0].max(ends_mm[1])],
-                height_mm: [low - reach_mm, high + reach_mm],
-                longest_mm: MESH_EDGE_MM,
-            };
-            (*id, zone)
-        })
+        .map(|(id, damage)| (*id, fine_zone(gear, damage.judged)))
         .collect();
     let depth_mm = |id: FlankId, [profile, height]: [f64; 2]| {
         damages

@@ -8,12 +8,12 @@ use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble, judged};
 use super::setup::{Place, Setup, flank, on_all_cores};
 use super::truth;
-use crate::damage::{Damage, Random, cut_into};
+use crate::damage::{Damage, Random, cut_into, refined};
 use crate::world::{FlankId, World};
 use crate::zones::{Judged, ZoneTruth, compare};
 
 /// Damages that one calibrated head looks at, two at a time: one on each flank of a tooth.
-const PER_HEAD: u32 = 50;
+const PER_HEAD: u32 = 76;
 /// True depths are drawn evenly up to this, µm.
 const DEEPEST_UM: f64 = 120.0;
 
@@ -29,7 +29,7 @@ pub struct Judgement {
 }
 
 /// Cuts `count` random damages into dies that are else as drawn, and judges each by frames. Heads are calibrated on the bench,
-/// one for every fifty damages, each at a place of its own.
+/// one for every 76 damages, each at a place of its own.
 ///
 /// # Errors
 /// The bench or the instrument refuses something.
@@ -72,6 +72,7 @@ fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<
         disc_area_mm2,
     };
     let mut world = World::new(&config)?;
+    let drawing = refined(&config.cad, &config.gear, &flanks, rectangle)?;
     let mut all = Vec::new();
     for view in 0..views {
         let draw = |what: u32| (own << 24) | u64::from(8 * view + what);
@@ -80,7 +81,7 @@ fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<
             Damage::draw(draw(side), rectangle, disc_area_mm2, target_um)
         });
         let cut: Vec<(FlankId, Damage)> = flanks.into_iter().zip(damages.clone()).collect();
-        world.stand(Some(cut_into(&config.cad, &config.gear, &cut)?))?;
+        world.stand(Some(cut_into(&drawing, &config.gear, &cut)?))?;
         let state = instrument.approach(&world, draw(2), Trouble::default())?;
         let outcome = instrument.capture(&world, &state, view, Trouble::default())?;
         let truths = compare(&world, &zone);

@@ -401,12 +401,7 @@ impl World {
         (low - reach_mm..=high + reach_mm).contains(&centre_mm)
     }
 
-    /// The drawing of the die.
-    pub fn cad(&self) -> &Mesh {
-        &self.cad
-    }
-
-    /// Its gear.
+    /// The gear of the die.
     pub fn gear(&self) -> &GearSpec {
         &self.gear
     }
