@@ -5,16 +5,22 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use flankscope_gear_cad::{GearSpec, Mesh};
+use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use rand::RngExt;
 use rand_pcg::rand_core::SeedableRng;
 
-use crate::world::{DieMesh, FlankId, FlankZone, MAX_DEPTH_UM, WorldError};
+use crate::world::{DieMesh, FlankId, MAX_DEPTH_UM, WorldError, flank_of_facet};
 
 /// Longest edge of the mesh where damage is cut in, mm; no shape has an edge or a groove narrower than this.
 const MESH_EDGE_MM: f64 = 0.05;
 /// Damage goes this far beyond the zone's ends in full, mm, and fades out over as much again.
 const BEYOND_MM: f64 = 0.6;
+/// The same along the profile, mm: it ends within a tenth of a module of the zone, at edges that stay.
+const ASIDE_MM: f64 = 0.045;
+/// Vertices of a drawing's flank lie this close to the involute, mm.
+const ON_INVOLUTE_MM: f64 = 0.01;
+/// Points nearer to each other than this are one, mm.
+const SAME_MM: f64 = 1e-6;
 /// Raster on which the largest mean is sought, mm: a disc of 0.25 mm² has 600 places.
 const RASTER_MM: f64 = 0.02;
 /// Waves that a random field is made of, and their longest length over the shortest of 0.1 mm.
@@ -259,11 +265,13 @@ impl Damage {
     #[must_use]
     pub fn depth_mm(&self, profile_mm: f64, height_mm: f64) -> f64 {
         let Rectangle {
-            profile_mm: [from, _],
+            profile_mm: [from, to],
             height_mm: [low, high],
         } = self.judged;
         let outside_mm = (low - height_mm).max(height_mm - high);
-        let fade = (2.0 - outside_mm / BEYOND_MM).clamp(0.0, 1.0);
+        let aside_mm = (from - profile_mm).max(profile_mm - to);
+        let fade = (2.0 - outside_mm / BEYOND_MM).clamp(0.0, 1.0)
+            * (2.0 - aside_mm / ASIDE_MM).clamp(0.0, 1.0);
         if fade == 0.0 {
             return 0.0;
         }
@@ -323,57 +331,128 @@ pub fn largest_mean_um(
     1e3 * largest
 }
 
-/// The drawing with facets fine enough, where these flanks are judged, for any damage: the surface is where it was.
-///
-/// # Errors
-/// A flank that the drawing does not have.
-pub fn refined(
-    drawing: &Mesh,
-    gear: &GearSpec,
-    flanks: &[FlankId],
-    judged: Rectangle,
-) -> Result<Mesh, WorldError> {
-    let zones: Vec<(FlankId, FlankZone)> = flanks
-        .iter()
-        .map(|&id| (id, fine_zone(gear, judged)))
-        .collect();
-    Ok(DieMesh::damaged(drawing, gear, &zones, |_, _| 0.0)?
-        .mesh()
-        .clone())
+/// A drawing with some flanks in facets fine enough for any damage; its surface is where it was.
+#[derive(Clone, Debug)]
+pub struct Workpiece {
+    mesh: Mesh,
+    gear: GearSpec,
+    /// Vertices of the fine flanks: number, flank, profile length and height.
+    fine: Vec<(u32, FlankId, [f64; 2])>,
 }
 
-fn fine_zone(gear: &GearSpec, judged: Rectangle) -> FlankZone {
-    let base = gear.base_radius_mm();
-    let ends_mm = [gear.tip_radius_mm, gear.flank_root_radius_mm()]
-        .map(|r| (r * r - base * base).max(0.0) / (2.0 * base));
-    let [low, high] = judged.height_mm;
-    let reach_mm = 2.0 * BEYOND_MM + MESH_EDGE_MM;
-    FlankZone {
-        profile_mm: [ends_mm[0].min(ends_mm[1]), ends_mm[0].max(ends_mm[1])],
-        height_mm: [low - reach_mm, high + reach_mm],
-        longest_mm: MESH_EDGE_MM,
+impl Workpiece {
+    /// Replaces each of these flanks by a fine grid: within the rectangle and a little around it no edge is longer than
+    /// a twentieth of a millimetre along profile or height.
+    ///
+    /// # Errors
+    /// A flank that the drawing does not have.
+    pub fn new(
+        drawing: &Mesh,
+        gear: &GearSpec,
+        flanks: &[FlankId],
+        judged: Rectangle,
+    ) -> Result<Self, WorldError> {
+        let mut mesh = drawing.clone();
+        let mut fine = Vec::new();
+        for &id in flanks {
+            let vertices = &mesh.vertices;
+            let on_flank = |t: &[u32; 3]| {
+                let corners = t.map(|v| vertices[v as usize]);
+                flank_of_facet(gear, corners, ON_INVOLUTE_MM) == Some(id)
+            };
+            let (old, kept): (Vec<_>, Vec<_>) = mesh.triangles.iter().partition(|t| on_flank(t));
+            // The flank is its profile, drawn along the axis.
+            let mut profile: Vec<[f64; 2]> = old
+                .iter()
+                .flatten()
+                .map(|&v| [0, 1].map(|k| vertices[v as usize][k]))
+                .collect();
+            let radius = |p: &[f64; 2]| p[0].hypot(p[1]);
+            profile.sort_by(|a, b| radius(a).total_cmp(&radius(b)));
+            profile.dedup_by(|a, b| radius(a) - radius(b) < SAME_MM);
+            if profile.len() < 2 {
+                return Err(WorldError::FlankNotFound {
+                    tooth: id.tooth,
+                    flank: id.flank,
+                    limit_mm: ON_INVOLUTE_MM,
+                });
+            }
+            mesh.triangles = kept;
+            let across = divided(&profile);
+            let heights = heights_mm(gear.height_mm, judged.height_mm);
+            let first = mesh.vertices.len() as u32;
+            let base = gear.base_radius_mm();
+            for &height in &heights {
+                for &[x, y] in &across {
+                    let length = (x * x + y * y - base * base).max(0.0) / (2.0 * base);
+                    fine.push((mesh.vertices.len() as u32, id, [length, height]));
+                    mesh.vertices.push([x, y, height]);
+                }
+            }
+            let columns = across.len() as u32;
+            for row in 0..heights.len() as u32 - 1 {
+                for column in 0..columns - 1 {
+                    let a = first + row * columns + column;
+                    let [b, c, d] = [a + 1, a + 1 + columns, a + columns];
+                    // Left flanks have the larger angle: seen from outside, radius and height turn the other way.
+                    match id.flank {
+                        Flank::Left => mesh.triangles.extend([[a, c, b], [a, d, c]]),
+                        Flank::Right => mesh.triangles.extend([[a, b, c], [a, c, d]]),
+                    }
+                }
+            }
+        }
+        Ok(Self {
+            mesh,
+            gear: gear.clone(),
+            fine,
+        })
+    }
+
+    /// The die with a damage on some of those flanks.
+    ///
+    /// # Errors
+    /// Vertices that no mesh may have.
+    pub fn cut(&self, damages: &[(FlankId, Damage)]) -> Result<Arc<DieMesh>, WorldError> {
+        let mut mesh = self.mesh.clone();
+        for &(vertex, id, [profile, height]) in &self.fine {
+            let depth: f64 = damages
+                .iter()
+                .filter(|(of, _)| *of == id)
+                .map(|(_, damage)| damage.depth_mm(profile, height))
+                .sum();
+            let p = &mut mesh.vertices[vertex as usize];
+            let [nx, ny] = self.gear.flank_normal(id.tooth, id.flank, p[0].hypot(p[1]));
+            p[0] -= depth * nx;
+            p[1] -= depth * ny;
+        }
+        Ok(Arc::new(DieMesh::new(mesh)?))
     }
 }
 
-/// The drawing with a damage on some of its flanks. One whose flanks are [`refined`] already is done sooner.
-///
-/// # Errors
-/// A flank that the drawing does not have.
-pub fn cut_into(
-    drawing: &Mesh,
-    gear: &GearSpec,
-    damages: &[(FlankId, Damage)],
-) -> Result<Arc<DieMesh>, WorldError> {
-    let zones: Vec<(FlankId, FlankZone)> = damages
-        .iter()
-        .map(|(id, damage)| (*id, fine_zone(gear, damage.judged)))
-        .collect();
-    let depth_mm = |id: FlankId, [profile, height]: [f64; 2]| {
-        damages
-            .iter()
-            .filter(|(of, _)| *of == id)
-            .map(|(_, damage)| damage.depth_mm(profile, height))
-            .sum()
-    };
-    Ok(Arc::new(DieMesh::damaged(drawing, gear, &zones, depth_mm)?))
+/// A line with points in between, none farther than an edge from the next.
+fn divided(line: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut points = Vec::new();
+    for ends in line.windows(2) {
+        let [dx, dy] = [0, 1].map(|k| ends[1][k] - ends[0][k]);
+        let parts = (dx.hypot(dy) / MESH_EDGE_MM).ceil().max(1.0);
+        points.extend((0..parts as u32).map(|i| {
+            let share = f64::from(i) / parts;
+            [ends[0][0] + share * dx, ends[0][1] + share * dy]
+        }));
+    }
+    points.extend(line.last());
+    points
+}
+
+/// Heights from end to end: fine where damage may be.
+fn heights_mm([bottom, top]: [f64; 2], [low, high]: [f64; 2]) -> Vec<f64> {
+    let reach = 2.0 * BEYOND_MM + MESH_EDGE_MM;
+    let [from, to] = [(low - reach).max(bottom), (high + reach).min(top)];
+    let parts = ((to - from) / MESH_EDGE_MM).ceil().max(1.0);
+    let fine = (0..=parts as u32).map(|i| from + (to - from) * f64::from(i) / parts);
+    let mut heights: Vec<f64> = std::iter::once(bottom).chain(fine).collect();
+    heights.push(top);
+    heights.dedup_by(|a, b| *a - *b < SAME_MM);
+    heights
 }

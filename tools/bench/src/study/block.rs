@@ -1,6 +1,6 @@
 //! One calibrated head before one die at one place, and all that is done to the die there.
 
-use flankscope_gear_cad::{Flank as CadFlank, Mesh};
+use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::tool::{Temperature, Tool};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::decode::GridKind;
@@ -13,7 +13,7 @@ use super::capture::{Instrument, Trouble, judged};
 use super::cases::{Case, Damaged, Group, Right};
 use super::setup::{Place, Setup, flank};
 use super::truth;
-use crate::damage::{Damage, cut_into, refined};
+use crate::damage::{Damage, Workpiece};
 use crate::world::{FlankId, Wear, World};
 
 /// Steel.
@@ -91,7 +91,7 @@ impl<'a> Block<'a> {
             tooth: self.place.tooth,
             flank,
         });
-        let drawing = refined(&drawn.cad, &drawn.gear, &flanks, rectangle)?;
+        let workpiece = Workpiece::new(&drawn.cad, &drawn.gear, &flanks, rectangle)?;
         // A world serves all cases with the same die.
         let mut standing: Option<((bool, u64), World, Option<Baseline>)> = None;
         for (index, case) in cases.iter().enumerate() {
@@ -121,7 +121,7 @@ impl<'a> Block<'a> {
             let instrument = Instrument::new(&tool, &self.head, tooth, case.grid, degc, baseline)?;
             for capture in 0..captures {
                 let draw = self.draw(1 + case.number, capture);
-                let truths_um = self.damage(world, &drawing, &tool, case, draw)?;
+                let truths_um = self.damage(world, &workpiece, &tool, case, draw)?;
                 let state = instrument.approach(world, draw, case.trouble)?;
                 let frames = (1 + case.number) * FRAMES_PER_CASE + capture;
                 let outcome = instrument.capture(world, &state, frames, case.trouble)?;
@@ -146,7 +146,7 @@ impl<'a> Block<'a> {
     fn damage(
         &self,
         world: &mut World,
-        drawing: &Mesh,
+        workpiece: &Workpiece,
         tool: &Tool,
         case: &Case,
         draw: u64,
@@ -187,7 +187,7 @@ impl<'a> Block<'a> {
             .into_iter()
             .zip(damages)
             .collect();
-        world.stand(Some(cut_into(drawing, world.gear(), &cut)?))?;
+        world.stand(Some(workpiece.cut(&cut)?))?;
         Ok(truths_um)
     }
 

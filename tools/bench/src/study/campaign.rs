@@ -8,7 +8,7 @@ use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble, judged};
 use super::setup::{Place, Setup, flank, on_all_cores};
 use super::truth;
-use crate::damage::{Damage, Random, cut_into, refined};
+use crate::damage::{Damage, Random, Workpiece};
 use crate::world::{FlankId, World};
 use crate::zones::{Judged, ZoneTruth, compare};
 
@@ -72,7 +72,7 @@ fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<
         disc_area_mm2,
     };
     let mut world = World::new(&config)?;
-    let drawing = refined(&config.cad, &config.gear, &flanks, rectangle)?;
+    let workpiece = Workpiece::new(&config.cad, &config.gear, &flanks, rectangle)?;
     let mut all = Vec::new();
     for view in 0..views {
         let draw = |what: u32| (own << 24) | u64::from(8 * view + what);
@@ -81,7 +81,7 @@ fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<
             Damage::draw(draw(side), rectangle, disc_area_mm2, target_um)
         });
         let cut: Vec<(FlankId, Damage)> = flanks.into_iter().zip(damages.clone()).collect();
-        world.stand(Some(cut_into(&drawing, &config.gear, &cut)?))?;
+        world.stand(Some(workpiece.cut(&cut)?))?;
         let state = instrument.approach(&world, draw(2), Trouble::default())?;
         let outcome = instrument.capture(&world, &state, view, Trouble::default())?;
         let truths = compare(&world, &zone);

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Point3, Vector2, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A vertex of a foreign CAD kernel's flank lies within this of the involute, mm.
-pub(super) const ON_INVOLUTE_MM: f64 = 0.01;
+const ON_INVOLUTE_MM: f64 = 0.01;
 /// A surface farther than this from where the drawing has a flank is none, mm.
 const FLANK_REACH_MM: f64 = 1.0;
 /// Coordinates the ray caster is made for, mm.
@@ -241,7 +241,7 @@ pub(crate) fn flank_of_facet(
 }
 
 /// Whether the bounding rectangle of a triangle on the flank overlaps a zone.
-pub(super) fn meets(field: &WearField, zone: &FlankZone, corners: [[f64; 3]; 3]) -> bool {
+fn meets(field: &WearField, zone: &FlankZone, corners: [[f64; 3]; 3]) -> bool {
     let base = field.gear().base_radius_mm();
     let profiles = corners.map(|v| field.profile_mm(v[0].hypot(v[1]).max(base)));
     let overlaps = |values: [f64; 3], [low, high]: [f64; 2]| {

@@ -1,10 +1,8 @@
 //! A die given as a mesh of its own, made by anyone.
 
 use super::WorldError;
-use super::die::{ON_INVOLUTE_MM, check_mesh, flank_of_facet, meets};
-use super::refine::refine;
-use super::wear::{FlankId, FlankZone, WearField};
-use flankscope_gear_cad::{GearSpec, Mesh};
+use super::die::check_mesh;
+use flankscope_gear_cad::Mesh;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -48,58 +46,6 @@ impl DieMesh {
             degenerate: triangles - mesh.triangles.len(),
             mesh,
         })
-    }
-
-    /// A drawing whose flanks lost material in zones: their facets are halved until none is longer than the zone says, then
-    /// every vertex moves along the flank's normal by `depth_mm` at its profile length and height. Outside of the zones the
-    /// depth is to be nothing: facets there are as long as the drawing's.
-    ///
-    /// # Errors
-    /// A flank that the drawing does not have, or vertices that no mesh may have.
-    pub fn damaged(
-        drawing: &Mesh,
-        gear: &GearSpec,
-        zones: &[(FlankId, FlankZone)],
-        depth_mm: impl Fn(FlankId, [f64; 2]) -> f64,
-    ) -> Result<Self, WorldError> {
-        check_mesh(drawing)?;
-        let field = WearField::new(gear, &[])?;
-        let mut mesh = drawing.clone();
-        let mut flanks: Vec<Option<FlankId>> = mesh
-            .triangles
-            .iter()
-            .map(|t| flank_of_facet(gear, t.map(|v| mesh.vertices[v as usize]), ON_INVOLUTE_MM))
-            .collect();
-        for (id, zone) in zones {
-            if !flanks.contains(&Some(*id)) {
-                return Err(WorldError::FlankNotFound {
-                    tooth: id.tooth,
-                    flank: id.flank,
-                    limit_mm: ON_INVOLUTE_MM,
-                });
-            }
-            refine(&mut mesh, &mut flanks, zone.longest_mm, |of, corners| {
-                of == *id && meets(&field, zone, corners)
-            });
-        }
-        let mut moved = vec![false; mesh.vertices.len()];
-        for (triangle, id) in mesh.triangles.iter().zip(&flanks) {
-            let Some(id) = id.filter(|id| zones.iter().any(|(of, _)| of == id)) else {
-                continue;
-            };
-            for &vertex in triangle {
-                let p = &mut mesh.vertices[vertex as usize];
-                if std::mem::replace(&mut moved[vertex as usize], true) {
-                    continue;
-                }
-                let radius = p[0].hypot(p[1]);
-                let depth = depth_mm(id, [field.profile_mm(radius), p[2]]);
-                let [nx, ny] = gear.flank_normal(id.tooth, id.flank, radius);
-                p[0] -= depth * nx;
-                p[1] -= depth * ny;
-            }
-        }
-        Self::new(mesh)
     }
 
     /// The surface, mm.
