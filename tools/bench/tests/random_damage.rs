@@ -4,7 +4,12 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_bench::damage::{Damage, Rectangle, Workpiece};
+use flankscope_bench::demo;
 use flankscope_bench::study::{Judgement, random_damages};
+use flankscope_bench::world::{FlankId, World};
+use flankscope_bench::zones::{Judged, compare};
+use flankscope_gear_cad::Flank;
 
 /// Limits of the demo tool, µm.
 const WARN_UM: f64 = 30.0;
@@ -15,6 +20,65 @@ const MOST_FALSE_ALARM: f64 = 0.01;
 const LEAST_HELD: f64 = 0.9;
 /// Draws the damages; nothing was chosen by it.
 const SEED: u64 = 13;
+
+/// The drawing's chords lie up to 0.2 µm inside the involute: a sample's foot may lie on the neighbouring chord.
+const CHORD_UM: f64 = 0.2;
+
+#[test]
+fn what_is_cut_into_a_flank_is_there_and_nothing_else() {
+    let config = demo::world_config().expect("the demo");
+    let gear = &config.gear;
+    let base = gear.base_radius_mm();
+    let radius_mm = [
+        gear.tip_radius_mm + 0.1 * gear.module_mm,
+        gear.pitch_radius_mm() + 0.75 * gear.module_mm,
+    ];
+    let judged = Rectangle {
+        profile_mm: radius_mm.map(|r| (r * r - base * base) / (2.0 * base)),
+        height_mm: [demo::HEIGHT_MM - 4.0, demo::HEIGHT_MM + 4.0],
+    };
+    let flanks = [Flank::Left, Flank::Right].map(|flank| FlankId { tooth: 40, flank });
+    let workpiece = Workpiece::new(&config.cad, gear, &flanks, judged).expect("its flanks");
+    let zones = |damages: &[(FlankId, Damage)]| {
+        let mut world = World::new(&config).expect("a world");
+        let die = workpiece.cut(damages).expect("a die");
+        assert!(
+            !die.is_closed(),
+            "a finer flank meets its neighbours' edges"
+        );
+        world.stand(Some(die)).expect("a die");
+        let found = compare(
+            &world,
+            &Judged {
+                cad: config.cad.clone(),
+                gear: gear.clone(),
+                flanks: flanks.to_vec(),
+                radius_mm,
+                height_mm: judged.height_mm,
+                disc_area_mm2: 0.25,
+            },
+        );
+        flanks.map(|id| found[&id])
+    };
+    for zone in zones(&[]) {
+        assert_eq!(zone.missing_ratio, 0.0);
+        assert!(zone.zone_max_wear_um.is_some_and(|um| um.abs() < 1e-3));
+        assert!(zone.max_disc_proud_um.is_some_and(|um| um.abs() < 1e-3));
+    }
+    // Wider than the disc: its flat bottom is the figure. The other flank knows nothing of it.
+    let spot = Damage::spot(7, judged, 1.5, 40.0);
+    assert!((spot.largest_mean_um(0.25) - 40.0).abs() < 1e-9);
+    let [worn, sound] = zones(&[(flanks[0], spot)]);
+    let um = worn.max_disc_wear_um.expect("a surface");
+    assert!((um - 40.0).abs() < CHORD_UM, "{um}");
+    assert!(worn.max_disc_proud_um.is_some_and(|um| um.abs() < 1e-3));
+    assert!(sound.zone_max_wear_um.is_some_and(|um| um.abs() < 1e-3));
+    // Scaled to what its closed form says; a rim is known to half an edge of the mesh in a disc's radius.
+    let random = Damage::draw(1, judged, 0.25, 50.0);
+    let [worn, _] = zones(&[(flanks[0], random)]);
+    let um = worn.max_disc_wear_um.expect("a surface");
+    assert!((um - 50.0).abs() < 50.0 * 0.025 / 0.28, "{um}");
+}
 
 fn truth_um(one: &Judgement) -> f64 {
     one.truth.max_disc_wear_um.expect("a zone with a surface")
