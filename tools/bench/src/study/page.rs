@@ -223,6 +223,21 @@ impl Page<'_> {
             held(false),
             held(true)
         )?;
+        let missed = || {
+            let all = self.judged(false).chain(self.judged(true));
+            all.filter(|s| s.figure.is_some() && !holds(s))
+        };
+        let low = missed().filter(|s| s.figure.is_some_and(|f| f.value_um < s.truth_um));
+        writeln!(
+            text,
+            "Of these {} figures {} are too low, and {} carry a go or warn. The head looks along a flank: the walls of a narrow \
+             or deep hole hide part of its bottom, and a mean over what is left is too small by more than U95 says. The verdict \
+             knows (what an unmeasured patch may hide is supposed to be 300 µm deep), the figure does not: of a damage with steep \
+             walls it is a lower bound.\n",
+            missed().count(),
+            low.count(),
+            missed().filter(|s| s.passed()).count()
+        )?;
         text.push_str("![errors](errors.svg)\n\n");
         Ok(())
     }
