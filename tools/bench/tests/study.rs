@@ -39,12 +39,20 @@ fn few_captures_of_each_sort_end_as_they_must() {
         assert_eq!(of(spoiled).verdicts(), [0, 0, 0, 2], "{spoiled}");
     }
     for cell in &outcome.cells {
+        // Steep walls hide part of a hole's bottom: its figure is a lower bound, and no flank may pass by it.
+        let steep = ["spot", "random"].iter().any(|w| cell.name.contains(w));
         // Four standard uncertainties: one in a thousand runs would show one beyond by chance.
         for sample in &cell.samples {
             if let Some(figure) = sample.figure {
                 let error_um = figure.value_um - sample.truth_um;
+                let within = 2.0 * figure.u95_um;
+                let least_um = if steep && !sample.passed() {
+                    f64::NEG_INFINITY
+                } else {
+                    -within
+                };
                 assert!(
-                    error_um.abs() <= 2.0 * figure.u95_um,
+                    (least_um..=within).contains(&error_um),
                     "{}: {error_um} of {}",
                     cell.name,
                     figure.u95_um
