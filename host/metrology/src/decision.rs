@@ -300,9 +300,6 @@ mod tests {
         }
     }
 
-    /// What makes a sound flank one that must not pass.
-    type Spoil = fn(&mut FlankWear);
-
     /// A sound flank, seen whole.
     fn sound() -> FlankWear {
         let settings = Settings::default();

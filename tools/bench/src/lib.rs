@@ -8,6 +8,7 @@
 //! | [`camera`] | exposures to frames in shared memory |
 //! | [`truth`] | what really was photographed |
 //! | [`zones`] | how far the die is from its drawing where it is judged |
+//! | [`damage`] | random damage, cut into the mesh of a die |
 //! | [`die_file`] | a die from anyone's mesh file |
 //! | [`demo`] | the built-in die and head |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
@@ -16,6 +17,7 @@
 
 pub mod ageing;
 pub mod camera;
+pub mod damage;
 pub mod demo;
 pub mod devices;
 pub mod die_file;

@@ -11,7 +11,7 @@
 //! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
 //! | `bench --instructions` | instructions of the hot kernels, counted by valgrind; fails where one became dearer |
 //! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
-//! | `study [--captures N --seed S --only TEXT]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
+//! | `study [--blocks N --captures N --seed S --only TEXT]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
 //! | `study --scan` | what a scan keeps of the die's form by either method, five seeds: `docs/study/scan.md` |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
@@ -49,7 +49,7 @@ fn main() -> ExitCode {
         ["demo"] => demo(),
         ["ci"] => ci(),
         _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
-             --instructions | --checks N] | study [--captures N --seed S --only TEXT | --scan] | demo | ci"
+             --instructions | --checks N] | study [--blocks N --captures N --seed S --only TEXT | --scan] | demo | ci"
             .into()),
     };
     match result {
@@ -138,8 +138,30 @@ fn study(rest: &[&str]) -> Result<(), String> {
         "study",
         "--out",
         "docs/study",
+        "--commit",
+        &commit(),
     ];
     run(cargo(&[&bench[..], rest].concat()))
+}
+
+/// The commit that is checked out, and whether the sources differ from it.
+fn commit() -> String {
+    let git = |arguments: &[&str]| {
+        let output = Command::new("git")
+            .args(arguments)
+            .current_dir(root())
+            .output();
+        output
+            .ok()
+            .filter(|output| output.status.success())
+            .map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+    };
+    let changed = git(&["status", "--porcelain", "--untracked-files=no", ":!docs"]);
+    match (git(&["rev-parse", "HEAD"]), changed) {
+        (Some(commit), Some(changed)) if changed.is_empty() => commit,
+        (Some(commit), _) => format!("{commit} with changes"),
+        (None, _) => "unknown".into(),
+    }
 }
 
 fn ci() -> Result<(), String> {

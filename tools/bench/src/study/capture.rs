@@ -10,18 +10,12 @@ use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, Head
 use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
 
-use super::Random;
+use crate::damage::Random;
 use crate::world::{PatternSpec, ViewState, World};
 
 /// Half the range of the stages' errors: rotation, rad; vertical, mm.
 const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
 const VERTICAL_ERROR_MM: f64 = 5e-3;
-/// Standard deviation of a calibration's errors in the image, px, at the principal point and at the field's edge: image
-/// points known to 0.2 px each, averaged over some fifty that count as independent.
-pub(super) const CALIBRATION_PX: f64 = 0.03;
-/// The same of what the head drifts by between a baseline and a later check, px.
-pub(super) const DRIFT_PX: f64 = 0.01;
-
 /// What the host believes: a tool, a head, and the decoding and judging made from them.
 pub(super) struct Instrument {
     decoder: Arc<Decoder>,
@@ -42,6 +36,7 @@ impl Instrument {
     pub fn new(
         tool: &Tool,
         head: &HeadModel,
+        tooth: u32,
         grid: GridKind,
         degc: Option<f64>,
         baseline: Option<Baseline>,
@@ -53,7 +48,7 @@ impl Instrument {
             baseline: baseline.map(Arc::new),
             hashes: std::collections::BTreeMap::new(),
         };
-        let itinerary = Arc::new(Itinerary::new(tool, head, Some(&[super::TOOTH]))?);
+        let itinerary = Arc::new(Itinerary::new(tool, head, Some(&[tooth]))?);
         let decoder = Arc::new(Decoder::new(
             head,
             &itinerary.patterns,
@@ -87,18 +82,18 @@ impl Instrument {
         Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
     }
 
-    /// Takes every frame of a view; `number` draws their noise.
-    pub fn frames(
+    /// Captures and judges one view; `number` draws the frames' noise.
+    pub fn capture(
         &self,
         world: &World,
         state: &ViewState,
         number: u32,
         trouble: Trouble,
-        mut take: impl FnMut(FrameView<'_>, FrameKind) -> anyhow::Result<()>,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<ViewOutcome> {
         let sets = self.sets();
         let [width, height] = world.size_px();
         let mut pixels = vec![0_u16; width * height];
+        let mut accumulator = self.decoder.begin();
         for (i, kind) in self.decoder.capture_order().enumerate() {
             let (pattern, exposure) = match kind {
                 FrameKind::Dark => (0, 0),
@@ -121,39 +116,8 @@ impl Instrument {
                 counter,
                 &mut pixels,
             )?;
-            take(FrameView::packed(&pixels, width, height), kind)?;
-        }
-        Ok(())
-    }
-
-    /// Captures and judges one view.
-    pub fn capture(
-        &self,
-        world: &World,
-        state: &ViewState,
-        number: u32,
-        trouble: Trouble,
-    ) -> anyhow::Result<ViewOutcome> {
-        let mut accumulator = self.decoder.begin();
-        self.frames(world, state, number, trouble, |frame, kind| {
             accumulator
-                .add(frame, kind)
-                .context("a rendered frame was refused")?;
-            Ok(())
-        })?;
-        Ok(self.evaluator.evaluate(0, &accumulator))
-    }
-
-    /// Judges frames that were taken before.
-    pub fn judge(
-        &self,
-        frames: &[Vec<u16>],
-        [width, height]: [usize; 2],
-    ) -> anyhow::Result<ViewOutcome> {
-        let mut accumulator = self.decoder.begin();
-        for (pixels, kind) in frames.iter().zip(self.decoder.capture_order()) {
-            accumulator
-                .add(FrameView::packed(pixels, width, height), kind)
+                .add(FrameView::packed(&pixels, width, height), kind)
                 .context("a rendered frame was refused")?;
         }
         Ok(self.evaluator.evaluate(0, &accumulator))
@@ -174,21 +138,4 @@ pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feat
         .map(Feature::from)
         .find(|f| f.flank == flank.to_string())
         .with_context(|| format!("the {flank} flank is missing"))
-}
-
-/// The head as a calibration with errors of `sd_px` would describe it.
-pub(super) fn calibrated(head: &HeadModel, draw: u64, sd_px: f64) -> HeadModel {
-    let mut head = head.clone();
-    let mut random = Random::new(draw, 2);
-    for lens in [&mut head.camera, &mut head.projector] {
-        for k in 0..2 {
-            lens.principal_px[k] += sd_px * random.normal();
-        }
-        // At the edge of the field, 500 px from its centre.
-        let edge = 500.0 / lens.focal_px[0];
-        let stretch = 1.0 + sd_px / 500.0 * random.normal();
-        lens.focal_px = lens.focal_px.map(|f| f * stretch);
-        lens.distortion[0] += sd_px / (500.0 * edge * edge) * random.normal();
-    }
-    head
 }

@@ -1,39 +1,37 @@
 //! How often the verdict is right, measured.
 //!
 //! From the light on the cores over the rendered raw frames to the verdict a capture takes the instrument's own way; what is
-//! left out is the way between the processes (controller, shared memory, pairing), which changes no value, and the other
-//! teeth. Captures come in blocks of eight: two drawn stage positions, each seen by four drawn calibrations with noise of
-//! its own. What such calibrations leave on a master is evaluated first, by draws of its own, and stated to the instrument.
+//! left out is the way between the processes (controller, shared memory, pairing), which changes no value. What errors share
+//! is drawn once for a *block*: a head with its own cores and lenses, calibrated on the bench by the instrument's own
+//! calibration; a die with form errors of its own; a tooth and a height. Intervals of rates count blocks, not captures.
 //!
 //! ```text
-//!  cases ──► scene (die, blocks of captures) ──► capture (frames, decoding, evaluation) ──► tally ──► page (markdown, SVG)
-//!                                                                       truth ──────────────┘        ▲
-//!  plane ──► staircase (pixel by pixel, core by core) ──────────────────────────────────────────────────┘
+//!  cases ──► block (calibration, die, place) ──► capture (frames, decoding, evaluation) ──► tally ──► page (markdown, SVG)
+//!                              truth (closed form of the damage) ───────────────────────────┘        ▲
+//!  plane ──► staircase (pixel by pixel, core by core) ───────────────────────────────────────────────┘
+//!  campaign: random damage against exact distances, for the tests
 //! ```
 
+mod block;
+mod calibration;
+mod campaign;
 mod capture;
 mod cases;
 mod page;
-mod scene;
+mod setup;
 mod staircase;
-mod stated;
 mod tally;
 mod truth;
 
 use std::path::PathBuf;
 
-use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::HeadModel;
-use rand::RngExt;
-use rand_pcg::rand_core::SeedableRng;
-
-use crate::demo;
-pub use cases::{Case, Group, cases};
-use scene::Scene;
-pub use tally::{Cell, Sample};
-
-/// The tooth that is looked at.
-const TOOTH: u32 = 40;
+use block::Block;
+pub use block::BlockReport;
+pub use campaign::{Judgement, random_damages};
+pub use cases::{Case, Damaged, Group, Right, cases};
+use flankscope_gear_cad::Flank;
+use setup::{Setup, on_all_cores};
+pub use tally::{Cell, Figure, Sample};
 
 /// How large the study is.
 #[derive(clap::Args, Clone, Debug)]
@@ -41,15 +39,21 @@ pub struct Args {
     /// Folder for `README.md`, `study.json` and the plots.
     #[arg(long)]
     pub out: PathBuf,
-    /// Captures per row; the rows about single measures take a fifth, those about a baseline half.
-    #[arg(long, default_value_t = 200)]
-    pub captures: u32,
-    /// Seed of all that is drawn: surface, calibrations, stages, noise.
+    /// Blocks: heads with calibrations of their own, each before a die of its own.
+    #[arg(long, default_value_t = 16)]
+    pub blocks: u32,
+    /// Captures per row and block.
     #[arg(long, default_value_t = 1)]
+    pub captures: u32,
+    /// Seed of all that is drawn: heads, targets, dies, damage, stages, noise.
+    #[arg(long, default_value_t = 2)]
     pub seed: u64,
     /// Only rows whose name contains this.
     #[arg(long)]
     pub only: Option<String>,
+    /// The commit that is studied, for the page.
+    #[arg(long, default_value = "unknown")]
+    pub commit: String,
 }
 
 /// Runs every case and writes the page.
@@ -65,97 +69,78 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let cases: Vec<Case> = cases().into_iter().filter(wanted).collect();
     anyhow::ensure!(!cases.is_empty(), "no row of the study has such a name");
-    let outcome = measure(&cases, args.captures, args.seed, |line| eprintln!("{line}"))?;
-    let staircase = staircase::profiles(&demo_head()?)?;
+    let outcome = measure(&cases, args.blocks, args.captures, args.seed, |line| {
+        eprintln!("{line}");
+    })?;
+    let staircase = staircase::profiles(Setup::load()?.head())?;
     page::write(&args.out, &outcome, &staircase, args)
-}
-
-/// The demo head with its cores.
-fn demo_head() -> anyhow::Result<HeadModel> {
-    let folder = tempfile::tempdir()?;
-    demo::write_tool(folder.path())?;
-    Ok(HeadModel::load(&folder.path().join("head.toml"))?)
 }
 
 /// What the study found.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// What drawn calibrations leave of a depth on a master, and the head's drift of its difference to a baseline, µm.
-    pub stated_um: [f64; 2],
-    /// One per case.
+    /// What blocks were made of.
+    pub blocks: Vec<BlockReport>,
+    /// One per row.
     pub cells: Vec<Cell>,
 }
 
-/// Measures `captures` captures of each case, of the smaller ones their share.
+/// Captures each case `captures` times in each of `blocks` blocks.
 ///
 /// # Errors
 /// The bench or the instrument refuses a case.
 pub fn measure(
     cases: &[Case],
+    blocks: u32,
     captures: u32,
     seed: u64,
-    mut tell: impl FnMut(&str),
+    tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Outcome> {
-    let folder = tempfile::tempdir()?;
-    demo::write_tool(folder.path())?;
-    let mut tool = Tool::load(folder.path())?;
-    // The bench makes the die of the very facets of its CAD: no chord is off here.
-    tool.cad.chord_error_um = 0.0;
-    let head = HeadModel::load(&folder.path().join("head.toml"))?;
-    let stated_um = stated::on_master_um(&tool, &head, seed)?;
-    if let Some(inspect) = &mut tool.inspect {
-        inspect.calibration_um = Some(stated_um[0]);
-        inspect.drift_um = stated_um[1];
-    }
-    tell(&format!(
-        "on a master, calibrations leave {:.2} µm, drift since a baseline {:.2} µm (root mean square)",
-        stated_um[0], stated_um[1]
-    ));
-    let mut cells: Vec<Option<Cell>> = cases.iter().map(|_| None).collect();
-    for together in together(cases) {
-        let of_scene: Vec<&Case> = together.iter().map(|&i| &cases[i]).collect();
-        let found = Scene::new(&of_scene, &tool, &head, seed)?.cells(captures)?;
-        for (i, cell) in together.into_iter().zip(found) {
-            tell(&cell.line());
-            cells[i] = Some(cell);
+    let setup = Setup::load()?;
+    let found = on_all_cores(blocks, |number| {
+        let block = Block::new(&setup, number, seed)?;
+        let report = block.report();
+        let found = block.run(cases, captures)?;
+        tell(&format!(
+            "block {}: tooth {} at {} mm, calibrated to {:.2} µm along and {:.2} µm across the view",
+            number + 1,
+            report.place.tooth,
+            report.place.height_mm,
+            report.depth_sigma_um,
+            report.lateral_sigma_um
+        ));
+        Ok((report, found))
+    })?;
+    let mut rows: Vec<[Option<Cell>; 2]> = cases
+        .iter()
+        .map(|case| {
+            let other = match &case.right {
+                Right::Row(name) => Some(Cell::new(name.clone(), case.group)),
+                Right::Ignored | Right::Same => None,
+            };
+            [Some(Cell::new(case.name.clone(), case.group)), other]
+        })
+        .collect();
+    let mut reports = Vec::new();
+    for (number, (report, found)) in (0..).zip(found) {
+        reports.push(report);
+        for one in found {
+            let [same, other] = &mut rows[one.case];
+            let row = match (one.flank, other) {
+                (Flank::Right, Some(other)) => Some(other),
+                _ => same.as_mut(),
+            };
+            if let Some(row) = row {
+                row.add(number, one);
+            }
         }
+    }
+    let cells: Vec<Cell> = rows.into_iter().flatten().flatten().collect();
+    for cell in &cells {
+        tell(&cell.line());
     }
     Ok(Outcome {
-        stated_um,
-        cells: cells.into_iter().flatten().collect(),
+        blocks: reports,
+        cells,
     })
-}
-
-/// Indices of the cases that are seen in the same captures.
-fn together(cases: &[Case]) -> Vec<Vec<usize>> {
-    let mut scenes: Vec<Vec<usize>> = Vec::new();
-    for (i, case) in cases.iter().enumerate() {
-        let joins = |scene: &&mut Vec<usize>| scene.len() == 1 && case.goes_with(&cases[scene[0]]);
-        match scenes.iter_mut().find(joins) {
-            Some(scene) => scene.push(i),
-            None => scenes.push(vec![i]),
-        }
-    }
-    scenes
-}
-
-/// Numbers drawn for one purpose.
-struct Random(rand_pcg::Pcg64);
-
-impl Random {
-    fn new(seed: u64, purpose: u64) -> Self {
-        Self(rand_pcg::Pcg64::seed_from_u64(
-            seed.wrapping_mul(64).wrapping_add(purpose),
-        ))
-    }
-
-    fn uniform(&mut self) -> f64 {
-        self.0.random()
-    }
-
-    /// Standard normal (Box and Muller 1958).
-    fn normal(&mut self) -> f64 {
-        let (a, b) = (1.0 - self.uniform(), self.uniform());
-        (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
-    }
 }

@@ -361,6 +361,24 @@ impl World {
         Ok(())
     }
 
+    /// Puts a mesh there as the die, with the form of the die that stood there; none: the CAD again, undamaged. Views prepared
+    /// before show the die as it was.
+    ///
+    /// # Errors
+    /// A drawing that is no die.
+    pub fn stand(&mut self, mesh: Option<Arc<DieMesh>>) -> Result<(), WorldError> {
+        let field = WearField::new(&self.gear, &[])?;
+        let mut die = match &mesh {
+            Some(mesh) => Die::standing(mesh, field, self.form),
+            None => Die::as_built(&self.cad, field, self.form)?,
+        };
+        die.grow(self.growth);
+        self.rays = RayCaster::new(die.mesh());
+        self.die = die;
+        self.die_mesh = mesh;
+        Ok(())
+    }
+
     /// Columns and rows of a frame.
     pub fn size_px(&self) -> [usize; 2] {
         self.optics.camera_size_px
@@ -381,6 +399,11 @@ impl World {
             (l.min(z), h.max(z))
         });
         (low - reach_mm..=high + reach_mm).contains(&centre_mm)
+    }
+
+    /// The gear of the die.
+    pub fn gear(&self) -> &GearSpec {
+        &self.gear
     }
 
     /// The die as it really is.
