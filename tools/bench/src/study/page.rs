@@ -230,10 +230,11 @@ impl Page<'_> {
         let low = missed().filter(|s| s.figure.is_some_and(|f| f.value_um < s.truth_um));
         writeln!(
             text,
-            "Of these {} figures {} are too low, and {} carry a go or warn. The head looks along a flank: the walls of a narrow \
-             or deep hole hide part of its bottom, and a mean over what is left is too small by more than U95 says. The verdict \
-             knows (what an unmeasured patch may hide is supposed to be 300 µm deep), the figure does not: of a damage with steep \
-             walls it is a lower bound.\n",
+            "Of these {} figures {} are too low, and {} carry a go or warn. Two causes: the head looks along a flank, so the walls \
+             of a narrow or deep hole hide part of its bottom, and a mean over what is left of the disc is too small by more than \
+             U95 says; and of wear that a whole side has in common the pose takes a part (below). Of a damage with steep walls \
+             the figure is a lower bound. What an unmeasured patch may hide refuses most such flanks, not all: every pass that \
+             was wrong is counted below.\n",
             missed().count(),
             low.count(),
             missed().filter(|s| s.passed()).count()
@@ -337,8 +338,8 @@ impl Page<'_> {
              full. What they all share, the pose takes for its own: of one side of all teeth worn alike the view alone cannot \
              tell a turned die, of a whole ring worn alike not a larger one. There the word of the stages is left, and with it \
              their uncertainty. So an even figure as good as in the table presumes that not all flanks in view are worn alike; \
-             where they are, U95 grows (rows *one side of all teeth* and *whole ring*) and verdicts become indeterminate before \
-             they become wrong.\n"
+             where they are, part of the wear is told of the sound side, the figure is low, and U95 grows (rows *one side of all \
+             teeth* and *whole ring*): most such verdicts are indeterminate, and what the others are is in the rows.\n"
         )
     }
 
