@@ -150,17 +150,21 @@ impl<'a> Discs<'a> {
             for column in self.touched(0, middle[0]) {
                 let cell = row * self.field.columns + column;
                 let count = f64::from(self.start[cell + 1] - self.start[cell]);
-                let inside = |sample: &&Sample| {
-                    let [x, y] = [0, 1].map(|k| sample.at_mm[k] - middle[k]);
-                    x * x + y * y <= squared
+                let inside = || {
+                    self.of_cell(cell).filter(|sample| {
+                        let [x, y] = [0, 1].map(|k| sample.at_mm[k] - middle[k]);
+                        x * x + y * y <= squared
+                    })
                 };
-                let share = self.of_cell(cell).filter(inside).count() as f64 / count.max(1.0);
+                let n = inside().count() as f64;
+                let share = n / count.max(1.0);
                 weight += share;
-                if count >= 2.0 {
-                    let mean = self.field.wear_mm[cell];
-                    let squares: f64 = self.of_cell(cell).map(|s| (s.wear_mm - mean).powi(2)).sum();
-                    let of_noise = noise_scale * noise_scale * self.field.variance_mm2[cell];
-                    let of_mean = squares / (count - 1.0) / count;
+                if n >= 2.0 {
+                    let mean = inside().map(|s| s.wear_mm).sum::<f64>() / n;
+                    let squares: f64 = inside().map(|s| (s.wear_mm - mean).powi(2)).sum();
+                    let of_noise =
+                        noise_scale * noise_scale * self.field.variance_mm2[cell] * count / n;
+                    let of_mean = squares / (n - 1.0) / n;
                     variance += share * share * (of_mean - of_noise).max(0.0);
                 }
             }
@@ -538,7 +542,9 @@ mod tests {
                 bias_mm,
                 // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
                 // Rectangular between the two.
-                u_mm: scatter_mm.hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt()),
+                u_mm: scatter_mm
+                    .hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt())
+                    .hypot(self.sampling_mm(at_mm, noise_scale)),
             })
         }
 

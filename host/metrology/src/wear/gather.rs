@@ -330,8 +330,11 @@ mod tests {
             assert_eq!(parts.hidden_mm, None);
             assert_eq!(points.hidden_mm, None);
             assert_eq!(parts.points, points.points);
+            // Where a part lies on the pit's rim its place is uncertain, and said to be; without an edge in the disc only noise
+            // is left.
             let noise = parts.budget.noise_mm / points.budget.noise_mm;
-            assert!(k == 3 || (0.3..3.0).contains(&noise), "{k}: {noise}");
+            let edged = k == 0 || k == 3;
+            assert!(edged || (0.3..3.0).contains(&noise), "{k}: {noise}");
         }
     }
 
