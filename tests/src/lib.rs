@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use flankscope_gear_cad::{GearKind, GearSpec};
 use serde_json::Value;
 
 /// The `flankscope` command, freshly built in this build's own profile.
@@ -60,6 +61,23 @@ pub fn shared_data(file: &str) -> Option<PathBuf> {
     );
     eprintln!("SKIPPED: {} is missing", path.display());
     None
+}
+
+/// The demo die's drawing.
+#[must_use]
+pub fn demo_gear() -> GearSpec {
+    let module_mm = 82.9 / 84.0;
+    GearSpec {
+        kind: GearKind::Internal,
+        teeth: 84,
+        module_mm,
+        pressure_angle_rad: 20f64.to_radians(),
+        tip_radius_mm: 41.45 - module_mm,
+        root_radius_mm: 41.45 + 1.25 * module_mm,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: 88.5,
+        height_mm: [0.0, 66.0],
+    }
 }
 
 /// What a run of the command left behind.

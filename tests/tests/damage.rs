@@ -100,22 +100,12 @@ fn deep_grooves_and_craters_are_never_passed() {
 /// Thirds and quarters are no built-in shape: they come as anybody's mesh does.
 mod by_mesh {
     use super::*;
-    use flankscope_gear_cad::{Flank, GearKind, GearSpec, Meshing, write_stl};
+    use flankscope_gear_cad::{Flank, Meshing, write_stl};
+    use flankscope_tests::demo_gear;
 
     /// The demo die with everything above a height gone from tooth 40 left.
     fn upper(share: f64, depth_mm: f64) -> tempfile::TempDir {
-        let module_mm = 82.9 / 84.0;
-        let gear = GearSpec {
-            kind: GearKind::Internal,
-            teeth: 84,
-            module_mm,
-            pressure_angle_rad: 20f64.to_radians(),
-            tip_radius_mm: 41.45 - module_mm,
-            root_radius_mm: 41.45 + 1.25 * module_mm,
-            root_fillet_radius_mm: 0.0,
-            body_radius_mm: 88.5,
-            height_mm: [0.0, 66.0],
-        };
+        let gear = demo_gear();
         let mut mesh = gear
             .mesh(&Meshing {
                 axial_slices: 330,

@@ -2,30 +2,12 @@
 
 use std::path::Path;
 
-use flankscope_gear_cad::{
-    Flank, GearKind, GearSpec, Mesh, MeshError, Meshing, write_ply, write_stl,
-};
-use flankscope_tests::{Run, flankscope, inspect, run};
-
-/// The demo die's drawing.
-fn gear() -> GearSpec {
-    let module_mm = 82.9 / 84.0;
-    GearSpec {
-        kind: GearKind::Internal,
-        teeth: 84,
-        module_mm,
-        pressure_angle_rad: 20f64.to_radians(),
-        tip_radius_mm: 41.45 - module_mm,
-        root_radius_mm: 41.45 + 1.25 * module_mm,
-        root_fillet_radius_mm: 0.0,
-        body_radius_mm: 88.5,
-        height_mm: [0.0, 66.0],
-    }
-}
+use flankscope_gear_cad::{Flank, Mesh, MeshError, Meshing, write_ply, write_stl};
+use flankscope_tests::{Run, demo_gear, flankscope, inspect, run};
 
 /// The demo die in other triangles than its CAD, with one flank lower by `depth_mm` all over.
 fn worn_flank(tooth: u32, flank: Flank, depth_mm: f64) -> Result<Mesh, MeshError> {
-    let gear = gear();
+    let gear = demo_gear();
     let mut mesh = gear.mesh(&Meshing {
         axial_slices: 33,
         ..Meshing::default()
@@ -154,7 +136,7 @@ fn what_cannot_stand_there_could_not_run_and_says_why() {
         std::fs::write(&path, bytes).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    let mut mesh = gear().mesh(&Meshing::default()).unwrap();
+    let mut mesh = demo_gear().mesh(&Meshing::default()).unwrap();
     let good = folder.path().join("good.stl");
     write(&good, &mesh);
     let whole = std::fs::read(&good).unwrap();

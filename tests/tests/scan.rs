@@ -4,8 +4,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh, Meshing, write_ply};
-use flankscope_tests::{Run, flankscope, run};
+use flankscope_gear_cad::{Flank, Mesh, Meshing, write_ply};
+use flankscope_tests::{Run, demo_gear, flankscope, run};
 
 fn scan(args: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
@@ -276,26 +276,10 @@ fn feature<'a>(run: &'a Run, tooth: u64, flank: &str) -> &'a serde_json::Value {
     found.unwrap_or_else(|| panic!("no {flank} flank of tooth {tooth}: {}", run.json["reason"]))
 }
 
-/// The demo die's drawing.
-fn gear() -> GearSpec {
-    let module_mm = 82.9 / 84.0;
-    GearSpec {
-        kind: GearKind::Internal,
-        teeth: 84,
-        module_mm,
-        pressure_angle_rad: 20f64.to_radians(),
-        tip_radius_mm: 41.45 - module_mm,
-        root_radius_mm: 41.45 + 1.25 * module_mm,
-        root_fillet_radius_mm: 0.0,
-        body_radius_mm: 88.5,
-        height_mm: [0.0, 66.0],
-    }
-}
-
 /// The demo die as a mesh in slices of 0.75 mm, and whether a vertex of it lies on the left flank of tooth 11 between two
 /// heights: the left flank of a tooth that twelve views look at.
 fn die(height_mm: [f64; 2]) -> (Mesh, Vec<bool>) {
-    let gear = gear();
+    let gear = demo_gear();
     let slices = Meshing {
         axial_slices: 88,
         ..Meshing::default()
@@ -338,7 +322,7 @@ fn assert_others_go(run: &Run) {
 fn damage_of_an_eighth_of_a_flank_is_no_go_and_other_flanks_stay_go() {
     // 200 um gone over an eighth of the height, a sixth of what the view looks at.
     let (mut mesh, worn) = die([36.0, 44.25]);
-    let gear = gear();
+    let gear = demo_gear();
     for (p, _) in mesh.vertices.iter_mut().zip(worn).filter(|(_, worn)| *worn) {
         let [nx, ny] = gear.flank_normal(11, Flank::Left, p[0].hypot(p[1]));
         p[0] -= 0.2 * nx;
