@@ -406,7 +406,7 @@ impl FlankWear {
             evidence: Vec::new(),
             since_baseline: false,
         };
-        wear.refigure(None, settings);
+        wear.refigure(None, None, settings);
         wear
     }
 
@@ -457,8 +457,14 @@ fn state_noise(cells: &Field, samples: &mut [Sample]) {
 }
 
 impl FlankWear {
-    /// Computes cells, figures and budget from the points; what the cells of `reference` state as noise is added to theirs.
-    fn refigure(&mut self, reference: Option<&Field>, settings: &Settings) {
+    /// Computes cells, figures and budget from the points; what the cells of `reference` state as noise is added to theirs,
+    /// and `before` is what its view said of its pose.
+    fn refigure(
+        &mut self,
+        reference: Option<&Field>,
+        before: Option<&PoseEvidence>,
+        settings: &Settings,
+    ) {
         let cells = self.field.wear_mm.len();
         let mut sums = vec![[0.0_f64; 3]; cells];
         for sample in &self.samples {
@@ -480,7 +486,7 @@ impl FlankWear {
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
         self.figures = figures::evaluate(&self.field, &self.samples, settings, systematic_mm);
-        self.settle(None, settings);
+        self.settle(before, settings);
     }
 
     /// Computes what is judged from figures, influence and settings; `before` is what the baseline's view said of its pose.
@@ -560,8 +566,7 @@ impl FlankWear {
         self.budget.as_built_mm = 0.0;
         self.budget.film_mm = settings.film_mm / 6f64.sqrt();
         self.budget.reference_mm = self.budget.registration_mm;
-        self.refigure(Some(reference), settings);
-        self.settle(before, settings);
+        self.refigure(Some(reference), before, settings);
         Ok(self)
     }
 
@@ -589,7 +594,7 @@ impl FlankWear {
             wear.evidence.extend(other.evidence.iter().cloned());
             wear.tip = wear.tip.or(other.tip);
         }
-        wear.refigure(None, settings);
+        wear.refigure(None, None, settings);
         Some(wear)
     }
 
@@ -696,7 +701,7 @@ mod tests {
         };
         let mut oiled = plain.clone();
         oiled.budget.film_mm = settings.film_mm / 12f64.sqrt();
-        oiled.refigure(None, &settings);
+        oiled.refigure(None, None, &settings);
         assert!((oiled.wear_mm - plain.wear_mm - 6e-3).abs() < 1e-12);
         assert!((oiled.proud_mm - plain.proud_mm + 6e-3).abs() < 1e-12);
         // Between nothing and all of it, evenly: its standard deviation is a twelfth's root.
