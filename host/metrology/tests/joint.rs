@@ -2,10 +2,10 @@
 
 use std::f64::consts::{PI, TAU};
 
-use flankscope_metrology::cylinder::Witness;
-use flankscope_metrology::joint::{
+use flankscope_metrology::multiview::adjustment::{
     Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve, take_off_common,
 };
+use flankscope_metrology::multiview::cylinder::CellObservation;
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 /// What each view knows of its own pose: about 1 µm, and that over a field of 10 mm.
@@ -180,16 +180,16 @@ fn what_no_view_can_tell_is_named_weak_and_stays_where_it_was() {
 
 /// Cells of the wall that a view around a place sees, with what the wall and the view's error make of each deviation: flanks
 /// face the axis and to both sides of it. `off` is where a point of the view lands, against where it should.
-fn witnesses(
+fn cell_observations(
     at: Pose,
     wall_mm: impl Fn([f64; 3]) -> f64,
     off: impl Fn(Point3<f64>) -> Vector3<f64>,
-) -> Vec<Witness> {
+) -> Vec<CellObservation> {
     const COLUMNS: u32 = 2016;
     let column_rad = TAU / f64::from(COLUMNS);
     let middle = ((PI - at.rotation_rad).rem_euclid(TAU) / column_rad) as u32;
     let lowest = ((at.vertical_mm - 5.0).max(0.0) / 0.25) as u32;
-    let mut cells: Vec<Witness> = (lowest..lowest + 40)
+    let mut cells: Vec<CellObservation> = (lowest..lowest + 40)
         .flat_map(|row| {
             (0..77).map(move |column| (row, (middle + COLUMNS + column - 38) % COLUMNS))
         })
@@ -204,7 +204,7 @@ fn witnesses(
             let normal = Vector3::new(facing.cos(), facing.sin(), 0.0);
             let outwards = Vector3::new(angle.cos(), angle.sin(), 0.0);
             let lands = outwards * wall_mm(foot) + off(Point3::from(foot));
-            Witness {
+            CellObservation {
                 cell: row * COLUMNS + column,
                 weight: 2.5e5,
                 deviation_mm: normal.dot(&lands) as f32,
@@ -213,12 +213,12 @@ fn witnesses(
             }
         })
         .collect();
-    cells.sort_by_key(|witness| witness.cell);
+    cells.sort_by_key(|observation| observation.cell);
     cells
 }
 
 /// Overlaps of all views that lie next to each other.
-fn pairs(views: &[ViewInformation], seen: &[Vec<Witness>], reach_mm: f64) -> Vec<Overlap> {
+fn pairs(views: &[ViewInformation], seen: &[Vec<CellObservation>], reach_mm: f64) -> Vec<Overlap> {
     let centre = |view: usize| Point3::from(views[view].centre_mm);
     (0..views.len())
         .flat_map(|i| (i + 1..views.len()).map(move |j| [i, j]))
@@ -250,9 +250,9 @@ fn a_conical_wall_leans_in_every_view_and_yet_no_view_leans() {
         .iter()
         .map(|at| laid(*at, motion(at) * truth.tool_from_camera(*at)))
         .collect();
-    let seen: Vec<Vec<Witness>> = places
+    let seen: Vec<Vec<CellObservation>> = places
         .iter()
-        .map(|at| witnesses(*at, wall_mm, |p| motion(at) * p - p))
+        .map(|at| cell_observations(*at, wall_mm, |p| motion(at) * p - p))
         .collect();
     let overlaps = pairs(&views, &seen, 9.0);
     assert_eq!(overlaps.len(), 7 * 12, "each with the one above");
@@ -290,10 +290,10 @@ fn neighbours_hold_a_view_that_ran_out_as_a_ring_of_springs_does() {
         .iter()
         .map(|&at| laid(at, truth.tool_from_camera(at)))
         .collect();
-    let seen: Vec<Vec<Witness>> = (places.iter().enumerate())
+    let seen: Vec<Vec<CellObservation>> = (places.iter().enumerate())
         .map(|(view, at)| {
             let off = if view == wrong { -runout_mm } else { 0.0 };
-            witnesses(*at, wall_mm, |_| outwards * off)
+            cell_observations(*at, wall_mm, |_| outwards * off)
         })
         .collect();
     // Next neighbours alone, so that they are a ring.
@@ -347,7 +347,7 @@ fn what_the_field_makes_all_pairs_of_a_kind_say_moves_no_view() {
         .map(|&at| laid(at, truth.tool_from_camera(at)))
         .collect();
     // Sideways, the calibration is 1 µm off at the edges of the field; more in one layer.
-    let seen: Vec<Vec<Witness>> = places
+    let seen: Vec<Vec<CellObservation>> = places
         .iter()
         .map(|at| {
             let size_mm = if at.vertical_mm > 40.0 { 1.5e-3 } else { 1e-3 };
@@ -356,7 +356,7 @@ fn what_the_field_makes_all_pairs_of_a_kind_say_moves_no_view() {
                 let sideways = p.y * cos - p.x * sin;
                 Vector3::new(-sin, cos, 0.0) * (size_mm * (sideways / 5.0).powi(3))
             };
-            witnesses(*at, |_| 0.0, field)
+            cell_observations(*at, |_| 0.0, field)
         })
         .collect();
     let mut overlaps = pairs(&views, &seen, 4.0);

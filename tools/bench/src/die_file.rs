@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flankscope_gear_cad::Mesh;
-use flankscope_metrology::mesh::{self, MeshError, Unit};
+use flankscope_metrology::io::mesh::{self, MeshError, Unit};
 
 use crate::world::{DieMesh, MAX_DIE_TRIANGLES, WorldError};
 

@@ -18,6 +18,7 @@ mod edge;
 mod field;
 mod figures;
 mod gather;
+pub mod leakage;
 mod shared;
 
 use std::sync::Arc;
@@ -34,9 +35,9 @@ pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 
 use crate::gear::{Flank, FlankPlace, GearData};
-use crate::leakage::Leakage;
 use crate::registration::Registration;
 use crate::surface::Closest;
+use crate::wear::leakage::Leakage;
 
 /// The part of each flank that is judged.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-use flankscope_metrology::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::outlier;
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flankscope_metrology::cylinder::{CylinderMap, Layout};
 use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout};
 use serde::Serialize;
 
 use crate::inspection::PlannedView;
@@ -162,7 +162,7 @@ pub fn percent(ratio: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::cylinder::{Layout, Witness};
+    use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 
     const TEETH: u32 = 84;
 
@@ -207,7 +207,7 @@ mod tests {
                         let column = ((angle / std::f64::consts::TAU + 0.5) * layout.columns as f64)
                             .rem_euclid(layout.columns as f64)
                             as usize;
-                        let witness = Witness {
+                        let observation = CellObservation {
                             cell: (row * layout.columns + column) as u32,
                             weight: 1e6,
                             deviation_mm: 0.0,
@@ -218,7 +218,7 @@ mod tests {
                                 0.0,
                             ],
                         };
-                        map.add_view(&[witness], |_| 0.0);
+                        map.add_view(&[observation], |_| 0.0);
                     }
                 }
             }

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use flankscope_metrology::cylinder::CylinderMap;
-use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
-use flankscope_metrology::joint::{Solution, ViewInformation};
-use flankscope_metrology::spacing::opposite;
+use flankscope_metrology::multiview::adjustment::{Solution, ViewInformation};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::multiview::spacing::opposite;
+use flankscope_metrology::space::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::verdict::combine;
 
 use super::coverage::{Coverage, LEAST_COVERAGE};

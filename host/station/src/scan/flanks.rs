@@ -14,15 +14,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use flankscope_metrology::decision::Limits;
-use flankscope_metrology::fingerprint::FlankMean;
-use flankscope_metrology::frames::Rigid;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
-use flankscope_metrology::joint::{Local, Solution, Stages, ViewInformation};
-use flankscope_metrology::leakage::{Leakage, of_tooth};
+use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
+use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
+use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Verdict;
+use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
 use flankscope_metrology::wear::{
     Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
 };

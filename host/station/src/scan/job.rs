@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::joint::{JointError, Stages};
-use flankscope_metrology::merge::{MergeError, check_voxel_size};
+use flankscope_metrology::multiview::adjustment::{JointError, Stages};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use flankscope_metrology::cylinder::{Layout, Witness, witnesses};
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::adjustment::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, cell_observations};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::wear::{FlankView, Measured};
 use nalgebra::{Isometry3, Point3};
@@ -51,9 +51,9 @@ impl Laid {
     }
 
     /// What the view says of the cells.
-    pub fn witnesses(&self, layout: &Layout, points: &[Kept]) -> Vec<Witness> {
+    pub fn cell_observations(&self, layout: &Layout, points: &[Kept]) -> Vec<CellObservation> {
         let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
-        witnesses(layout, &self.closest, &sigma_mm)
+        cell_observations(layout, &self.closest, &sigma_mm)
     }
 
     /// What the view saw of every flank.

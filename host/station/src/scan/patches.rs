@@ -6,8 +6,8 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
-use flankscope_metrology::cylinder::{Layout, Witness, moved};
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, moved};
 use flankscope_metrology::wear::{FlankPoint, FlankView};
 use nalgebra::Isometry3;
 
@@ -17,7 +17,7 @@ use super::session::SessionError;
 #[derive(Debug)]
 struct Place {
     offset: u64,
-    witnesses: usize,
+    cell_observations: usize,
     flanks: BTreeMap<(u32, Flank), FlankPlace>,
     /// At which it was laid on the CAD.
     tool_from_camera: Isometry3<f64>,
@@ -63,10 +63,10 @@ impl Patches {
         &mut self,
         view: usize,
         tool_from_camera: Isometry3<f64>,
-        witnesses: &[Witness],
+        cell_observations: &[CellObservation],
         flanks: &BTreeMap<(u32, Flank), FlankView>,
     ) -> Result<(), SessionError> {
-        let offset = self.write(bytemuck::cast_slice(witnesses))?;
+        let offset = self.write(bytemuck::cast_slice(cell_observations))?;
         let mut kept = BTreeMap::new();
         for (&key, seen) in flanks {
             let place = FlankPlace {
@@ -79,7 +79,7 @@ impl Patches {
         }
         let place = Place {
             offset,
-            witnesses: witnesses.len(),
+            cell_observations: cell_observations.len(),
             flanks: kept,
             tool_from_camera,
         };
@@ -137,16 +137,16 @@ impl Patches {
         view: usize,
         tool_from_camera: &Isometry3<f64>,
         layout: &Layout,
-    ) -> Result<Vec<Witness>, SessionError> {
+    ) -> Result<Vec<CellObservation>, SessionError> {
         let Some(place) = self.places.get(&view) else {
             return Ok(Vec::new());
         };
-        let mut witnesses = vec![Witness::zeroed(); place.witnesses];
-        let bytes = bytemuck::cast_slice_mut(&mut witnesses);
+        let mut cell_observations = vec![CellObservation::zeroed(); place.cell_observations];
+        let bytes = bytemuck::cast_slice_mut(&mut cell_observations);
         let read = self.file.read_exact_at(bytes, place.offset);
         read.map_err(|error| self.trouble(error))?;
         let motion = tool_from_camera * place.tool_from_camera.inverse();
-        Ok(moved(&witnesses, layout, &motion))
+        Ok(moved(&cell_observations, layout, &motion))
     }
 
     fn trouble(&self, error: std::io::Error) -> SessionError {

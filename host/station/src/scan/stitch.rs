@@ -7,9 +7,11 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use flankscope_metrology::cylinder::{CylinderMap, FieldQuality, Layout, Witness};
-use flankscope_metrology::joint::{
+use flankscope_metrology::multiview::adjustment::{
     Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
+};
+use flankscope_metrology::multiview::cylinder::{
+    CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
 use nalgebra::{Isometry3, Point3};
@@ -106,7 +108,7 @@ pub(super) fn stitch(
     let steps = Steps::of(&pairs, &views, &alone, &joint);
     let joint = joint.no_surer_than(&sure);
     lap("overlaps");
-    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)| {
+    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
         for ((view, _), pose) in views.iter().zip(&joint.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
@@ -118,7 +120,7 @@ pub(super) fn stitch(
     of_views(&mut |_, view| {
         let form = form.filter(|_| !view.is_empty());
         rms_about_form_mm.push(form.map(|form| {
-            let off_mm = |w: &Witness| {
+            let off_mm = |w: &CellObservation| {
                 let form_mm = form.deviation_mm(w.point.map(f64::from), w.normal.map(f64::from));
                 f64::from(w.deviation_mm) - form_mm
             };
@@ -218,7 +220,12 @@ impl<'a> Common<'a> {
                     Some(gear) => laid.flanks(gear, &points),
                     None => BTreeMap::new(),
                 };
-                patches.keep(*view, *pose, &laid.witnesses(layout, &points), &flanks)?;
+                patches.keep(
+                    *view,
+                    *pose,
+                    &laid.cell_observations(layout, &points),
+                    &flanks,
+                )?;
                 relaid += 1;
             }
         }
@@ -237,10 +244,10 @@ impl<'a> Common<'a> {
 fn merge(
     layout: Layout,
     field_slope: f64,
-    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)) -> Result<(), SessionError>,
+    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)) -> Result<(), SessionError>,
 ) -> Result<(CylinderMap, FieldQuality), SessionError> {
-    let in_camera = |pose: &Isometry3<f64>, witness: &Witness| -> [f64; 3] {
-        let point = Point3::from(witness.point.map(f64::from));
+    let in_camera = |pose: &Isometry3<f64>, observation: &CellObservation| -> [f64; 3] {
+        let point = Point3::from(observation.point.map(f64::from));
         pose.inverse_transform_point(&point).into()
     };
     let mut by_noise = CylinderMap::new(layout);

@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use flankscope_metrology::cylinder::{Layout, Witness};
-use flankscope_metrology::frames::Rigid;
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{
+use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
-use flankscope_metrology::outlier;
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
+use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
@@ -63,7 +63,7 @@ pub(crate) struct LaidView {
     /// What it says about its pose, at the best one by what was known of the others at the time.
     pub information: ViewInformation,
     /// What it says of the map, there.
-    pub witnesses: Vec<Witness>,
+    pub cell_observations: Vec<CellObservation>,
     /// What it saw of every flank, there.
     pub flanks: BTreeMap<(u32, Flank), FlankView>,
 }
@@ -182,7 +182,7 @@ impl ViewScanner {
         let information = laid.information(information.at).unwrap_or(information);
         self.known.insert(view, information.clone());
         LaidView {
-            witnesses: laid.witnesses(&self.layout, points),
+            cell_observations: laid.cell_observations(&self.layout, points),
             flanks: laid.flanks(&self.gear, points),
             information,
         }
