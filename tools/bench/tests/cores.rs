@@ -5,8 +5,9 @@ use std::sync::{Arc, LazyLock};
 
 use flankscope_bench::demo;
 use flankscope_bench::world::{Bundle, PatternSpec, World, WorldConfig};
-use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
+use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
 use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::head::CoreMap;
 use flankscope_profilometry::{
     Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };

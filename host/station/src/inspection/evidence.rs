@@ -61,7 +61,7 @@ pub struct Evidence {
 pub struct Phasors {
     /// BLAKE3 of the bytes.
     pub blake3: String,
-    /// See [`flankscope_profilometry::phasors`].
+    /// See [`flankscope_profilometry::Accumulator::to_bytes`].
     pub bytes: Vec<u8>,
 }
 

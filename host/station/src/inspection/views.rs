@@ -12,7 +12,7 @@ use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Zone};
-use flankscope_profilometry::calibration::RigidTransform;
+use flankscope_profilometry::head::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 

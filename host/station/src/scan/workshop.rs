@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_metrology::multiview::adjustment::ViewInformation;
-use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, FrameView};
 
 use super::grid::Grid;

@@ -7,7 +7,7 @@ use flankscope_gear_cad::{GearKind, GearSpec, Mesh, Meshing};
 use flankscope_metrology::gear::Kind;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibration::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
+use flankscope_profilometry::head::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -169,8 +169,8 @@ pub fn world_of(tool: &Tool, head: &HeadModel) -> anyhow::Result<WorldConfig> {
     Ok(config)
 }
 
-fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::Pinhole {
-    calibration::Pinhole {
+fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> head::Pinhole {
+    head::Pinhole {
         width_px: width as u32,
         height_px: height as u32,
         focal_px: pinhole.focal_px,
@@ -180,7 +180,7 @@ fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::
     }
 }
 
-fn pinhole_of(file: &calibration::Pinhole) -> Pinhole {
+fn pinhole_of(file: &head::Pinhole) -> Pinhole {
     Pinhole {
         focal_px: file.focal_px,
         centre_px: file.principal_px,

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use flankscope_gear_cad::Mesh;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, KEYS, Limits, Plate, Sphere, Target};
+use flankscope_profilometry::calibrate::{Dots, KEYS, Plate, Sphere, Target};
+use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 

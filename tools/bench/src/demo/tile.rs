@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_gear_cad::Mesh;
-use flankscope_profilometry::cores::{self, CoreMap, CoreMapFile, FlatField};
+use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::head::{CoreMap, CoreMapFile};
 use flankscope_profilometry::{FrameView, HeadModel};
 use flankscope_station::files::{hash, write_whole};
 

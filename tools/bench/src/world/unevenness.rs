@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use flankscope_profilometry::residual::ResidualField;
+use flankscope_profilometry::head::residual::ResidualField;
 use nalgebra::Vector2;
 
 use super::random::{Normals, Purpose, stream};
