@@ -87,6 +87,7 @@ fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
         points: &laid,
         closest: &closest,
         sigma_mm: None,
+        sight: None,
     };
     evaluate(
         tool.gear.as_ref().unwrap(),
@@ -208,6 +209,7 @@ fn run_a_flank_that_was_not_seen(cad: PathBuf) {
         points: &[],
         closest: &[],
         sigma_mm: None,
+        sight: None,
     };
     let wear = evaluate(
         tool.gear.as_ref().unwrap(),

@@ -151,9 +151,10 @@ pub enum Reason {
         /// Area of the disc.
         area_mm2: f64,
     },
-    /// An unmeasured patch may hide more than the limit.
+    /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
+    /// look into.
     #[error(
-        "an unmeasured patch may hide up to {hidden_um:.1} um of mean loss (if {supposed_um:.0} um are lost there), {limit_um} um are the limit; clean the flank, or look from another height"
+        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye"
     )]
     Hidden {
         /// The largest mean loss that a disc may have.

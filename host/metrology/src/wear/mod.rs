@@ -20,6 +20,7 @@ mod figures;
 mod gather;
 pub mod leakage;
 mod shared;
+mod sight;
 
 use std::sync::Arc;
 
@@ -33,6 +34,8 @@ use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
+use sight::RayCounts;
+pub use sight::Sight;
 
 use crate::gear::{Flank, FlankPlace, GearData};
 use crate::registration::Registration;
@@ -121,6 +124,8 @@ pub struct Measured<'a> {
     pub closest: &'a [Closest],
     /// Their standard uncertainties, mm; without them the scatter inside the cells is used.
     pub sigma_mm: Option<&'a [f32]>,
+    /// The camera that saw them; without it only a cell without any point counts as not seen.
+    pub sight: Option<Sight<'a>>,
 }
 
 /// Wear of one flank. Positive is loss. A flank without measured cells has NaN figures and coverage 0, which no verdict
@@ -164,6 +169,8 @@ pub struct FlankWear {
     pub turn: Option<Turn>,
     /// The points.
     samples: Vec<Sample>,
+    /// Rays and points of each cell, where the rays are known.
+    counts: Option<RayCounts>,
     /// What the view of each capture said of its pose about the axis.
     evidence: Vec<Arc<PoseEvidence>>,
     /// Whether it is the difference to a baseline.
@@ -220,6 +227,7 @@ struct Grid {
     profile_from_mm: f64,
     empty: Field,
     samples: Vec<Sample>,
+    counts: Option<RayCounts>,
     /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
     motions: Vec<(Vector6<f64>, u32)>,
     edge: edge::TipBand,
@@ -274,6 +282,7 @@ pub fn evaluate_placed(
             profile_from_mm,
             empty: empty.clone(),
             samples: Vec::new(),
+            counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
             motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
             edge: edge::TipBand::new(gear),
         })
@@ -309,6 +318,11 @@ pub fn evaluate_placed(
         let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
         };
+        if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
+            counts.points[cell] += 1;
+            // Their sum, until all are known.
+            counts.slant += sight.slant(*point, closest);
+        }
         let sigma = measured
             .sigma_mm
             .and_then(|s| s.get(index))
@@ -323,6 +337,26 @@ pub fn evaluate_placed(
         let (sum, count) = &mut grid.motions[cell];
         *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
         *count += 1;
+    }
+    let rays = measured
+        .sight
+        .map(|sight| sight.ray_places(gear, measured, places));
+    for place in rays.iter().flatten() {
+        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
+        if let Some(grid) = grids.iter_mut().find(wanted)
+            && let Some(cell) = grid.empty.cell_at([
+                place.profile_mm - grid.profile_from_mm,
+                place.height_mm - zone.height_mm[0],
+            ])
+            && let Some(counts) = &mut grid.counts
+        {
+            counts.rays[cell] += 1;
+        }
+    }
+    for grid in &mut grids {
+        if let Some(counts) = &mut grid.counts {
+            counts.slant /= grid.samples.len().max(1) as f64;
+        }
     }
     grids
         .into_par_iter()
@@ -358,6 +392,7 @@ impl Grid {
             (self.tooth, self.flank),
             self.empty,
             self.samples,
+            self.counts,
             registration_mm,
             settings,
         );
@@ -374,6 +409,7 @@ impl FlankWear {
         (tooth, flank): (u32, Flank),
         empty: Field,
         mut samples: Vec<Sample>,
+        counts: Option<RayCounts>,
         registration_mm: f64,
         settings: &Settings,
     ) -> Self {
@@ -404,6 +440,7 @@ impl FlankWear {
             field: empty,
             turn: None,
             samples,
+            counts,
             evidence: Vec::new(),
             since_baseline: false,
         };
@@ -426,7 +463,7 @@ impl FlankWear {
         };
         let samples = points.iter().map(sample).collect();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
-        Self::new(key, empty, samples, 0.0, settings)
+        Self::new(key, empty, samples, None, 0.0, settings)
     }
 }
 
@@ -486,7 +523,23 @@ impl FlankWear {
         }
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
-        self.figures = figures::evaluate(&self.field, &self.samples, settings, systematic_mm);
+        let noise_scale = self.field.noise_scale();
+        let unseen = self.counts.as_ref().map(|counts| {
+            let mut shares = counts.unseen_shares(&self.field, noise_scale);
+            let grooves = self.field.groove_shares(counts.slant, noise_scale);
+            for (share, groove) in shares.iter_mut().zip(grooves) {
+                *share = share.max(groove);
+            }
+            shares
+        });
+        self.figures = figures::evaluate(
+            &self.field,
+            &self.samples,
+            noise_scale,
+            unseen.as_deref(),
+            settings,
+            systematic_mm,
+        );
         self.settle(before, settings);
     }
 
@@ -584,6 +637,13 @@ impl FlankWear {
             wear.field.same_grid(&other.field).ok()?;
             wear.samples.extend_from_slice(&other.samples);
             wear.points += other.points;
+            wear.counts = match (wear.counts.take(), &other.counts) {
+                (Some(mut counts), Some(more)) => {
+                    counts.add(more);
+                    Some(counts)
+                }
+                _ => None,
+            };
             wear.budget.registration_mm = wear
                 .budget
                 .registration_mm

@@ -221,7 +221,7 @@ pub(super) fn of_surface(
     }
     let mut one_view = None;
     if let (Some((view, _)), Some(pose)) = (stitched.views.first(), stitched.joint.poses.first()) {
-        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?, SAMPLE)
+        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?.points, SAMPLE)
             .into_iter()
             .map(|p| (pose * Point3::from(p)).into())
             .collect();

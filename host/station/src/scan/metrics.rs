@@ -93,7 +93,8 @@ pub(super) fn compare(
     let Ok(pose) = Rigid::<ToolFrame, Camera>::from_rows(&rows) else {
         return Ok(None);
     };
-    let laid = Laid::new(&tool.surface, *pose.isometry(), &session.points(view)?);
+    let kept = session.points(view)?;
+    let laid = Laid::new(&tool.surface, *pose.isometry(), &kept);
     let (points, exact_mm) = laid.near(STRANGER_MM);
     let centre = centre_of_mass(&points).unwrap_or_default();
     let region = Region {

@@ -102,7 +102,7 @@ pub(super) fn stitch(
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let mut one_view = None;
     for (view, _) in session.views().filter(|(v, _)| *v < itinerary.views.len()) {
-        let points = session.points(view)?;
+        let points = session.points(view)?.points;
         let seed = settings.seed.wrapping_add((view as u64) << 32);
         let drawn = drawn(&points, settings, seed);
         let (xyz, at) = (coordinates(&drawn, drawn.len()), place(itinerary, view));

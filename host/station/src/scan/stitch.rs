@@ -14,6 +14,7 @@ use flankscope_metrology::multiview::cylinder::{
     CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
@@ -23,7 +24,7 @@ use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, place, unlike_cad};
-use crate::inspection::Itinerary;
+use crate::inspection::{EvaluatorError, Itinerary, field_slope, reach_mm};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -75,6 +76,26 @@ pub(super) fn first_information(
     Ok(found?.into_iter().flatten().collect())
 }
 
+/// What stitching asks of the head.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Optics {
+    /// Half the field's width per distance.
+    pub field_slope: f64,
+    /// Nearest and farthest distance at which it measures, mm.
+    pub reach_mm: [f64; 2],
+}
+
+impl Optics {
+    /// # Errors
+    /// The head file has no volume.
+    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
+        Ok(Self {
+            field_slope: field_slope(head),
+            reach_mm: reach_mm(head)?,
+        })
+    }
+}
+
 /// Stitches views, as each was laid on first.
 pub(super) fn stitch(
     session: &Session,
@@ -82,7 +103,8 @@ pub(super) fn stitch(
     first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
     nominal: &Stages,
-    (layout, field_slope): (Layout, f64),
+    layout: Layout,
+    optics: Optics,
 ) -> Result<Stitched, ScanError> {
     let mut elapsed_ms = BTreeMap::new();
     let mut clock = Instant::now();
@@ -93,7 +115,7 @@ pub(super) fn stitch(
     let mut common = Common::new(session, tool, first, nominal)?;
     common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
-    let relaid = common.lay(patches, &layout)?;
+    let relaid = common.lay(patches, &layout, optics.reach_mm)?;
     lap("lay");
     let (alone, sure) = (common.poses(), common.joint.clone());
     let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
@@ -114,7 +136,7 @@ pub(super) fn stitch(
         }
         Ok::<_, SessionError>(())
     };
-    let (map, quality) = merge(layout, field_slope, of_views)?;
+    let (map, quality) = merge(layout, optics.field_slope, of_views)?;
     let form = map.form();
     let mut rms_about_form_mm = Vec::with_capacity(views.len());
     of_views(&mut |_, view| {
@@ -209,23 +231,23 @@ impl<'a> Common<'a> {
     }
 
     /// Lays views that moved far on the CAD again with all their points; returns how many.
-    fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
+    fn lay(
+        &self,
+        patches: &mut Patches,
+        layout: &Layout,
+        reach_mm: [f64; 2],
+    ) -> Result<usize, SessionError> {
         let mut relaid = 0;
         for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
             let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
-                let points = self.session.points(*view)?;
-                let laid = Laid::new(&self.tool.surface, *pose, &points);
+                let kept = self.session.points(*view)?;
+                let laid = Laid::new(&self.tool.surface, *pose, &kept);
                 let flanks = match &self.tool.gear {
-                    Some(gear) => laid.flanks(gear, &points),
+                    Some(gear) => laid.flanks(gear, reach_mm),
                     None => BTreeMap::new(),
                 };
-                patches.keep(
-                    *view,
-                    *pose,
-                    &laid.cell_observations(layout, &points),
-                    &flanks,
-                )?;
+                patches.keep(*view, *pose, &laid.cell_observations(layout), &flanks)?;
                 relaid += 1;
             }
         }

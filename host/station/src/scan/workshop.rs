@@ -43,7 +43,7 @@ impl Store {
             Err(why) => return Ok(Err(why)),
         };
         self.session
-            .keep(view, &scanned.points, scanned.tool_from_camera)?;
+            .keep(view, &scanned.kept, scanned.tool_from_camera)?;
         let pose = laid.information.tool_from_camera;
         self.patches
             .keep(view, pose, &laid.cell_observations, &laid.flanks)?;
