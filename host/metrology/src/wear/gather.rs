@@ -11,7 +11,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
 use super::field::{Field, Sample, median};
-use super::sight::RayCounts;
+use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, Settings, Zone, places};
 use crate::gear::{Flank, FlankPlace, GearData};
 
@@ -110,7 +110,7 @@ pub struct Gathered<'a> {
     key: (u32, Flank),
     empty: Field,
     parts: Vec<Part>,
-    counts: Option<RayCounts>,
+    visibility: Option<Visibility>,
     edge: TipBand,
     profile_from_mm: f64,
     points: usize,
@@ -131,7 +131,7 @@ impl<'a> Gathered<'a> {
             key,
             parts: vec![Part::default(); PARTS * PARTS * empty.wear_mm.len()],
             empty,
-            counts: None,
+            visibility: None,
             edge: TipBand::new(gear),
             profile_from_mm,
             points: 0,
@@ -184,11 +184,8 @@ impl<'a> Gathered<'a> {
 
     /// Counts a view's rays and points by cells.
     fn count(&mut self, seen: &FlankView, motion: &Isometry3<f64>) {
-        let mut counts = self
-            .counts
-            .take()
-            .unwrap_or_else(|| RayCounts::new(self.empty.wear_mm.len()));
-        counts.slant = counts.slant.max(seen.slant);
+        let mut counts = RayCounts::new(self.empty.wear_mm.len());
+        counts.slant = seen.slant;
         for (of, into) in [
             (&seen.rays, &mut counts.rays),
             (&seen.on, &mut counts.points),
@@ -205,7 +202,11 @@ impl<'a> Gathered<'a> {
                 }
             }
         }
-        self.counts = Some(counts);
+        let view = Visibility::of(&counts, &self.empty);
+        match &mut self.visibility {
+            Some(all) => all.add(&view),
+            None => self.visibility = Some(view),
+        }
     }
 
     /// Where a point is once its view has moved, its wear there, and its foot on the CAD; none beyond the zone's heights.
@@ -265,7 +266,7 @@ impl<'a> Gathered<'a> {
             self.key,
             self.empty,
             samples,
-            self.counts,
+            self.visibility,
             registration_mm,
             settings,
         );

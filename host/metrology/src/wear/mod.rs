@@ -34,8 +34,8 @@ use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
-use sight::RayCounts;
 pub use sight::Sight;
+use sight::{RayCounts, Visibility};
 
 use crate::gear::{Flank, FlankPlace, GearData};
 use crate::registration::Registration;
@@ -169,8 +169,8 @@ pub struct FlankWear {
     pub turn: Option<Turn>,
     /// The points.
     samples: Vec<Sample>,
-    /// Rays and points of each cell, where the rays are known.
-    counts: Option<RayCounts>,
+    /// How well the cells were seen, where the rays are known.
+    visibility: Option<Visibility>,
     /// What the view of each capture said of its pose about the axis.
     evidence: Vec<Arc<PoseEvidence>>,
     /// Whether it is the difference to a baseline.
@@ -388,11 +388,14 @@ impl Grid {
                 .fold(0.0, f64::max)
                 .sqrt()
         });
+        let visibility = self
+            .counts
+            .map(|counts| Visibility::of(&counts, &self.empty));
         let mut wear = FlankWear::new(
             (self.tooth, self.flank),
             self.empty,
             self.samples,
-            self.counts,
+            visibility,
             registration_mm,
             settings,
         );
@@ -409,7 +412,7 @@ impl FlankWear {
         (tooth, flank): (u32, Flank),
         empty: Field,
         mut samples: Vec<Sample>,
-        counts: Option<RayCounts>,
+        visibility: Option<Visibility>,
         registration_mm: f64,
         settings: &Settings,
     ) -> Self {
@@ -440,7 +443,7 @@ impl FlankWear {
             field: empty,
             turn: None,
             samples,
-            counts,
+            visibility,
             evidence: Vec::new(),
             since_baseline: false,
         };
@@ -524,14 +527,8 @@ impl FlankWear {
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
         let noise_scale = self.field.noise_scale();
-        let unseen = self.counts.as_ref().map(|counts| {
-            let mut shares = counts.unseen_shares(&self.field, noise_scale);
-            let grooves = self.field.groove_shares(counts.slant, noise_scale);
-            for (share, groove) in shares.iter_mut().zip(grooves) {
-                *share = share.max(groove);
-            }
-            shares
-        });
+        let visibility = self.visibility.as_ref();
+        let unseen = visibility.map(|seen| seen.unseen_shares(&self.field, noise_scale));
         self.figures = figures::evaluate(
             &self.field,
             &self.samples,
@@ -637,13 +634,10 @@ impl FlankWear {
             wear.field.same_grid(&other.field).ok()?;
             wear.samples.extend_from_slice(&other.samples);
             wear.points += other.points;
-            wear.counts = match (wear.counts.take(), &other.counts) {
-                (Some(mut counts), Some(more)) => {
-                    counts.add(more);
-                    Some(counts)
-                }
-                _ => None,
-            };
+            match (&mut wear.visibility, &other.visibility) {
+                (Some(seen), Some(more)) => seen.add(more),
+                (mine, _) => *mine = None,
+            }
             wear.budget.registration_mm = wear
                 .budget
                 .registration_mm

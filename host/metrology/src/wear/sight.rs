@@ -104,8 +104,7 @@ impl Sight<'_> {
                 return gear.place(closest.point, closest.normal);
             }
             along_mm += free_mm;
-            // Written so that a NaN ends it.
-            if !(along_mm <= far_mm) {
+            if along_mm > far_mm || along_mm.is_nan() {
                 return None;
             }
         }
@@ -113,12 +112,12 @@ impl Sight<'_> {
     }
 }
 
-/// How many rays meet each cell of a zone, and how many points lie in it.
+/// Rays that meet the cells of a zone in one view, and points that lie in them.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RayCounts {
     pub rays: Vec<u32>,
     pub points: Vec<u32>,
-    /// Largest tangent of the angle between rays and normal, view by view its mean over the flank.
+    /// Mean tangent of the angle between the rays and the flank's normal.
     pub slant: f64,
 }
 
@@ -130,43 +129,67 @@ impl RayCounts {
             slant: 0.0,
         }
     }
+}
 
-    /// Adds another capture's.
-    pub fn add(&mut self, other: &Self) {
-        for (sum, more) in self.rays.iter_mut().zip(&other.rays) {
-            *sum += more;
+/// How well each cell of a zone was seen: of all views, by the one that brought most points from it and the cells around it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Visibility {
+    /// Rays and points of that view in those cells; nothing where there is no point in the cell itself.
+    blocks: Vec<[u32; 2]>,
+    /// Largest tangent of the angle between rays and normal.
+    slant: f64,
+}
+
+impl Visibility {
+    /// Of one view. A point on the border of two cells falls into the one or the other, which over nine cells hardly counts.
+    /// Cells without points say nothing here: they are holes as a whole.
+    pub fn of(counts: &RayCounts, field: &Field) -> Self {
+        let seen = |cell: &usize| counts.points[*cell] > 0;
+        let block = |cell: usize| {
+            let all = field.around(cell).chain([cell]).filter(seen);
+            all.fold([0, 0], |[rays, points], c| {
+                [rays + counts.rays[c], points + counts.points[c]]
+            })
+        };
+        let blocks = (0..counts.points.len())
+            .map(|cell| if seen(&cell) { block(cell) } else { [0, 0] })
+            .collect();
+        Self {
+            blocks,
+            slant: counts.slant,
         }
-        for (sum, more) in self.points.iter_mut().zip(&other.points) {
-            *sum += more;
+    }
+
+    /// With what another view saw: what one of them shows is not hidden.
+    pub fn add(&mut self, other: &Self) {
+        for (best, block) in self.blocks.iter_mut().zip(&other.blocks) {
+            if block[1] > best[1] {
+                *best = *block;
+            }
         }
         self.slant = self.slant.max(other.slant);
     }
 
-    /// Share of each measured cell that was not seen: of the rays to it and the cells around it, the part for which no point lies
-    /// there. A point on the border of two cells falls into the one or the other, which over nine cells hardly counts. Cells
-    /// without points say nothing here: they are holes as a whole.
+    /// Share of each cell that was not seen: of the rays the part for which no point lies there, or what an opening with an
+    /// unseen floor may take up ([`Field::groove_shares`]).
     ///
     /// The shadow of a wall as narrow as an opening that nothing would show elsewhere on the flank is not counted: neither noise
     /// ([`Field::unseen_groove_mm`]) nor the distance of the points lets it be seen there.
     pub fn unseen_shares(&self, field: &Field, noise_scale: f64) -> Vec<f64> {
-        let points: u32 = self.points.iter().sum();
-        let zone_mm2 = field.cell_area_mm2() * field.measured().count() as f64;
-        let spacing_mm = (zone_mm2 / f64::from(points.max(1))).sqrt();
         let block_mm = 3.0 * field.cell_area_mm2().sqrt();
-        (0..self.rays.len())
-            .map(|cell| {
-                if self.points[cell] == 0 {
-                    return 0.0;
-                }
-                let measured = field.around(cell).filter(|&c| self.points[c] > 0);
-                let (rays, points) = measured.chain([cell]).fold((0, 0), |(rays, points), c| {
-                    (rays + self.rays[c], points + self.points[c])
-                });
-                let unseen = 1.0 - f64::from(points) / f64::from(rays.max(1));
-                let anywhere_mm = field.unseen_groove_mm(cell, self.slant, noise_scale);
-                (unseen - anywhere_mm.min(spacing_mm) / block_mm).max(0.0)
-            })
-            .collect()
+        let grooves = field.groove_shares(self.slant, noise_scale);
+        let shares = self.blocks.iter().zip(grooves).enumerate();
+        let share = |(cell, (&[rays, points], groove)): (usize, (&[u32; 2], f64))| {
+            if points == 0 {
+                return groove;
+            }
+            let points = f64::from(points);
+            let unseen = 1.0 - points / f64::from(rays.max(1));
+            let spacing_mm = block_mm / points.sqrt();
+            let anywhere_mm = field.unseen_groove_mm(cell, self.slant, noise_scale);
+            (unseen - anywhere_mm.min(spacing_mm) / block_mm).max(groove)
+        };
+        shares.map(share).collect()
     }
 }
 
@@ -303,13 +326,16 @@ mod tests {
         let mut counts = RayCounts::new(cells);
         counts.rays.fill(10);
         counts.points.fill(10);
-        assert!(counts.unseen_shares(&field, 1.0).iter().all(|&s| s == 0.0));
+        let shares = |counts: &RayCounts, field: &Field| {
+            Visibility::of(counts, field).unseen_shares(field, 1.0)
+        };
+        assert!(shares(&counts, &field).iter().all(|&s| s == 0.0));
+        let whole = Visibility::of(&counts, &field);
         // A shadow over the whole row 5 of half of its points.
         for column in 0..10 {
             counts.points[50 + column] = 5;
         }
-        let shares = counts.unseen_shares(&field, 1.0);
-        for (cell, share) in shares.iter().enumerate() {
+        for (cell, share) in shares(&counts, &field).iter().enumerate() {
             let row = cell / 10;
             let expected = if (4..=6).contains(&row) {
                 0.5 / 3.0
@@ -318,9 +344,13 @@ mod tests {
             };
             assert!((share - expected).abs() < 1e-12, "{cell}: {share}");
         }
+        // What another view shows is not hidden.
+        let mut both = Visibility::of(&counts, &field);
+        both.add(&whole);
+        assert!(both.unseen_shares(&field, 1.0).iter().all(|&s| s == 0.0));
         // A cell without any point is a hole as a whole, not counted twice; its neighbours say nothing of it.
         counts.points[50..60].fill(0);
         field.wear_mm[50..60].fill(f64::NAN);
-        assert!(counts.unseen_shares(&field, 1.0).iter().all(|&s| s == 0.0));
+        assert!(shares(&counts, &field).iter().all(|&s| s == 0.0));
     }
 }
