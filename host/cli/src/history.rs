@@ -87,7 +87,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
         print_table(tool, &checks, &outlooks, args)?;
     }
-    Ok(Outcome::Go)
+    Ok(Outcome::Done)
 }
 
 fn listed(tools: &[String]) -> String {
@@ -113,7 +113,7 @@ fn print_table(
             last.id,
             last.at,
             last.tool_cycles,
-            last.verdict.to_uppercase()
+            last.verdict.as_str().to_uppercase()
         )?;
         write_origin(&mut out, &last.origin, &last.at)?;
         let unknown = checks.iter().filter(|c| c.origin.simulated.is_none());

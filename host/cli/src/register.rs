@@ -11,6 +11,7 @@ use flankscope_metrology::registration::{
 };
 use flankscope_metrology::space::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
 use crate::geometry::{CadArgs, load_cloud, milliseconds, pose_of_pairs, tell, write_file};
@@ -57,7 +58,7 @@ struct Report {
     tool_from_cloud: [[f64; 4]; 4],
     status: &'static str,
     reason: Option<String>,
-    reason_code: Option<&'static str>,
+    reason_code: Option<Code>,
     converged: bool,
     iterations: usize,
     points: usize,
@@ -136,9 +137,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.write_json(&report)?;
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
-        Outcome::Go
+        Outcome::Done
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 
@@ -193,7 +194,7 @@ impl Report {
                 "indeterminate"
             },
             reason: reason.map(ToString::to_string),
-            reason_code: reason.map(Reason::code),
+            reason_code: reason.map(Code::from),
             converged: found.converged,
             iterations: found.iterations,
             points,

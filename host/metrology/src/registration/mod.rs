@@ -177,24 +177,6 @@ pub enum Reason {
     BadPrior,
 }
 
-impl Reason {
-    /// A short stable name for files and reports.
-    pub fn code(&self) -> &'static str {
-        match self {
-            Self::TooFewPoints { .. } => "too_few_points",
-            Self::NotFinite { .. } => "not_finite",
-            Self::SigmaCount { .. } => "sigma_count",
-            Self::Disjoint { .. } => "disjoint",
-            Self::TooFewInliers { .. } => "too_few_inliers",
-            Self::NotConverged { .. } => "not_converged",
-            Self::Unconstrained { .. } => "unconstrained",
-            Self::AmbiguousTooth { .. } => "ambiguous_tooth",
-            Self::PriorViolated { .. } => "prior_violated",
-            Self::BadPrior => "bad_prior",
-        }
-    }
-}
-
 /// A direction that the points do not fix well.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeakDirection {

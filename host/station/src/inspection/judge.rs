@@ -5,7 +5,7 @@ use std::sync::Arc;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::{Limits, judge};
-use flankscope_metrology::verdict::{Reason, Verdict, repeating_could_decide};
+use flankscope_metrology::verdict::{Code, Reason, Verdict, repeating_could_decide};
 use flankscope_metrology::wear::{Figure, FlankWear, Settings};
 
 use super::result::Expanded;
@@ -26,16 +26,18 @@ impl Judge {
     ///
     /// # Errors
     /// Why the baseline cannot be used for it.
-    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, String> {
+    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, Reason> {
         let Some(baseline) = &self.baseline else {
             return Ok(wear.clone());
         };
-        let reference = baseline
-            .field(wear.tooth, wear.flank)
-            .ok_or("the baseline lacks this flank; record it again with this tooth")?;
+        let lacks = || {
+            let sentence = "the baseline lacks this flank; record it again with this tooth";
+            Reason::instrument(Code::BaselineLacks, sentence)
+        };
+        let reference = baseline.field(wear.tooth, wear.flank).ok_or_else(lacks)?;
         let before = baseline.pose(wear.tooth);
         let since = wear.clone().since(reference, before, &self.settings);
-        since.map_err(|mismatch| mismatch.to_string())
+        since.map_err(|mismatch| Reason::instrument(Code::BaselineMismatch, mismatch))
     }
 
     /// Judges a flank by everything that was measured of it.

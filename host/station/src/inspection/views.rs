@@ -10,7 +10,7 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
-use flankscope_metrology::verdict::Reason;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
@@ -21,19 +21,15 @@ use super::head_error::calibration_um;
 use super::influence::Fitted;
 use super::job::Subject;
 use super::judge::Judge;
-use super::plan::Itinerary;
+use super::plan::ViewPlan;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
+use crate::acquisition::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 use crate::baseline::Reference;
 
-/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
-pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
-/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
-pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
 /// What remains of hand-eye and axis after their calibration: position and tilt. An estimate, stated in the report.
 const MOUNT_SIGMA_MM: f64 = 10e-3;
 const MOUNT_SIGMA_RAD: f64 = 0.2e-3;
-const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
@@ -179,7 +175,7 @@ impl Evaluator {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: &ViewPlan,
     ) -> Result<Self, EvaluatorError> {
         let missing = |what| EvaluatorError::Missing { what };
         let tool = Arc::clone(&subject.tool);
@@ -200,7 +196,7 @@ impl Evaluator {
             .volume
             .ok_or(missing("[volume] in the head file"))?;
         let field_mm = volume.far_mm * field_slope(&subject.head);
-        let places = itinerary
+        let places = plan
             .views
             .iter()
             .map(|view| {
@@ -276,7 +272,10 @@ impl Evaluator {
         };
         let decoded = match self.decoder.finish(accumulator) {
             Ok(decoded) => decoded,
-            Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
+            Err(error) => {
+                let why = Reason::instrument(Code::Decoding, error);
+                return self.unmeasured(place, &why, elapsed_ms);
+            }
         };
         lap("decode", &mut elapsed_ms);
         let inconsistent_ratio = inconsistent_ratio(&decoded);
@@ -287,6 +286,7 @@ impl Evaluator {
                 100.0 * inconsistent_ratio,
                 100.0 * MOST_INCONSISTENT
             );
+            let why = Reason::instrument(Code::Inconsistent, why);
             let mut outcome = self.unmeasured(place, &why, elapsed_ms);
             for registration in &mut outcome.registration {
                 registration.inconsistent_ratio = inconsistent_ratio;
@@ -335,9 +335,10 @@ impl Evaluator {
         let mut leakage = BTreeMap::new();
         let mut wears: Vec<FlankWear> = Vec::new();
         let mut pose = None;
-        let unmeasured = |why: &str| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
+        let unmeasured =
+            |why: &Reason| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
         let flanks = match (&registration.status, &self.scale) {
-            (_, Err(reason)) => unmeasured(&reason.to_string()),
+            (_, Err(reason)) => unmeasured(reason),
             (Status::Registered, Ok(_)) => {
                 let (gear, settings) = (&self.gear, &self.judge.settings);
                 let places = wear::places(gear, &closest);
@@ -380,7 +381,7 @@ impl Evaluator {
                 Flank::BOTH.into_iter().filter_map(judged).collect()
             }
             (Status::Indeterminate(reason), Ok(_)) => {
-                unmeasured(&Reason::Registration(reason.clone()).to_string())
+                unmeasured(&Reason::Registration(reason.clone()))
             }
         };
         let fields = wears
@@ -480,7 +481,7 @@ impl Evaluator {
     fn unmeasured(
         &self,
         place: &Place,
-        why: &str,
+        why: &Reason,
         elapsed_ms: BTreeMap<&'static str, f64>,
     ) -> ViewOutcome {
         ViewOutcome {
@@ -488,7 +489,7 @@ impl Evaluator {
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
-                reason: Some(why.into()),
+                reason: Some(why.to_string()),
                 points: 0,
                 inconsistent_ratio: 0.0,
                 inliers: 0,

@@ -20,8 +20,8 @@ use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::Verdict;
 use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
 use flankscope_metrology::wear::{
     Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
@@ -208,11 +208,11 @@ struct Judging<'a> {
 impl Scanner {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
-        let subject = &self.station.subject;
+        let subject = &self.subject;
         let judging = Judging {
             gear: &self.gear,
             tool: &subject.tool,
-            planned: &self.station.itinerary.views,
+            planned: &self.plan.views,
             store: &self.store,
             nominal: &self.nominal,
             calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
@@ -228,7 +228,8 @@ impl Judging<'_> {
         let asked = asked(planned, self.gear);
         let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
             let why = "[inspect] is missing in the tool file: there are no limits to judge by";
-            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, why));
+            let why = Reason::instrument(Code::NoLimits, why);
+            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, &why));
             let judged = asked.keys().flat_map(none).collect::<Vec<_>>();
             return Ok(JudgedFlanks {
                 verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
@@ -525,13 +526,13 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
             });
         }
         let worst = of_flank.iter().max_by(|a, b| {
-            let rank = |z: &OfZone| severity(z.judged.verdict());
+            let rank = |z: &OfZone| z.judged.verdict().word();
             let wear = |z: &OfZone| z.judged.wear_um().unwrap_or(f64::NEG_INFINITY);
             rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
         });
         let Some(worst) = worst else { continue };
         // Nobody asked for it: what is missing of it is no fault, what it shows is one.
-        let shows = matches!(worst.judged.verdict(), Verdict::NoGo | Verdict::Warn);
+        let shows = matches!(worst.judged.verdict().word(), Word::NoGo | Word::Warn);
         if !is_asked(key.0) && !shows {
             continue;
         }
@@ -542,16 +543,6 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
         all.features.push(feature);
     }
     all
-}
-
-/// Rank of a verdict where several are joined: as [`flankscope_metrology::verdict::combine`] does.
-fn severity(verdict: &Verdict) -> u8 {
-    match verdict {
-        Verdict::Go => 0,
-        Verdict::Warn => 1,
-        Verdict::Indeterminate { .. } => 2,
-        Verdict::NoGo => 3,
-    }
 }
 
 #[cfg(test)]

@@ -59,4 +59,4 @@ pub use result::{
     FlankSeen, Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 pub use session::SessionError;
-pub use workshop::{Processing, ProcessingError};
+pub use workshop::{Kept, Processing, ProcessingError};

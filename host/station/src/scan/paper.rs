@@ -17,12 +17,13 @@ use flankscope_metrology::registration::{PaperOptions, Status, register_paper, s
 use flankscope_metrology::space::frames::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
 
 use super::job::ScanError;
 use super::session::Session;
 use super::view::{Kept, coordinates, place};
-use crate::inspection::Itinerary;
+use crate::inspection::ViewPlan;
 
 /// Density of the reference points that the merged cloud is compared with, per mm²: the one at which a perfect piece has
 /// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74.
@@ -75,7 +76,7 @@ pub(super) struct PaperStitched {
     /// Views that took part.
     pub views: Vec<PaperView>,
     /// Views that did not settle on the CAD.
-    pub refused: Vec<(usize, String)>,
+    pub refused: Vec<(usize, Reason)>,
     /// Exact distances of the laid points: what the stitching alone makes of the form.
     pub map: CylinderMap,
     /// Distances of the first view's points to the nearest reference point.
@@ -88,7 +89,7 @@ pub(super) struct PaperStitched {
 pub(super) fn stitch(
     session: &Session,
     tool: &Tool,
-    itinerary: &Itinerary,
+    plan: &ViewPlan,
     nominal: &Stages,
     mut map: CylinderMap,
     settings: &PaperSettings,
@@ -101,11 +102,11 @@ pub(super) fn stitch(
     let mut centre_above_mm = None;
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let mut one_view = None;
-    for (view, _) in session.views().filter(|(v, _)| *v < itinerary.views.len()) {
+    for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
         let points = session.points(view)?;
         let seed = settings.seed.wrapping_add((view as u64) << 32);
         let drawn = drawn(&points, settings, seed);
-        let (xyz, at) = (coordinates(&drawn, drawn.len()), place(itinerary, view));
+        let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
         let moved = stages.tool_from_camera(at);
         let start = match (stage_from_camera, settings.first_pose) {
             (Some(known), _) => moved * known,
@@ -120,7 +121,7 @@ pub(super) fn stitch(
         let (found, reference) = register_paper(&tool.mesh, &xyz, &start, &options);
         let Some(reference) = reference.filter(|_| found.is_registered()) else {
             if let Status::Indeterminate(reason) = found.status {
-                refused.push((view, reason.to_string()));
+                refused.push((view, Reason::instrument((&reason).into(), reason)));
             }
             continue;
         };

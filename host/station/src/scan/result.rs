@@ -7,6 +7,7 @@ use serde::Serialize;
 use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
+use flankscope_metrology::verdict::{Code, Reason, Word};
 
 use super::comparison::MethodResult;
 use super::coverage::Coverage;
@@ -25,8 +26,8 @@ pub struct Scan {
     pub origin: Origin,
     /// When it ended: ISO 8601, UTC, by the host's clock.
     pub date: String,
-    /// `go`, `warn`, `no-go` or `indeterminate`.
-    pub verdict: String,
+    /// The verdict.
+    pub verdict: Word,
     /// Why, in one sentence.
     pub reason: String,
     /// One entry per flank that was asked for, and per other flank that shows damage: judged as in a check.
@@ -74,6 +75,9 @@ pub struct Scan {
     /// The article's metrics on the same points; absent unless a report or the raster was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
+    /// From the simulated bench alone: what was true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<serde_json::Value>,
     /// Tool name.
     pub tool: String,
     /// Host, protocol, firmware.
@@ -89,10 +93,16 @@ pub struct Scan {
 }
 
 impl Scan {
-    /// It is not the CAD's die: nothing that was measured against the CAD means anything.
-    pub(super) fn disown(&mut self, why: String) {
-        self.verdict = "indeterminate".into();
-        self.reason = why;
+    /// The verdict and its reason.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        format!("{}: {}", self.verdict, self.reason)
+    }
+
+    /// It is not the CAD's die: nothing that was measured against the CAD means anything, damage that was found included.
+    pub(super) fn invalidate(&mut self, why: &Reason) {
+        self.verdict = Word::Indeterminate;
+        self.reason = why.to_string();
         self.features.clear();
         self.flank_means.clear();
         self.spacing.clear();
@@ -102,15 +112,13 @@ impl Scan {
     /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
     /// verdict and no flank is judged.
     pub(super) fn show_instead(&mut self, laid: PaperStitched, figures: &MethodResult) {
-        self.verdict = "indeterminate".into();
-        self.reason = "the article's method claims no uncertainty, so it gives no verdict; --method surface does".into();
-        self.features.clear();
-        self.flank_means.clear();
-        self.spacing.clear();
+        let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
+        self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
-        let mut refused: BTreeMap<usize, String> = laid.refused.into_iter().collect();
+        let mut refused: BTreeMap<usize, Reason> = laid.refused.into_iter().collect();
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
-            let why = refused.remove(&entry.view).or(entry.reason.take());
+            let why = refused.remove(&entry.view).map(|why| why.to_string());
+            let why = why.or(entry.reason.take());
             (entry.rms_um, entry.stray_um) = (*rms_um, None);
             entry.rms_about_form_um = None;
             (entry.status, entry.reason) = match rms_um {

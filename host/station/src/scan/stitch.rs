@@ -14,6 +14,7 @@ use flankscope_metrology::multiview::cylinder::{
     CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
@@ -22,8 +23,8 @@ use super::lay::Laid;
 use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
-use super::view::{SAMPLE, coordinates, place, unlike_cad};
-use crate::inspection::Itinerary;
+use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
+use crate::inspection::ViewPlan;
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -39,7 +40,7 @@ pub(super) struct Stitched {
     /// Views that took part, with how they lie.
     pub views: Vec<(usize, ViewInformation)>,
     /// Views that do not fit the others.
-    pub refused: Vec<(usize, String)>,
+    pub refused: Vec<(usize, Reason)>,
     pub joint: Solution,
     pub rounds: usize,
     pub settled: bool,
@@ -60,15 +61,15 @@ pub(super) struct Stitched {
 pub(super) fn first_information(
     session: &Session,
     tool: &Tool,
-    itinerary: &Itinerary,
+    plan: &ViewPlan,
 ) -> Result<BTreeMap<usize, ViewInformation>, ScanError> {
     let done: Vec<usize> = session.views().map(|(view, _)| view).collect();
     let found = done.into_par_iter().map(|view| {
-        let Some(pose) = session.pose(view).filter(|_| view < itinerary.views.len()) else {
+        let Some(pose) = session.pose(view).filter(|_| view < plan.views.len()) else {
             return Ok(None);
         };
         let sample = coordinates(&session.sample(view, SAMPLE)?, SAMPLE);
-        let at = place(itinerary, view);
+        let at = place(plan, view);
         Ok(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)))
     });
     let found: Result<Vec<_>, ScanError> = found.collect();
@@ -150,7 +151,7 @@ struct Common<'a> {
     tool: &'a Tool,
     views: Vec<(usize, ViewInformation)>,
     joint: Solution,
-    refused: Vec<(usize, String)>,
+    refused: Vec<(usize, Reason)>,
     rounds: usize,
     settled: bool,
 }
@@ -270,7 +271,7 @@ fn solved(
     Ok(solve(start, &views, overlaps, Local::default())?)
 }
 
-type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, String)>);
+type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 
 /// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
 /// why.
@@ -289,7 +290,7 @@ fn laid_anew(
             }
             let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
             let laid = match compress(&tool.surface, &sample, info.at, *pose) {
-                None => Err("no point lies on the CAD".to_string()),
+                None => Err(off_cad("no point lies on the CAD")),
                 Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
             };
             Ok((*view, laid))

@@ -9,16 +9,17 @@ use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
-use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
+use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use super::lay::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
+    EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
 };
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
@@ -54,7 +55,7 @@ pub(crate) struct ScannedView {
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: Isometry3<f64>,
     /// What became of it on the CAD, or why it must not be used.
-    pub laid: Result<LaidView, String>,
+    pub laid: Result<LaidView, Reason>,
 }
 
 /// A view on the CAD.
@@ -74,7 +75,7 @@ pub(super) struct ViewScanner {
     gear: GearData,
     layout: Layout,
     decoder: Arc<Decoder>,
-    itinerary: Arc<Itinerary>,
+    plan: Arc<ViewPlan>,
     joint: Solution,
     known: BTreeMap<usize, ViewInformation>,
 }
@@ -84,7 +85,7 @@ impl ViewScanner {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: Arc<ViewPlan>,
         known: BTreeMap<usize, ViewInformation>,
     ) -> Result<Self, EvaluatorError> {
         let what = "[gear] in the tool file";
@@ -96,7 +97,7 @@ impl ViewScanner {
             layout: layout(gear),
             gear: gear.clone(),
             decoder,
-            itinerary,
+            plan,
             joint: Solution::prior(nominal, Local::default()),
             known,
         };
@@ -106,7 +107,7 @@ impl ViewScanner {
 
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
-        let at = place(&self.itinerary, view);
+        let at = place(&self.plan, view);
         let mut prior = self.joint.predict(at);
         let expected = *prior.tool_from_cloud.isometry();
         let decoded = match self.decoder.finish(sums) {
@@ -115,7 +116,7 @@ impl ViewScanner {
                 return ScannedView {
                     points: Vec::new(),
                     tool_from_camera: expected,
-                    laid: Err(error.to_string()),
+                    laid: Err(Reason::instrument(Code::Decoding, error)),
                 };
             }
         };
@@ -155,9 +156,9 @@ impl ViewScanner {
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
             (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
-                Err(reason.to_string())
+                Err(Reason::instrument(reason.into(), reason))
             }
-            (_, None) => Err("no point lies on the CAD".into()),
+            (_, None) => Err(off_cad("no point lies on the CAD")),
             (_, Some(information)) => match unlike_cad(&information) {
                 Some(why) => Err(why),
                 None => Ok(self.lay(view, information, &points)),
@@ -199,26 +200,31 @@ impl ViewScanner {
 
 /// Whether a view found its place but for some µm: at a rim, points come and go with every step. The joint solve goes on from
 /// there.
-fn nearly_settled(reason: &Reason) -> bool {
-    matches!(reason, Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+fn nearly_settled(reason: &registration::Reason) -> bool {
+    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+}
+
+/// A view that lies elsewhere.
+pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
+    Reason::instrument(Code::OffCad, sentence)
 }
 
 /// Why a view cannot show the part of the CAD.
-pub(super) fn unlike_cad(view: &ViewInformation) -> Option<String> {
+pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
     (view.rms_mm > MOST_RMS_MM || view.share < LEAST_SHARE).then(|| {
-        format!(
+        off_cad(format_args!(
             "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
             100.0 * view.share,
             1e3 * view.rms_mm,
             100.0 * LEAST_SHARE,
             1e3 * MOST_RMS_MM,
-        )
+        ))
     })
 }
 
 /// What the stages are told for a view.
-pub(super) fn place(itinerary: &Itinerary, view: usize) -> Pose {
-    let planned = &itinerary.views[view];
+pub(super) fn place(plan: &ViewPlan, view: usize) -> Pose {
+    let planned = &plan.views[view];
     Pose {
         rotation_rad: planned.rotation_rad,
         vertical_mm: planned.vertical_mm,

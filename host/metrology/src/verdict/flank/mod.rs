@@ -406,7 +406,7 @@ mod tests {
             let Verdict::Indeterminate { reason } = judge(&wear, &limits()).verdict else {
                 panic!("{code} is not refused");
             };
-            assert_eq!(reason.code(), code);
+            assert_eq!(reason.code().word(), code);
             assert_eq!(
                 judge_with(&wear, &limits(), off).verdict,
                 Verdict::Go,
