@@ -7,7 +7,8 @@ use anyhow::{Context, bail};
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
-    Options, PaperOptions, Reason, Registration, Status, detect_teeth, register, register_paper,
+    Hinz2019Options, Options, Reason, Registration, Status, detect_teeth, register,
+    register_hinz2019,
 };
 use flankscope_metrology::space::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::surface::Surface;
@@ -100,7 +101,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let prepared = Instant::now();
     let found = match args.method {
         Method::Surface => register(&surface, &cloud.points, None, &options),
-        Method::Paper => register_paper(&mesh, &cloud.points, &initial, &PaperOptions::default()).0,
+        Method::Paper => {
+            register_hinz2019(&mesh, &cloud.points, &initial, &Hinz2019Options::default()).0
+        }
     };
     let aligned = Instant::now();
     if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {

@@ -10,7 +10,7 @@ use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
 use flankscope_station::report::ReportFolder;
 use flankscope_station::scan::{
-    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner, percent,
+    Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
 };
 use flankscope_station::sink::ResultSink;
 
@@ -104,10 +104,10 @@ enum MethodName {
 }
 
 impl PaperArgs {
-    fn settings(&self, seed: u64) -> anyhow::Result<(Method, PaperSettings)> {
+    fn settings(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
-            MethodName::Paper => Method::Paper,
+            MethodName::Paper => Method::Hinz2019,
             MethodName::Both => Method::Both,
         };
         for (option, given) in [
@@ -120,12 +120,12 @@ impl PaperArgs {
                 anyhow::bail!("{option} is for the article's method: add --method paper or both");
             }
         }
-        let defaults = PaperSettings::default();
+        let defaults = Hinz2019Settings::default();
         let mask_dn = self.mask_threshold.unwrap_or(defaults.mask_dn);
         if !(0.0..=65535.0).contains(&mask_dn) {
             anyhow::bail!("--mask-threshold {mask_dn}: 0 to 65535 counts are possible");
         }
-        let settings = PaperSettings {
+        let settings = Hinz2019Settings {
             first_pose: self.pairs.as_deref().map(pose_of_pairs).transpose()?,
             mask_dn,
             voxel_mm: self.voxel_mm.unwrap_or(defaults.voxel_mm),
@@ -334,7 +334,7 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
         percent(scan.coverage_ratio),
-        scan.joint.rounds
+        scan.adjustment.rounds
     )?;
     if let Some(form) = &scan.form {
         writeln!(

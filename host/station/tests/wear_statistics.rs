@@ -1,7 +1,7 @@
 //! Trend, change and remaining cycles against closed forms, tables and simulated wear.
 
 use flankscope_metrology::verdict::{Code, Word};
-use flankscope_station::history::{Check, FlankRow, Outlook};
+use flankscope_station::history::{Check, FlankRow, Forecast};
 use flankscope_station::history::{LEAST_POINTS, Passage, Point, Series, Trend, changes, series};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -107,17 +107,17 @@ fn a_chip_and_a_new_rate_are_found_where_they_are() {
     let faster = points(80, 5.0, |cycles| {
         0.01 * cycles + 0.05 * (cycles - 200.0).max(0.0) + 0.3 * normal(&mut random)
     });
-    let outlook = Outlook::of(Series {
+    let forecast = Forecast::of(Series {
         tooth: 40,
         flank: "left".into(),
         warn_um: 30.0,
         limit_um: 50.0,
         points: faster,
     });
-    let trend = outlook.trend.unwrap();
+    let trend = forecast.trend.unwrap();
     assert!(
         (trend.rate_um - 0.06).abs() < 0.006,
-        "the line since the change: {outlook:?}"
+        "the line since the change: {forecast:?}"
     );
 }
 

@@ -14,7 +14,7 @@
 //! | `change` | where the wear left its line |
 //! | `trend` | a robust line since then |
 //! | `remaining` | how many cycles are left |
-//! | `outlook` | all of that for one flank |
+//! | `forecast` | all of that for one flank |
 //! | `export` | CSV |
 //! | `parquet` | the same as Apache Parquet, behind a feature |
 //! | `phasors` | what verdicts were computed from, in files beside the store |
@@ -23,7 +23,7 @@
 mod change;
 mod error;
 mod export;
-mod outlook;
+mod forecast;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod phasors;
@@ -38,7 +38,7 @@ mod writer;
 pub use change::changes;
 pub use error::HistoryError;
 pub use export::csv;
-pub use outlook::Outlook;
+pub use forecast::Forecast;
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
 pub use remaining::Passage;

@@ -8,8 +8,8 @@
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
-//! | `influence` | what the pose does to a flank's figures |
-//! | `judge` | a view's flanks, measured once or more often, against limits and baseline |
+//! | `pose_sensitivity` | what the pose does to a flank's figures |
+//! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `findings` | all views to what is said of the tool |
 //! | `evidence` | what a verdict was computed from |
 //! | `verdict` | flanks to one verdict |
@@ -18,11 +18,11 @@
 mod evidence;
 mod failure;
 mod findings;
+mod flank_decision;
 mod head_error;
-mod influence;
 mod job;
-mod judge;
 mod plan;
+mod pose_sensitivity;
 mod repeat;
 mod result;
 mod verdict;

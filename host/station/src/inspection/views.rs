@@ -17,11 +17,11 @@ use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
+use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
-use super::influence::Fitted;
 use super::job::Subject;
-use super::judge::Judge;
 use super::plan::ViewPlan;
+use super::pose_sensitivity::Fitted;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
 use crate::acquisition::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
@@ -88,7 +88,7 @@ pub struct ViewOutcome {
     tooth: u32,
     /// What each capture measured of the flanks; nothing where it could not.
     captures: Vec<Vec<FlankWear>>,
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
 }
 
 impl ViewOutcome {
@@ -96,7 +96,7 @@ impl ViewOutcome {
     pub(crate) fn is_open(&self) -> bool {
         self.captures
             .last()
-            .is_some_and(|last| last.iter().any(|wear| self.judge.is_open(wear)))
+            .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
     }
 
     /// The outcome of this view and of another capture of it, judged together.
@@ -106,7 +106,7 @@ impl ViewOutcome {
         self.phasors.extend(again.phasors);
         self.captures.extend(again.captures);
         for (judged, flank) in self.flanks.iter_mut().zip(Flank::BOTH) {
-            if let Some(together) = self.judge.flank(self.tooth, flank, &self.captures) {
+            if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
                 *judged = together;
             }
         }
@@ -157,7 +157,7 @@ fn approach_covariance() -> Matrix6<f64> {
 
 /// Everything that does not change from check to check.
 pub struct Evaluator {
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
     gear: GearData,
     zone: Zone,
     datum: Datum,
@@ -243,14 +243,14 @@ impl Evaluator {
         };
         let temperature = tool.temperature.as_ref();
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
-        let judge = Judge {
+        let criteria = FlankCriteria {
             tool,
             limits,
             settings,
             baseline: subject.baseline.clone(),
         };
         Ok(Self {
-            judge: Arc::new(judge),
+            criteria: Arc::new(criteria),
             gear,
             zone,
             datum,
@@ -336,11 +336,11 @@ impl Evaluator {
         let mut wears: Vec<FlankWear> = Vec::new();
         let mut pose = None;
         let unmeasured =
-            |why: &Reason| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
+            |why: &Reason| super::verdict::unmeasured(place.tooth, &self.criteria.tool, why);
         let flanks = match (&registration.status, &self.scale) {
             (_, Err(reason)) => unmeasured(reason),
             (Status::Registered, Ok(_)) => {
-                let (gear, settings) = (&self.gear, &self.judge.settings);
+                let (gear, settings) = (&self.gear, &self.criteria.settings);
                 let places = wear::places(gear, &closest);
                 let fitted = Fitted {
                     gear: &self.gear,
@@ -352,8 +352,8 @@ impl Evaluator {
                     closest: &closest,
                     used: &used,
                     places: &places,
-                    temperature: self.judge.tool.temperature.as_ref(),
-                    form_in_doubt: self.judge.settings.as_built_mm > 0.0,
+                    temperature: self.criteria.tool.temperature.as_ref(),
+                    form_in_doubt: self.criteria.settings.as_built_mm > 0.0,
                 };
                 let measured = Measured {
                     points: &located,
@@ -377,7 +377,7 @@ impl Evaluator {
                     .map(|(wear, influence)| wear.with(influence, settings))
                     .collect();
                 let captures = std::slice::from_ref(&wears);
-                let judged = |flank| self.judge.flank(place.tooth, flank, captures);
+                let judged = |flank| self.criteria.flank(place.tooth, flank, captures);
                 Flank::BOTH.into_iter().filter_map(judged).collect()
             }
             (Status::Indeterminate(reason), Ok(_)) => {
@@ -410,7 +410,7 @@ impl Evaluator {
             phasors: Vec::new(),
             tooth: place.tooth,
             captures: vec![wears],
-            judge: Arc::clone(&self.judge),
+            criteria: Arc::clone(&self.criteria),
         }
     }
 
@@ -485,7 +485,7 @@ impl Evaluator {
         elapsed_ms: BTreeMap<&'static str, f64>,
     ) -> ViewOutcome {
         ViewOutcome {
-            flanks: super::verdict::unmeasured(place.tooth, &self.judge.tool, why),
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
@@ -508,7 +508,7 @@ impl Evaluator {
             phasors: Vec::new(),
             tooth: place.tooth,
             captures: vec![Vec::new()],
-            judge: Arc::clone(&self.judge),
+            criteria: Arc::clone(&self.criteria),
         }
     }
 }

@@ -14,7 +14,7 @@ use super::coverage::{Coverage, LEAST_COVERAGE};
 use super::flanks::JudgedFlanks;
 use super::job::{ScanError, Scanner};
 use super::result::{
-    FlankSeen, Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 use super::stitch::Stitched;
 use crate::inspection::{Feature, FrameCount, PlannedView, Timing, calibration_um};
@@ -59,7 +59,7 @@ impl Scanner {
         let form = map
             .form()
             .filter(|_| views.enough())
-            .map(|form| Form::with_sigma(form, stitched.joint.form_sigma_mm(high - low)));
+            .map(|form| Form::with_sigma(form, stitched.adjustment.form_sigma_mm(high - low)));
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
         versions.insert(
@@ -74,7 +74,7 @@ impl Scanner {
             features,
             flank_means: means.into_iter().map(FlankSeen::from).collect(),
             form,
-            spacing: self.spacing(map, &stitched.views, &stitched.joint),
+            spacing: self.spacing(map, &stitched.views, &stitched.adjustment),
             timing_ms: Timing::default(),
             last_view_to_result_ms: 0.0,
             frames: FrameCount::default(),
@@ -85,7 +85,7 @@ impl Scanner {
             coverage,
             inconsistent_ratio: map.inconsistent(),
             registration: registrations(planned, &stitched, &lost),
-            joint: shared_by_all(&stitched, &self.gear),
+            adjustment: shared_by_all(&stitched, &self.gear),
             stitching: Stitching {
                 relaid_views: stitched.relaid,
                 elapsed_ms: stitched.elapsed_ms,
@@ -109,7 +109,7 @@ impl Scanner {
         &self,
         map: &CylinderMap,
         views: &[(usize, ViewInformation)],
-        joint: &Solution,
+        adjustment: &Solution,
     ) -> Vec<OppositeTeeth> {
         let calibration_mm = 1e-3 * calibration_um(&self.subject.tool, &self.subject.head);
         let nearest = |tooth: u32| {
@@ -122,7 +122,7 @@ impl Scanner {
             .into_iter()
             .filter_map(|of| {
                 let [here, there] = of.teeth.map(nearest);
-                let views_mm = joint.distance_sigma_mm([here?, there?]);
+                let views_mm = adjustment.distance_sigma_mm([here?, there?]);
                 Some(OppositeTeeth::new(of, views_mm, calibration_mm))
             })
             .collect()
@@ -204,14 +204,14 @@ fn registrations(
     stitched: &Stitched,
     lost: &BTreeMap<usize, Reason>,
 ) -> Vec<ScanRegistration> {
-    let joint = &stitched.joint;
+    let adjustment = &stitched.adjustment;
     let laid: BTreeMap<usize, _> = stitched
         .views
         .iter()
-        .zip(joint.strays.iter().zip(&joint.poses))
+        .zip(adjustment.pose_residuals.iter().zip(&adjustment.poses))
         .zip(&stitched.rms_about_form_mm)
-        .map(|(((view, info), (stray, pose)), about_form)| {
-            (*view, (info.rms_mm, stray, pose, about_form))
+        .map(|(((view, info), (residual, pose)), about_form)| {
+            (*view, (info.rms_mm, residual, pose, about_form))
         })
         .collect();
     let of_view = |(view, at): (usize, &PlannedView)| {
@@ -228,8 +228,8 @@ fn registrations(
             reason: lost.get(&view).map(Reason::to_string),
             rms_um: found.map(|(rms_mm, ..)| rms_mm * 1e3),
             rms_about_form_um: found.and_then(|(.., mm)| mm.map(|mm| mm * 1e3)),
-            stray_um: found.map(|(_, stray, ..)| stray.fixed_rows::<3>(3).norm() * 1e3),
-            stray_turn_mdeg: found.map(|(_, stray, ..)| stray[2].to_degrees() * 1e3),
+            residual_um: found.map(|(_, residual, ..)| residual.fixed_rows::<3>(3).norm() * 1e3),
+            residual_turn_mdeg: found.map(|(_, residual, ..)| residual[2].to_degrees() * 1e3),
             tool_from_camera: found
                 .map(|(_, _, pose, _)| Rigid::<ToolFrame, Camera>::from_isometry(**pose).to_rows()),
         }
@@ -238,15 +238,19 @@ fn registrations(
 }
 
 /// What all views say of die, head and stages.
-fn shared_by_all(stitched: &Stitched, gear: &GearData) -> Joint {
-    let joint = &stitched.joint;
-    let stages = &joint.stages;
+fn shared_by_all(stitched: &Stitched, gear: &GearData) -> Adjustment {
+    let adjustment = &stitched.adjustment;
+    let stages = &adjustment.stages;
     let (turn, shift) = stages.head_error();
-    Joint {
+    Adjustment {
         rounds: stitched.rounds,
         settled: stitched.settled,
-        condition: joint.condition,
-        weak: joint.weak.iter().map(|w| (w.name, w.prior_share)).collect(),
+        condition: adjustment.condition,
+        weak: adjustment
+            .weak
+            .iter()
+            .map(|w| (w.name, w.prior_share))
+            .collect(),
         steps: stitched.steps,
         found: StageErrors {
             eccentricity_mm: stages.eccentricity_mm(),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::multiview::adjustment::{JointError, Stages};
+use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
@@ -15,18 +15,18 @@ use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::cell_observations::layout;
 use super::comparison::{self, Method};
+use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::grid::Grid;
-use super::lay::layout;
+use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
-use super::paper::{self, PaperSettings};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
 use super::session::SessionError;
 use super::stitch::stitch;
-use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::view::ScannedView;
-use super::workshop::{Kept, Store, Workshop};
+use super::view_pipeline::{Kept, Store, ViewPipeline};
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
 };
@@ -53,7 +53,7 @@ pub enum ScanError {
     Session(#[from] SessionError),
     /// No common solution.
     #[error(transparent)]
-    Joint(#[from] JointError),
+    Adjustment(#[from] AdjustmentError),
     /// Somebody stopped it.
     #[error(
         "interrupted after {done} of {of} views; they are in {folder}: scan into it again to go on"
@@ -102,7 +102,7 @@ pub struct Scanner {
     pub(super) nominal: Stages,
     pub(super) resumed: usize,
     method: Method,
-    paper: PaperSettings,
+    hinz2019: Hinz2019Settings,
     reference: Option<Reference>,
 }
 
@@ -126,12 +126,12 @@ impl Scanner {
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
-        let Workshop {
+        let ViewPipeline {
             plan,
             decoder,
             mut views,
             store,
-        } = Workshop::open(&subject, grid, folder, of)?;
+        } = ViewPipeline::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
         let acquisition = Acquisition::start(plan.program(), &decoder, root, scan)?;
@@ -146,7 +146,7 @@ impl Scanner {
             nominal,
             resumed,
             method: Method::default(),
-            paper: PaperSettings::default(),
+            hinz2019: Hinz2019Settings::default(),
             reference: None,
         })
     }
@@ -167,9 +167,13 @@ impl Scanner {
     ///
     /// # Errors
     /// The voxel size is none.
-    pub fn by_method(mut self, method: Method, paper: PaperSettings) -> Result<Self, ScanError> {
-        check_voxel_size(paper.voxel_mm)?;
-        (self.method, self.paper) = (method, paper);
+    pub fn by_method(
+        mut self,
+        method: Method,
+        hinz2019: Hinz2019Settings,
+    ) -> Result<Self, ScanError> {
+        check_voxel_size(hinz2019.voxel_mm)?;
+        (self.method, self.hinz2019) = (method, hinz2019);
         Ok(self)
     }
 
@@ -326,7 +330,7 @@ impl Scanner {
         let ours = stitch(session, &mut self.store.patches, first, tool, nominal, over)?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
-        let shared = ours.joint.stages.clone();
+        let shared = ours.adjustment.stages.clone();
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
@@ -352,10 +356,10 @@ impl Scanner {
         }
         let begun = Instant::now();
         let map = CylinderMap::new(layout);
-        let laid = paper::stitch(session, tool, plan, nominal, map, &self.paper)?;
+        let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
         let took = begun.elapsed();
-        let figures = comparison::of_paper(&laid, &shared, &self.paper, planned, took);
-        if self.method == Method::Paper {
+        let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
+        if self.method == Method::Hinz2019 {
             scan.show_instead(laid, &figures);
         }
         scan.methods.push(figures);

@@ -11,9 +11,9 @@ use flankscope_metrology::verdict::{Code, Reason, Word};
 
 use super::comparison::MethodResult;
 use super::coverage::Coverage;
+use super::hinz2019::Hinz2019Stitched;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
-use super::paper::PaperStitched;
 use super::reference::Placement;
 use crate::inspection::{Feature, FrameCount, Timing};
 use crate::origin::Origin;
@@ -61,7 +61,8 @@ pub struct Scan {
     /// How the views became one map.
     pub stitching: Stitching,
     /// What all views share.
-    pub joint: Joint,
+    #[serde(rename = "joint")]
+    pub adjustment: Adjustment,
     /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
     pub teeth_stretch_ratio: Option<f64>,
     /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
@@ -111,7 +112,7 @@ impl Scan {
 
     /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
     /// verdict and no flank is judged.
-    pub(super) fn show_instead(&mut self, laid: PaperStitched, figures: &MethodResult) {
+    pub(super) fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
         let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
         self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
@@ -119,7 +120,7 @@ impl Scan {
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
             let why = refused.remove(&entry.view).map(|why| why.to_string());
             let why = why.or(entry.reason.take());
-            (entry.rms_um, entry.stray_um) = (*rms_um, None);
+            (entry.rms_um, entry.residual_um) = (*rms_um, None);
             entry.rms_about_form_um = None;
             (entry.status, entry.reason) = match rms_um {
                 Some(_) => ("registered", None),
@@ -243,10 +244,12 @@ pub struct ScanRegistration {
     pub rms_um: Option<f64>,
     /// The same of its cells about size, place, ovality and taper of the whole bore.
     pub rms_about_form_um: Option<f64>,
-    /// How far it strays from what all views share, µm.
-    pub stray_um: Option<f64>,
-    /// How far its rotary stage strays from what all views share, millidegrees.
-    pub stray_turn_mdeg: Option<f64>,
+    /// Pose residual: how far it is from what all views share, µm.
+    #[serde(rename = "stray_um")]
+    pub residual_um: Option<f64>,
+    /// The same of the angle of its rotary stage, millidegrees.
+    #[serde(rename = "stray_turn_mdeg")]
+    pub residual_turn_mdeg: Option<f64>,
     /// Its final pose, row by row: tool frame from camera frame, mm.
     pub tool_from_camera: Option<[[f64; 4]; 4]>,
 }
@@ -256,18 +259,18 @@ pub struct ScanRegistration {
 pub struct Stitching {
     /// Views that were laid on the CAD once more, because they ended up elsewhere.
     pub relaid_views: usize,
-    /// Time of the joint solve, of laying views on once more, and of the merge, ms.
+    /// Time of the adjustment, of laying views on once more, and of the merge, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
 /// What all views share.
 #[derive(Clone, Debug, Serialize)]
-pub struct Joint {
+pub struct Adjustment {
     /// Solves until nothing moved.
     pub rounds: usize,
     /// Whether it did settle.
     pub settled: bool,
-    /// Condition number of the joint information, in units of what was known before.
+    /// Condition number of the information of all views together, in units of what was known before.
     pub condition: f64,
     /// Combinations of parameters of which the views say less than was known before, and the share of that.
     pub weak: Vec<(&'static str, f64)>,

@@ -1,6 +1,6 @@
-//! All views of a session to one map: joint solve, laid on the CAD anew until nothing moves, merged by quality.
+//! All views of a session to one map: adjustment, laid on the CAD anew until nothing moves, merged by quality.
 //!
-//! What needs all points of a view was done when it was captured. Here the joint solve works on the views' 6x6 information and
+//! What needs all points of a view was done when it was captured. Here the adjustment works on the views' 6x6 information and
 //! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
 //! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
 
@@ -18,8 +18,8 @@ use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
+use super::cell_observations::Laid;
 use super::job::ScanError;
-use super::lay::Laid;
 use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
@@ -41,7 +41,7 @@ pub(super) struct Stitched {
     pub views: Vec<(usize, ViewInformation)>,
     /// Views that do not fit the others.
     pub refused: Vec<(usize, Reason)>,
-    pub joint: Solution,
+    pub adjustment: Solution,
     pub rounds: usize,
     pub settled: bool,
     /// How far apart neighbours lie, before and after that counts.
@@ -96,21 +96,21 @@ pub(super) fn stitch(
     lap("solve");
     let relaid = common.lay(patches, &layout)?;
     lap("lay");
-    let (alone, sure) = (common.poses(), common.joint.clone());
+    let (alone, sure) = (common.poses(), common.adjustment.clone());
     let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
     let Common {
         views,
-        joint,
+        adjustment,
         refused,
         rounds,
         settled,
         ..
     } = common;
-    let steps = Steps::of(&pairs, &views, &alone, &joint);
-    let joint = joint.no_surer_than(&sure);
+    let steps = Steps::of(&pairs, &views, &alone, &adjustment);
+    let adjustment = adjustment.no_surer_than(&sure);
     lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
-        for ((view, _), pose) in views.iter().zip(&joint.poses) {
+        for ((view, _), pose) in views.iter().zip(&adjustment.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
         Ok::<_, SessionError>(())
@@ -133,7 +133,7 @@ pub(super) fn stitch(
     Ok(Stitched {
         views,
         refused,
-        joint,
+        adjustment,
         rounds,
         settled,
         steps,
@@ -150,7 +150,7 @@ struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
     views: Vec<(usize, ViewInformation)>,
-    joint: Solution,
+    adjustment: Solution,
     refused: Vec<(usize, Reason)>,
     rounds: usize,
     settled: bool,
@@ -167,7 +167,7 @@ impl<'a> Common<'a> {
         Ok(Self {
             session,
             tool,
-            joint: solved(&views, &[], nominal)?,
+            adjustment: solved(&views, &[], nominal)?,
             views,
             refused: Vec::new(),
             rounds: 1,
@@ -184,12 +184,13 @@ impl<'a> Common<'a> {
         let mut pairs = Vec::new();
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
-            let (laid, dropped) = laid_anew(self.session, self.tool, &self.views, &self.joint)?;
+            let (laid, dropped) =
+                laid_anew(self.session, self.tool, &self.views, &self.adjustment)?;
             // A view that drops out moves the others: another round then.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
-            self.joint = solved(&laid, &pairs, &self.joint.stages)?;
+            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages)?;
             self.views = laid;
             self.rounds += 1;
             let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
@@ -199,7 +200,7 @@ impl<'a> Common<'a> {
                 && self
                     .views
                     .iter()
-                    .zip(&self.joint.poses)
+                    .zip(&self.adjustment.poses)
                     .map(moved)
                     .all(|mm| mm < SETTLED_MM);
             if self.settled {
@@ -212,7 +213,7 @@ impl<'a> Common<'a> {
     /// Lays views that moved far on the CAD again with all their points; returns how many.
     fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
         let mut relaid = 0;
-        for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
+        for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
             let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
                 let points = self.session.points(*view)?;
@@ -235,7 +236,7 @@ impl<'a> Common<'a> {
 
     /// Where every view is, by its number.
     fn poses(&self) -> BTreeMap<usize, Isometry3<f64>> {
-        let views = self.views.iter().zip(&self.joint.poses);
+        let views = self.views.iter().zip(&self.adjustment.poses);
         views.map(|((view, _), pose)| (*view, *pose)).collect()
     }
 }
@@ -279,11 +280,11 @@ fn laid_anew(
     session: &Session,
     tool: &Tool,
     views: &[(usize, ViewInformation)],
-    joint: &Solution,
+    adjustment: &Solution,
 ) -> Result<LaidAnew, SessionError> {
     let fits: Result<Vec<_>, SessionError> = views
         .par_iter()
-        .zip(&joint.poses)
+        .zip(&adjustment.poses)
         .map(|((view, info), pose)| {
             if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
                 return Ok((*view, Ok(info.clone())));

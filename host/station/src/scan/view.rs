@@ -17,7 +17,7 @@ use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
-use super::lay::{Laid, layout};
+use super::cell_observations::{Laid, layout};
 use crate::inspection::{
     EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
 };
@@ -39,7 +39,7 @@ const NEARLY_MM: f64 = 10e-3;
 const MOST_RMS_MM: f64 = 0.05;
 /// And so does one with fewer of its points on the CAD.
 const LEAST_SHARE: f64 = 0.6;
-/// Up to so many views each one renews the joint solve, then every so many.
+/// Up to so many views each one renews the adjustment, then every so many.
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
@@ -76,7 +76,7 @@ pub(super) struct ViewScanner {
     layout: Layout,
     decoder: Arc<Decoder>,
     plan: Arc<ViewPlan>,
-    joint: Solution,
+    adjustment: Solution,
     known: BTreeMap<usize, ViewInformation>,
 }
 
@@ -98,7 +98,7 @@ impl ViewScanner {
             gear: gear.clone(),
             decoder,
             plan,
-            joint: Solution::prior(nominal, Local::default()),
+            adjustment: Solution::prior(nominal, Local::default()),
             known,
         };
         scanner.solve();
@@ -108,7 +108,7 @@ impl ViewScanner {
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
         let at = place(&self.plan, view);
-        let mut prior = self.joint.predict(at);
+        let mut prior = self.adjustment.predict(at);
         let expected = *prior.tool_from_cloud.isometry();
         let decoded = match self.decoder.finish(sums) {
             Ok(decoded) => decoded.cloud,
@@ -177,7 +177,7 @@ impl ViewScanner {
         if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
             self.solve();
         }
-        let settled = self.joint.settle(&information);
+        let settled = self.adjustment.settle(&information);
         let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
         let laid = Laid::new(&self.tool.surface, tool_from_camera, points);
         let information = laid.information(information.at).unwrap_or(information);
@@ -192,13 +192,13 @@ impl ViewScanner {
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
         // A solve that breaks down leaves the prediction as it was; the final one reports it.
-        if let Ok(joint) = solve(&self.joint.stages, &views, &[], Local::default()) {
-            self.joint = joint;
+        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], Local::default()) {
+            self.adjustment = adjustment;
         }
     }
 }
 
-/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The joint solve goes on from
+/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
 /// there.
 fn nearly_settled(reason: &registration::Reason) -> bool {
     matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)

@@ -60,14 +60,14 @@ pub enum Kept {
 }
 
 /// Everything that turns frames into kept views.
-pub(super) struct Workshop {
+pub(super) struct ViewPipeline {
     pub plan: Arc<ViewPlan>,
     pub decoder: Arc<Decoder>,
     pub views: ViewScanner,
     pub store: Store,
 }
 
-impl Workshop {
+impl ViewPipeline {
     /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
     pub fn open(
         subject: &Subject,
@@ -120,7 +120,7 @@ impl Workshop {
 /// Views from recorded frames, without an instrument: summed, laid on the CAD and kept exactly as in a running scan, which
 /// can then stitch them from the session folder.
 pub struct Processing {
-    workshop: Workshop,
+    workshop: ViewPipeline,
     sums: Accumulator,
 }
 
@@ -130,7 +130,7 @@ impl Processing {
     /// # Errors
     /// The subject is unfit, or the folder is another scan's or damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let workshop = Workshop::open(subject, grid, folder, &BTreeMap::new())?;
+        let workshop = ViewPipeline::open(subject, grid, folder, &BTreeMap::new())?;
         let sums = workshop.decoder.begin();
         Ok(Self { workshop, sums })
     }

@@ -1,4 +1,4 @@
-//! A view's flanks, measured once or several times, against limits and baseline.
+//! What decides a flank: everything that was measured of it, once or several times, against limits and baseline.
 
 use std::sync::Arc;
 
@@ -14,14 +14,14 @@ use crate::baseline::Baseline;
 
 /// What flanks are judged by.
 #[derive(Debug)]
-pub(crate) struct Judge {
+pub(crate) struct FlankCriteria {
     pub tool: Arc<Tool>,
     pub limits: Limits,
     pub settings: Settings,
     pub baseline: Option<Arc<Baseline>>,
 }
 
-impl Judge {
+impl FlankCriteria {
     /// What is judged of a flank: its loss since the baseline where there is one, else its deviation from CAD.
     ///
     /// # Errors

@@ -31,7 +31,11 @@ pub(super) fn stretch_of_views(
     session: &Session,
     tool: &Tool,
 ) -> Result<Option<f64>, SessionError> {
-    let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+    let views: Vec<_> = stitched
+        .views
+        .iter()
+        .zip(&stitched.adjustment.poses)
+        .collect();
     let found: Result<Vec<Option<f64>>, SessionError> = views
         .par_iter()
         .step_by(views.len().div_ceil(MOST_VIEWS).max(1))
