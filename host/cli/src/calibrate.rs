@@ -206,9 +206,9 @@ fn check(
         }
     }
     Ok(if unfit.is_none() {
-        Outcome::Go
+        Outcome::Done
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 
@@ -361,7 +361,7 @@ impl Job<'_> {
                 )?,
             }
         }
-        Ok(Outcome::Go)
+        Ok(Outcome::Done)
     }
 }
 

@@ -10,7 +10,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
-use flankscope_station::history::{History, Keeper};
+use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{Station, Subject};
 use flankscope_station::origin::{Link, Setting};
 
@@ -175,20 +175,22 @@ pub struct Instrument<S = Station> {
 }
 
 impl Instrument {
-    /// Reads tool and head, starts a station for checks, then the bench or nothing.
+    /// Reads tool and head, starts a station for checks, then the bench or nothing; also returns what stores the checks, if
+    /// that was asked for.
     pub fn open(
         source: &Source,
         bench: &BenchArgs,
         press: Option<&PressArgs>,
         quiet: bool,
-    ) -> anyhow::Result<Self> {
+    ) -> anyhow::Result<(Self, Option<HistoryWriter>)> {
         let scene = Scene {
             press,
             teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
         let setting = source.setting()?;
-        Self::start(
+        let mut writer = None;
+        let instrument = Self::start(
             [source.tool.as_deref(), source.head.as_deref()],
             &setting.link,
             bench,
@@ -206,7 +208,8 @@ impl Instrument {
                     subject.baseline = Some(Arc::new(baseline));
                 }
                 let teeth = source.teeth.as_deref();
-                let mut station = Station::open(subject, setting.clone(), teeth, root)?;
+                let baseline = subject.baseline.clone();
+                let station = Station::open(subject, setting.clone(), teeth, root)?;
                 if let Some(path) = &source.history {
                     let history = History::open(path)?;
                     let unknown = history.of_unknown_origin()?;
@@ -217,16 +220,20 @@ impl Instrument {
                             path.display()
                         ));
                     }
-                    station.keep(Keeper::new(
+                    let mut opened = HistoryWriter::new(
                         history,
                         source.tool_cycles,
                         source.keep_phasors,
                         setting.operator.clone().unwrap_or_else(user_name),
-                    ))?;
+                    );
+                    let simulated = setting.link.is_simulated();
+                    opened.begin(station.tool(), simulated, baseline.as_deref())?;
+                    writer = Some(opened);
                 }
                 Ok(station)
             },
-        )
+        )?;
+        Ok((instrument, writer))
     }
 }
 

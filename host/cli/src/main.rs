@@ -93,7 +93,9 @@ fn main() -> ExitCode {
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "bench")]
-        Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
+        Command::Bench(args) => {
+            flankscope_bench::process::run(&args).map(|()| output::Outcome::Done)
+        }
     };
     match result {
         Ok(outcome) => outcome.into(),

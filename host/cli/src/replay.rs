@@ -48,9 +48,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&replay)?;
     }
     Ok(if same {
-        Outcome::of_verdict(&replay.verdict)
+        Outcome::Verdict(replay.verdict)
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 

@@ -1,11 +1,12 @@
 //! The running instrument: controller client, zero-copy capture, inspection job, report.
 //!
 //! ```text
-//!  controller ── orders, triggers ──┐
-//!                                   ├─ inspection ── verdict ── report
-//!  capture ───── frames, in place ──┘             └── history
+//!  controller ── orders, triggers ──┐                 ┌─ inspection ── verdict ── sinks: history, report, lines
+//!                                   ├─ acquisition ───┼─ scan
+//!  capture ───── frames, in place ──┘                 └─ calibration
 //! ```
 
+pub mod acquisition;
 pub mod baseline;
 pub mod calibration;
 pub mod capture;
@@ -16,4 +17,5 @@ pub mod inspection;
 pub mod origin;
 pub mod report;
 pub mod scan;
+pub mod sink;
 pub mod watch;

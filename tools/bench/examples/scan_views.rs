@@ -15,7 +15,7 @@ use flankscope_bench::world::{Mount, PatternSpec, World};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{FrameView, HeadModel};
 use flankscope_station::inspection::Subject;
-use flankscope_station::scan::{Grid, Processing};
+use flankscope_station::scan::{Grid, Kept, Processing};
 
 /// Times that every view is processed; the first is not counted.
 const PASSES: usize = 4;
@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     };
     let grid: Grid = "84x7".parse()?;
     let mut processing = Processing::open(&subject, grid, &folder.path().join("session"))?;
-    let plan = processing.itinerary().clone();
+    let plan = processing.plan().clone();
     let views = views.min(plan.views.len());
 
     let mut config = demo::world_config()?;
@@ -72,7 +72,7 @@ fn main() -> Result<()> {
                 .map(|frame| FrameView::packed(frame, width, height))
                 .collect();
             let kept = processing.view(view, &frames)?;
-            ensure!(kept.is_ok(), "view {view}: {kept:?}");
+            ensure!(kept == Kept::Kept, "view {view}: {kept:?}");
         }
     }
     let counted = ((PASSES - 1) * views) as f64;

@@ -10,6 +10,7 @@ use flankscope_bench::study::{Judgement, random_damages};
 use flankscope_bench::world::{FlankId, World};
 use flankscope_bench::zones::{Judged, compare};
 use flankscope_gear_cad::Flank;
+use flankscope_metrology::verdict::{Code, Word};
 
 /// Limits of the demo tool, µm.
 const WARN_UM: f64 = 30.0;
@@ -91,7 +92,7 @@ fn error_um(one: &Judgement) -> Option<[f64; 2]> {
 
 fn by_wear(one: &Judgement) -> bool {
     let reason = one.found.reason.as_deref();
-    one.found.verdict == "no-go" && reason.is_some_and(|why| why.starts_with("wear "))
+    one.found.verdict == Word::NoGo && reason.is_some_and(|why| why.starts_with("wear "))
 }
 
 #[test]
@@ -108,29 +109,33 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
             println!("{what}: {hits} of {}", among.len());
             hits as f64 / among.len().max(1) as f64
         };
-    let is = |word: &'static str| move |one: &Judgement| one.found.verdict == word;
+    let is = |word: Word| move |one: &Judgement| one.found.verdict == word;
     let beyond_limit = |one: &Judgement| truth_um(one) > LIMIT_UM;
     let below_warn = |one: &Judgement| truth_um(one) < WARN_UM;
-    let false_go = share("go beyond the stop limit", &is("go"), &beyond_limit);
-    let passed = |one: &Judgement| ["go", "warn"].contains(&one.found.verdict.as_str());
+    let false_go = share("go beyond the stop limit", &is(Word::Go), &beyond_limit);
+    let passed = |one: &Judgement| one.found.verdict.passes();
     share("go or warn beyond the stop limit", &passed, &beyond_limit);
-    share("stopped beyond the stop limit", &is("no-go"), &beyond_limit);
+    share(
+        "stopped beyond the stop limit",
+        &is(Word::NoGo),
+        &beyond_limit,
+    );
     share(
         "indeterminate beyond the stop limit",
-        &is("indeterminate"),
+        &is(Word::Indeterminate),
         &beyond_limit,
     );
     let beyond_warn = |one: &Judgement| truth_um(one) > WARN_UM;
-    share("go beyond the warning limit", &is("go"), &beyond_warn);
+    share("go beyond the warning limit", &is(Word::Go), &beyond_warn);
     let false_alarm = share(
         "no-go by wear below the warning limit",
         &by_wear,
         &below_warn,
     );
-    share("go below the warning limit", &is("go"), &below_warn);
+    share("go below the warning limit", &is(Word::Go), &below_warn);
     share(
         "indeterminate below the warning limit",
-        &is("indeterminate"),
+        &is(Word::Indeterminate),
         &below_warn,
     );
     let measured = |one: &Judgement| error_um(one).is_some();
@@ -149,13 +154,13 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
 
     // Shape by shape: how many, how many not held, bias, largest error over U95.
     let mut shapes: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
-    let mut reasons: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut reasons: BTreeMap<Code, u32> = BTreeMap::new();
     for one in &all {
         shapes.entry(one.shape).or_default().extend(error_um(one));
         if let Some(code) = one.found.code {
             *reasons.entry(code).or_default() += 1;
         }
-        if !holds(one) || (is("go")(one) && beyond_warn(one)) {
+        if !holds(one) || (is(Word::Go)(one) && beyond_warn(one)) {
             println!(
                 "not held: {} on {} {}, true {:.2} um, found {:?} ± {:?} um, {} {}",
                 one.shape,

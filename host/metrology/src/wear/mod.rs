@@ -162,7 +162,7 @@ pub struct FlankWear {
     /// Where the uncertainty comes from.
     pub budget: Budget,
     /// What acts on the flank beside the points, where it is known.
-    pub influence: Option<Influence>,
+    pub influence: Option<PoseSensitivity>,
     /// The cells.
     pub field: Field,
     /// What the pose leaves open of a turn about the axis, where it is known.
@@ -206,7 +206,7 @@ pub const COVERAGE_95: f64 = 1.96;
 
 /// What acts on a flank beside the points: from the fit and the thermometer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Influence {
+pub struct PoseSensitivity {
     /// Leakage of the pose.
     pub leakage: Leakage,
     /// What the view says of its own pose about the axis.
@@ -655,7 +655,7 @@ impl FlankWear {
 
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
-    pub fn with(mut self, influence: Influence, settings: &Settings) -> Self {
+    pub fn with(mut self, influence: PoseSensitivity, settings: &Settings) -> Self {
         self.evidence = vec![Arc::clone(&influence.evidence)];
         self.influence = Some(influence);
         self.settle(None, settings);

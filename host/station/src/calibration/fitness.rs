@@ -11,9 +11,9 @@ use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, 
 use super::job::{CalibrationError, SaveError, write};
 use super::survey::Surveyor;
 use super::views;
+use crate::acquisition::Progress;
 use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
-use crate::inspection::Progress;
 
 /// The capture of plane and sphere, and what follows from it.
 #[derive(Debug)]

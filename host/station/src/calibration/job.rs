@@ -20,10 +20,10 @@ use serde::Serialize;
 
 use super::survey::{SurveyError, Surveyor};
 use super::views::{self, PlateView};
+use crate::acquisition::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
 use crate::files;
-use crate::inspection::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 use crate::origin::Link;
 
 /// Why there is no calibration.

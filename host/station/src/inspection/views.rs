@@ -10,30 +10,26 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
-use flankscope_metrology::verdict::Reason;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder, HeadModel};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
+use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
-use super::influence::Fitted;
 use super::job::Subject;
-use super::judge::Judge;
-use super::plan::Itinerary;
+use super::plan::ViewPlan;
+use super::pose_sensitivity::Fitted;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
+use crate::acquisition::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 use crate::baseline::Reference;
 
-/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
-pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
-/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
-pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
 /// What remains of hand-eye and axis after their calibration: position and tilt. An estimate, stated in the report.
 const MOUNT_SIGMA_MM: f64 = 10e-3;
 const MOUNT_SIGMA_RAD: f64 = 0.2e-3;
-const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
@@ -92,7 +88,7 @@ pub struct ViewOutcome {
     tooth: u32,
     /// What each capture measured of the flanks; nothing where it could not.
     captures: Vec<Vec<FlankWear>>,
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
 }
 
 impl ViewOutcome {
@@ -100,7 +96,7 @@ impl ViewOutcome {
     pub(crate) fn is_open(&self) -> bool {
         self.captures
             .last()
-            .is_some_and(|last| last.iter().any(|wear| self.judge.is_open(wear)))
+            .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
     }
 
     /// The outcome of this view and of another capture of it, judged together.
@@ -110,7 +106,7 @@ impl ViewOutcome {
         self.phasors.extend(again.phasors);
         self.captures.extend(again.captures);
         for (judged, flank) in self.flanks.iter_mut().zip(Flank::BOTH) {
-            if let Some(together) = self.judge.flank(self.tooth, flank, &self.captures) {
+            if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
                 *judged = together;
             }
         }
@@ -161,7 +157,7 @@ fn approach_covariance() -> Matrix6<f64> {
 
 /// Everything that does not change from check to check.
 pub struct Evaluator {
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
     gear: GearData,
     zone: Zone,
     datum: Datum,
@@ -181,7 +177,7 @@ impl Evaluator {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: &ViewPlan,
     ) -> Result<Self, EvaluatorError> {
         let missing = |what| EvaluatorError::Missing { what };
         let tool = Arc::clone(&subject.tool);
@@ -202,7 +198,7 @@ impl Evaluator {
             .volume
             .ok_or(missing("[volume] in the head file"))?;
         let field_mm = volume.far_mm * field_slope(&subject.head);
-        let places = itinerary
+        let places = plan
             .views
             .iter()
             .map(|view| {
@@ -249,14 +245,14 @@ impl Evaluator {
         };
         let temperature = tool.temperature.as_ref();
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
-        let judge = Judge {
+        let criteria = FlankCriteria {
             tool,
             limits,
             settings,
             baseline: subject.baseline.clone(),
         };
         Ok(Self {
-            judge: Arc::new(judge),
+            criteria: Arc::new(criteria),
             gear,
             zone,
             datum,
@@ -279,7 +275,10 @@ impl Evaluator {
         };
         let decoded = match self.decoder.finish(accumulator) {
             Ok(decoded) => decoded,
-            Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
+            Err(error) => {
+                let why = Reason::instrument(Code::Decoding, error);
+                return self.unmeasured(place, &why, elapsed_ms);
+            }
         };
         lap("decode", &mut elapsed_ms);
         let inconsistent_ratio = inconsistent_ratio(&decoded);
@@ -290,6 +289,7 @@ impl Evaluator {
                 100.0 * inconsistent_ratio,
                 100.0 * MOST_INCONSISTENT
             );
+            let why = Reason::instrument(Code::Inconsistent, why);
             let mut outcome = self.unmeasured(place, &why, elapsed_ms);
             for registration in &mut outcome.registration {
                 registration.inconsistent_ratio = inconsistent_ratio;
@@ -339,11 +339,12 @@ impl Evaluator {
         let mut leakage = BTreeMap::new();
         let mut wears: Vec<FlankWear> = Vec::new();
         let mut pose = None;
-        let unmeasured = |why: &str| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
+        let unmeasured =
+            |why: &Reason| super::verdict::unmeasured(place.tooth, &self.criteria.tool, why);
         let flanks = match (&registration.status, &self.scale) {
-            (_, Err(reason)) => unmeasured(&reason.to_string()),
+            (_, Err(reason)) => unmeasured(reason),
             (Status::Registered, Ok(_)) => {
-                let (gear, settings) = (&self.gear, &self.judge.settings);
+                let (gear, settings) = (&self.gear, &self.criteria.settings);
                 let places = wear::places(gear, &closest);
                 let fitted = Fitted {
                     gear: &self.gear,
@@ -355,8 +356,8 @@ impl Evaluator {
                     closest: &closest,
                     used: &used,
                     places: &places,
-                    temperature: self.judge.tool.temperature.as_ref(),
-                    form_in_doubt: self.judge.settings.as_built_mm > 0.0,
+                    temperature: self.criteria.tool.temperature.as_ref(),
+                    form_in_doubt: self.criteria.settings.as_built_mm > 0.0,
                 };
                 let tool_from_cloud = registration.tool_from_cloud.isometry();
                 let without_point: Vec<[f64; 3]> =
@@ -393,11 +394,11 @@ impl Evaluator {
                     .map(|(wear, influence)| wear.with(influence, settings))
                     .collect();
                 let captures = std::slice::from_ref(&wears);
-                let judged = |flank| self.judge.flank(place.tooth, flank, captures);
+                let judged = |flank| self.criteria.flank(place.tooth, flank, captures);
                 Flank::BOTH.into_iter().filter_map(judged).collect()
             }
             (Status::Indeterminate(reason), Ok(_)) => {
-                unmeasured(&Reason::Registration(reason.clone()).to_string())
+                unmeasured(&Reason::Registration(reason.clone()))
             }
         };
         let fields = wears
@@ -426,7 +427,7 @@ impl Evaluator {
             phasors: Vec::new(),
             tooth: place.tooth,
             captures: vec![wears],
-            judge: Arc::clone(&self.judge),
+            criteria: Arc::clone(&self.criteria),
         }
     }
 
@@ -497,15 +498,15 @@ impl Evaluator {
     fn unmeasured(
         &self,
         place: &Place,
-        why: &str,
+        why: &Reason,
         elapsed_ms: BTreeMap<&'static str, f64>,
     ) -> ViewOutcome {
         ViewOutcome {
-            flanks: super::verdict::unmeasured(place.tooth, &self.judge.tool, why),
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
-                reason: Some(why.into()),
+                reason: Some(why.to_string()),
                 points: 0,
                 inconsistent_ratio: 0.0,
                 inliers: 0,
@@ -524,7 +525,7 @@ impl Evaluator {
             phasors: Vec::new(),
             tooth: place.tooth,
             captures: vec![Vec::new()],
-            judge: Arc::clone(&self.judge),
+            criteria: Arc::clone(&self.criteria),
         }
     }
 }

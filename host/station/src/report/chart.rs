@@ -2,35 +2,29 @@
 
 use std::fmt::Write as _;
 
-/// A bar of a timeline lane, in ms from the start of the check.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
-    /// Start, ms.
-    pub start_ms: f64,
-    /// End, ms.
-    pub end_ms: f64,
+use crate::acquisition::{Activity, Device};
+
+/// How a device's lane is called and filled.
+fn lane(device: Device) -> (&'static str, &'static str) {
+    match device {
+        Device::Stages => ("stages move", "#7a8794"),
+        Device::Settling => ("settle", "#b9c2cb"),
+        Device::Led => ("LED", "#2f9e5b"),
+        Device::Dmd => ("DMD", "#c77d0a"),
+        Device::Camera => ("camera", "#2b6cb0"),
+    }
 }
 
-/// One lane of the timeline.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lane {
-    /// What it shows.
-    pub name: &'static str,
-    /// Fill colour, CSS.
-    pub colour: &'static str,
-    /// When it was active.
-    pub spans: Vec<Span>,
-}
-
-/// Lanes over a common time axis.
+/// A lane per device over a common time axis.
 #[must_use]
-pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
+pub fn timeline(activities: &[Activity]) -> String {
     const LEFT: f64 = 90.0;
     const WIDTH: f64 = 900.0;
     const LANE: f64 = 26.0;
-    let end_ms = end_ms.max(1.0);
+    let spans = activities.iter().flat_map(|activity| &activity.spans);
+    let end_ms = spans.map(|span| span.end_ms).fold(1.0, f64::max);
     let x = |ms: f64| LEFT + ms / end_ms * (WIDTH - LEFT - 10.0);
-    let height = LANE * lanes.len() as f64 + 34.0;
+    let height = LANE * activities.len() as f64 + 34.0;
     let mut svg = open(WIDTH, height, "Timeline of LED, DMD, camera and stages");
     for tick in ticks(0.0, end_ms) {
         let at = x(tick);
@@ -51,16 +45,17 @@ pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
         r#"<text x="{:.1}" y="{height:.1}" text-anchor="end">time / s</text>"#,
         WIDTH - 10.0
     );
-    for (i, lane) in lanes.iter().enumerate() {
+    for (i, activity) in activities.iter().enumerate() {
+        let (name, colour) = lane(activity.device);
         let top = LANE * i as f64 + 4.0;
         let _ = write!(
             svg,
             r#"<text x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
             LEFT - 8.0,
             top + 13.0,
-            lane.name
+            name
         );
-        for span in &lane.spans {
+        for span in &activity.spans {
             // A trigger of a millisecond still shows.
             let width = (x(span.end_ms) - x(span.start_ms)).max(0.6);
             let _ = write!(
@@ -68,7 +63,7 @@ pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
                 r#"<rect x="{:.2}" y="{top:.1}" width="{width:.2}" height="{:.1}" fill="{}"/>"#,
                 x(span.start_ms),
                 LANE - 8.0,
-                lane.colour
+                colour
             );
         }
     }

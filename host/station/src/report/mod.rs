@@ -2,14 +2,16 @@
 
 mod chart;
 mod colour;
+mod folder;
 mod history;
 mod plot;
 mod scan;
 mod scan_files;
 
 use askama::Template;
+use flankscope_metrology::verdict::Word;
 
-pub use chart::{Lane, Span};
+pub use folder::{LatestPage, ReportFolder};
 pub use history::{history_html, rate, remaining};
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
@@ -44,7 +46,7 @@ struct Page<'a> {
 /// A deviation map as a picture.
 struct Map<'a> {
     map: &'a FlankMap,
-    verdict: &'a str,
+    verdict: Word,
     picture: String,
     width_px: f64,
     height_px: f64,
@@ -72,12 +74,6 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         .iter()
         .map(|map| draw(map, inspection, full_um))
         .collect();
-    let end_ms = pictures
-        .lanes
-        .iter()
-        .flat_map(|lane| &lane.spans)
-        .map(|s| s.end_ms)
-        .fold(0.0, f64::max);
     let marks = inspection
         .features
         .first()
@@ -94,7 +90,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
             full_um,
             marks.as_ref().map_or(&[], |m| m),
         ),
-        timeline: chart::timeline(&pictures.lanes, end_ms),
+        timeline: chart::timeline(&pictures.activities),
         frame: pictures
             .frame
             .as_ref()
@@ -128,7 +124,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         .features
         .iter()
         .find(|f| f.tooth == map.tooth && f.flank == map.flank)
-        .map_or("indeterminate", |f| f.verdict.as_str());
+        .map_or(Word::Indeterminate, |f| f.verdict);
     const PX_PER_MM: f64 = 48.0;
     Map {
         map,

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout};
+use flankscope_metrology::verdict::{Code, Reason};
 use serde::Serialize;
 
 use crate::inspection::PlannedView;
@@ -138,9 +139,9 @@ impl Coverage {
     }
 
     /// Why the scan cannot be a go, if it cannot: less was seen than was asked for.
-    pub(super) fn objection(&self) -> Option<String> {
+    pub(super) fn objection(&self) -> Option<Reason> {
         let first = self.holes.first()?;
-        Some(format!(
+        let why = format!(
             "{} of {} planned flank fields were seen to less than {:.0} %; the first is tooth {} {} at {:.1} mm with {:.0} %",
             self.holes.len(),
             self.fields,
@@ -149,7 +150,8 @@ impl Coverage {
             first.flank,
             first.vertical_mm,
             100.0 * first.seen_ratio,
-        ))
+        );
+        Some(Reason::instrument(Code::Unseen, why))
     }
 }
 
@@ -273,7 +275,7 @@ mod tests {
         let one = of(&map(|tooth, z| tooth == 20 && (18.9..28.3).contains(&z)));
         assert_eq!((one.holes.len(), one.teeth), (2, 83));
         assert_eq!((one.holes[0].tooth, one.holes[0].seen_ratio), (20, 0.0));
-        let why = one.objection().expect("a hole");
+        let why = one.objection().expect("a hole").to_string();
         assert!(
             why.contains("2 of 1176") && why.contains("tooth 20"),
             "{why}"

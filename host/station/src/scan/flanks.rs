@@ -1,7 +1,7 @@
 //! What a scan says of the wear of every flank: the same measurand, judged by the same rules as in a check between strokes.
 //!
 //! ```text
-//!  points of every view by flank (patches) ─► moved to the joint solve's poses ─► zone by zone: wear ─┐
+//!  points of every view by flank (patches) ─► moved to the adjustment's poses ─► zone by zone: wear ─┐
 //!  what each view may hide or leave open (pose) ──────────────────────────────────────────────────────┤
 //!  medians of all flanks: what a turn of the die may hide ────────────────────────────────────────────┴─► judge
 //! ```
@@ -20,11 +20,11 @@ use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::Verdict;
 use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
 use flankscope_metrology::wear::{
-    Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
+    Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
 };
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
@@ -33,7 +33,7 @@ use super::job::{ScanError, Scanner};
 use super::session::SessionError;
 use super::stitch::Stitched;
 use super::view::{SAMPLE, coordinates};
-use super::workshop::Store;
+use super::view_pipeline::Store;
 use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
 
 /// A view is asked for at most so much above and below its middle, mm: where every tooth is in the middle of one, layers no
@@ -58,7 +58,7 @@ const QUARTILE_ERROR: f64 = 1.362_6;
 /// Median of |x| to standard deviation for a normal distribution.
 const SIGMA_PER_MAD: f64 = 1.4826;
 /// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
-/// the joint solve counts them.
+/// the adjustment counts them.
 const PATCHES: f64 = 80.0;
 const FORM_MM: f64 = 10e-3;
 /// A flank with fewer of a view's sample lies at its rim.
@@ -218,11 +218,11 @@ struct Judging<'a> {
 impl Scanner {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
-        let subject = &self.station.subject;
+        let subject = &self.subject;
         let judging = Judging {
             gear: &self.gear,
             tool: &subject.tool,
-            planned: &self.station.itinerary.views,
+            planned: &self.plan.views,
             store: &self.store,
             nominal: &self.nominal,
             calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
@@ -238,7 +238,8 @@ impl Judging<'_> {
         let asked = asked(planned, self.gear);
         let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
             let why = "[inspect] is missing in the tool file: there are no limits to judge by";
-            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, why));
+            let why = Reason::instrument(Code::NoLimits, why);
+            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, &why));
             let judged = asked.keys().flat_map(none).collect::<Vec<_>>();
             return Ok(JudgedFlanks {
                 verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
@@ -280,7 +281,7 @@ impl Judging<'_> {
         let views: Vec<(usize, &Isometry3<f64>)> = stitched
             .views
             .iter()
-            .zip(&stitched.joint.poses)
+            .zip(&stitched.adjustment.poses)
             .map(|((view, _), pose)| (*view, pose))
             .collect();
         let steps = [stitched.steps.around, stitched.steps.up]
@@ -344,13 +345,17 @@ impl Judging<'_> {
     /// What the poses of the views do to the flanks that they were asked for.
     fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
         let nominal = Solution::prior(self.nominal.clone(), Local::default());
-        let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+        let views: Vec<_> = stitched
+            .views
+            .iter()
+            .zip(&stitched.adjustment.poses)
+            .collect();
         let held: Result<Vec<Option<Held>>, SessionError> = views
             .into_par_iter()
             .map(|((view, info), pose)| {
                 let sample = coordinates(&self.store.session.sample(*view, SAMPLE)?, SAMPLE);
                 let planned = &self.planned[*view];
-                let covariance = stitched.joint.pose_covariance(info);
+                let covariance = stitched.adjustment.pose_covariance(info);
                 // Nothing is taken as known of die and head but what the files say: the views could have been moved by the
                 // wear of all of them.
                 let prior = nominal.predict(info.at);
@@ -442,7 +447,7 @@ impl Judging<'_> {
         wear: &FlankWear,
         evidence: &Arc<PoseEvidence>,
         form_scatter_mm: f64,
-    ) -> Option<Influence> {
+    ) -> Option<PoseSensitivity> {
         let (worst, side) = of_zone(held, (wear.tooth, wear.flank), zone).reduce(|a, b| {
             let leaks = |(of, side): (&Held, usize)| of.leakage[side].worst();
             if leaks(b) > leaks(a) || leaks(b).is_nan() {
@@ -459,7 +464,7 @@ impl Judging<'_> {
             let cos = (self.gear.base_radius_mm() / radius_mm).min(1.0);
             t.expansion_per_k * t.u_k * radius_mm * (1.0 - cos * cos).sqrt()
         });
-        Some(Influence {
+        Some(PoseSensitivity {
             leakage,
             evidence: Arc::clone(evidence),
             form_scatter_mm,
@@ -538,13 +543,13 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
             });
         }
         let worst = of_flank.iter().max_by(|a, b| {
-            let rank = |z: &OfZone| severity(z.judged.verdict());
+            let rank = |z: &OfZone| z.judged.verdict().word();
             let wear = |z: &OfZone| z.judged.wear_um().unwrap_or(f64::NEG_INFINITY);
             rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
         });
         let Some(worst) = worst else { continue };
         // Nobody asked for it: what is missing of it is no fault, what it shows is one.
-        let shows = matches!(worst.judged.verdict(), Verdict::NoGo | Verdict::Warn);
+        let shows = matches!(worst.judged.verdict().word(), Word::NoGo | Word::Warn);
         if !is_asked(key.0) && !shows {
             continue;
         }
@@ -555,16 +560,6 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
         all.features.push(feature);
     }
     all
-}
-
-/// Rank of a verdict where several are joined: as [`flankscope_metrology::verdict::combine`] does.
-fn severity(verdict: &Verdict) -> u8 {
-    match verdict {
-        Verdict::Go => 0,
-        Verdict::Warn => 1,
-        Verdict::Indeterminate { .. } => 2,
-        Verdict::NoGo => 3,
-    }
 }
 
 #[cfg(test)]

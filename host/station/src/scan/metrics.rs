@@ -12,7 +12,7 @@ use flankscope_metrology::surface::sampling::{Region, SampleError, centre_of_mas
 use flankscope_metrology::tool::Tool;
 use serde::Serialize;
 
-use super::lay::Laid;
+use super::cell_observations::Laid;
 use super::result::Scan;
 use super::session::{Session, SessionError};
 

@@ -105,10 +105,10 @@ impl Steps {
         overlaps: &[Overlap],
         views: &[Laid],
         before: &BTreeMap<usize, Isometry3<f64>>,
-        joint: &Solution,
+        adjustment: &Solution,
     ) -> Self {
         let after: Vec<Vector6<f64>> = (views.iter().enumerate())
-            .map(|(at, (_, info))| info.motion_to(&joint.poses[at]))
+            .map(|(at, (_, info))| info.motion_to(&adjustment.poses[at]))
             .collect();
         let before: Vec<Vector6<f64>> = (views.iter().zip(&after))
             .map(|((view, info), after)| before.get(view).map_or(*after, |p| info.motion_to(p)))

@@ -1,6 +1,6 @@
-//! All views of a session to one map: joint solve, laid on the CAD anew until nothing moves, merged by quality.
+//! All views of a session to one map: adjustment, laid on the CAD anew until nothing moves, merged by quality.
 //!
-//! What needs all points of a view was done when it was captured. Here the joint solve works on the views' 6x6 information and
+//! What needs all points of a view was done when it was captured. Here the adjustment works on the views' 6x6 information and
 //! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
 //! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
 
@@ -14,17 +14,18 @@ use flankscope_metrology::multiview::cylinder::{
     CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::HeadModel;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
+use super::cell_observations::Laid;
 use super::job::ScanError;
-use super::lay::Laid;
 use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
-use super::view::{SAMPLE, coordinates, place, unlike_cad};
-use crate::inspection::{EvaluatorError, Itinerary, field_slope, reach_mm};
+use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
+use crate::inspection::{EvaluatorError, ViewPlan, field_slope, reach_mm};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -40,8 +41,8 @@ pub(super) struct Stitched {
     /// Views that took part, with how they lie.
     pub views: Vec<(usize, ViewInformation)>,
     /// Views that do not fit the others.
-    pub refused: Vec<(usize, String)>,
-    pub joint: Solution,
+    pub refused: Vec<(usize, Reason)>,
+    pub adjustment: Solution,
     pub rounds: usize,
     pub settled: bool,
     /// How far apart neighbours lie, before and after that counts.
@@ -61,15 +62,15 @@ pub(super) struct Stitched {
 pub(super) fn first_information(
     session: &Session,
     tool: &Tool,
-    itinerary: &Itinerary,
+    plan: &ViewPlan,
 ) -> Result<BTreeMap<usize, ViewInformation>, ScanError> {
     let done: Vec<usize> = session.views().map(|(view, _)| view).collect();
     let found = done.into_par_iter().map(|view| {
-        let Some(pose) = session.pose(view).filter(|_| view < itinerary.views.len()) else {
+        let Some(pose) = session.pose(view).filter(|_| view < plan.views.len()) else {
             return Ok(None);
         };
         let sample = coordinates(&session.sample(view, SAMPLE)?, SAMPLE);
-        let at = place(itinerary, view);
+        let at = place(plan, view);
         Ok(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)))
     });
     let found: Result<Vec<_>, ScanError> = found.collect();
@@ -117,21 +118,21 @@ pub(super) fn stitch(
     lap("solve");
     let relaid = common.lay(patches, &layout, optics.reach_mm)?;
     lap("lay");
-    let (alone, sure) = (common.poses(), common.joint.clone());
+    let (alone, sure) = (common.poses(), common.adjustment.clone());
     let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
     let Common {
         views,
-        joint,
+        adjustment,
         refused,
         rounds,
         settled,
         ..
     } = common;
-    let steps = Steps::of(&pairs, &views, &alone, &joint);
-    let joint = joint.no_surer_than(&sure);
+    let steps = Steps::of(&pairs, &views, &alone, &adjustment);
+    let adjustment = adjustment.no_surer_than(&sure);
     lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
-        for ((view, _), pose) in views.iter().zip(&joint.poses) {
+        for ((view, _), pose) in views.iter().zip(&adjustment.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
         Ok::<_, SessionError>(())
@@ -154,7 +155,7 @@ pub(super) fn stitch(
     Ok(Stitched {
         views,
         refused,
-        joint,
+        adjustment,
         rounds,
         settled,
         steps,
@@ -171,8 +172,8 @@ struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
     views: Vec<(usize, ViewInformation)>,
-    joint: Solution,
-    refused: Vec<(usize, String)>,
+    adjustment: Solution,
+    refused: Vec<(usize, Reason)>,
     rounds: usize,
     settled: bool,
 }
@@ -188,7 +189,7 @@ impl<'a> Common<'a> {
         Ok(Self {
             session,
             tool,
-            joint: solved(&views, &[], nominal)?,
+            adjustment: solved(&views, &[], nominal)?,
             views,
             refused: Vec::new(),
             rounds: 1,
@@ -205,12 +206,13 @@ impl<'a> Common<'a> {
         let mut pairs = Vec::new();
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
-            let (laid, dropped) = laid_anew(self.session, self.tool, &self.views, &self.joint)?;
+            let (laid, dropped) =
+                laid_anew(self.session, self.tool, &self.views, &self.adjustment)?;
             // A view that drops out moves the others: another round then.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
-            self.joint = solved(&laid, &pairs, &self.joint.stages)?;
+            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages)?;
             self.views = laid;
             self.rounds += 1;
             let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
@@ -220,7 +222,7 @@ impl<'a> Common<'a> {
                 && self
                     .views
                     .iter()
-                    .zip(&self.joint.poses)
+                    .zip(&self.adjustment.poses)
                     .map(moved)
                     .all(|mm| mm < SETTLED_MM);
             if self.settled {
@@ -238,7 +240,7 @@ impl<'a> Common<'a> {
         reach_mm: [f64; 2],
     ) -> Result<usize, SessionError> {
         let mut relaid = 0;
-        for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
+        for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
             let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
                 let kept = self.session.points(*view)?;
@@ -256,7 +258,7 @@ impl<'a> Common<'a> {
 
     /// Where every view is, by its number.
     fn poses(&self) -> BTreeMap<usize, Isometry3<f64>> {
-        let views = self.views.iter().zip(&self.joint.poses);
+        let views = self.views.iter().zip(&self.adjustment.poses);
         views.map(|((view, _), pose)| (*view, *pose)).collect()
     }
 }
@@ -292,7 +294,7 @@ fn solved(
     Ok(solve(start, &views, overlaps, Local::default())?)
 }
 
-type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, String)>);
+type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 
 /// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
 /// why.
@@ -300,18 +302,18 @@ fn laid_anew(
     session: &Session,
     tool: &Tool,
     views: &[(usize, ViewInformation)],
-    joint: &Solution,
+    adjustment: &Solution,
 ) -> Result<LaidAnew, SessionError> {
     let fits: Result<Vec<_>, SessionError> = views
         .par_iter()
-        .zip(&joint.poses)
+        .zip(&adjustment.poses)
         .map(|((view, info), pose)| {
             if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
                 return Ok((*view, Ok(info.clone())));
             }
             let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
             let laid = match compress(&tool.surface, &sample, info.at, *pose) {
-                None => Err("no point lies on the CAD".to_string()),
+                None => Err(off_cad("no point lies on the CAD")),
                 Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
             };
             Ok((*view, laid))

@@ -9,16 +9,17 @@ use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
-use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
+use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
-use super::lay::{Laid, layout};
+use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
+    EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
     rays_without_point, reach_mm,
 };
 
@@ -39,7 +40,7 @@ const NEARLY_MM: f64 = 10e-3;
 const MOST_RMS_MM: f64 = 0.05;
 /// And so does one with fewer of its points on the CAD.
 const LEAST_SHARE: f64 = 0.6;
-/// Up to so many views each one renews the joint solve, then every so many.
+/// Up to so many views each one renews the adjustment, then every so many.
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
@@ -64,7 +65,7 @@ pub(super) struct ScannedView {
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: Isometry3<f64>,
     /// What became of it on the CAD, or why it must not be used.
-    pub laid: Result<LaidView, String>,
+    pub laid: Result<LaidView, Reason>,
 }
 
 /// A view on the CAD.
@@ -86,8 +87,8 @@ pub(super) struct ViewScanner {
     decoder: Arc<Decoder>,
     /// Nearest and farthest distance at which the head measures, mm.
     reach_mm: [f64; 2],
-    itinerary: Arc<Itinerary>,
-    joint: Solution,
+    plan: Arc<ViewPlan>,
+    adjustment: Solution,
     known: BTreeMap<usize, ViewInformation>,
 }
 
@@ -96,7 +97,7 @@ impl ViewScanner {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: Arc<ViewPlan>,
         known: BTreeMap<usize, ViewInformation>,
     ) -> Result<Self, EvaluatorError> {
         let what = "[gear] in the tool file";
@@ -109,8 +110,8 @@ impl ViewScanner {
             gear: gear.clone(),
             reach_mm: reach_mm(&subject.head)?,
             decoder,
-            itinerary,
-            joint: Solution::prior(nominal, Local::default()),
+            plan,
+            adjustment: Solution::prior(nominal, Local::default()),
             known,
         };
         scanner.solve();
@@ -119,8 +120,8 @@ impl ViewScanner {
 
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
-        let at = place(&self.itinerary, view);
-        let mut prior = self.joint.predict(at);
+        let at = place(&self.plan, view);
+        let mut prior = self.adjustment.predict(at);
         let expected = *prior.tool_from_cloud.isometry();
         let decoded_view = match self.decoder.finish(sums) {
             Ok(decoded) => decoded,
@@ -128,7 +129,7 @@ impl ViewScanner {
                 return ScannedView {
                     kept: KeptView::default(),
                     tool_from_camera: expected,
-                    laid: Err(error.to_string()),
+                    laid: Err(Reason::instrument(Code::Decoding, error)),
                 };
             }
         };
@@ -174,9 +175,9 @@ impl ViewScanner {
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
             (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
-                Err(reason.to_string())
+                Err(Reason::instrument(reason.into(), reason))
             }
-            (_, None) => Err("no point lies on the CAD".into()),
+            (_, None) => Err(off_cad("no point lies on the CAD")),
             (_, Some(information)) => match unlike_cad(&information) {
                 Some(why) => Err(why),
                 None => Ok(self.lay(view, information, &kept)),
@@ -195,7 +196,7 @@ impl ViewScanner {
         if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
             self.solve();
         }
-        let settled = self.joint.settle(&information);
+        let settled = self.adjustment.settle(&information);
         let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
         let laid = Laid::new(&self.tool.surface, tool_from_camera, kept);
         let information = laid.information(information.at).unwrap_or(information);
@@ -210,34 +211,39 @@ impl ViewScanner {
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
         // A solve that breaks down leaves the prediction as it was; the final one reports it.
-        if let Ok(joint) = solve(&self.joint.stages, &views, &[], Local::default()) {
-            self.joint = joint;
+        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], Local::default()) {
+            self.adjustment = adjustment;
         }
     }
 }
 
-/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The joint solve goes on from
+/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
 /// there.
-fn nearly_settled(reason: &Reason) -> bool {
-    matches!(reason, Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+fn nearly_settled(reason: &registration::Reason) -> bool {
+    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+}
+
+/// A view that lies elsewhere.
+pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
+    Reason::instrument(Code::OffCad, sentence)
 }
 
 /// Why a view cannot show the part of the CAD.
-pub(super) fn unlike_cad(view: &ViewInformation) -> Option<String> {
+pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
     (view.rms_mm > MOST_RMS_MM || view.share < LEAST_SHARE).then(|| {
-        format!(
+        off_cad(format_args!(
             "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
             100.0 * view.share,
             1e3 * view.rms_mm,
             100.0 * LEAST_SHARE,
             1e3 * MOST_RMS_MM,
-        )
+        ))
     })
 }
 
 /// What the stages are told for a view.
-pub(super) fn place(itinerary: &Itinerary, view: usize) -> Pose {
-    let planned = &itinerary.views[view];
+pub(super) fn place(plan: &ViewPlan, view: usize) -> Pose {
+    let planned = &plan.views[view];
     Pose {
         rotation_rad: planned.rotation_rad,
         vertical_mm: planned.vertical_mm,

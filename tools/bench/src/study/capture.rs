@@ -8,7 +8,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
 use flankscope_station::baseline::Baseline;
-use flankscope_station::inspection::{Evaluator, Feature, Itinerary, Subject, ViewOutcome};
+use flankscope_station::inspection::{Evaluator, Feature, Subject, ViewOutcome, ViewPlan};
 
 use crate::damage::Random;
 use crate::world::{PatternSpec, ViewState, World};
@@ -20,7 +20,7 @@ const VERTICAL_ERROR_MM: f64 = 5e-3;
 pub(super) struct Instrument {
     decoder: Arc<Decoder>,
     evaluator: Evaluator,
-    itinerary: Arc<Itinerary>,
+    plan: Arc<ViewPlan>,
 }
 
 /// What is wrong with one capture, beside the stages' own errors.
@@ -48,21 +48,21 @@ impl Instrument {
             baseline: baseline.map(Arc::new),
             hashes: std::collections::BTreeMap::new(),
         };
-        let itinerary = Arc::new(Itinerary::new(tool, head, Some(&[tooth]))?);
+        let plan = Arc::new(ViewPlan::new(tool, head, Some(&[tooth]))?);
         let decoder = Arc::new(Decoder::new(
             head,
-            &itinerary.patterns,
-            &itinerary.exposures_us,
+            &plan.patterns,
+            &plan.exposures_us,
             DecodeOptions {
                 grid,
                 ..DecodeOptions::for_head(head)
             },
         )?);
-        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         Ok(Self {
             decoder,
             evaluator,
-            itinerary,
+            plan,
         })
     }
 
@@ -74,7 +74,7 @@ impl Instrument {
         trouble: Trouble,
     ) -> anyhow::Result<ViewState> {
         let mut random = Random::new(draw, 1);
-        let view = &self.itinerary.views[0];
+        let view = &self.plan.views[0];
         let rotation = view.rotation_rad
             + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
             + trouble.turned_rad;
@@ -106,7 +106,7 @@ impl Instrument {
                     (1 + before + step, exposure)
                 }
             };
-            let lit_us = f64::from(self.itinerary.exposures_us[exposure]) * (1.0 - trouble.dimmed);
+            let lit_us = f64::from(self.plan.exposures_us[exposure]) * (1.0 - trouble.dimmed);
             let counter = number.wrapping_mul(64).wrapping_add(i as u32);
             world.render(
                 state,
@@ -124,7 +124,7 @@ impl Instrument {
     }
 
     fn sets(&self) -> Vec<(f64, u32)> {
-        let sets = self.itinerary.patterns.sets.iter();
+        let sets = self.plan.patterns.sets.iter();
         sets.map(|s| (s.periods, s.steps)).collect()
     }
 }

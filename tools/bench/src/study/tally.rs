@@ -139,9 +139,9 @@ impl Cell {
             block,
             truth_um: found.truth_um,
             figure,
-            verdict: feature.verdict,
+            verdict: feature.verdict.to_string(),
             reason: feature.reason,
-            code: feature.code,
+            code: feature.code.map(|code| code.word()),
         });
     }
 

@@ -9,7 +9,7 @@ use super::trend::Trend;
 
 /// Trend, changes and remaining cycles of one flank.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Outlook {
+pub struct Forecast {
     /// Tooth, from 1.
     pub tooth: u32,
     /// `left` or `right`.
@@ -37,7 +37,7 @@ pub struct Remaining {
     pub q50: Option<f64>,
 }
 
-impl Outlook {
+impl Forecast {
     /// What follows from a flank's figures.
     #[must_use]
     pub fn of(series: Series) -> Self {

@@ -13,16 +13,19 @@ use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
-use flankscope_metrology::registration::{PaperOptions, Status, register_paper, search_phase};
+use flankscope_metrology::registration::{
+    Hinz2019Options, Status, register_hinz2019, search_phase,
+};
 use flankscope_metrology::space::frames::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
 
 use super::job::ScanError;
 use super::session::Session;
 use super::view::{Kept, coordinates, place};
-use crate::inspection::Itinerary;
+use crate::inspection::ViewPlan;
 
 /// Density of the reference points that the merged cloud is compared with, per mm²: the one at which a perfect piece has
 /// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74.
@@ -30,7 +33,7 @@ const MERGED_PER_MM2: f64 = 50.0;
 
 /// What the article leaves to whoever uses it.
 #[derive(Clone, Debug)]
-pub struct PaperSettings {
+pub struct Hinz2019Settings {
     /// Pose of the first view (tool frame from its camera frame) from picked pairs; without one, the files' hand-eye and a
     /// search for the tooth phase.
     pub first_pose: Option<Rigid<ToolFrame, Cloud>>,
@@ -46,7 +49,7 @@ pub struct PaperSettings {
     pub seed: u64,
 }
 
-impl Default for PaperSettings {
+impl Default for Hinz2019Settings {
     /// A mild mask, 10 % of the points, Euclidean distance.
     fn default() -> Self {
         Self {
@@ -61,7 +64,7 @@ impl Default for PaperSettings {
 }
 
 /// A view on random CAD points.
-pub(super) struct PaperView {
+pub(super) struct Hinz2019View {
     pub view: usize,
     /// Root mean square distance of its points to the nearest reference points, mm.
     pub rms_mm: f64,
@@ -71,11 +74,11 @@ pub(super) struct PaperView {
 }
 
 /// Views that were laid on random CAD points one by one.
-pub(super) struct PaperStitched {
+pub(super) struct Hinz2019Stitched {
     /// Views that took part.
-    pub views: Vec<PaperView>,
+    pub views: Vec<Hinz2019View>,
     /// Views that did not settle on the CAD.
-    pub refused: Vec<(usize, String)>,
+    pub refused: Vec<(usize, Reason)>,
     /// Exact distances of the laid points: what the stitching alone makes of the form.
     pub map: CylinderMap,
     /// Distances of the first view's points to the nearest reference point.
@@ -88,11 +91,11 @@ pub(super) struct PaperStitched {
 pub(super) fn stitch(
     session: &Session,
     tool: &Tool,
-    itinerary: &Itinerary,
+    plan: &ViewPlan,
     nominal: &Stages,
     mut map: CylinderMap,
-    settings: &PaperSettings,
-) -> Result<PaperStitched, ScanError> {
+    settings: &Hinz2019Settings,
+) -> Result<Hinz2019Stitched, ScanError> {
     let teeth = tool.gear.as_ref().map_or(1, |gear| gear.teeth);
     let stages = Stages::nominal(Isometry3::identity());
     // What stands between stage and camera: found with one view, it is where the next one starts.
@@ -101,26 +104,26 @@ pub(super) fn stitch(
     let mut centre_above_mm = None;
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let mut one_view = None;
-    for (view, _) in session.views().filter(|(v, _)| *v < itinerary.views.len()) {
+    for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
         let points = session.points(view)?.points;
         let seed = settings.seed.wrapping_add((view as u64) << 32);
         let drawn = drawn(&points, settings, seed);
-        let (xyz, at) = (coordinates(&drawn, drawn.len()), place(itinerary, view));
+        let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
         let moved = stages.tool_from_camera(at);
         let start = match (stage_from_camera, settings.first_pose) {
             (Some(known), _) => moved * known,
             (None, Some(picked)) => *picked.isometry(),
             (None, None) => search_phase(&tool.surface, &xyz, &nominal.tool_from_camera(at), teeth),
         };
-        let options = PaperOptions {
+        let options = Hinz2019Options {
             seed,
-            ..PaperOptions::default()
+            ..Hinz2019Options::default()
         };
         let start = Rigid::from_isometry(start);
-        let (found, reference) = register_paper(&tool.mesh, &xyz, &start, &options);
+        let (found, reference) = register_hinz2019(&tool.mesh, &xyz, &start, &options);
         let Some(reference) = reference.filter(|_| found.is_registered()) else {
             if let Status::Indeterminate(reason) = found.status {
-                refused.push((view, reason.to_string()));
+                refused.push((view, Reason::instrument((&reason).into(), reason)));
             }
             continue;
         };
@@ -145,7 +148,7 @@ pub(super) fn stitch(
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         let closest = tool.surface.closest_many(&laid);
         map.add_view(&cell_observations(&map.layout(), &closest, &sigma), |_| 0.0);
-        views.push(PaperView {
+        views.push(Hinz2019View {
             view,
             rms_mm: distances.rms_mm,
             tool_from_camera,
@@ -154,7 +157,7 @@ pub(super) fn stitch(
         cloud.extend(laid);
     }
     let merged = voxel_centroids(&cloud, settings.voxel_mm)?;
-    Ok(PaperStitched {
+    Ok(Hinz2019Stitched {
         views,
         refused,
         map,
@@ -164,7 +167,7 @@ pub(super) fn stitch(
 }
 
 /// Points that the mask leaves, a share of them.
-fn drawn(points: &[Kept], settings: &PaperSettings, seed: u64) -> Vec<Kept> {
+fn drawn(points: &[Kept], settings: &Hinz2019Settings, seed: u64) -> Vec<Kept> {
     points
         .iter()
         .zip(0..)
@@ -176,7 +179,7 @@ fn drawn(points: &[Kept], settings: &PaperSettings, seed: u64) -> Vec<Kept> {
 }
 
 /// Reference points all over the toothing.
-fn whole_reference(tool: &Tool, settings: &PaperSettings) -> Vec<[f64; 3]> {
+fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
     let threshold_mm = sampling::Region::default().radial_threshold_mm;
     let count = (sampling::area_mm2(&tool.mesh) * MERGED_PER_MM2).clamp(1.0, 1e8) as usize;
     let mut points = sampling::sample(&tool.mesh, count, settings.seed).unwrap_or_default();

@@ -7,54 +7,48 @@ use std::thread::JoinHandle;
 use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
 use tokio::sync::mpsc as channel;
 
-use super::job::{InspectError, Subject};
-use super::plan::Itinerary;
+use super::error::AcquisitionError;
+use super::program::Program;
 use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
-use super::views::ViewOutcome;
 use crate::capture::{FrameReceiver, SharedRoot};
-use crate::history::Keeper;
-use crate::origin::Setting;
 
-/// The instrument's host side: its threads run, frames have a place to arrive.
+/// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
 ///
 /// Made before the camera process starts, so that the services are there when it comes.
 #[derive(Debug)]
-pub struct Station<O = ViewOutcome, S = Subject> {
-    pub(crate) subject: S,
+pub struct Acquisition<O> {
+    pub(super) program: Program,
     orders: Option<Orders>,
     pub(super) recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
     pub(super) work: Option<mpsc::Sender<(usize, Accumulator)>>,
     pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
-    pub(crate) itinerary: Arc<Itinerary>,
-    /// Where checks are stored, if they are.
-    pub(crate) keeper: Option<Keeper>,
-    /// Where it works; not told where nobody asks.
-    pub(crate) setting: Option<Setting>,
 }
 
-impl<O: Send + 'static, S> Station<O, S> {
+impl<O: Send + 'static> Acquisition<O> {
     /// Starts the capture thread, and the compute thread with what it makes of a view's sums.
+    ///
+    /// # Errors
+    /// Shared memory or a thread is refused.
     pub(crate) fn start(
-        subject: S,
-        itinerary: Arc<Itinerary>,
-        decoder: Arc<Decoder>,
+        program: Program,
+        decoder: &Arc<Decoder>,
         root: Arc<SharedRoot>,
         mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
-    ) -> Result<Self, InspectError> {
+    ) -> Result<Self, AcquisitionError> {
         let settings = RecorderSettings {
             dark_limit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
-                exposure: itinerary.exposures_us.len() as u16 / 2,
-                pattern: itinerary.patterns.frames_per_exposure() as u16,
+                exposure: program.exposures_us.len() as u16 / 2,
+                pattern: program.patterns.frames_per_exposure() as u16,
             },
             full_scale_dn: decoder.full_scale_dn(),
         };
         let (order_sender, order_receiver) = mpsc::channel();
         let (recorded_sender, recorded) = channel::unbounded_channel();
         let (ready_sender, ready) = mpsc::channel();
-        let capture_decoder = Arc::clone(&decoder);
+        let capture_decoder = Arc::clone(decoder);
         // Ports stay on the thread that made them.
         let capture = std::thread::Builder::new()
             .name("capture".into())
@@ -76,10 +70,10 @@ impl<O: Send + 'static, S> Station<O, S> {
                 )
                 .run();
             });
-        let capture = capture.map_err(|_| InspectError::Thread { thread: "capture" })?;
+        let capture = capture.map_err(|_| AcquisitionError::Thread { thread: "capture" })?;
         ready
             .recv()
-            .map_err(|_| InspectError::Thread { thread: "capture" })??;
+            .map_err(|_| AcquisitionError::Thread { thread: "capture" })??;
         let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
         let (outcome_sender, outcomes) = channel::unbounded_channel();
         let recycle = order_sender.clone();
@@ -94,32 +88,29 @@ impl<O: Send + 'static, S> Station<O, S> {
                     }
                 }
             });
-        let compute = compute.map_err(|_| InspectError::Thread { thread: "compute" })?;
+        let compute = compute.map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
         Ok(Self {
-            subject,
+            program,
             orders: Some(order_sender),
             recorded,
             capture: Some(capture),
             work: Some(work),
             outcomes,
             compute: Some(compute),
-            itinerary,
-            keeper: None,
-            setting: None,
         })
     }
 
-    pub(super) fn order(&self, order: Order) -> Result<(), InspectError> {
-        let gone = InspectError::Thread { thread: "capture" };
+    pub(super) fn order(&self, order: Order) -> Result<(), AcquisitionError> {
+        let gone = AcquisitionError::Thread { thread: "capture" };
         self.orders.as_ref().ok_or(gone).and_then(|orders| {
             orders
                 .send(order)
-                .map_err(|_| InspectError::Thread { thread: "capture" })
+                .map_err(|_| AcquisitionError::Thread { thread: "capture" })
         })
     }
 }
 
-impl<O, S> Drop for Station<O, S> {
+impl<O> Drop for Acquisition<O> {
     fn drop(&mut self) {
         // The threads end when their orders end.
         self.orders = None;

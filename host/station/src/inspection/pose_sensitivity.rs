@@ -8,7 +8,7 @@ use flankscope_metrology::registration::{Contact, Options, Prior, Registration, 
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Temperature;
 use flankscope_metrology::wear::leakage;
-use flankscope_metrology::wear::{Influence, PoseEvidence, SeenFlank, Zone};
+use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 
 /// A flank with fewer points says nothing of the pose.
@@ -49,7 +49,7 @@ impl OnFlank {
 
 impl Fitted<'_> {
     /// The influences on both flanks of `tooth`.
-    pub fn on(&self, tooth: u32) -> [Influence; 2] {
+    pub fn on(&self, tooth: u32) -> [PoseSensitivity; 2] {
         let contacts: Vec<Contact> = self
             .closest
             .iter()
@@ -96,7 +96,7 @@ impl Fitted<'_> {
             }
             let mean = |sum: f64| if count > 0.0 { sum / count } else { 0.0 };
             let squares: f64 = passed_on.iter().map(|&sum| mean(sum).powi(2)).sum();
-            Influence {
+            PoseSensitivity {
                 leakage: leakage[usize::from(flank == Flank::Right)],
                 evidence: Arc::clone(&evidence),
                 form_scatter_mm: 0.0,

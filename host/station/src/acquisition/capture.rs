@@ -5,12 +5,11 @@ use std::time::Duration;
 use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, State};
 use tokio::time::Instant;
 
-use super::job::{InspectError, Progress};
+use super::error::{AcquisitionError, Progress, Stop, ViewError};
 use super::pairing::pair;
-use super::plan::capture_plan;
-use super::recorder::{CapturedView, Order, Recorded, ViewError};
+use super::recorder::{CapturedView, Order, Recorded};
 use super::run::Run;
-use super::station::Station;
+use super::session::Acquisition;
 use crate::capture::Arm;
 use crate::controller::Client;
 
@@ -20,18 +19,18 @@ const EVENT_PATIENCE: Duration = Duration::from_secs(15);
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Part of a hold limit that is kept for the way out: LED off, at most 0.3 s to stop, 0.8 s to retract, and a margin.
-pub(super) const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
+pub(crate) const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
 
-impl<O: Send + 'static, S> Station<O, S> {
+impl<O: Send + 'static> Acquisition<O> {
     /// Brings a controller without a fault to `Ready`: references its stages if they are not.
     pub(crate) async fn make_ready(
         &self,
         client: &mut Client,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<(), InspectError> {
+    ) -> Result<(), AcquisitionError> {
         let status = client.status().await?;
         if let Some(fault) = status.fault {
-            return Err(InspectError::Faulted { fault });
+            return Err(AcquisitionError::Faulted { fault });
         }
         if status.homed {
             return Ok(());
@@ -43,7 +42,7 @@ impl<O: Send + 'static, S> Station<O, S> {
                 Event::StateChanged {
                     next: State::Ready, ..
                 } => return Ok(()),
-                Event::Fault { fault, .. } => return Err(InspectError::Faulted { fault }),
+                Event::Fault { fault, .. } => return Err(AcquisitionError::Faulted { fault }),
                 _ => {}
             }
         }
@@ -57,8 +56,8 @@ impl<O: Send + 'static, S> Station<O, S> {
         views: &[usize],
         limits: &flankscope_protocol::Limits,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<Option<String>, InspectError> {
-        let plan = capture_plan(&self.itinerary, views, limits)?;
+    ) -> Result<Option<Stop>, AcquisitionError> {
+        let plan = self.program.capture_plan(views, limits)?;
         plan.validate(limits)?;
         run.begin_session(views);
         // Whatever the controller did before it answers this belongs to an earlier capture.
@@ -73,17 +72,17 @@ impl<O: Send + 'static, S> Station<O, S> {
             })
             .await?;
         // The press is held from here on: this is how many cycles the die has seen.
-        run.press_cycles = client.status().await?.press.cycles;
+        run.counts.press_cycles = client.status().await?.press.cycles;
         match self.follow(client, run, &plan, watch).await {
             Ok(stopped) => Ok(stopped),
-            // The check had begun: a link that breaks now leaves the verdict open instead of ending the program.
-            Err(error) => Ok(Some(error.to_string())),
+            // It had begun: a link that breaks now leaves views open instead of ending the program.
+            Err(error) => Ok(Some(error.into())),
         }
     }
 
     /// Waits until frames are labelled for the new plan: an earlier one would count for the old.
-    async fn armed(&mut self, run: &mut Run<O>) -> Result<(), InspectError> {
-        let gone = InspectError::Thread { thread: "capture" };
+    async fn armed(&mut self, run: &mut Run<O>) -> Result<(), AcquisitionError> {
+        let gone = AcquisitionError::Thread { thread: "capture" };
         loop {
             match self.recorded.recv().await {
                 Some(Recorded::Armed) => return Ok(()),
@@ -102,7 +101,7 @@ impl<O: Send + 'static, S> Station<O, S> {
         run: &mut Run<O>,
         plan: &CapturePlan,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<Option<String>, InspectError> {
+    ) -> Result<Option<Stop>, AcquisitionError> {
         let frames = plan.frames_per_view();
         let mut failure = None;
         // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
@@ -111,22 +110,22 @@ impl<O: Send + 'static, S> Station<O, S> {
         loop {
             self.evaluate_whole_views(run, frames)?;
             match captured {
-                Some(_) if closed && run.evaluating == 0 => return Ok(failure),
+                Some(_) if closed && run.session.evaluating == 0 => return Ok(failure),
                 Some(limit) if !closed && Instant::now() > limit => {
-                    return Ok(Some("the capture thread does not answer".into()));
+                    return Ok(Some(Stop::Stalled));
                 }
                 _ => {}
             }
             tokio::select! {
-                recorded = self.recorded.recv() => match recorded.ok_or(InspectError::Thread { thread: "capture" })? {
-                    Recorded::View(view) => run.waiting.push(*view),
+                recorded = self.recorded.recv() => match recorded.ok_or(AcquisitionError::Thread { thread: "capture" })? {
+                    Recorded::View(view) => run.session.waiting.push(*view),
                     Recorded::Closed => closed = true,
                     Recorded::Armed => {}
                     Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {
-                    let (view, outcome) = outcome.ok_or(InspectError::Thread { thread: "compute" })?;
-                    watch(Progress::Evaluated(view));
+                    let (view, outcome) = outcome.ok_or(AcquisitionError::Thread { thread: "compute" })?;
+                    watch(Progress::Evaluated(run.number(view)));
                     run.evaluated(view, *outcome);
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
@@ -134,7 +133,7 @@ impl<O: Send + 'static, S> Station<O, S> {
                     let (mut done, mut retracting) = (false, false);
                     match event {
                         Err(error) => {
-                            failure.get_or_insert(error.to_string());
+                            failure.get_or_insert(Stop::Broken(error.into()));
                             done = true;
                         }
                         Ok(event) => {
@@ -142,23 +141,26 @@ impl<O: Send + 'static, S> Station<O, S> {
                             run.timeline.note(&event);
                             match event {
                                 Event::StateChanged { next: State::Moving, .. } => {
-                                    watch(Progress::Moving(run.views_begun(), run.session.len()));
+                                    let next = run.session.views.get(run.session.begun());
+                                    if let Some(&view) = next {
+                                        watch(Progress::Moving(run.number(view), run.wanted.len()));
+                                    }
                                 }
                                 Event::StateChanged { next: State::Retracting, .. } => {
                                     watch(Progress::Retracting);
                                     retracting = true;
                                 }
                                 Event::Triggered(trigger) => {
-                                    watch(Progress::Exposed(usize::from(trigger.view), trigger.frame, frames));
+                                    watch(Progress::Exposed(trigger.frame, frames));
                                     run.triggered(trigger);
                                 }
                                 Event::Fault { fault, .. }
                                     if fault.known().is_none_or(|f| f.class() != FaultClass::Limit) =>
                                 {
-                                    failure.get_or_insert(fault.to_string());
+                                    failure.get_or_insert(Stop::Fault(fault));
                                 }
                                 Event::EventsLost { count, .. } => {
-                                    failure.get_or_insert(format!("{count} events were lost in the controller"));
+                                    failure.get_or_insert(Stop::EventsLost { count });
                                 }
                                 Event::CaptureDone { .. }
                                 | Event::StateChanged { next: State::Faulted | State::Ready, .. } => done = true,
@@ -169,7 +171,7 @@ impl<O: Send + 'static, S> Station<O, S> {
                     // The press is not held any longer, whatever is still missing.
                     if !done && run.hold_limit.is_some_and(|limit| run.timeline.elapsed() + RETRACT_RESERVE > limit) {
                         run.hold_limit = None;
-                        failure.get_or_insert("the check did not fit into the time for which the press may be held".into());
+                        failure.get_or_insert(Stop::HoldLimit);
                         client.order(&Command::Abort).await?;
                     }
                     // Every trigger has been fired when the head begins to retract: the last views need not wait longer.
@@ -190,12 +192,12 @@ impl<O: Send + 'static, S> Station<O, S> {
         &self,
         run: &mut Run<O>,
         frames_per_view: u16,
-    ) -> Result<(), InspectError> {
+    ) -> Result<(), AcquisitionError> {
         let work = self
             .work
             .as_ref()
-            .ok_or(InspectError::Thread { thread: "compute" })?;
-        for captured in run.take_complete(frames_per_view) {
+            .ok_or(AcquisitionError::Thread { thread: "compute" })?;
+        for captured in run.session.take_complete(frames_per_view) {
             let CapturedView {
                 view,
                 accumulator,
@@ -203,13 +205,14 @@ impl<O: Send + 'static, S> Station<O, S> {
                 handover_ns,
                 problem,
             } = captured;
-            let Some(view_number) = run.session.get(usize::from(view)).copied() else {
+            let Some(view_number) = run.session.views.get(usize::from(view)).copied() else {
                 // A frame beyond the plan: one more than was triggered, and nobody knows before which of the others.
-                run.spoil_session("the camera sent a frame beyond the plan");
+                run.spoil_session();
                 self.order(Order::Recycle(accumulator))?;
                 continue;
             };
             let triggers = run
+                .session
                 .triggers
                 .get(usize::from(view))
                 .map_or(&[][..], Vec::as_slice);
@@ -219,19 +222,19 @@ impl<O: Send + 'static, S> Station<O, S> {
             };
             match result {
                 Ok(()) => {
-                    run.received += frames.len() as u64;
-                    run.handover_ns.extend(handover_ns);
+                    run.counts.received += frames.len() as u64;
+                    run.counts.handover_ns.extend(handover_ns);
                     let ended = frames
                         .last()
                         .map_or(0, |frame| frame.exposure_end_monotonic_ns);
-                    run.last_exposure_ns = run.last_exposure_ns.max(ended);
-                    run.evaluating += 1;
+                    run.counts.last_exposure_ns = run.counts.last_exposure_ns.max(ended);
+                    run.session.evaluating += 1;
                     work.send((view_number, accumulator))
-                        .map_err(|_| InspectError::Thread { thread: "compute" })?;
+                        .map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
                 }
                 Err(problem) => {
                     tracing::warn!(view = view_number, %problem, "view refused");
-                    run.spoil(view_number, &problem.to_string());
+                    run.spoil(view_number, problem);
                     self.order(Order::Recycle(accumulator))?;
                 }
             }

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_metrology::multiview::adjustment::ViewInformation;
+use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, FrameView};
 
@@ -14,7 +15,8 @@ use super::patches::Patches;
 use super::session::Session;
 use super::stitch::first_information;
 use super::view::{ScannedView, ViewScanner};
-use crate::inspection::{InspectError, Itinerary, Subject, ViewError};
+use crate::acquisition::ViewError;
+use crate::inspection::{InspectError, Subject, ViewPlan};
 
 /// Masks nothing, but has every point say how much the fringes oscillate around it (smoothed over two fibre cores).
 const FRINGES_ONLY: MaskOptions = MaskOptions {
@@ -32,15 +34,11 @@ pub(super) struct Store {
 }
 
 impl Store {
-    /// Keeps a view that lies on the CAD, or returns why it does not.
-    pub fn keep(
-        &mut self,
-        view: usize,
-        scanned: ScannedView,
-    ) -> Result<Result<(), String>, ScanError> {
+    /// Keeps a view that lies on the CAD.
+    pub fn keep(&mut self, view: usize, scanned: ScannedView) -> Result<Kept, ScanError> {
         let laid = match scanned.laid {
             Ok(laid) => laid,
-            Err(why) => return Ok(Err(why)),
+            Err(why) => return Ok(Kept::Refused(why)),
         };
         self.session
             .keep(view, &scanned.kept, scanned.tool_from_camera)?;
@@ -48,19 +46,28 @@ impl Store {
         self.patches
             .keep(view, pose, &laid.cell_observations, &laid.flanks)?;
         self.known.insert(view, laid.information);
-        Ok(Ok(()))
+        Ok(Kept::Kept)
     }
 }
 
+/// What became of a view.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kept {
+    /// It lies on the CAD and is in the session folder.
+    Kept,
+    /// It cannot be used, for this reason.
+    Refused(Reason),
+}
+
 /// Everything that turns frames into kept views.
-pub(super) struct Workshop {
-    pub itinerary: Arc<Itinerary>,
+pub(super) struct ViewPipeline {
+    pub plan: Arc<ViewPlan>,
     pub decoder: Arc<Decoder>,
     pub views: ViewScanner,
     pub store: Store,
 }
 
-impl Workshop {
+impl ViewPipeline {
     /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
     pub fn open(
         subject: &Subject,
@@ -68,8 +75,8 @@ impl Workshop {
         folder: &Path,
         further: &BTreeMap<String, String>,
     ) -> Result<Self, ScanError> {
-        let itinerary = grid.itinerary(&subject.tool, &subject.head);
-        let itinerary = Arc::new(itinerary.map_err(InspectError::from)?);
+        let plan = grid.plan(&subject.tool, &subject.head);
+        let plan = Arc::new(plan.map_err(InspectError::from)?);
         let mut of: BTreeMap<String, String> = subject
             .hashes
             .iter()
@@ -84,21 +91,21 @@ impl Workshop {
         of.extend(further.clone());
         let session = Session::open(folder, of)?;
         let patches = Patches::new(session.folder())?;
-        let known = first_information(&session, &subject.tool, &itinerary)?;
+        let known = first_information(&session, &subject.tool, &plan)?;
         let decoder = Decoder::new(
             &subject.head,
-            &itinerary.patterns,
-            &itinerary.exposures_us,
+            &plan.patterns,
+            &plan.exposures_us,
             DecodeOptions {
                 mask: Some(FRINGES_ONLY),
                 ..DecodeOptions::for_head(&subject.head)
             },
         );
         let decoder = Arc::new(decoder.map_err(InspectError::from)?);
-        let (to_decode, planned) = (Arc::clone(&decoder), Arc::clone(&itinerary));
+        let (to_decode, planned) = (Arc::clone(&decoder), Arc::clone(&plan));
         let views = ViewScanner::new(subject, to_decode, planned, known.clone());
         Ok(Self {
-            itinerary,
+            plan,
             decoder,
             views: views.map_err(InspectError::from)?,
             store: Store {
@@ -113,7 +120,7 @@ impl Workshop {
 /// Views from recorded frames, without an instrument: summed, laid on the CAD and kept exactly as in a running scan, which
 /// can then stitch them from the session folder.
 pub struct Processing {
-    workshop: Workshop,
+    workshop: ViewPipeline,
     sums: Accumulator,
 }
 
@@ -123,27 +130,22 @@ impl Processing {
     /// # Errors
     /// The subject is unfit, or the folder is another scan's or damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let workshop = Workshop::open(subject, grid, folder, &BTreeMap::new())?;
+        let workshop = ViewPipeline::open(subject, grid, folder, &BTreeMap::new())?;
         let sums = workshop.decoder.begin();
         Ok(Self { workshop, sums })
     }
 
     /// Where the views are taken, and by which patterns and exposures.
     #[must_use]
-    pub fn itinerary(&self) -> &Itinerary {
-        &self.workshop.itinerary
+    pub fn plan(&self) -> &ViewPlan {
+        &self.workshop.plan
     }
 
-    /// Processes the frames of a view, in their order of capture, and keeps it. Returns why the view was refused, if it
-    /// was.
+    /// Processes the frames of a view, in their order of capture, and keeps it, if it lies on the CAD.
     ///
     /// # Errors
     /// A frame does not fit the plan, or the session folder cannot be written.
-    pub fn view(
-        &mut self,
-        view: usize,
-        frames: &[FrameView<'_>],
-    ) -> Result<Result<(), String>, ProcessingError> {
+    pub fn view(&mut self, view: usize, frames: &[FrameView<'_>]) -> Result<Kept, ProcessingError> {
         self.sums.reset();
         for (frame, kind) in frames.iter().zip(self.workshop.decoder.capture_order()) {
             let level = self.sums.add(*frame, kind).map_err(ViewError::from)?;

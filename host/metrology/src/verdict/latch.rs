@@ -1,6 +1,8 @@
 //! From a row of verdicts to what stands at the press: no-go stays until somebody acknowledges it, and one good check
 //! after a warning does not clear the warning.
 
+use super::Word;
+
 /// What is shown at the press and on the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shown {
@@ -20,7 +22,7 @@ impl Shown {
     /// Whether the press gets its go.
     #[must_use]
     pub fn is_go(self) -> bool {
-        matches!(self, Self::Go | Self::Warn)
+        self.verdict().passes()
     }
 
     /// The word for tables and files.
@@ -28,10 +30,18 @@ impl Shown {
     pub fn word(self) -> &'static str {
         match self {
             Self::Unchecked => "unchecked",
-            Self::Go => "go",
-            Self::Warn => "warn",
-            Self::NoGo => "no-go",
-            Self::Indeterminate => "indeterminate",
+            checked => checked.verdict().as_str(),
+        }
+    }
+
+    /// As a verdict: what nobody checked is indeterminate.
+    #[must_use]
+    pub fn verdict(self) -> Word {
+        match self {
+            Self::Go => Word::Go,
+            Self::Warn => Word::Warn,
+            Self::NoGo => Word::NoGo,
+            Self::Unchecked | Self::Indeterminate => Word::Indeterminate,
         }
     }
 }
@@ -65,10 +75,10 @@ impl Latch {
     /// The latch after a pause, from the verdicts since the last acknowledgement: a no-go and a warning are remembered, a
     /// go has to be earned again.
     #[must_use]
-    pub fn resumed<T: AsRef<str>>(verdicts: &[T]) -> Self {
+    pub fn resumed(verdicts: &[Word]) -> Self {
         let mut latch = Self::default();
-        for verdict in verdicts {
-            latch.take(verdict.as_ref());
+        for &verdict in verdicts {
+            latch.take(verdict);
         }
         if latch.shown != Shown::NoGo {
             latch.shown = Shown::Unchecked;
@@ -76,30 +86,29 @@ impl Latch {
         latch
     }
 
-    /// Takes a check's verdict (`go`, `warn`, `no-go`; anything else is indeterminate) and returns what is shown now.
-    pub fn take(&mut self, verdict: &str) -> Shown {
-        self.indeterminate_in_row = match verdict {
-            "go" | "warn" | "no-go" => 0,
-            _ => self.indeterminate_in_row + 1,
-        };
-        self.go_in_row = if verdict == "go" {
-            self.go_in_row + 1
-        } else {
-            0
-        };
-        if verdict == "warn" {
+    /// Takes a check's verdict and returns what is shown now.
+    pub fn take(&mut self, verdict: Word) -> Shown {
+        let in_row = |count: u32, of: Word| if verdict == of { count + 1 } else { 0 };
+        self.indeterminate_in_row = in_row(self.indeterminate_in_row, Word::Indeterminate);
+        self.go_in_row = in_row(self.go_in_row, Word::Go);
+        if verdict == Word::Warn {
             self.warned = true;
         } else if self.go_in_row >= GO_TO_CLEAR_WARNING {
             self.warned = false;
         }
         self.shown = match (self.shown, verdict) {
-            (Shown::NoGo, _) | (_, "no-go") => Shown::NoGo,
-            (_, "warn") => Shown::Warn,
-            (_, "go") if self.warned => Shown::Warn,
-            (_, "go") => Shown::Go,
-            _ => Shown::Indeterminate,
+            (Shown::NoGo, _) | (_, Word::NoGo) => Shown::NoGo,
+            (_, Word::Warn) => Shown::Warn,
+            (_, Word::Go) if self.warned => Shown::Warn,
+            (_, Word::Go) => Shown::Go,
+            (_, Word::Indeterminate) => Shown::Indeterminate,
         };
         self.shown
+    }
+
+    /// Nobody has confirmed a go for too long: as after a check without a result.
+    pub fn expire(&mut self) -> Shown {
+        self.take(Word::Indeterminate)
     }
 
     /// What is shown now.
@@ -124,10 +133,10 @@ impl Latch {
 mod tests {
     use super::*;
 
-    const VERDICTS: [&str; 4] = ["go", "warn", "no-go", "indeterminate"];
+    const VERDICTS: [Word; 4] = Word::ALL;
 
     /// Every row of up to six verdicts.
-    fn rows() -> impl Iterator<Item = Vec<&'static str>> {
+    fn rows() -> impl Iterator<Item = Vec<Word>> {
         (0..6_u32).flat_map(|length| {
             (0..4_usize.pow(length)).map(move |code| {
                 (0..length)
@@ -145,7 +154,7 @@ mod tests {
                 latch.take(verdict);
             }
             let shown = latch.shown();
-            let stopped = row.contains(&"no-go");
+            let stopped = row.contains(&Word::NoGo);
             assert_eq!(
                 stopped,
                 shown == Shown::NoGo,
@@ -154,22 +163,25 @@ mod tests {
             if let Some(&last) = row.last().filter(|_| !stopped) {
                 assert_eq!(
                     shown.is_go(),
-                    last == "go" || last == "warn",
+                    last == Word::Go || last == Word::Warn,
                     "{row:?}: without a result there is no go"
                 );
-                let last_warning = row.iter().rposition(|&v| v == "warn");
-                let cleared = last_warning
-                    .is_none_or(|at| row[at + 1..].windows(2).any(|pair| pair == ["go", "go"]));
+                let last_warning = row.iter().rposition(|&v| v == Word::Warn);
+                let cleared = last_warning.is_none_or(|at| {
+                    row[at + 1..]
+                        .windows(2)
+                        .any(|pair| pair == [Word::Go, Word::Go])
+                });
                 assert_eq!(
                     shown == Shown::Go,
-                    last == "go" && cleared,
+                    last == Word::Go && cleared,
                     "{row:?}: two good checks clear a warning"
                 );
             }
             let trailing = row
                 .iter()
                 .rev()
-                .take_while(|&&v| v == "indeterminate")
+                .take_while(|&&v| v == Word::Indeterminate)
                 .count();
             assert_eq!(latch.needs_maintenance(), trailing >= 3, "{row:?}");
             let mut resumed = Latch::resumed(&row);

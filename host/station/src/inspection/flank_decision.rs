@@ -1,11 +1,11 @@
-//! A view's flanks, measured once or several times, against limits and baseline.
+//! What decides a flank: everything that was measured of it, once or several times, against limits and baseline.
 
 use std::sync::Arc;
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::{Limits, judge};
-use flankscope_metrology::verdict::{Reason, Verdict, repeating_could_decide};
+use flankscope_metrology::verdict::{Code, Reason, Verdict, repeating_could_decide};
 use flankscope_metrology::wear::{Figure, FlankWear, Settings};
 
 use super::result::Expanded;
@@ -14,28 +14,30 @@ use crate::baseline::Baseline;
 
 /// What flanks are judged by.
 #[derive(Debug)]
-pub(crate) struct Judge {
+pub(crate) struct FlankCriteria {
     pub tool: Arc<Tool>,
     pub limits: Limits,
     pub settings: Settings,
     pub baseline: Option<Arc<Baseline>>,
 }
 
-impl Judge {
+impl FlankCriteria {
     /// What is judged of a flank: its loss since the baseline where there is one, else its deviation from CAD.
     ///
     /// # Errors
     /// Why the baseline cannot be used for it.
-    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, String> {
+    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, Reason> {
         let Some(baseline) = &self.baseline else {
             return Ok(wear.clone());
         };
-        let reference = baseline
-            .field(wear.tooth, wear.flank)
-            .ok_or("the baseline lacks this flank; record it again with this tooth")?;
+        let lacks = || {
+            let sentence = "the baseline lacks this flank; record it again with this tooth";
+            Reason::instrument(Code::BaselineLacks, sentence)
+        };
+        let reference = baseline.field(wear.tooth, wear.flank).ok_or_else(lacks)?;
         let before = baseline.pose(wear.tooth);
         let since = wear.clone().since(reference, before, &self.settings);
-        since.map_err(|mismatch| mismatch.to_string())
+        since.map_err(|mismatch| Reason::instrument(Code::BaselineMismatch, mismatch))
     }
 
     /// Judges a flank by everything that was measured of it.

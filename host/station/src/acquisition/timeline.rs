@@ -4,7 +4,38 @@ use std::time::Duration;
 
 use flankscope_protocol::{Event, State, Timestamp, Trigger};
 
-use crate::report::{Lane, Span};
+/// A time in which a device was active, in ms from the first event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Start, ms.
+    pub start_ms: f64,
+    /// End, ms.
+    pub end_ms: f64,
+}
+
+/// What was active.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// The stages moved.
+    Stages,
+    /// Everything waited for them to stand still.
+    Settling,
+    /// The LED was on.
+    Led,
+    /// The DMD showed a pattern before its exposure.
+    Dmd,
+    /// The camera exposed.
+    Camera,
+}
+
+/// When a device was active.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Activity {
+    /// Which.
+    pub device: Device,
+    /// When.
+    pub spans: Vec<Span>,
+}
 
 /// Collects a capture's events.
 #[derive(Debug, Default)]
@@ -88,35 +119,16 @@ impl Timeline {
         self.camera.iter().map(length).sum()
     }
 
-    /// The lanes of the report's picture.
+    /// When each device was active.
     #[must_use]
-    pub fn lanes(self) -> Vec<Lane> {
+    pub fn activities(self) -> Vec<Activity> {
+        let of = |device, spans| Activity { device, spans };
         vec![
-            Lane {
-                name: "stages move",
-                colour: "#7a8794",
-                spans: self.moving,
-            },
-            Lane {
-                name: "settle",
-                colour: "#b9c2cb",
-                spans: self.settling,
-            },
-            Lane {
-                name: "LED",
-                colour: "#2f9e5b",
-                spans: self.led,
-            },
-            Lane {
-                name: "DMD",
-                colour: "#c77d0a",
-                spans: self.dmd,
-            },
-            Lane {
-                name: "camera",
-                colour: "#2b6cb0",
-                spans: self.camera,
-            },
+            of(Device::Stages, self.moving),
+            of(Device::Settling, self.settling),
+            of(Device::Led, self.led),
+            of(Device::Dmd, self.dmd),
+            of(Device::Camera, self.camera),
         ]
     }
 }

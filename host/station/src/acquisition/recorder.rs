@@ -5,10 +5,10 @@
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
 use std::time::Duration;
 
-use flankscope_profilometry::{Accumulator, FrameError, FrameKind, FrameView};
+use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
 
-use super::pairing::PairingError;
-use crate::capture::{Arm, Frame, FrameHeader, FrameReceiver, ReceiveError};
+use super::error::ViewError;
+use crate::capture::{Arm, Frame, FrameHeader, FrameReceiver};
 
 /// How long the thread sleeps for a frame before it looks for orders.
 const PATIENCE: Duration = Duration::from_millis(5);
@@ -29,37 +29,6 @@ pub enum Order {
     Close,
     /// An accumulator that may be used again.
     Recycle(Accumulator),
-}
-
-/// Why a view's frames cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ViewError {
-    /// A frame did not fit the plan, or showed the wrong thing.
-    #[error(transparent)]
-    Frame(#[from] FrameError),
-    /// A frame could not be read.
-    #[error(transparent)]
-    Receive(#[from] ReceiveError),
-    /// Triggers and frames do not pair.
-    #[error(transparent)]
-    Pairing(#[from] PairingError),
-    /// The camera process is labelling another session.
-    #[error("a frame of session {got} came during session {expected}")]
-    Session {
-        /// Session of the frame.
-        got: u32,
-        /// Session armed.
-        expected: u32,
-    },
-    /// Frames are missing at the end.
-    #[error("only {got} of {planned} frames came")]
-    Incomplete {
-        /// Frames that came.
-        got: usize,
-        /// Frames planned.
-        planned: usize,
-    },
 }
 
 /// All frames of one view, summed.

@@ -4,6 +4,7 @@ use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{Pose, Stages};
 use flankscope_metrology::registration::stretch;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
 use nalgebra::Point3;
 use rayon::prelude::*;
 
@@ -30,7 +31,11 @@ pub(super) fn stretch_of_views(
     session: &Session,
     tool: &Tool,
 ) -> Result<Option<f64>, SessionError> {
-    let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+    let views: Vec<_> = stitched
+        .views
+        .iter()
+        .zip(&stitched.adjustment.poses)
+        .collect();
     let found: Result<Vec<Option<f64>>, SessionError> = views
         .par_iter()
         .step_by(views.len().div_ceil(MOST_VIEWS).max(1))
@@ -49,10 +54,10 @@ pub(super) fn stretch_of_views(
 }
 
 /// Why the teeth cannot be the CAD's.
-pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<String> {
+pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<Reason> {
     (stretch.abs() > MOST_STRETCH).then(|| {
         let teeth = f64::from(gear.teeth);
-        format!(
+        let why = format!(
             "the teeth stand {:.2} % {} than the CAD's in every view, at most {:.1} % are accepted: this is another die, with \
              about {:.0} teeth on that circle or a module of {:.4} mm (the CAD has {} and {:.4} mm), or the head file is another \
              head's",
@@ -63,7 +68,8 @@ pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<String> {
             gear.module_mm * (1.0 + stretch),
             gear.teeth,
             gear.module_mm,
-        )
+        );
+        Reason::instrument(Code::OtherDie, why)
     })
 }
 
@@ -84,16 +90,17 @@ pub(super) fn turned_rad(found: &Stages, nominal: &Stages, planned: &[PlannedVie
 }
 
 /// Why the teeth cannot be numbered: a tooth further the views would look the same.
-pub(super) fn ambiguous_teeth(turned_rad: f64, gear: &GearData) -> Option<String> {
+pub(super) fn ambiguous_teeth(turned_rad: f64, gear: &GearData) -> Option<Reason> {
     let rival_rad = gear.pitch_rad() - turned_rad.abs();
     (turned_rad.abs() > RIVAL_RATIO * rival_rad).then(|| {
-        format!(
+        let why = format!(
             "ambiguous tooth: the teeth stand {:.2}° from where stages and head file say, their neighbours {:.2}° on the other \
              side, and all teeth look alike; at most {:.2}° are accepted: was the die put down turned, or is the hand-eye wrong?",
             turned_rad.to_degrees().abs(),
             rival_rad.to_degrees(),
             (gear.pitch_rad() * RIVAL_RATIO / (1.0 + RIVAL_RATIO)).to_degrees(),
-        )
+        );
+        Reason::instrument(Code::TurnedDie, why)
     })
 }
 
@@ -146,19 +153,25 @@ mod tests {
         // 0.6 of the way to the rival: 4.286 degrees times 0.6 / 1.6.
         let refused = |deg: f64| ambiguous_teeth(deg.to_radians(), &gear());
         assert_eq!((refused(1.6), refused(-1.6)), (None, None));
-        assert!(refused(-1.7).is_some_and(|why| why.contains("1.70°") && why.contains("2.59°")));
+        assert!(
+            refused(-1.7)
+                .map(|why| why.to_string())
+                .is_some_and(|why| why.contains("1.70°") && why.contains("2.59°"))
+        );
     }
 
     #[test]
     fn another_number_of_teeth_is_named() {
         let gear = gear();
         assert_eq!(unlike_teeth(1e-3, &gear), None);
-        let wider = unlike_teeth(84.0 / 83.0 - 1.0, &gear).unwrap();
+        let wider = unlike_teeth(84.0 / 83.0 - 1.0, &gear).unwrap().to_string();
         assert!(
             wider.contains("1.20 % farther apart") && wider.contains("about 83 teeth"),
             "{wider}"
         );
-        let closer = unlike_teeth(0.98 / 0.9869 - 1.0, &gear).unwrap();
+        let closer = unlike_teeth(0.98 / 0.9869 - 1.0, &gear)
+            .unwrap()
+            .to_string();
         assert!(
             closer.contains("closer together") && closer.contains("0.9800 mm"),
             "{closer}"

@@ -1,5 +1,6 @@
 //! A check counts once it is stored: what cannot be kept is not said.
 
+use flankscope_metrology::verdict::{Code, Latch, Reason};
 use rayon::prelude::*;
 
 use super::error::HistoryError;
@@ -7,11 +8,11 @@ use super::phasors::pack;
 use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::Inspection;
-use crate::watch::Latch;
+use crate::sink::{ResultSink, SinkError};
 
-/// Stores what a station finds.
+/// The sink that a verdict waits for.
 #[derive(Debug)]
-pub struct Keeper {
+pub struct HistoryWriter {
     history: History,
     /// Cycles of the tool at the next check, where somebody said so.
     tool_cycles: Option<u32>,
@@ -20,7 +21,7 @@ pub struct Keeper {
     operator: String,
 }
 
-impl Keeper {
+impl HistoryWriter {
     /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
     /// better than from the last check. Of a go, the phasors are removed after `keep_phasors` later checks; other verdicts
     /// keep theirs. `operator` is who runs the instrument.
@@ -41,15 +42,16 @@ impl Keeper {
 
     /// Notes that the instrument begins to work with this tool, at the simulated bench or not, and keeps the baseline
     /// that it judges by.
-    pub(crate) fn begin(
+    ///
+    /// # Errors
+    /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
+    pub fn begin(
         &mut self,
         tool: &str,
-        simulated: Option<bool>,
+        simulated: bool,
         baseline: Option<&Baseline>,
     ) -> Result<(), HistoryError> {
-        if let Some(simulated) = simulated {
-            self.history.takes(simulated)?;
-        }
+        self.history.takes(simulated)?;
         if let Some(baseline) = baseline {
             self.history
                 .keep_baseline(&baseline.hash(), tool, &baseline.document())?;
@@ -57,25 +59,6 @@ impl Keeper {
         let version = concat!("flankscope ", env!("CARGO_PKG_VERSION"));
         self.history
             .audit(&self.operator, "open", &format!("{version}, {tool}"))
-    }
-
-    /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
-    pub fn keep(&mut self, inspection: &mut Inspection) {
-        match self.store(inspection) {
-            Ok(id) => {
-                inspection.id = Some(id);
-                self.tool_cycles = None;
-            }
-            Err(error) => {
-                tracing::error!(%error, "the check is not stored");
-                if inspection.verdict == "no-go" {
-                    inspection.reason = format!("{}; {error}", inspection.reason);
-                } else {
-                    inspection.verdict = "indeterminate".into();
-                    inspection.reason = error.to_string();
-                }
-            }
-        }
     }
 
     /// Stores a check; its phasors first, so that a stored check always has them.
@@ -117,5 +100,22 @@ impl Keeper {
     /// What stood at the press when the instrument was last switched off, without its go.
     pub(crate) fn latch(&self, tool: &str) -> Result<Latch, HistoryError> {
         Ok(Latch::resumed(&self.history.open_verdicts(tool)?))
+    }
+}
+
+impl ResultSink<Inspection> for HistoryWriter {
+    /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
+    fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
+        match self.store(inspection) {
+            Ok(id) => {
+                inspection.id = Some(id);
+                self.tool_cycles = None;
+            }
+            Err(error) => {
+                tracing::error!(%error, "the check is not stored");
+                inspection.withhold(&Reason::instrument(Code::NotStored, error));
+            }
+        }
+        Ok(())
     }
 }

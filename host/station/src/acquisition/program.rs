@@ -1,0 +1,142 @@
+//! What stages, pattern projector and camera are to do, and how that is put to the controller.
+
+use flankscope_profilometry::PatternSet;
+use flankscope_protocol::{
+    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts,
+    View,
+};
+
+/// Wait from in position to light: the die's and the head's ringing at 20 Hz and more has died down (10 periods of 100 Hz).
+const SETTLE: Microseconds = Microseconds::from_millis(100);
+/// Wait from DMD ready to the camera trigger: mirrors settle within tens of µs.
+const DMD_SETTLE: Microseconds = Microseconds(200);
+/// Readout of a 1920 x 1200 frame at 16 bit over USB 3: 80 frames/s are 12.5 ms, and 4 % for the link's other traffic.
+const CAMERA_READOUT: Microseconds = Microseconds(13_000);
+/// LED current of the head.
+const LED: Milliamps = Milliamps(1_000);
+
+/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
+pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
+/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
+pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
+const SQRT_3: f64 = 1.732_050_807_568_877_2;
+
+/// Where the stages stand for a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StagePosition {
+    /// Commanded angle of the rotary stage, rad.
+    pub rotation_rad: f64,
+    /// Commanded position of the vertical stage, mm.
+    pub vertical_mm: f64,
+}
+
+/// All views of a run and how each is exposed.
+#[derive(Clone, Debug)]
+pub struct Program {
+    /// Where the stages stand for each view.
+    pub positions: Vec<StagePosition>,
+    /// Fringe patterns.
+    pub patterns: PatternSet,
+    /// Exposure times, ascending, µs.
+    pub exposures_us: Vec<u32>,
+    /// Vertical position of the retracted head, mm.
+    pub retract_mm: f64,
+}
+
+/// More than a capture plan holds.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{got} {what} are too many for one capture; at most {limit}")]
+pub struct ProgramError {
+    /// Views, exposures or fringe sets.
+    what: &'static str,
+    /// How many were asked for.
+    got: usize,
+    /// How many a plan holds.
+    limit: usize,
+}
+
+impl Program {
+    /// The capture plan for some of its views, under a session number of its own.
+    ///
+    /// # Errors
+    /// More views, sets or exposures than a plan holds.
+    pub(super) fn capture_plan(
+        &self,
+        views: &[usize],
+        limits: &Limits,
+    ) -> Result<CapturePlan, ProgramError> {
+        let mut plan = CapturePlan {
+            session: crate::capture::monotonic_ns() as u32,
+            views: Default::default(),
+            exposures: Default::default(),
+            fringes: Default::default(),
+            led: LED.min(limits.led_max),
+            settle: SETTLE,
+            dmd_settle: DMD_SETTLE,
+            camera_readout: CAMERA_READOUT,
+            retract: Micrometres((self.retract_mm * 1e3).round() as i32),
+            timeouts: Timeouts::default(),
+        };
+        let too_many = |what, got, limit| ProgramError { what, got, limit };
+        let limit = plan.views.capacity();
+        for at in views.iter().filter_map(|&view| self.positions.get(view)) {
+            let view = View {
+                rotation: Microradians((at.rotation_rad * 1e6).round() as i32),
+                vertical: Micrometres((at.vertical_mm * 1e3).round() as i32),
+            };
+            let pushed = plan.views.push(view);
+            pushed.map_err(|_| too_many("views", views.len(), limit))?;
+        }
+        let limit = plan.exposures.capacity();
+        for &exposure in &self.exposures_us {
+            let pushed = plan.exposures.push(Microseconds(exposure));
+            pushed.map_err(|_| too_many("exposures", self.exposures_us.len(), limit))?;
+        }
+        let limit = plan.fringes.capacity();
+        for set in &self.patterns.sets {
+            let set = FringeSet {
+                periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
+                steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
+            };
+            let pushed = plan.fringes.push(set);
+            pushed.map_err(|_| too_many("fringe sets", self.patterns.sets.len(), limit))?;
+        }
+        Ok(plan)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn program(views: usize) -> Program {
+        Program {
+            positions: (0..views)
+                .map(|view| StagePosition {
+                    rotation_rad: 1e-3 * view as f64,
+                    vertical_mm: 33.0,
+                })
+                .collect(),
+            patterns: PatternSet::named("article8").unwrap(),
+            exposures_us: vec![10_000],
+            retract_mm: 86.0,
+        }
+    }
+
+    #[test]
+    fn views_are_put_to_the_controller_in_its_units_and_too_many_are_named() {
+        let limit = flankscope_protocol::plan::MAX_VIEWS;
+        let program = program(limit + 1);
+        let plan = program.capture_plan(&[3, 1], &Limits::DEFAULT).unwrap();
+        let at: Vec<i32> = plan.views.iter().map(|view| view.rotation.get()).collect();
+        assert_eq!(at, [3_000, 1_000]);
+        assert_eq!(plan.retract, Micrometres(86_000));
+        let all: Vec<usize> = (0..=limit).collect();
+        let error = program.capture_plan(&all, &Limits::DEFAULT).unwrap_err();
+        let named = format!(
+            "{} views are too many for one capture; at most {limit}",
+            limit + 1
+        );
+        assert_eq!(error.to_string(), named);
+    }
+}
