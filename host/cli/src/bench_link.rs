@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, bail};
 use flankscope_bench::process::{Farewell, Hello};
-use flankscope_station::capture::SharedRoot;
+use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 
 use crate::instrument::{BenchArgs, Scene};

@@ -6,13 +6,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{CalibrationRecord, SelfTest, Target};
 use flankscope_profilometry::date::Date;
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::origin::{Link, Setting, now};
 use serde::Serialize;
 

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_frames::SharedRoot;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::baseline::Baseline;
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, Keeper};
 use flankscope_station::inspection::{Station, Subject};

@@ -1,14 +1,13 @@
-//! The running instrument: controller client, zero-copy capture, inspection job, report.
+//! The running instrument: controller client, inspection job, report.
 //!
 //! ```text
 //!  controller ── orders, triggers ──┐
 //!                                   ├─ inspection ── verdict ── report
-//!  capture ───── frames, in place ──┘             └── history
+//!  camera ────── frames, in place ──┘             └── history
 //! ```
 
 pub mod baseline;
 pub mod calibration;
-pub mod capture;
 pub mod controller;
 pub mod files;
 pub mod history;

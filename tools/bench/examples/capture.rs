@@ -11,10 +11,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use flankscope_bench::demo;
 use flankscope_bench::world::{PatternSpec, World};
-use flankscope_profilometry::{DecodeOptions, Decoder, FrameView, PatternSet};
-use flankscope_station::capture::{
-    Arm, Frame, FrameHeader, FrameReceiver, FrameSender, Overflow, SharedRoot, monotonic_ns,
+use flankscope_frames::{
+    Arm, BorrowedFrame, Frame, FrameHeader, FrameReceiver, FrameSender, FrameSink, FrameSlot,
+    FrameSource, Overflow, SharedRoot, monotonic_ns,
 };
+use flankscope_profilometry::{DecodeOptions, Decoder, FrameView, PatternSet};
 use rayon::prelude::*;
 
 /// Counts every request for memory of this process.
@@ -133,7 +134,7 @@ fn decoding(read_gb_per_s: f64) -> Result<()> {
 
 /// The camera process: one frame per period, and at its end how often it asked for memory.
 fn camera(root: &SharedRoot) -> Result<()> {
-    let sender = FrameSender::open(root, Overflow::Drop)?;
+    let mut sender = FrameSender::open(root, Overflow::Drop)?;
     let arm = loop {
         if let Some(arm) = sender.armed() {
             break arm;
@@ -210,7 +211,7 @@ fn waking() {
 fn hand_over() -> Result<()> {
     let base = tempfile::tempdir()?;
     let root = SharedRoot::create(base.path())?;
-    let receiver = FrameReceiver::create(&root)?;
+    let mut receiver = FrameReceiver::create(&root)?;
     let mut camera = Command::new(std::env::current_exe()?)
         .env(ROOT_VARIABLE, root.path())
         .stdout(Stdio::piped())
@@ -235,7 +236,7 @@ fn hand_over() -> Result<()> {
         };
         // Taken before the host checks the pixels' checksum.
         let published_ns = frame.header().published_monotonic_ns;
-        let delay_ns = frame.received_monotonic_ns.saturating_sub(published_ns);
+        let delay_ns = frame.received_monotonic_ns().saturating_sub(published_ns);
         delays_us.push(delay_ns as f64 * 1e-3);
     }
     let requests = REQUESTS.load(Ordering::Relaxed) - before;

@@ -9,11 +9,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
+use flankscope_frames::{Overflow, SharedRoot};
 use flankscope_gear_cad::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::{HeadModel, PatternSet};
-use flankscope_station::capture::{Overflow, SharedRoot};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 

@@ -8,6 +8,7 @@ type Room = (&'static str, &'static str, &'static [&'static str]);
 const PROTOCOL: &str = "flankscope-protocol";
 const CONTROLLER: &str = "flankscope-controller";
 const SIM: &str = "flankscope-sim";
+const FRAMES: &str = "flankscope-frames";
 const PROFILOMETRY: &str = "flankscope-profilometry";
 const METROLOGY: &str = "flankscope-metrology";
 const STATION: &str = "flankscope-station";
@@ -18,6 +19,7 @@ const EVERYTHING: &[&str] = &[
     PROTOCOL,
     CONTROLLER,
     SIM,
+    FRAMES,
     PROFILOMETRY,
     METROLOGY,
     STATION,
@@ -40,15 +42,20 @@ const ROOMS: &[Room] = &[
         "flankscope-nucleo-h743zi",
         &[PROTOCOL, CONTROLLER],
     ),
+    ("host/frames", FRAMES, &[PROTOCOL]),
     ("host/profilometry", PROFILOMETRY, &[]),
     ("host/metrology", METROLOGY, &[]),
     (
         "host/station",
         STATION,
-        &[PROTOCOL, PROFILOMETRY, METROLOGY],
+        &[PROTOCOL, FRAMES, PROFILOMETRY, METROLOGY],
     ),
     // The bench is a separate process; the command only embeds it, behind a feature.
-    ("host/cli", CLI, &[PROFILOMETRY, METROLOGY, STATION, BENCH]),
+    (
+        "host/cli",
+        CLI,
+        &[FRAMES, PROFILOMETRY, METROLOGY, STATION, BENCH],
+    ),
     ("tools/bench", BENCH, EVERYTHING),
     ("tools/gear-cad", GEAR_CAD, EVERYTHING),
     ("tools/xtask", "xtask", EVERYTHING),

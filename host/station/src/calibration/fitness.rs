@@ -11,9 +11,9 @@ use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, 
 use super::job::{CalibrationError, SaveError, write};
 use super::survey::Surveyor;
 use super::views;
-use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
 use crate::inspection::Progress;
+use flankscope_frames::SharedRoot;
 
 /// The capture of plane and sphere, and what follows from it.
 #[derive(Debug)]

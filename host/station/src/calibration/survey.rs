@@ -8,11 +8,11 @@ use flankscope_profilometry::{
     Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet,
 };
 
-use crate::capture::SharedRoot;
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     InspectError, Itinerary, PlannedView, PlanningError, Progress, Run, Station,
 };
+use flankscope_frames::SharedRoot;
 
 /// Why there are no captures.
 #[derive(Debug, thiserror::Error)]

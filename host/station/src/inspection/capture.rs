@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use flankscope_frames::Arm;
 use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, State};
 use tokio::time::Instant;
 
@@ -11,7 +12,6 @@ use super::plan::capture_plan;
 use super::recorder::{CapturedView, Order, Recorded, ViewError};
 use super::run::Run;
 use super::station::Station;
-use crate::capture::Arm;
 use crate::controller::Client;
 
 /// Longest silence of the controller during a capture: the longest move of the plan's timeouts, and a margin.
@@ -64,7 +64,7 @@ impl<O: Send + 'static, S> Station<O, S> {
         // Whatever the controller did before it answers this belongs to an earlier capture.
         client.status().await?;
         client.forget_events();
-        self.order(Order::Arm(arm_of(&plan)))?;
+        self.order(Order::Arm(Arm::of(&plan)))?;
         self.armed(run).await?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
@@ -237,15 +237,5 @@ impl<O: Send + 'static, S> Station<O, S> {
             }
         }
         Ok(())
-    }
-}
-
-fn arm_of(plan: &CapturePlan) -> Arm {
-    Arm {
-        session: plan.session,
-        first_view: 0,
-        views: plan.views.len() as u16,
-        exposures: plan.exposures.len() as u16,
-        patterns: plan.pattern_count(),
     }
 }

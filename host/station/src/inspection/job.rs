@@ -14,6 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use flankscope_frames::{Frame, ServiceError, SharedRoot, monotonic_ns};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder};
 use flankscope_protocol::{FaultCode, PlanError};
@@ -26,7 +27,6 @@ use super::run::Run;
 use super::station::Station;
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::baseline::Baseline;
-use crate::capture::{Frame, ServiceError, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientError, ClientSettings};
 use crate::history::{HistoryError, Keeper};
 use crate::origin::{self, HeadId, Origin, Setting};

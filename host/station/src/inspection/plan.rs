@@ -186,7 +186,7 @@ pub fn capture_plan(
         steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
     });
     let mut plan = CapturePlan {
-        session: crate::capture::monotonic_ns() as u32,
+        session: flankscope_frames::monotonic_ns() as u32,
         views: Default::default(),
         exposures: Default::default(),
         fringes: Default::default(),

@@ -7,7 +7,7 @@ use flankscope_protocol::Trigger;
 
 use super::recorder::{CapturedView, Picture};
 use super::timeline::Timeline;
-use crate::capture::monotonic_ns;
+use flankscope_frames::monotonic_ns;
 
 /// What a check has gathered so far.
 #[derive(Debug)]

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
+use flankscope_frames::{FrameReceiver, SharedRoot};
 use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
 use tokio::sync::mpsc as channel;
 
@@ -11,7 +12,6 @@ use super::job::{InspectError, Subject};
 use super::plan::Itinerary;
 use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
 use super::views::ViewOutcome;
-use crate::capture::{FrameReceiver, SharedRoot};
 use crate::history::Keeper;
 use crate::origin::Setting;
 
@@ -67,7 +67,7 @@ impl<O: Send + 'static, S> Station<O, S> {
                 let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
                 let fresh = || capture_decoder.begin();
                 Recorder::new(
-                    &receiver,
+                    receiver,
                     settings,
                     kinds,
                     order_receiver,

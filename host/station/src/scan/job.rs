@@ -25,13 +25,13 @@ use super::stitch::stitch;
 use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::view::ScannedView;
 use super::workshop::{Store, Workshop};
-use crate::capture::{Frame, SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
     Subject, Timing, field_slope, hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
+use flankscope_frames::{Frame, SharedRoot, monotonic_ns};
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]

@@ -4,8 +4,9 @@ use iceoryx2::node::Node;
 use iceoryx2::prelude::*;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::frame::{Arm, FrameHeader};
-use super::root::SharedRoot;
+use crate::arm::Arm;
+use crate::header::FrameHeader;
+use crate::root::SharedRoot;
 
 /// Frames that may wait for the host before the camera process must drop one: 16 exposures of 10 ms, 160 ms of host delay.
 pub const BUFFERED_FRAMES: usize = 16;

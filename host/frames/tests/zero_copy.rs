@@ -5,8 +5,9 @@
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use flankscope_station::capture::{
-    Arm, Frame, FrameHeader, FrameReceiver, FrameSender, Overflow, SharedRoot, monotonic_ns,
+use flankscope_frames::{
+    Arm, BorrowedFrame, Frame, FrameHeader, FrameReceiver, FrameSender, FrameSink, FrameSlot,
+    FrameSource, Overflow, SharedRoot, monotonic_ns,
 };
 
 const ROOT_VARIABLE: &str = "FLANKSCOPE_TEST_CAMERA_ROOT";
@@ -19,12 +20,13 @@ fn camera_process() {
     let Some(root) = std::env::var_os(ROOT_VARIABLE) else {
         return;
     };
-    let sender = FrameSender::open(&SharedRoot::of_owner(root.as_ref()), Overflow::Drop).unwrap();
+    let mut sender =
+        FrameSender::open(&SharedRoot::of_owner(root.as_ref()), Overflow::Drop).unwrap();
     let mut counter = 0;
     loop {
         std::thread::sleep(Duration::from_millis(1));
         let Some(arm) = sender.armed() else { continue };
-        for nth in 0..u32::from(arm.views) * arm.frames_per_view() {
+        for nth in 0..arm.frames() {
             let mut frame = sender.loan((WIDTH * HEIGHT) as usize, counter).unwrap();
             for (i, pixel) in frame.pixels().iter_mut().enumerate() {
                 *pixel = pixel_of(counter, i);
@@ -74,7 +76,7 @@ impl Drop for Camera {
     }
 }
 
-fn receive(receiver: &FrameReceiver) -> Frame {
+fn receive(receiver: &mut FrameReceiver) -> Frame {
     let start = Instant::now();
     loop {
         if let Some(frame) = receiver.receive(Duration::from_millis(100)).unwrap() {
@@ -105,7 +107,7 @@ fn mapping_of(address: usize) -> String {
 fn frames_are_read_where_the_other_process_wrote_them() {
     let base = tempfile::tempdir().unwrap();
     let root = SharedRoot::create(base.path()).unwrap();
-    let receiver = FrameReceiver::create(&root).unwrap();
+    let mut receiver = FrameReceiver::create(&root).unwrap();
     let _camera = Camera::start(&root);
     receiver
         .arm(Arm {
@@ -118,7 +120,7 @@ fn frames_are_read_where_the_other_process_wrote_them() {
         .unwrap();
     let mut held = None; // one frame is kept over the whole capture, as the report does
     for nth in 0..50_u32 {
-        let frame = receive(&receiver);
+        let frame = receive(&mut receiver);
         let header = *frame.header();
         assert_eq!((header.session, header.counter), (9, nth));
         assert_eq!(
@@ -128,7 +130,7 @@ fn frames_are_read_where_the_other_process_wrote_them() {
             ),
             (nth / 25, nth % 25)
         );
-        let pixels = frame.view().pixels;
+        let pixels = frame.pixels();
         assert!(
             pixels
                 .iter()
@@ -168,7 +170,7 @@ fn frames_are_read_where_the_other_process_wrote_them() {
 fn a_host_that_takes_no_frames_sees_the_gap() {
     let base = tempfile::tempdir().unwrap();
     let root = SharedRoot::create(base.path()).unwrap();
-    let receiver = FrameReceiver::create(&root).unwrap();
+    let mut receiver = FrameReceiver::create(&root).unwrap();
     let _camera = Camera::start(&root);
     receiver
         .arm(Arm {
@@ -179,7 +181,7 @@ fn a_host_that_takes_no_frames_sees_the_gap() {
             patterns: 39,
         })
         .unwrap();
-    let first = receive(&receiver);
+    let first = receive(&mut receiver);
     assert_eq!(first.header().counter, 0);
     std::thread::sleep(Duration::from_millis(500)); // 39 more frames were offered to a buffer of 16
     let mut counters = vec![0];
@@ -202,7 +204,7 @@ fn after_kill_of_either_side_the_next_run_works() {
     for cycle in 0..20_u64 {
         // The previous cycle's owner is "killed": its root and segments stay behind unlocked.
         let root = SharedRoot::create(base.path()).unwrap();
-        let receiver = FrameReceiver::create(&root).unwrap();
+        let mut receiver = FrameReceiver::create(&root).unwrap();
         let camera = Camera::start(&root);
         receiver
             .arm(Arm {
@@ -218,7 +220,7 @@ fn after_kill_of_either_side_the_next_run_works() {
             std::thread::sleep(Duration::from_micros(cycle * 700));
             drop(camera);
             let root = SharedRoot::create(base.path()).unwrap();
-            let receiver = FrameReceiver::create(&root).unwrap();
+            let mut receiver = FrameReceiver::create(&root).unwrap();
             let _camera = Camera::start(&root);
             receiver
                 .arm(Arm {
@@ -229,9 +231,9 @@ fn after_kill_of_either_side_the_next_run_works() {
                     patterns: 4,
                 })
                 .unwrap();
-            assert_eq!(receive(&receiver).header().session, 77);
+            assert_eq!(receive(&mut receiver).header().session, 77);
         } else {
-            assert_eq!(receive(&receiver).header().session, cycle as u32);
+            assert_eq!(receive(&mut receiver).header().session, cycle as u32);
             std::mem::forget(receiver); // a host that ends without dropping its ports, as SIGKILL does
         }
     }

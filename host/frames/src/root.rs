@@ -1,6 +1,6 @@
 //! The private place of one station's shared memory, and the cleaning up after a killed one.
 
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ pub struct SharedRoot {
 pub enum RootError {
     /// The folder cannot be made or cleaned.
     #[error(
-        "cannot prepare the shared-memory folder {path}: {source} (choose another with TMPDIR)"
+        "cannot prepare the shared-memory folder {}: {source} (choose another with TMPDIR)", path.display()
     )]
     Folder {
         /// The folder.
@@ -97,6 +97,13 @@ impl SharedRoot {
         &self.prefix
     }
 
+    /// Bytes of all shared-memory segments with its prefix.
+    pub(crate) fn segment_bytes(&self) -> u64 {
+        segments(&self.prefix)
+            .filter_map(|segment| Some(segment.metadata().ok()?.len()))
+            .sum()
+    }
+
     /// The default base folder: in the user's runtime folder, else the user's own one in the temporary folder.
     #[must_use]
     pub fn default_base() -> PathBuf {
@@ -139,13 +146,18 @@ fn sweep(base: &Path) {
     }
 }
 
+/// The shared-memory segments with a prefix, as the kernel shows them.
+fn segments(prefix: &str) -> impl Iterator<Item = DirEntry> {
+    let all = std::fs::read_dir(SHM_FOLDER)
+        .into_iter()
+        .flatten()
+        .flatten();
+    all.filter(move |segment| segment.file_name().to_string_lossy().starts_with(prefix))
+}
+
 fn remove(path: &Path, prefix: &str) {
-    if let Ok(segments) = std::fs::read_dir(SHM_FOLDER) {
-        for segment in segments.flatten() {
-            if segment.file_name().to_string_lossy().starts_with(prefix) {
-                let _ = std::fs::remove_file(segment.path());
-            }
-        }
+    for segment in segments(prefix) {
+        let _ = std::fs::remove_file(segment.path());
     }
     let _ = std::fs::remove_dir_all(path);
 }

@@ -5,29 +5,11 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 
-use super::frame::{Arm, FrameHeader, checksum, monotonic_ns};
-use super::root::SharedRoot;
-use super::services::{LOANED_FRAMES, MAX_FRAME_PIXELS, ServiceError, Services, refused};
-
-/// Why a frame was not handed over.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SendError {
-    /// The frame is larger than the segment's slots.
-    #[error("a frame of {pixels} px does not fit a slot of {MAX_FRAME_PIXELS} px")]
-    TooLarge {
-        /// Pixels asked for.
-        pixels: usize,
-    },
-    /// The host takes frames too slowly, or is gone: this frame is lost, and its number missing tells the host so.
-    #[error("frame {counter} could not be delivered: {reason}")]
-    Undelivered {
-        /// Frame counter.
-        counter: u32,
-        /// The library's own reason.
-        reason: String,
-    },
-}
+use crate::arm::Arm;
+use crate::header::{FrameHeader, monotonic_ns};
+use crate::link::{FrameSink, FrameSlot, SealedFrame, SendError};
+use crate::root::SharedRoot;
+use crate::services::{LOANED_FRAMES, MAX_FRAME_PIXELS, ServiceError, Services, refused};
 
 /// What happens to a frame when the host's buffer is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,10 +34,6 @@ pub struct FrameSender {
 pub struct LoanedFrame {
     sample: iceoryx2::sample_mut::SampleMut<ipc::Service, [u16], FrameHeader>,
 }
-
-/// A frame whose pixels and header are final; only the hand-over is left.
-#[derive(Debug)]
-pub struct SealedFrame(LoanedFrame);
 
 impl FrameSender {
     /// Connects to the services of the host that owns `root`.
@@ -94,9 +72,12 @@ impl FrameSender {
             _services: services,
         })
     }
+}
 
-    /// The newest arming that the host sent since the last call.
-    pub fn armed(&self) -> Option<Arm> {
+impl FrameSink for FrameSender {
+    type Slot = LoanedFrame;
+
+    fn armed(&mut self) -> Option<Arm> {
         let mut newest = None;
         while let Ok(Some(sample)) = self.arm.receive() {
             newest = Some(*sample.payload());
@@ -104,11 +85,7 @@ impl FrameSender {
         newest
     }
 
-    /// A slot of `pixels` to write the next frame into, uninitialised content of an earlier frame.
-    ///
-    /// # Errors
-    /// The frame is too large, or the host holds every slot.
-    pub fn loan(&self, pixels: usize, counter: u32) -> Result<LoanedFrame, SendError> {
+    fn loan(&mut self, pixels: usize, counter: u32) -> Result<LoanedFrame, SendError> {
         if pixels > MAX_FRAME_PIXELS {
             return Err(SendError::TooLarge { pixels });
         }
@@ -125,12 +102,9 @@ impl FrameSender {
         Ok(LoanedFrame { sample })
     }
 
-    /// Hands the frame over and wakes the host. The time of hand-over is filled in.
-    ///
-    /// # Errors
-    /// The host did not get it.
-    pub fn send(&self, frame: SealedFrame) -> Result<(), SendError> {
-        let SealedFrame(LoanedFrame { mut sample }) = frame;
+    /// Wakes the host.
+    fn send(&mut self, frame: SealedFrame<LoanedFrame>) -> Result<(), SendError> {
+        let LoanedFrame { mut sample } = frame.into_slot();
         let header = sample.user_header_mut();
         header.published_monotonic_ns = monotonic_ns();
         let counter = header.counter;
@@ -151,17 +125,12 @@ impl FrameSender {
     }
 }
 
-impl LoanedFrame {
-    /// The pixels, in the shared memory.
-    pub fn pixels(&mut self) -> &mut [u16] {
+impl FrameSlot for LoanedFrame {
+    fn pixels(&mut self) -> &mut [u16] {
         self.sample.payload_mut()
     }
 
-    /// Closes the frame: header and checksum are written beside the pixels.
-    #[must_use]
-    pub fn seal(mut self, header: FrameHeader) -> SealedFrame {
-        let checksum = checksum(self.sample.payload());
-        *self.sample.user_header_mut() = FrameHeader { checksum, ..header };
-        SealedFrame(self)
+    fn header_mut(&mut self) -> &mut FrameHeader {
+        self.sample.user_header_mut()
     }
 }
