@@ -10,7 +10,8 @@ use flankscope_station::origin::Origin;
 use flankscope_station::report::figure;
 use serde_json::Value;
 
-use crate::instrument::{BenchArgs, Instrument, Source};
+use crate::bench_link::BenchArgs;
+use crate::instrument::{Instrument, Source};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place, write_whole};
 
 /// The example, and what the figures are.

@@ -137,7 +137,7 @@ pub fn start(
             match FrameSender::open(&root, overflow) {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
-                    Darkroom::new(world, patterns, ageing, fault, sender).run(&queue);
+                    FrameRenderer::new(world, patterns, ageing, fault, sender).run(&queue);
                 }
                 Err(error) => drop(opened_sender.send(Err(error))),
             }
@@ -210,7 +210,7 @@ impl ExposureSink for Camera {
 }
 
 /// What the thread works with.
-struct Darkroom {
+struct FrameRenderer {
     world: World,
     patterns: Vec<PatternSpec>,
     sender: FrameSender,
@@ -228,7 +228,7 @@ struct Darkroom {
     truth: Truth,
 }
 
-impl Darkroom {
+impl FrameRenderer {
     fn new(
         world: World,
         patterns: Vec<PatternSpec>,
