@@ -149,6 +149,21 @@ pub struct DieArgs {
     pub die_seed: u64,
 }
 
+impl Default for DieArgs {
+    /// As drawn.
+    fn default() -> Self {
+        Self {
+            ovality_um: 0.0,
+            taper_um: 0.0,
+            die: None,
+            turned_deg: 0.0,
+            turned_teeth: 0,
+            flanks_um: 0.0,
+            die_seed: 1,
+        }
+    }
+}
+
 /// A value with the text that somebody gave it as, by which it is handed on and named.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Given<T> {
@@ -302,6 +317,12 @@ mod tests {
         assert_eq!(got.bench.speed.value, Speed(MAX_SPEED));
         let broken = text.replace("12:left:80", "12:left:900");
         assert!(serde_json::from_str::<BenchConfig>(&broken).is_err());
+    }
+
+    #[test]
+    fn a_die_without_options_is_the_default_one() {
+        let given = Options::try_parse_from(["x"]).unwrap().die;
+        assert_eq!(format!("{given:?}"), format!("{:?}", DieArgs::default()));
     }
 
     #[test]

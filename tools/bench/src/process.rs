@@ -145,16 +145,17 @@ fn apply(
             .optics
             .make_uneven(bench.lens_error_um, config.head_seed);
     }
-    if let Some(die) = &asked.die {
-        config.form = Form {
-            ovality_um: die.ovality_um,
-            taper_um: die.taper_um,
-            flanks_um: die.flanks_um,
-            flanks_seed: die.die_seed,
-        };
-        if let Some(other) = &die.die {
-            other.value.replace(config)?;
-        }
+    let die = asked.die.clone().unwrap_or_default();
+    config.form = Form {
+        ovality_um: die.ovality_um,
+        taper_um: die.taper_um,
+        flanks_um: die.flanks_um,
+        flanks_seed: die.die_seed,
+    };
+    if let Some(other) = &die.die {
+        other.value.replace(config)?;
+    }
+    if asked.die.is_some() {
         config.mount = Mount::by_hand(bench.seed);
         let turned_rad = die.turned_deg.to_radians()
             + f64::from(die.turned_teeth) * config.gear.pitch_angle_rad();
