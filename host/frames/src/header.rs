@@ -34,11 +34,11 @@ impl FrameLabel {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
 pub struct FrameHeader {
-    /// Capture session of the last [`Arm`].
+    /// Capture session of the last [`Arm`](crate::Arm).
     pub session: u32,
     /// Frames exposed since the camera process started; a gap is a lost frame.
     pub counter: u32,
-    /// Position in the plan, by counting since the last [`Arm`].
+    /// Position in the plan, by counting since the last [`Arm`](crate::Arm).
     pub label: FrameLabel,
     /// Image width, px.
     pub width_px: u32,
