@@ -6,18 +6,19 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{CalibrationRecord, SelfTest, Target};
 use flankscope_profilometry::date::Date;
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::origin::{Link, Setting, now};
 use serde::Serialize;
 
+use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{BenchArgs, Instrument, Place, Scene, Scratch, fits_link};
+use crate::instrument::{Instrument, Place, Scene, Scratch, fits_link};
 use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
@@ -453,14 +454,4 @@ fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()>
         )?;
     }
     Ok(())
-}
-
-#[cfg(feature = "bench")]
-fn demo_target(folder: &Path) -> anyhow::Result<PathBuf> {
-    crate::bench_link::demo_target(folder)
-}
-
-#[cfg(not(feature = "bench"))]
-fn demo_target(_folder: &Path) -> anyhow::Result<PathBuf> {
-    bail!("this build has no demo target: name a folder with target.toml and head.toml by --target")
 }

@@ -11,7 +11,8 @@ use flankscope_station::origin::Origin;
 use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
-use crate::instrument::{BenchArgs, Instrument, Source};
+use crate::bench_link::BenchArgs;
+use crate::instrument::{Instrument, Source};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place};
 
 /// The example, and what the figures are.

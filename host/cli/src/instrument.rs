@@ -5,19 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_frames::SharedRoot;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::baseline::Baseline;
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{Station, Subject};
 use flankscope_station::origin::{Link, Setting};
 
+use crate::bench_link::{Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press};
 use crate::grid::Grid;
 use crate::output::say;
-use crate::scan::DieArgs;
-use crate::watch::PressArgs;
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
@@ -112,37 +111,6 @@ pub fn fits_link(head: &HeadModel, link: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What only the simulated bench knows.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated bench")]
-pub struct BenchArgs {
-    /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Wear of a flank, up to 300 um: TOOTH:left|right:DEPTH_UM, and :KIND may follow: uniform, tip, pit, buildup, half (above
-    /// half height), ramp, edge, spall, scratch-along, scratch-across, crater, crack, side (this flank of every tooth) or
-    /// ring (the whole toothing)
-    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
-    pub wear: Vec<String>,
-    /// This mesh stands there instead of the CAD: PLY or STL, in mm and in the frame of the CAD, open or closed, up to five
-    /// million triangles; it is the die as it is, so no wear can be added
-    #[arg(long, value_name = "FILE", conflicts_with = "wear")]
-    pub die_mesh: Option<PathBuf>,
-    /// How many times faster than real time the bench runs, or max
-    #[arg(long, value_name = "1|K|max", default_value = "1")]
-    pub speed: String,
-    /// Head and die shift against each other from frame to frame: standard deviation in um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub vibration_um: f64,
-    /// The head's lenses lead light astray by this where no distortion model follows, smoothly over the field: root mean
-    /// square along each axis in um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub lens_error_um: f64,
-    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
-    #[arg(long, value_name = "KIND:FRAME")]
-    pub frame_fault: Option<String>,
-}
-
 /// What stands on the simulated bench beside the die of the tool file.
 #[cfg_attr(
     not(feature = "bench"),
@@ -168,8 +136,7 @@ pub struct Instrument<S = Station> {
     pub port: PathBuf,
     /// How patiently to talk to it.
     pub settings: ClientSettings,
-    #[cfg(feature = "bench")]
-    bench: Option<crate::bench_link::Bench>,
+    bench: Option<Bench>,
     _root: Arc<SharedRoot>,
     _scratch: Scratch,
 }
@@ -271,19 +238,22 @@ impl<S> Instrument<S> {
         scratch: Scratch,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
-        let simulated = link.is_simulated();
-        if let Some(mesh) = bench.die_mesh.as_ref().filter(|_| !simulated) {
-            anyhow::bail!(
-                "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
-                mesh.display()
-            );
+        if !link.is_simulated() {
+            fits_real_press(bench, link)?;
         }
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = station(Arc::clone(&root))?;
         let Link::Port(port) = link else {
-            let controller = link.to_string();
-            return Self::with_bench(station, (&controller, bench), scene, folder, root, scratch);
+            let bench = Bench::start(bench, link, scene, folder, &root)?;
+            return Ok(Self {
+                station,
+                port: bench.port().to_path_buf(),
+                settings: bench.client_settings(),
+                bench: Some(bench),
+                _root: root,
+                _scratch: scratch,
+            });
         };
         if !quiet {
             say(&format!("frames are expected in {}", root.path().display()));
@@ -292,58 +262,23 @@ impl<S> Instrument<S> {
             station,
             port: port.clone(),
             settings: ClientSettings::default(),
-            #[cfg(feature = "bench")]
             bench: None,
             _root: root,
             _scratch: scratch,
         })
     }
 
-    #[cfg(feature = "bench")]
-    fn with_bench(
-        station: S,
-        (controller, args): (&str, &BenchArgs),
-        scene: Scene<'_>,
-        tool: &Path,
-        root: Arc<SharedRoot>,
-        scratch: Scratch,
-    ) -> anyhow::Result<Self> {
-        let bench = crate::bench_link::Bench::start(args, controller, scene, tool, &root)?;
-        Ok(Self {
-            station,
-            port: bench.port().to_path_buf(),
-            settings: bench.client_settings(),
-            bench: Some(bench),
-            _root: root,
-            _scratch: scratch,
-        })
-    }
-
-    #[cfg(not(feature = "bench"))]
-    fn with_bench(
-        _: S,
-        _: (&str, &BenchArgs),
-        _: Scene<'_>,
-        _: &Path,
-        _: Arc<SharedRoot>,
-        _: Scratch,
-    ) -> anyhow::Result<Self> {
-        anyhow::bail!("this build has no simulated bench: name the controller's port by --link")
-    }
-
     /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
     pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
         drop(self.station);
-        #[cfg(feature = "bench")]
-        if let Some(bench) = self.bench {
-            let truth = bench.finish()?;
-            if let Some(notice) = truth.notice().filter(|_| !quiet) {
-                say(&notice);
-            }
-            return Ok(Some(serde_json::to_value(&truth)?));
+        let Some(bench) = self.bench else {
+            return Ok(None);
+        };
+        let (truth, notice) = bench.finish()?;
+        if let Some(notice) = notice.filter(|_| !quiet) {
+            say(&notice);
         }
-        let _ = quiet;
-        Ok(None)
+        Ok(Some(truth))
     }
 }
 
@@ -388,18 +323,6 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         baseline: None,
         hashes,
     })
-}
-
-#[cfg(feature = "bench")]
-fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
-    crate::bench_link::demo_tool(scratch)
-}
-
-#[cfg(not(feature = "bench"))]
-fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
-    anyhow::bail!(
-        "this build has no demo tool: name a folder with tool.toml and head.toml by --tool"
-    )
 }
 
 /// This host, as the system says.

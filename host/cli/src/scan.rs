@@ -14,9 +14,10 @@ use flankscope_station::scan::{
 };
 use flankscope_station::sink::ResultSink;
 
+use crate::bench_link::{BenchArgs, DieArgs, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{BenchArgs, Instrument, Place, Scene};
+use crate::instrument::{Instrument, Place, Scene};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
@@ -137,79 +138,12 @@ impl PaperArgs {
     }
 }
 
-/// The die on the simulated bench.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated bench")]
-pub struct DieArgs {
-    /// Largest minus smallest radius of the bore, um
-    #[arg(
-        long,
-        value_name = "UM",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub ovality_um: f64,
-    /// Growth of the bore's radius from bottom to top, um
-    #[arg(
-        long,
-        value_name = "UM",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub taper_um: f64,
-    /// Another die than the tool file's on the bench: so many teeth of such a module
-    #[arg(long, value_name = "TEETHxMODULE_MM")]
-    pub die: Option<String>,
-    /// The die is put down turned by this angle
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub turned_deg: f64,
-    /// The die is put down turned by so many whole teeth
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        allow_negative_numbers = true
-    )]
-    pub turned_teeth: i32,
-    /// What every flank stands off by since it was made: standard deviation along the pitch circle, um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub flanks_um: f64,
-    /// Which die: draws what its flanks stand off by
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub die_seed: u64,
-}
-
 impl Args {
     /// What stands on the simulated bench: a scan that goes on must find the same there.
     fn on_the_bench(&self, link: &Link) -> BTreeMap<String, String> {
-        let (bench, die) = (&self.bench, &self.die);
-        let mut what = format!(
-            "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
-            bench.seed,
-            die.ovality_um,
-            die.taper_um,
-            die.turned_deg,
-            die.turned_teeth,
-            die.die_seed,
-            die.flanks_um
-        );
-        if let Some(other) = &die.die {
-            what += &format!(", die {other}");
-        }
-        for wear in &bench.wear {
-            what += &format!(", wear {wear}");
-        }
-        if let Some(mesh) = &bench.die_mesh {
-            // Another content under the same name is another die; what cannot be read is refused by the bench.
-            let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
-            what += &format!(", mesh {}", content.unwrap_or_default());
-        }
-        let named = link.is_simulated().then(|| ("bench".to_string(), what));
+        let named = link
+            .is_simulated()
+            .then(|| ("bench".to_string(), in_words(&self.bench, &self.die)));
         named.into_iter().collect()
     }
 }
@@ -217,7 +151,7 @@ impl Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    let (method, paper) = args.paper.settings(args.bench.seed)?;
+    let (method, paper) = args.paper.settings(seed(&args.bench))?;
     let setting = args.place.setting(&[("--tool", args.tool.is_some())])?;
     args.try_places()?;
     let passing = match &args.session {
@@ -268,11 +202,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         complaints.hear(print(&scan));
     }
     let truth = complaints.hear(instrument.close(quiet)).flatten();
-    scan.truth = truth.map(|mut truth| {
-        truth["ovality_um"] = args.die.ovality_um.abs().into();
-        truth["taper_um"] = args.die.taper_um.into();
-        truth
-    });
+    scan.truth = truth;
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
     if let Some(mesh) = &args.mesh {

@@ -13,8 +13,9 @@ use flankscope_station::sink::LinesFile;
 use flankscope_station::watch::{Checked, Told, WatchSettings};
 use serde_json::{Value, json};
 
+use crate::bench_link::{BenchArgs, PressArgs};
 use crate::inspect::SIMULATED;
-use crate::instrument::{BenchArgs, Instrument, Source};
+use crate::instrument::{Instrument, Source};
 use crate::output::{Common, Complaints, Outcome, say, try_folder};
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
@@ -49,21 +50,6 @@ pub struct Args {
     bench: BenchArgs,
     #[command(flatten)]
     press: PressArgs,
-}
-
-/// The simulated press.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated press")]
-pub struct PressArgs {
-    /// Strokes per minute
-    #[arg(long, default_value_t = 30.0)]
-    pub strokes_per_minute: f64,
-    /// Share of a stroke during which the press counts as open
-    #[arg(long, default_value_t = 0.4)]
-    pub open_share: f64,
-    /// Wear that each cycle adds: TOOTH:FLANK:DEPTH_UM
-    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
-    pub wear_rate: Vec<String>,
 }
 
 /// Runs the subcommand.

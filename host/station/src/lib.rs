@@ -1,15 +1,14 @@
-//! The running instrument: controller client, zero-copy capture, inspection job, report.
+//! The running instrument: controller client, inspection job, report.
 //!
 //! ```text
 //!  controller ── orders, triggers ──┐                 ┌─ inspection ── verdict ── sinks: history, report, lines
 //!                                   ├─ acquisition ───┼─ scan
-//!  capture ───── frames, in place ──┘                 └─ calibration
+//!  camera ────── frames, in place ──┘                 └─ calibration
 //! ```
 
 pub mod acquisition;
 pub mod baseline;
 pub mod calibration;
-pub mod capture;
 pub mod controller;
 pub mod files;
 pub mod history;

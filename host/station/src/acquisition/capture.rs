@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use flankscope_frames::Arm;
 use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, State};
 use tokio::time::Instant;
 
@@ -10,7 +11,6 @@ use super::pairing::pair;
 use super::recorder::{CapturedView, Order, Recorded};
 use super::run::Run;
 use super::session::Acquisition;
-use crate::capture::Arm;
 use crate::controller::Client;
 
 /// Longest silence of the controller during a capture: the longest move of the plan's timeouts, and a margin.
@@ -63,7 +63,7 @@ impl<O: Send + 'static> Acquisition<O> {
         // Whatever the controller did before it answers this belongs to an earlier capture.
         client.status().await?;
         client.forget_events();
-        self.order(Order::Arm(arm_of(&plan)))?;
+        self.order(Order::Arm(Arm::of(&plan)))?;
         self.armed(run).await?;
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
@@ -240,15 +240,5 @@ impl<O: Send + 'static> Acquisition<O> {
             }
         }
         Ok(())
-    }
-}
-
-fn arm_of(plan: &CapturePlan) -> Arm {
-    Arm {
-        session: plan.session,
-        first_view: 0,
-        views: plan.views.len() as u16,
-        exposures: plan.exposures.len() as u16,
-        patterns: plan.pattern_count(),
     }
 }

@@ -5,8 +5,8 @@ use flankscope_protocol::{FaultCode, PlanError};
 
 use super::pairing::PairingError;
 use super::program::ProgramError;
-use crate::capture::{ReceiveError, ServiceError};
 use crate::controller::ClientError;
+use flankscope_frames::{ReceiveError, ServiceError};
 
 /// Why nothing could be captured at all. What goes wrong once a capture runs ends in a [`Stop`] or a [`ViewError`].
 #[derive(Debug, thiserror::Error)]

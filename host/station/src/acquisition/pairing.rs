@@ -1,12 +1,8 @@
 //! Triggers against frames: a view counts only if every exposure the controller fired is the frame the host got.
 
+use flankscope_frames::{EXPOSURE_TOLERANCE_US, FrameHeader};
 use flankscope_protocol::Trigger;
 
-use crate::capture::FrameHeader;
-
-/// Largest difference between a commanded exposure and the one the camera measured: strobe and trigger edges of
-/// microseconds, and 100 µs for a timer that was late.
-const EXPOSURE_TOLERANCE_US: u64 = 100;
 /// Largest difference between the controller's and the camera's clock within one view, µs: two crystals of 50 ppm drift
 /// apart by 200 µs in 2 s, and each edge may be seen 100 µs late.
 const INTERVAL_TOLERANCE_US: u64 = 400;
@@ -123,7 +119,7 @@ pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingE
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::FrameLabel;
+    use flankscope_frames::FrameLabel;
     use flankscope_protocol::{Microseconds, Timestamp};
 
     /// Five exposures of 10 ms, 15 ms apart; the camera's clock starts elsewhere and runs 50 ppm fast.

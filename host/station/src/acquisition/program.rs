@@ -66,7 +66,7 @@ impl Program {
         limits: &Limits,
     ) -> Result<CapturePlan, ProgramError> {
         let mut plan = CapturePlan {
-            session: crate::capture::monotonic_ns() as u32,
+            session: flankscope_frames::monotonic_ns() as u32,
             views: Default::default(),
             exposures: Default::default(),
             fringes: Default::default(),

@@ -8,7 +8,7 @@ use std::time::Duration;
 use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
 
 use super::error::ViewError;
-use crate::capture::{Arm, Frame, FrameHeader, FrameReceiver};
+use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource};
 
 /// How long the thread sleeps for a frame before it looks for orders.
 const PATIENCE: Duration = Duration::from_millis(5);
@@ -80,8 +80,8 @@ pub struct RecorderSettings {
 }
 
 /// The thread's state.
-pub struct Recorder<'a> {
-    receiver: &'a FrameReceiver,
+pub struct Recorder<'a, S: FrameSource> {
+    source: S,
     settings: RecorderSettings,
     kinds: Vec<FrameKind>,
     orders: Receiver<Order>,
@@ -92,13 +92,13 @@ pub struct Recorder<'a> {
     /// Frames since arming.
     arrived: u32,
     open: Option<CapturedView>,
-    kept: Option<Frame>,
+    kept: Option<S::Frame>,
 }
 
-impl<'a> Recorder<'a> {
-    /// A recorder of frames from `receiver`; `kinds` is the order of a view's frames, `fresh` makes empty sums.
+impl<'a, S: FrameSource> Recorder<'a, S> {
+    /// A recorder of frames from `source`; `kinds` is the order of a view's frames, `fresh` makes empty sums.
     pub fn new(
-        receiver: &'a FrameReceiver,
+        source: S,
         settings: RecorderSettings,
         kinds: Vec<FrameKind>,
         orders: Receiver<Order>,
@@ -107,7 +107,7 @@ impl<'a> Recorder<'a> {
     ) -> Self {
         let spare = vec![fresh(), fresh()];
         Self {
-            receiver,
+            source,
             settings,
             kinds,
             orders,
@@ -139,7 +139,7 @@ impl<'a> Recorder<'a> {
                 Err(TryRecvError::Empty) => {}
                 Err(TryRecvError::Disconnected) => return,
             }
-            match self.receiver.receive(PATIENCE) {
+            match self.source.receive(PATIENCE) {
                 Ok(Some(frame)) => self.add(frame),
                 Ok(None) => {}
                 Err(error) => self.fail(error.into()),
@@ -151,13 +151,13 @@ impl<'a> Recorder<'a> {
         self.close();
         self.arm = Some(arm);
         self.arrived = 0;
-        if let Err(error) = self.receiver.arm(arm) {
+        if let Err(error) = self.source.arm(arm) {
             self.fail(error.into());
         }
         let _ = self.events.send(Recorded::Armed);
     }
 
-    fn add(&mut self, frame: Frame) {
+    fn add(&mut self, frame: S::Frame) {
         let header = *frame.header();
         let Some(arm) = self.arm else { return }; // nobody asked for this frame
         self.arrived += 1;
@@ -185,7 +185,7 @@ impl<'a> Recorder<'a> {
         open.frames.push(header);
         open.handover_ns.push(
             frame
-                .received_monotonic_ns
+                .received_monotonic_ns()
                 .saturating_sub(header.published_monotonic_ns),
         );
         if open.problem.is_none() {
@@ -200,7 +200,7 @@ impl<'a> Recorder<'a> {
                 }),
                 Some(&kind) => open
                     .accumulator
-                    .add(frame.view(), kind)
+                    .add(view_of(&frame), kind)
                     .and_then(|level| level.check_content(kind, settings.dark_limit_dn))
                     .err()
                     .map(ViewError::from),
@@ -219,16 +219,14 @@ impl<'a> Recorder<'a> {
 
     /// Takes the frames that are still on their way, and looks whether more come than were triggered.
     fn drain(&mut self) {
-        let planned = self
-            .arm
-            .map_or(0, |arm| u32::from(arm.views) * arm.frames_per_view());
+        let planned = self.arm.map_or(0, |arm| arm.frames());
         loop {
             let patience = if self.arrived < planned {
                 LAST_FRAME_PATIENCE
             } else {
                 EXTRA_FRAME_PATIENCE
             };
-            match self.receiver.receive(patience) {
+            match self.source.receive(patience) {
                 Ok(Some(frame)) => self.add(frame),
                 Ok(None) => return,
                 Err(error) => self.fail(error.into()),
@@ -264,7 +262,18 @@ impl<'a> Recorder<'a> {
         };
         let _ = self
             .events
-            .send(Recorded::Picture(picture(frame.view(), self.settings)));
+            .send(Recorded::Picture(picture(view_of(&frame), self.settings)));
+    }
+}
+
+/// A frame as an image, where it lies.
+fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
+    let header = frame.header();
+    FrameView {
+        pixels: frame.pixels(),
+        width: header.width_px as usize,
+        height: header.height_px as usize,
+        stride: header.stride_px as usize,
     }
 }
 

@@ -8,7 +8,7 @@ use flankscope_protocol::Trigger;
 use super::error::ViewError;
 use super::recorder::{CapturedView, Picture};
 use super::timeline::Timeline;
-use crate::capture::monotonic_ns;
+use flankscope_frames::monotonic_ns;
 
 /// What all captures of a run have gathered so far.
 #[derive(Debug)]

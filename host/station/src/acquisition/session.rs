@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
+use flankscope_frames::{FrameReceiver, SharedRoot};
 use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
 use tokio::sync::mpsc as channel;
 
 use super::error::AcquisitionError;
 use super::program::Program;
 use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
-use crate::capture::{FrameReceiver, SharedRoot};
 
 /// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
 ///
@@ -61,7 +61,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
                 let fresh = || capture_decoder.begin();
                 Recorder::new(
-                    &receiver,
+                    receiver,
                     settings,
                     kinds,
                     order_receiver,

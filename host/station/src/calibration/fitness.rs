@@ -12,8 +12,8 @@ use super::job::{CalibrationError, SaveError, write};
 use super::survey::Surveyor;
 use super::views;
 use crate::acquisition::Progress;
-use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
+use flankscope_frames::SharedRoot;
 
 /// The capture of plane and sphere, and what follows from it.
 #[derive(Debug)]

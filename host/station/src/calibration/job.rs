@@ -21,10 +21,10 @@ use serde::Serialize;
 use super::survey::{SurveyError, Surveyor};
 use super::views::{self, PlateView};
 use crate::acquisition::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
-use crate::capture::SharedRoot;
 use crate::controller::ClientSettings;
 use crate::files;
 use crate::origin::Link;
+use flankscope_frames::SharedRoot;
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]

@@ -12,8 +12,8 @@ use flankscope_profilometry::{
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop, never,
 };
-use crate::capture::SharedRoot;
 use crate::controller::{Client, ClientSettings};
+use flankscope_frames::SharedRoot;
 
 /// Why there are no captures.
 #[derive(Debug, thiserror::Error)]

@@ -111,7 +111,7 @@ impl Client {
         let link = Link::open(port)?;
         // A session number that an earlier run of the host is unlikely to have used: replies to its commands are then
         // told from replies to ours.
-        let session = crate::capture::monotonic_ns() as u32 | 1;
+        let session = flankscope_frames::monotonic_ns() as u32 | 1;
         let mut client = Self {
             link,
             settings,

@@ -17,10 +17,10 @@ use super::result::{FrameCount, Inspection, Pictures, Timing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::acquisition::{Acquisition, AcquisitionError, AfterStop, Progress, Run, Stop, never};
 use crate::baseline::Baseline;
-use crate::capture::{SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::origin::{self, HeadId, Origin, Setting};
 use crate::sink::{ResultSink, SinkError};
+use flankscope_frames::{SharedRoot, monotonic_ns};
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]

@@ -12,7 +12,7 @@ use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
 use crate::acquisition::{Activity, Counts, Picture};
-use crate::capture::Frame;
+use flankscope_frames::Frame;
 
 /// One inspected flank: a row of the table.
 #[derive(Clone, Debug, Serialize)]

@@ -30,13 +30,13 @@ use super::view_pipeline::{Kept, Store, ViewPipeline};
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
 };
-use crate::capture::{SharedRoot, monotonic_ns};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     self, EvaluatorError, FrameCount, InspectError, Subject, Timing, ViewPlan, hand_eye,
     peak_memory_mb,
 };
 use crate::origin::Setting;
+use flankscope_frames::{SharedRoot, monotonic_ns};
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
