@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use flankscope_metrology::alpha;
 use flankscope_metrology::deviation::{self, Statistics};
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::sampling;
 use serde::Serialize;
 
 use crate::geometry::{CadArgs, MinkowskiOrder, load_cloud, milliseconds, tell, write_file};
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         Metric::Nearest => {
             let samples =
-                alpha::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
+                sampling::sample(&mesh, args.samples as usize, args.seed).with_context(cad)?;
             let tree = deviation::SampleTree::new(&samples).with_context(cad)?;
             let prepared = Instant::now();
             (tree.distances(&cloud.points, args.order.into()), prepared)

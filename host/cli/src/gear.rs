@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::gear_evaluation::{CLASSES, GearEvaluation, Rating, Settings, evaluate};
+use flankscope_metrology::gear::evaluation::{CLASSES, GearEvaluation, Rating, Settings, evaluate};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::PROBABILITY;
 use serde::Serialize;

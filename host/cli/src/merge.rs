@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use flankscope_metrology::cloud::{Cloud, FinitePoints};
-use flankscope_metrology::merge;
-use flankscope_metrology::ply::Scalar;
+use flankscope_metrology::cloud::merge;
+use flankscope_metrology::io::cloud::{Cloud, FinitePoints};
+use flankscope_metrology::io::ply::Scalar;
 use serde::Serialize;
 
 use crate::geometry::{load_cloud, milliseconds, tell, write_file};

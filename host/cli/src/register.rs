@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
-use flankscope_metrology::cloud::Cloud as CloudFile;
-use flankscope_metrology::frames::{Cloud, Rigid, Tool};
-use flankscope_metrology::ply::Scalar;
+use flankscope_metrology::io::cloud::Cloud as CloudFile;
+use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
     Options, PaperOptions, Reason, Registration, Status, detect_teeth, register, register_paper,
 };
+use flankscope_metrology::space::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::surface::Surface;
 use serde::Serialize;
 
@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             .map(|&point| found.tool_from_cloud.apply(point))
             .collect();
         let laid = CloudFile {
-            points: flankscope_metrology::cloud::FinitePoints::new(points)?,
+            points: flankscope_metrology::io::cloud::FinitePoints::new(points)?,
             // Turned coordinates are no longer the file's rounded ones.
             coordinate: Scalar::F64,
             extras: cloud.extras,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use flankscope_metrology::{alpha, cloud};
+use flankscope_metrology::{io::cloud, surface::sampling};
 use serde::Serialize;
 
 use crate::geometry::{CadArgs, milliseconds, tell, write_file};
@@ -51,8 +51,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
     let mesh = args.cad.load()?;
     let loaded = Instant::now();
-    let points =
-        alpha::sample(&mesh, args.count as usize, args.seed).with_context(|| args.cad.trouble())?;
+    let points = sampling::sample(&mesh, args.count as usize, args.seed)
+        .with_context(|| args.cad.trouble())?;
     let sampled = Instant::now();
     write_file(&args.output, |out| cloud::write_ply(out, &points, &[]))?;
     let report = Report {

@@ -2,7 +2,7 @@
 
 mod support;
 
-use flankscope_metrology::cloud;
+use flankscope_metrology::io::cloud;
 use support::{Random, assert_refused, flankscope, json, write_xyz};
 
 #[test]

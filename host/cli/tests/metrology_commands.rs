@@ -5,9 +5,9 @@ mod support;
 use std::path::Path;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
-use flankscope_metrology::mesh::{self, Unit};
+use flankscope_metrology::io::mesh::{self, Unit};
+use flankscope_metrology::io::{cloud, ply};
 use flankscope_metrology::surface::Surface;
-use flankscope_metrology::{cloud, ply};
 use serde_json::Value;
 use support::{Random, assert_refused, flankscope, json, write_xyz};
 

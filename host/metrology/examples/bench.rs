@@ -5,12 +5,12 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::deviation::deviations;
-use flankscope_metrology::merge::voxel_centroids;
-use flankscope_metrology::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
 use flankscope_metrology::registration::{Options, register};
 use flankscope_metrology::surface::Surface;
-use flankscope_metrology::{alpha, outlier};
+use flankscope_metrology::{cloud::outlier, surface::sampling};
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
@@ -129,7 +129,12 @@ fn registration(bench: &Bench) -> Outcome<()> {
 fn clouds(bench: &Bench) -> Outcome<()> {
     if bench.wants("sample") {
         let fine = bench.mesh("fine.ply")?;
-        bench.time("sample", 15, || alpha::sample(&fine, 100_000, 1), |_| None);
+        bench.time(
+            "sample",
+            15,
+            || sampling::sample(&fine, 100_000, 1),
+            |_| None,
+        );
     }
     for name in ["feature", "view"] {
         let points = bench.cloud(&format!("{name}.f64"))?;

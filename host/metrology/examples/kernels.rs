@@ -4,10 +4,10 @@
 use std::hint::black_box;
 use std::path::Path;
 
+use flankscope_metrology::cloud::merge::voxel_centroids;
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::deviations;
-use flankscope_metrology::merge::voxel_centroids;
-use flankscope_metrology::mesh::{self, Unit};
-use flankscope_metrology::outlier;
+use flankscope_metrology::io::mesh::{self, Unit};
 use flankscope_metrology::registration::{Options, register};
 use flankscope_metrology::surface::Surface;
 

@@ -1,13 +1,23 @@
 //! Points against CAD: meshes, registration, exact deviation, wear, verdict.
 //!
 //! ```text
-//!  files by others            the tool, once                      per view
-//!  mesh  cloud ──ply          tool::Tool ── gear                  outlier ─ registration ─ deviation ─ wear ─ verdict
-//!        └─ FinitePoints      └─ surface::Surface ◄──────────────────────────┴──────────────┘
+//!  io            other people's meshes and clouds, checked where they enter
+//!  space         frames of reference, boxes, order in space
+//!  cloud         points by themselves: neighbours, outliers, merging
+//!  surface       triangles: exact signed distance, random points
+//!  gear          teeth and flanks, ISO 1328 evaluation
+//!  registration  one cloud laid on CAD
+//!  deviation     distances of the points laid on it
+//!  multiview     many views laid on CAD together, merged over the bore
+//!  wear          what is missing from a flank, with its uncertainty
+//!  verdict       figures against limits
+//!  tool          the file that names the CAD, the flanks and the limits
 //! ```
 //!
+//! A floor uses those above it in this list, never one below.
+//!
 //! ```
-//! use flankscope_metrology::mesh::TriMesh;
+//! use flankscope_metrology::io::mesh::TriMesh;
 //! use flankscope_metrology::surface::Surface;
 //!
 //! let square = TriMesh {
@@ -17,40 +27,21 @@
 //! let surface = Surface::new(&square)?;
 //! assert_eq!(surface.closest([4.0, 5.0, 0.25]).signed_distance_mm, 0.25);
 //! assert_eq!(surface.closest([4.0, 5.0, -0.25]).signed_distance_mm, -0.25);
-//! # Ok::<(), flankscope_metrology::mesh::MeshError>(())
+//! # Ok::<(), flankscope_metrology::io::mesh::MeshError>(())
 //! ```
 //!
-//! Millimetres and radians throughout, f64. Numbers from outside are checked where they enter ([`mesh`], [`cloud`],
-//! [`tool`]) and are finite from there on.
+//! Millimetres and radians throughout, f64. Numbers from outside are checked where they enter ([`io`], [`tool`]) and are finite from there on.
 
-pub mod alpha;
-mod bvh;
 pub mod cloud;
-pub mod cylinder;
-pub mod decision;
 pub mod deviation;
-pub mod drift;
-pub mod fingerprint;
-pub mod frames;
 pub mod gear;
-pub mod gear_evaluation;
-pub mod joint;
-mod leaf;
-pub mod leakage;
-pub mod merge;
-pub mod mesh;
-mod neighbours;
-mod order;
-pub mod outlier;
-pub mod ply;
+pub mod io;
+pub mod multiview;
 mod random;
-pub mod raster;
 pub mod registration;
 mod simd;
-pub mod spacing;
-pub mod stretch;
+pub mod space;
 pub mod surface;
 pub mod tool;
-mod triangle;
 pub mod verdict;
 pub mod wear;

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use flankscope_metrology::cylinder::{CylinderMap, Layout, witnesses};
+use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout, cell_observations};
 use flankscope_metrology::surface::{Closest, Feature};
 
 const LAYOUT: Layout = Layout {
@@ -29,7 +29,7 @@ fn hit(angle_rad: f64, z_mm: f64, off_mm: f64) -> Closest {
 
 /// Adds one view by its points.
 fn add(map: &mut CylinderMap, hits: &[Closest], sigma_mm: &[f32]) {
-    map.add_view(&witnesses(&LAYOUT, hits, sigma_mm), |_| 0.0);
+    map.add_view(&cell_observations(&LAYOUT, hits, sigma_mm), |_| 0.0);
 }
 
 #[test]

@@ -2,9 +2,9 @@
 
 mod support;
 
-use flankscope_metrology::cloud;
-use flankscope_metrology::mesh::{self, TriMesh, Unit};
-use flankscope_metrology::ply;
+use flankscope_metrology::io::cloud;
+use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::ply;
 use flankscope_metrology::surface::Surface;
 use support::Random;
 

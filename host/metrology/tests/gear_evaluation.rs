@@ -5,12 +5,12 @@ mod support;
 use std::f64::consts::TAU;
 
 use flankscope_gear_cad::GearSpec;
-use flankscope_metrology::alpha;
-use flankscope_metrology::gear::{Flank, GearData, Kind};
-use flankscope_metrology::gear_evaluation::{
+use flankscope_metrology::gear::evaluation::{
     GearEvaluation, GearEvaluationError, NotTold, Quantity, Settings, evaluate,
 };
-use flankscope_metrology::mesh::TriMesh;
+use flankscope_metrology::gear::{Flank, GearData, Kind};
+use flankscope_metrology::io::mesh::TriMesh;
+use flankscope_metrology::surface::sampling;
 use flankscope_metrology::verdict::{PROBABILITY, guard_factor};
 use support::{mesh_of, on_every_ring84, ring84_spec};
 
@@ -415,7 +415,7 @@ fn closed_slope_um(
 
 /// Points of a mesh: flanks, lands, end faces and body alike.
 fn sampled(mesh: &TriMesh) -> Vec<[f64; 3]> {
-    alpha::sample(mesh, 6_000_000, 11).unwrap()
+    sampling::sample(mesh, 6_000_000, 11).unwrap()
 }
 
 /// 0.05 um of chord error, a quarter of what the figures below are held to.

@@ -4,10 +4,10 @@
 //! mean 1/(2 sqrt(rho)), standard deviation sqrt((4 - pi) / (4 pi rho)). At the densities of an article that reports
 //! 36 +- 19 um for one view and 74 +- 37 um for all (about 200 and 50 points per mm2) this alone is what it reports.
 
-use flankscope_metrology::alpha::sample;
 use flankscope_metrology::deviation::{Order, SampleTree, deviations, statistics};
-use flankscope_metrology::mesh::TriMesh;
+use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::sampling::sample;
 
 /// Side of the square, mm, and the margin at which probes keep off its edges.
 const SIDE_MM: f64 = 20.0;

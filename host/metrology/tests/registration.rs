@@ -2,13 +2,13 @@
 
 mod support;
 
-use flankscope_metrology::alpha;
-use flankscope_metrology::frames::Rigid;
-use flankscope_metrology::mesh::TriMesh;
+use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
     Options, Prior, Reason, Registration, Status, detect_teeth, register,
 };
+use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::sampling;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use support::{Random, on_every_ring84};
 
@@ -21,7 +21,7 @@ fn patch(mesh: &TriMesh, count: usize, noise_mm: f64, seed: u64) -> Vec<[f64; 3]
     let mut round = 0;
     while points.len() < count {
         round += 1;
-        for p in alpha::sample(mesh, 2_000_000, seed * 1000 + round).unwrap() {
+        for p in sampling::sample(mesh, 2_000_000, seed * 1000 + round).unwrap() {
             let angle = p[1].atan2(p[0]);
             let inside = angle.abs() < 1.5 * std::f64::consts::TAU / 84.0
                 && (p[2] - 33.0).abs() < 5.0

@@ -2,10 +2,10 @@
 
 mod support;
 
-use flankscope_metrology::alpha::{self, Region, SampleError};
 use flankscope_metrology::deviation::{Order, SampleTree, deviations, statistics};
-use flankscope_metrology::mesh::TriMesh;
+use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::sampling::{self, Region, SampleError};
 use support::Random;
 
 /// Two triangles with areas 1 : 3, far apart, and one without area.
@@ -26,7 +26,7 @@ fn unequal() -> TriMesh {
 #[test]
 fn points_are_uniform_by_area_between_and_inside_triangles() {
     let n = 100_000;
-    let points = alpha::sample(&unequal(), n, 3).unwrap();
+    let points = sampling::sample(&unequal(), n, 3).unwrap();
     let first: Vec<_> = points.iter().filter(|p| p[2] == 0.0).collect();
     // Binomial: 25 % of 100 000 with a standard deviation of 137; five of them are allowed.
     assert!(
@@ -58,7 +58,7 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
             .num_threads(threads)
             .build()
             .unwrap();
-        pool.install(|| alpha::sample(&unequal(), 30_000, seed).unwrap())
+        pool.install(|| sampling::sample(&unequal(), 30_000, seed).unwrap())
     };
     assert_eq!(run(1, 9), run(4, 9));
     assert_ne!(run(1, 9), run(1, 10));
@@ -66,11 +66,14 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
 
 #[test]
 fn nothing_to_sample_is_named() {
-    assert_eq!(alpha::sample(&unequal(), 0, 1), Err(SampleError::NoPoints));
+    assert_eq!(
+        sampling::sample(&unequal(), 0, 1),
+        Err(SampleError::NoPoints)
+    );
     let mut flat = unequal();
     flat.triangles = vec![[0, 1, 1]];
     assert!(matches!(
-        alpha::sample(&flat, 5, 1),
+        sampling::sample(&flat, 5, 1),
         Err(SampleError::NoArea { triangles: 1, .. })
     ));
 }
@@ -104,7 +107,7 @@ fn the_nearest_point_metric_measures_its_own_sampling() {
         triangles: vec![[0, 1, 2], [0, 2, 3]],
     };
     let per_mm2 = 200.0;
-    let samples = alpha::sample(&mesh, (per_mm2 * side * side) as usize, 1).unwrap();
+    let samples = sampling::sample(&mesh, (per_mm2 * side * side) as usize, 1).unwrap();
     let mut random = Random::new(4);
     // Off the rim, where neighbours are missing; with 5 um of true noise.
     let mut coordinate = || 1.0 + (side - 2.0) * random.uniform();

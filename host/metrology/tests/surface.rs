@@ -3,7 +3,7 @@
 
 mod support;
 
-use flankscope_metrology::mesh::TriMesh;
+use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::surface::{Feature, Surface};
 use nalgebra::{Rotation3, Vector3};
 use support::{Random, on_every_ring84};

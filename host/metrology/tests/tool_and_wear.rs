@@ -4,12 +4,12 @@ mod support;
 
 use std::path::{Path, PathBuf};
 
-use flankscope_metrology::alpha;
 use flankscope_metrology::gear::Flank;
-use flankscope_metrology::leakage;
 use flankscope_metrology::registration::{Contact, Options, Response, register};
+use flankscope_metrology::surface::sampling;
 use flankscope_metrology::tool::{Tool, ToolError};
 use flankscope_metrology::verdict::{Verdict, combine, decide};
+use flankscope_metrology::wear::leakage;
 use flankscope_metrology::wear::{self, FlankWear, Measured, evaluate};
 use support::{Random, on_every_ring84_file};
 
@@ -47,7 +47,7 @@ fn view(tool: &Tool, seed: u64, wear_mm: impl Fn(u32, Flank, f64, f64) -> f64) -
     let mut random = Random::new(seed);
     let mut points = Vec::new();
     for round in 0.. {
-        for p in alpha::sample(&tool.mesh, 2_000_000, 77 * seed + round).unwrap() {
+        for p in sampling::sample(&tool.mesh, 2_000_000, 77 * seed + round).unwrap() {
             let seen = p[1].atan2(p[0]).abs() < 0.13 && (p[2] - 33.0).abs() < 5.0 && p[0] < 44.0;
             if !seen {
                 continue;
@@ -87,6 +87,7 @@ fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
         points: &laid,
         closest: &closest,
         sigma_mm: None,
+        sight: None,
     };
     evaluate(
         tool.gear.as_ref().unwrap(),
@@ -208,6 +209,7 @@ fn run_a_flank_that_was_not_seen(cad: PathBuf) {
         points: &[],
         closest: &[],
         sigma_mm: None,
+        sight: None,
     };
     let wear = evaluate(
         tool.gear.as_ref().unwrap(),

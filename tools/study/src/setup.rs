@@ -66,10 +66,10 @@ impl Setup {
         let pressure_angle_deg = tool.gear.as_ref().map_or(0.0, |g| g.pressure_angle_deg);
         if let Some(inspect) = &mut tool.inspect {
             inspect.height_mm = place.height_mm;
-            // What stands off along the pitch circle does so by its cosine along the normal.
-            let normal_um = FLANKS_UM * pressure_angle_deg.to_radians().cos();
-            inspect.as_built_um = built.then_some(normal_um);
         }
+        // What stands off along the pitch circle does so by its cosine along the normal.
+        let normal_um = FLANKS_UM * pressure_angle_deg.to_radians().cos();
+        tool.as_built_um = built.then_some(normal_um);
         tool
     }
 

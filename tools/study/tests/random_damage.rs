@@ -183,11 +183,9 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
 
     assert!(false_go <= MOST_FALSE_GO, "{false_go}");
     assert!(false_alarm <= MOST_FALSE_ALARM, "{false_alarm}");
-    // Known shortcoming, not asserted: the head looks along a flank, so the walls of a steep or narrow damage hide part of its
-    // bottom, and the mean over what is left is too low by more than U95 says (of 300 damages 66, most of them scratches,
-    // fields, bowls and spalls, by up to 89 µm; all of them stopped or refused here, mostly for what unmeasured patches may
-    // hide). U95 is asked for where it lets a flank pass, and on its upper side. Of the few figures of a short run one may be
-    // outside by chance.
+    // The head looks along a flank, so the walls of a steep or narrow damage hide part of its bottom: what is read is then a
+    // lower bound, and the flank is stopped or refused (`hidden`). U95 is asked for where a flank passes, and nowhere may a
+    // figure be too high. Of the few figures of a short run one may be outside by chance.
     if everything {
         assert!(held >= LEAST_HELD, "{held}");
         assert!(too_high <= 1.0 - LEAST_HELD, "{too_high}");

@@ -4,17 +4,18 @@
 //! fine, with the physical prior of the stages where there is one. It says which directions the data leave open, leaves
 //! those where they were, and reports success only when the pose deserves it.
 
+mod hinz2019;
 mod observe;
 mod pairs;
-mod paper;
 mod periodicity;
 mod phase;
 mod prior;
 mod response;
 mod solve;
+pub mod stretch;
 
+pub use hinz2019::{PaperOptions, PaperReference, register_paper};
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
-pub use paper::{PaperOptions, PaperReference, register_paper};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;
 pub use prior::Prior;
@@ -23,7 +24,7 @@ pub use solve::register;
 
 use nalgebra::Matrix6;
 
-use crate::frames::{Cloud, Rigid, Tool};
+use crate::space::frames::{Cloud, Rigid, Tool};
 
 /// How to register. Lengths mm, angles rad.
 #[derive(Debug, Clone)]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use crate::mesh::TriMesh;
+use crate::io::mesh::TriMesh;
 use crate::random::uniform;
 use crate::surface::Surface;
 

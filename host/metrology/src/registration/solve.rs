@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use super::observe::Observability;
 use super::prior::ScaledPrior;
 use super::{Options, Reason, Registration, Status};
-use crate::frames::Rigid;
-use crate::order::along_curve;
 use crate::random::uniform;
+use crate::space::frames::Rigid;
+use crate::space::morton::along_curve;
 use crate::surface::{CHUNK, Surface};
 
 /// Points per level; the last level takes all.

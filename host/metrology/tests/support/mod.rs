@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing};
-use flankscope_metrology::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
 
 /// A small generator (SplitMix64), so that a test's numbers do not depend on the code under test.
 pub struct Random(u64);

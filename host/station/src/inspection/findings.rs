@@ -39,11 +39,7 @@ impl Findings {
         stopped: Option<&str>,
         since_baseline: bool,
     ) -> Self {
-        let as_built_um = tool
-            .inspect
-            .as_ref()
-            .and_then(|inspect| inspect.as_built_um);
-        let cad_taken_as_true = as_built_um.is_none() && !since_baseline;
+        let cad_taken_as_true = tool.as_built_um.is_none() && !since_baseline;
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
         let mut evidence = Vec::new();

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
-use flankscope_metrology::leakage;
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Temperature;
+use flankscope_metrology::wear::leakage;
 use flankscope_metrology::wear::{Influence, PoseEvidence, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use flankscope_metrology::decision::{Limits, judge};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::flank::{Limits, judge};
 use flankscope_metrology::verdict::{Reason, Verdict, repeating_could_decide};
 use flankscope_metrology::wear::{Figure, FlankWear, Settings};
 

@@ -54,5 +54,7 @@ pub use station::Station;
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
-pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye};
+pub(crate) use views::{
+    OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye, rays_without_point, reach_mm,
+};
 pub(crate) use views::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use flankscope_metrology::leakage::Leakage;
 use flankscope_metrology::wear::PoseEvidence;
+use flankscope_metrology::wear::leakage::Leakage;
 use serde::Serialize;
 
 use crate::baseline::Reference;

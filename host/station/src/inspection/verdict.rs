@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use flankscope_metrology::decision::{Cause, Decision, Limits, judge};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::flank::{Cause, Decision, Limits, judge};
 use flankscope_metrology::verdict::{Reason, Verdict, combine, probability_below};
 use flankscope_metrology::wear::{Budget, COVERAGE_95, Figure, FlankWear};
 

@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-use flankscope_metrology::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::outlier;
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Zone};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
 use flankscope_profilometry::calibration::RigidTransform;
-use flankscope_profilometry::{Accumulator, Decoded, Decoder};
+use flankscope_profilometry::{Accumulator, Decoded, Decoder, HeadModel};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
@@ -167,6 +167,8 @@ pub struct Evaluator {
     datum: Datum,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
+    /// Nearest and farthest distance at which the head measures, mm.
+    reach_mm: [f64; 2],
     /// Size of the tool relative to its CAD, or why it cannot be judged.
     scale: Result<f64, Reason>,
 }
@@ -260,6 +262,7 @@ impl Evaluator {
             datum,
             decoder,
             places,
+            reach_mm: reach_mm(&subject.head)?,
             scale,
         })
     }
@@ -296,7 +299,8 @@ impl Evaluator {
         let kept =
             outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
         let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
-        let chosen: Vec<usize> = (0..decoded.cloud.len()).filter(of_kept).collect();
+        let (chosen, dropped): (Vec<usize>, Vec<usize>) =
+            (0..decoded.cloud.len()).partition(of_kept);
         // A warm die is laid on its CAD as it is when cold: everything shrinks towards axis and seat, poses included.
         let scale = self.scale.as_ref().copied().unwrap_or(1.0);
         let cold = |i: &usize| decoded.cloud.points_mm[*i].map(|x| x / scale);
@@ -354,10 +358,23 @@ impl Evaluator {
                     temperature: self.judge.tool.temperature.as_ref(),
                     form_in_doubt: self.judge.settings.as_built_mm > 0.0,
                 };
+                let tool_from_cloud = registration.tool_from_cloud.isometry();
+                let without_point: Vec<[f64; 3]> =
+                    rays_without_point(&self.decoder, &decoded, &dropped)
+                        .map(|direction| {
+                            (tool_from_cloud * Vector3::from(direction).normalize()).into()
+                        })
+                        .collect();
                 let measured = Measured {
                     points: &located,
                     closest: &closest,
                     sigma_mm: Some(&sigma),
+                    sight: Some(Sight {
+                        surface: &place.surface,
+                        camera_mm: tool_from_cloud.translation.vector.into(),
+                        without_point: &without_point,
+                        reach_mm: self.reach_mm,
+                    }),
                 };
                 let (influences, measured) = rayon::join(
                     || fitted.on(place.tooth),
@@ -512,6 +529,29 @@ impl Evaluator {
     }
 }
 
+/// Where the cells without a point look, and those whose point was `dropped`: camera frame, at any length.
+pub(crate) fn rays_without_point<'a>(
+    decoder: &'a Decoder,
+    decoded: &'a Decoded,
+    dropped: &'a [usize],
+) -> impl Iterator<Item = [f64; 3]> + 'a {
+    let cells = decoded.without_point.iter();
+    let directions = cells.filter_map(|&cell| decoder.direction(cell).map(|[x, y]| [x, y, 1.0]));
+    directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
+}
+
+/// Nearest and farthest distance from the camera at which a point can be measured, mm: depths along the axis, the farthest at
+/// the edge of the field.
+///
+/// # Errors
+/// The head file has no volume.
+pub(crate) fn reach_mm(head: &HeadModel) -> Result<[f64; 2], EvaluatorError> {
+    let what = "[volume] in the head file";
+    let volume = head.volume.ok_or(EvaluatorError::Missing { what })?;
+    let slope = 2f64.sqrt() * field_slope(head);
+    Ok([volume.near_mm, volume.far_mm * 1f64.hypot(slope)])
+}
+
 /// Part of the cells with a fringe and an order whose frames contradict each other.
 fn inconsistent_ratio(decoded: &Decoded) -> f64 {
     let lost = decoded.rejected.inconsistent as f64;
@@ -559,7 +599,7 @@ fn summary(
 }
 
 /// Half the field's width per distance, from the camera's image circle or its sensor.
-pub(crate) fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
+pub(crate) fn field_slope(head: &HeadModel) -> f64 {
     let camera = &head.camera;
     let radius_px = head.image_circle.map_or(
         0.5 * f64::from(camera.width_px.max(camera.height_px)),

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use askama::Template;
-use flankscope_metrology::cylinder::Cell;
 use flankscope_metrology::deviation::Statistics;
+use flankscope_metrology::multiview::cylinder::Cell;
 
 use super::plot::{Axes, Series, binned};
 use super::{chart, colour};

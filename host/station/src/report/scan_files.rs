@@ -2,9 +2,9 @@
 
 use std::io::{self, Write};
 
-use flankscope_metrology::cloud::UNIT_COMMENT;
-use flankscope_metrology::cylinder::{Cell, CylinderMap};
-use flankscope_metrology::ply::{Column, Scalar, write_mesh};
+use flankscope_metrology::io::cloud::UNIT_COMMENT;
+use flankscope_metrology::io::ply::{Column, Scalar, write_mesh};
+use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap};
 
 use super::colour;
 use super::scan::full_scale_um;

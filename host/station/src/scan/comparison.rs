@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use flankscope_metrology::cylinder::CylinderMap;
 use flankscope_metrology::deviation::{Order, Statistics, deviations, statistics};
-use flankscope_metrology::drift::{Drift, durbin_watson};
-use flankscope_metrology::joint::{Pose, Stages};
+use flankscope_metrology::multiview::adjustment::{Pose, Stages};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::multiview::drift::{Drift, durbin_watson};
 use flankscope_metrology::tool::Tool;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
@@ -221,7 +221,7 @@ pub(super) fn of_surface(
     }
     let mut one_view = None;
     if let (Some((view, _)), Some(pose)) = (stitched.views.first(), stitched.joint.poses.first()) {
-        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?, SAMPLE)
+        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?.points, SAMPLE)
             .into_iter()
             .map(|p| (pose * Point3::from(p)).into())
             .collect();

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use flankscope_metrology::cylinder::{CylinderMap, Layout};
 use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout};
 use serde::Serialize;
 
 use crate::inspection::PlannedView;
@@ -122,15 +122,17 @@ impl Coverage {
         }
     }
 
-    /// What a verdict is for, in words; `bore_ratio` is the share of the bore that was seen.
+    /// What a verdict is for, in words; `height_ratio` is the share of these teeth's height that was judged, `bore_ratio` the
+    /// share of the bore that was seen.
     #[must_use]
-    pub fn looked_at(&self, bore_ratio: f64) -> String {
+    pub fn looked_at(&self, height_ratio: f64, bore_ratio: f64) -> String {
         format!(
-            "{} of {} teeth at {} height{}, {} % of the bore",
+            "{} of {} teeth at {} height{} ({} % of their face width), {} % of the bore",
             self.teeth,
             self.of_teeth,
             self.heights,
             if self.heights == 1 { "" } else { "s" },
+            percent(height_ratio),
             percent(bore_ratio)
         )
     }
@@ -162,7 +164,7 @@ pub fn percent(ratio: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::cylinder::{Layout, Witness};
+    use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 
     const TEETH: u32 = 84;
 
@@ -207,7 +209,7 @@ mod tests {
                         let column = ((angle / std::f64::consts::TAU + 0.5) * layout.columns as f64)
                             .rem_euclid(layout.columns as f64)
                             as usize;
-                        let witness = Witness {
+                        let observation = CellObservation {
                             cell: (row * layout.columns + column) as u32,
                             weight: 1e6,
                             deviation_mm: 0.0,
@@ -218,7 +220,7 @@ mod tests {
                                 0.0,
                             ],
                         };
-                        map.add_view(&[witness], |_| 0.0);
+                        map.add_view(&[observation], |_| 0.0);
                     }
                 }
             }
@@ -254,8 +256,11 @@ mod tests {
         assert_eq!((whole.fields, whole.holes.len()), (2 * 588, 0));
         assert_eq!(whole.objection(), None);
         assert_eq!((whole.teeth, whole.heights), (84, 7));
-        let said = whole.looked_at(0.1234);
-        assert_eq!(said, "84 of 84 teeth at 7 heights, 12.3 % of the bore");
+        let said = whole.looked_at(0.8485, 0.1234);
+        assert_eq!(
+            said,
+            "84 of 84 teeth at 7 heights (84.9 % of their face width), 12.3 % of the bore"
+        );
         let nothing = of(&map(|_, _| true));
         assert_eq!((nothing.holes.len(), nothing.teeth), (2 * 588, 0));
         assert_eq!(nothing.worst_ratio, 0.0);

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use flankscope_metrology::cylinder::CylinderMap;
-use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
-use flankscope_metrology::joint::{Solution, ViewInformation};
-use flankscope_metrology::spacing::opposite;
+use flankscope_metrology::multiview::adjustment::{Solution, ViewInformation};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::multiview::spacing::opposite;
+use flankscope_metrology::space::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::verdict::combine;
 
 use super::coverage::{Coverage, LEAST_COVERAGE};
@@ -34,6 +34,7 @@ impl Scanner {
             features,
             verdicts,
             means,
+            height_ratio,
         } = self.features(&stitched)?;
         let took_ms = begun.elapsed().as_secs_f64() * 1e3;
         let Stitched {
@@ -90,7 +91,7 @@ impl Scanner {
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let coverage = Coverage::of(&map, &self.gear, radius_mm, planned, LEAST_COVERAGE);
         // A verdict is for what was looked at, and says so.
-        let looked_at = coverage.looked_at(map.coverage());
+        let looked_at = coverage.looked_at(height_ratio, map.coverage());
         let mut reason = match verdict.as_str() {
             "go" => format!(
                 "go for {looked_at} looked at: every flank that was asked for is within the warning limit"

@@ -14,15 +14,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use flankscope_metrology::decision::Limits;
-use flankscope_metrology::fingerprint::FlankMean;
-use flankscope_metrology::frames::Rigid;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
-use flankscope_metrology::joint::{Local, Solution, Stages, ViewInformation};
-use flankscope_metrology::leakage::{Leakage, of_tooth};
+use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
+use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
+use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Verdict;
+use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
 use flankscope_metrology::wear::{
     Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
 };
@@ -36,10 +36,9 @@ use super::view::{SAMPLE, coordinates};
 use super::workshop::Store;
 use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
 
-/// Where every tooth is in the middle of a view, layers that are no farther apart than twice this are asked for everything
-/// between them, mm: a field is 10 mm wide, and what its round rim lacks there the views beside it show.
-const JOINED_MM: f64 = 5.0;
-/// Else a view is asked for at most so much above and below its middle, mm ...
+/// A view is asked for at most so much above and below its middle, mm: where every tooth is in the middle of one, layers no
+/// farther apart than twice this are asked for everything between them. Beyond, the round rim of a field of 10 mm leaves
+/// slivers of flanks unseen that no view beside it shows ...
 const ASKED_MM: f64 = 4.0;
 /// ... and for no more than its round field shows of a flank that lies off its middle, even where die and head stand off by so
 /// much (mm) together.
@@ -74,6 +73,8 @@ pub(super) struct JudgedFlanks {
     pub verdicts: Vec<Verdict>,
     /// Mean deviation of every flank that was seen, asked for or not.
     pub means: Vec<FlankMean>,
+    /// Share of the heights of those that were asked for.
+    pub height_ratio: f64,
 }
 
 /// What one view's pose may do to the flanks of its middle tooth.
@@ -115,7 +116,7 @@ fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]
         let mut zones: Vec<[f64; 2]> = Vec::new();
         for (i, &[middle, reach]) in at.iter().enumerate() {
             let reach = |to_edge_mm: f64| {
-                if all && to_edge_mm <= JOINED_MM {
+                if all && to_edge_mm <= ASKED_MM {
                     to_edge_mm
                 } else {
                     reach
@@ -133,6 +134,15 @@ fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]
         (tooth, zones)
     };
     views.into_iter().map(of_tooth).collect()
+}
+
+/// Share of the judged heights of the teeth that were asked for.
+fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -> f64 {
+    let zones = asked.values().flatten();
+    let judged: f64 = zones
+        .map(|&[low, high]| (high.min(top) - low.max(bottom)).max(0.0))
+        .sum();
+    judged / ((top - bottom) * asked.len().max(1) as f64)
 }
 
 /// The middle one of the finite values; none without any.
@@ -233,7 +243,7 @@ impl Judging<'_> {
             return Ok(JudgedFlanks {
                 verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
                 features: judged.into_iter().map(Feature::from).collect(),
-                means: Vec::new(),
+                ..JudgedFlanks::default()
             });
         };
         let settings = Settings {
@@ -325,7 +335,10 @@ impl Judging<'_> {
             judge(wear, &zone, &limits)
         });
         let judged: Vec<OfZone> = judged.collect();
-        Ok(of_flanks(&judged, |tooth| asked.contains_key(&tooth)))
+        Ok(JudgedFlanks {
+            height_ratio: height_ratio(&asked, [bottom + end_mm, top - end_mm]),
+            ..of_flanks(&judged, |tooth| asked.contains_key(&tooth))
+        })
     }
 
     /// What the poses of the views do to the flanks that they were asked for.
@@ -588,10 +601,15 @@ mod tests {
 
     #[test]
     fn near_layers_of_all_teeth_are_asked_for_whole_flanks_and_others_for_their_fields() {
-        let whole = zones(84, 7, 0.0);
+        let whole = zones(84, 9, 0.0);
         assert_eq!(whole.len(), 1);
         assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
-        assert_eq!(zones(12, 7, 0.0).len(), 7);
+        assert_eq!(zones(12, 9, 0.0).len(), 9);
+        // Layers 9.43 mm apart: seven bands of 8 mm, 56 of 66 mm.
+        let bands = zones(84, 7, 0.0);
+        assert_eq!(bands.len(), 7);
+        let share = height_ratio(&BTreeMap::from([(7, bands)]), [0.0, 66.0]);
+        assert!((share - 56.0 / 66.0).abs() < 1e-9, "{share}");
         assert_eq!(zones(84, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
         assert_eq!(zones(12, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
         // Beside the middle, the round field shows less of the height.

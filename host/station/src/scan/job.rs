@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use flankscope_metrology::cylinder::CylinderMap;
+use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::joint::{JointError, Stages};
-use flankscope_metrology::merge::{MergeError, check_voxel_size};
+use flankscope_metrology::multiview::adjustment::{JointError, Stages};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
@@ -21,14 +21,14 @@ use super::paper::{self, PaperSettings};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
 use super::session::SessionError;
-use super::stitch::stitch;
+use super::stitch::{Optics, stitch};
 use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::view::ScannedView;
 use super::workshop::{Store, Workshop};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
-    Subject, Timing, field_slope, hand_eye, peak_memory_mb,
+    Subject, Timing, hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
 use flankscope_frames::{Frame, SharedRoot, monotonic_ns};
@@ -312,7 +312,7 @@ impl Scanner {
     fn nothing(&mut self, why: String) -> Result<Scan, ScanError> {
         let Scanner { station, store, .. } = self;
         let tool = &station.subject.tool;
-        let over = (layout(&self.gear), field_slope(&station.subject.head));
+        let optics = Optics::of(&station.subject.head).map_err(InspectError::from)?;
         let none = BTreeMap::new();
         let empty = stitch(
             &store.session,
@@ -320,7 +320,8 @@ impl Scanner {
             none,
             tool,
             &self.nominal,
-            over,
+            layout(&self.gear),
+            optics,
         )?;
         let mut scan = self.describe(empty, &BTreeMap::new())?;
         scan.disown(why);
@@ -334,9 +335,17 @@ impl Scanner {
         let (tool, itinerary) = (&subject.tool, &self.station.itinerary);
         let (session, nominal, planned) = (&self.store.session, &self.nominal, &itinerary.views);
         let layout = layout(&self.gear);
-        let over = (layout, field_slope(&subject.head));
+        let optics = Optics::of(&subject.head).map_err(InspectError::from)?;
         let begun = Instant::now();
-        let ours = stitch(session, &mut self.store.patches, first, tool, nominal, over)?;
+        let ours = stitch(
+            session,
+            &mut self.store.patches,
+            first,
+            tool,
+            nominal,
+            layout,
+            optics,
+        )?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
         let shared = ours.joint.stages.clone();

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use flankscope_metrology::cylinder::{Layout, Witness, witnesses};
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::adjustment::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, cell_observations};
 use flankscope_metrology::surface::{Closest, Surface};
-use flankscope_metrology::wear::{FlankView, Measured};
-use nalgebra::{Isometry3, Point3};
+use flankscope_metrology::wear::{FlankView, Measured, Sight};
+use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::view::Kept;
+use super::view::KeptView;
 
 /// Cells around per tooth, and their height, mm.
 const COLUMNS_PER_TOOTH: usize = 24;
@@ -26,17 +26,20 @@ pub(super) fn layout(gear: &GearData) -> Layout {
 }
 
 /// A view's points on the surface.
-pub(super) struct Laid {
+pub(super) struct Laid<'a> {
+    surface: &'a Surface,
+    kept: &'a KeptView,
     tool_from_camera: Isometry3<f64>,
     /// Where the points lie, tool frame, mm.
     located: Vec<[f64; 3]>,
     closest: Vec<Closest>,
 }
 
-impl Laid {
+impl<'a> Laid<'a> {
     /// Lays points on the surface.
-    pub fn new(surface: &Surface, tool_from_camera: Isometry3<f64>, points: &[Kept]) -> Self {
-        let located: Vec<[f64; 3]> = points
+    pub fn new(surface: &'a Surface, tool_from_camera: Isometry3<f64>, kept: &'a KeptView) -> Self {
+        let located: Vec<[f64; 3]> = kept
+            .points
             .iter()
             .map(|&[x, y, z, ..]| {
                 let point = Point3::new(f64::from(x), f64::from(y), f64::from(z));
@@ -44,6 +47,8 @@ impl Laid {
             })
             .collect();
         Self {
+            surface,
+            kept,
             tool_from_camera,
             closest: surface.closest_many(&located),
             located,
@@ -51,18 +56,35 @@ impl Laid {
     }
 
     /// What the view says of the cells.
-    pub fn witnesses(&self, layout: &Layout, points: &[Kept]) -> Vec<Witness> {
-        let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
-        witnesses(layout, &self.closest, &sigma_mm)
+    pub fn cell_observations(&self, layout: &Layout) -> Vec<CellObservation> {
+        let sigma_mm = self.sigma_mm();
+        cell_observations(layout, &self.closest, &sigma_mm)
     }
 
-    /// What the view saw of every flank.
-    pub fn flanks(&self, gear: &GearData, points: &[Kept]) -> BTreeMap<(u32, Flank), FlankView> {
-        let sigma_mm: Vec<f32> = points.iter().map(|point| point[3]).collect();
+    fn sigma_mm(&self) -> Vec<f32> {
+        self.kept.points.iter().map(|point| point[3]).collect()
+    }
+
+    /// What the view saw of every flank; the head measures at distances of `reach_mm`.
+    pub fn flanks(&self, gear: &GearData, reach_mm: [f64; 2]) -> BTreeMap<(u32, Flank), FlankView> {
+        let sigma_mm = self.sigma_mm();
+        let directions = self.kept.without_point.iter();
+        let without_point: Vec<[f64; 3]> = directions
+            .map(|&[x, y]| {
+                let direction = Vector3::new(f64::from(x), f64::from(y), 1.0).normalize();
+                (self.tool_from_camera * direction).into()
+            })
+            .collect();
         let measured = Measured {
             points: &self.located,
             closest: &self.closest,
             sigma_mm: Some(&sigma_mm),
+            sight: Some(Sight {
+                surface: self.surface,
+                camera_mm: self.tool_from_camera.translation.vector.into(),
+                without_point: &without_point,
+                reach_mm,
+            }),
         };
         FlankView::of(gear, measured)
     }

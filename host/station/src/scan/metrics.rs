@@ -3,12 +3,12 @@
 //! The distance to the nearest of many random points on the CAD is half their spacing for a perfect piece and a perfect
 //! instrument, so a histogram of it shows the reference cloud rather than the piece; beside it stands the exact distance.
 
-use flankscope_metrology::alpha::{Region, SampleError, centre_of_mass};
-use flankscope_metrology::cylinder::CylinderMap;
 use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, Statistics, statistics};
-use flankscope_metrology::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::raster::{self, RasterError};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::multiview::raster::{self, RasterError};
+use flankscope_metrology::space::frames::{Camera, Rigid, Tool as ToolFrame};
+use flankscope_metrology::surface::sampling::{Region, SampleError, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use serde::Serialize;
 
@@ -93,7 +93,8 @@ pub(super) fn compare(
     let Ok(pose) = Rigid::<ToolFrame, Camera>::from_rows(&rows) else {
         return Ok(None);
     };
-    let laid = Laid::new(&tool.surface, *pose.isometry(), &session.points(view)?);
+    let kept = session.points(view)?;
+    let laid = Laid::new(&tool.surface, *pose.isometry(), &kept);
     let (points, exact_mm) = laid.near(STRANGER_MM);
     let centre = centre_of_mass(&points).unwrap_or_default();
     let region = Region {

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-use flankscope_metrology::cylinder::{Layout, Witness};
-use flankscope_metrology::joint::{Overlap, Solution, ViewInformation, take_off_common};
+use flankscope_metrology::multiview::adjustment::{
+    Overlap, Solution, ViewInformation, take_off_common,
+};
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use nalgebra::{Isometry3, Point3, Vector6};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -29,7 +31,7 @@ pub(super) fn overlaps(
     views: &[Laid],
     alone: &BTreeMap<usize, Isometry3<f64>>,
 ) -> Result<Vec<Overlap>, SessionError> {
-    let there = |at: usize| -> Result<Vec<Witness>, SessionError> {
+    let there = |at: usize| -> Result<Vec<CellObservation>, SessionError> {
         let (view, info) = &views[at];
         patches.moved_to(*view, &info.tool_from_camera, layout)
     };

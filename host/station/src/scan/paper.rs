@@ -9,13 +9,13 @@
 //! Scattered points were removed before the views were kept. Where the article's formulas allow two readings or carry a
 //! slip (which side the initial transformation stands on, the reflection case), the geometrically right one is taken.
 
-use flankscope_metrology::alpha::{self, centre_of_mass};
-use flankscope_metrology::cylinder::{CylinderMap, witnesses};
+use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
-use flankscope_metrology::frames::{Cloud, Rigid, Tool as ToolFrame};
-use flankscope_metrology::joint::Stages;
-use flankscope_metrology::merge::voxel_centroids;
+use flankscope_metrology::multiview::adjustment::Stages;
+use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
 use flankscope_metrology::registration::{PaperOptions, Status, register_paper, search_phase};
+use flankscope_metrology::space::frames::{Cloud, Rigid, Tool as ToolFrame};
+use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use nalgebra::{Isometry3, Point3, Translation3};
 
@@ -102,7 +102,7 @@ pub(super) fn stitch(
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let mut one_view = None;
     for (view, _) in session.views().filter(|(v, _)| *v < itinerary.views.len()) {
-        let points = session.points(view)?;
+        let points = session.points(view)?.points;
         let seed = settings.seed.wrapping_add((view as u64) << 32);
         let drawn = drawn(&points, settings, seed);
         let (xyz, at) = (coordinates(&drawn, drawn.len()), place(itinerary, view));
@@ -144,7 +144,7 @@ pub(super) fn stitch(
         one_view.get_or_insert(distances);
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         let closest = tool.surface.closest_many(&laid);
-        map.add_view(&witnesses(&map.layout(), &closest, &sigma), |_| 0.0);
+        map.add_view(&cell_observations(&map.layout(), &closest, &sigma), |_| 0.0);
         views.push(PaperView {
             view,
             rms_mm: distances.rms_mm,
@@ -169,7 +169,7 @@ fn drawn(points: &[Kept], settings: &PaperSettings, seed: u64) -> Vec<Kept> {
         .iter()
         .zip(0..)
         .filter(|(point, index)| {
-            f64::from(point[4]) >= settings.mask_dn && alpha::drawn(seed, *index, settings.share)
+            f64::from(point[4]) >= settings.mask_dn && sampling::drawn(seed, *index, settings.share)
         })
         .map(|(point, _)| *point)
         .collect()
@@ -177,9 +177,9 @@ fn drawn(points: &[Kept], settings: &PaperSettings, seed: u64) -> Vec<Kept> {
 
 /// Reference points all over the toothing.
 fn whole_reference(tool: &Tool, settings: &PaperSettings) -> Vec<[f64; 3]> {
-    let threshold_mm = alpha::Region::default().radial_threshold_mm;
-    let count = (alpha::area_mm2(&tool.mesh) * MERGED_PER_MM2).clamp(1.0, 1e8) as usize;
-    let mut points = alpha::sample(&tool.mesh, count, settings.seed).unwrap_or_default();
+    let threshold_mm = sampling::Region::default().radial_threshold_mm;
+    let count = (sampling::area_mm2(&tool.mesh) * MERGED_PER_MM2).clamp(1.0, 1e8) as usize;
+    let mut points = sampling::sample(&tool.mesh, count, settings.seed).unwrap_or_default();
     points.retain(|p| p[0].hypot(p[1]) <= threshold_mm);
     points
 }

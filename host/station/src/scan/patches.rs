@@ -6,8 +6,8 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
-use flankscope_metrology::cylinder::{Layout, Witness, moved};
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, moved};
 use flankscope_metrology::wear::{FlankPoint, FlankView};
 use nalgebra::Isometry3;
 
@@ -17,18 +17,20 @@ use super::session::SessionError;
 #[derive(Debug)]
 struct Place {
     offset: u64,
-    witnesses: usize,
+    cell_observations: usize,
     flanks: BTreeMap<(u32, Flank), FlankPlace>,
     /// At which it was laid on the CAD.
     tool_from_camera: Isometry3<f64>,
 }
 
-/// Where the points of one flank lie in the file: first those on it, then those under its edge.
+/// Where the points of one flank lie in the file: first those on it, then those under its edge, then where rays meet it.
 #[derive(Clone, Copy, Debug)]
 struct FlankPlace {
     offset: u64,
     on: usize,
     under: usize,
+    rays: usize,
+    slant: f64,
 }
 
 /// A file without a name in the session folder: it goes with the process, since all of it follows from the views' points.
@@ -63,23 +65,26 @@ impl Patches {
         &mut self,
         view: usize,
         tool_from_camera: Isometry3<f64>,
-        witnesses: &[Witness],
+        cell_observations: &[CellObservation],
         flanks: &BTreeMap<(u32, Flank), FlankView>,
     ) -> Result<(), SessionError> {
-        let offset = self.write(bytemuck::cast_slice(witnesses))?;
+        let offset = self.write(bytemuck::cast_slice(cell_observations))?;
         let mut kept = BTreeMap::new();
         for (&key, seen) in flanks {
             let place = FlankPlace {
                 offset: self.write(bytemuck::cast_slice(&seen.on))?,
                 on: seen.on.len(),
                 under: seen.under.len(),
+                rays: seen.rays.len(),
+                slant: seen.slant,
             };
             self.write(bytemuck::cast_slice(&seen.under))?;
+            self.write(bytemuck::cast_slice(&seen.rays))?;
             kept.insert(key, place);
         }
         let place = Place {
             offset,
-            witnesses: witnesses.len(),
+            cell_observations: cell_observations.len(),
             flanks: kept,
             tool_from_camera,
         };
@@ -116,14 +121,21 @@ impl Patches {
         let Some(of) = place.flanks.get(&key) else {
             return Ok(None);
         };
-        let mut points = vec![FlankPoint::zeroed(); of.on + of.under];
+        let mut points = vec![FlankPoint::zeroed(); of.on + of.under + of.rays];
         let read = self
             .file
             .read_exact_at(bytemuck::cast_slice_mut(&mut points), of.offset);
         read.map_err(|error| self.trouble(error))?;
-        let under = points.split_off(of.on);
+        let mut under = points.split_off(of.on);
+        let rays = under.split_off(of.under);
         let motion = tool_from_camera * place.tool_from_camera.inverse();
-        Ok(Some((FlankView { on: points, under }, motion)))
+        let seen = FlankView {
+            on: points,
+            under,
+            rays,
+            slant: of.slant,
+        };
+        Ok(Some((seen, motion)))
     }
 
     /// Pose at which a view was laid on the CAD, if it was.
@@ -137,16 +149,16 @@ impl Patches {
         view: usize,
         tool_from_camera: &Isometry3<f64>,
         layout: &Layout,
-    ) -> Result<Vec<Witness>, SessionError> {
+    ) -> Result<Vec<CellObservation>, SessionError> {
         let Some(place) = self.places.get(&view) else {
             return Ok(Vec::new());
         };
-        let mut witnesses = vec![Witness::zeroed(); place.witnesses];
-        let bytes = bytemuck::cast_slice_mut(&mut witnesses);
+        let mut cell_observations = vec![CellObservation::zeroed(); place.cell_observations];
+        let bytes = bytemuck::cast_slice_mut(&mut cell_observations);
         let read = self.file.read_exact_at(bytes, place.offset);
         read.map_err(|error| self.trouble(error))?;
         let motion = tool_from_camera * place.tool_from_camera.inverse();
-        Ok(moved(&witnesses, layout, &motion))
+        Ok(moved(&cell_observations, layout, &motion))
     }
 
     fn trouble(&self, error: std::io::Error) -> SessionError {

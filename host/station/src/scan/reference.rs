@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use flankscope_metrology::fingerprint::{Comparison, FlankMean, compare};
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::multiview::tooth_identity::{Comparison, FlankMean, compare};
 use serde::{Deserialize, Serialize};
 
 use super::result::FlankSeen;

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use flankscope_metrology::cylinder::{BoreForm, CylinderMap, FieldQuality};
-use flankscope_metrology::fingerprint::FlankMean;
-use flankscope_metrology::spacing::Spacing;
+use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
+use flankscope_metrology::multiview::spacing::Spacing;
+use flankscope_metrology::multiview::tooth_identity::FlankMean;
 
 use super::comparison::MethodResult;
 use super::coverage::Coverage;

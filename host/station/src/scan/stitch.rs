@@ -7,11 +7,14 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use flankscope_metrology::cylinder::{CylinderMap, FieldQuality, Layout, Witness};
-use flankscope_metrology::joint::{
+use flankscope_metrology::multiview::adjustment::{
     Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
 };
+use flankscope_metrology::multiview::cylinder::{
+    CellObservation, CylinderMap, FieldQuality, Layout,
+};
 use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
@@ -21,7 +24,7 @@ use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, place, unlike_cad};
-use crate::inspection::Itinerary;
+use crate::inspection::{EvaluatorError, Itinerary, field_slope, reach_mm};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -73,6 +76,26 @@ pub(super) fn first_information(
     Ok(found?.into_iter().flatten().collect())
 }
 
+/// What stitching asks of the head.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Optics {
+    /// Half the field's width per distance.
+    pub field_slope: f64,
+    /// Nearest and farthest distance at which it measures, mm.
+    pub reach_mm: [f64; 2],
+}
+
+impl Optics {
+    /// # Errors
+    /// The head file has no volume.
+    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
+        Ok(Self {
+            field_slope: field_slope(head),
+            reach_mm: reach_mm(head)?,
+        })
+    }
+}
+
 /// Stitches views, as each was laid on first.
 pub(super) fn stitch(
     session: &Session,
@@ -80,7 +103,8 @@ pub(super) fn stitch(
     first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
     nominal: &Stages,
-    (layout, field_slope): (Layout, f64),
+    layout: Layout,
+    optics: Optics,
 ) -> Result<Stitched, ScanError> {
     let mut elapsed_ms = BTreeMap::new();
     let mut clock = Instant::now();
@@ -91,7 +115,7 @@ pub(super) fn stitch(
     let mut common = Common::new(session, tool, first, nominal)?;
     common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
-    let relaid = common.lay(patches, &layout)?;
+    let relaid = common.lay(patches, &layout, optics.reach_mm)?;
     lap("lay");
     let (alone, sure) = (common.poses(), common.joint.clone());
     let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
@@ -106,19 +130,19 @@ pub(super) fn stitch(
     let steps = Steps::of(&pairs, &views, &alone, &joint);
     let joint = joint.no_surer_than(&sure);
     lap("overlaps");
-    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)| {
+    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
         for ((view, _), pose) in views.iter().zip(&joint.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
         Ok::<_, SessionError>(())
     };
-    let (map, quality) = merge(layout, field_slope, of_views)?;
+    let (map, quality) = merge(layout, optics.field_slope, of_views)?;
     let form = map.form();
     let mut rms_about_form_mm = Vec::with_capacity(views.len());
     of_views(&mut |_, view| {
         let form = form.filter(|_| !view.is_empty());
         rms_about_form_mm.push(form.map(|form| {
-            let off_mm = |w: &Witness| {
+            let off_mm = |w: &CellObservation| {
                 let form_mm = form.deviation_mm(w.point.map(f64::from), w.normal.map(f64::from));
                 f64::from(w.deviation_mm) - form_mm
             };
@@ -207,18 +231,23 @@ impl<'a> Common<'a> {
     }
 
     /// Lays views that moved far on the CAD again with all their points; returns how many.
-    fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
+    fn lay(
+        &self,
+        patches: &mut Patches,
+        layout: &Layout,
+        reach_mm: [f64; 2],
+    ) -> Result<usize, SessionError> {
         let mut relaid = 0;
         for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
             let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
-                let points = self.session.points(*view)?;
-                let laid = Laid::new(&self.tool.surface, *pose, &points);
+                let kept = self.session.points(*view)?;
+                let laid = Laid::new(&self.tool.surface, *pose, &kept);
                 let flanks = match &self.tool.gear {
-                    Some(gear) => laid.flanks(gear, &points),
+                    Some(gear) => laid.flanks(gear, reach_mm),
                     None => BTreeMap::new(),
                 };
-                patches.keep(*view, *pose, &laid.witnesses(layout, &points), &flanks)?;
+                patches.keep(*view, *pose, &laid.cell_observations(layout), &flanks)?;
                 relaid += 1;
             }
         }
@@ -237,10 +266,10 @@ impl<'a> Common<'a> {
 fn merge(
     layout: Layout,
     field_slope: f64,
-    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<Witness>)) -> Result<(), SessionError>,
+    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)) -> Result<(), SessionError>,
 ) -> Result<(CylinderMap, FieldQuality), SessionError> {
-    let in_camera = |pose: &Isometry3<f64>, witness: &Witness| -> [f64; 3] {
-        let point = Point3::from(witness.point.map(f64::from));
+    let in_camera = |pose: &Isometry3<f64>, observation: &CellObservation| -> [f64; 3] {
+        let point = Point3::from(observation.point.map(f64::from));
         pose.inverse_transform_point(&point).into()
     };
     let mut by_noise = CylinderMap::new(layout);

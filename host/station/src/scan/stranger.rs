@@ -1,8 +1,8 @@
 //! Is it the CAD's die? Views of another one can lie on the CAD almost well, and would make a map that looks right.
 
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::joint::{Pose, Stages};
-use flankscope_metrology::stretch;
+use flankscope_metrology::multiview::adjustment::{Pose, Stages};
+use flankscope_metrology::registration::stretch;
 use flankscope_metrology::tool::Tool;
 use nalgebra::Point3;
 use rayon::prelude::*;

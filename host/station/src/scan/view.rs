@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use flankscope_metrology::cylinder::{Layout, Witness};
-use flankscope_metrology::frames::Rigid;
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::joint::{
+use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
-use flankscope_metrology::outlier;
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
+use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
@@ -19,6 +19,7 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 use super::lay::{Laid, layout};
 use crate::inspection::{
     EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
+    rays_without_point, reach_mm,
 };
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
@@ -46,11 +47,20 @@ const LAZY_VIEWS: usize = 12;
 /// (smoothed standard deviation, counts), which the article's mask goes by.
 pub(super) type Kept = [f32; 5];
 
+/// What is kept of a view.
+#[derive(Clone, Debug, Default)]
+pub(super) struct KeptView {
+    /// Its points, in shuffled order.
+    pub points: Vec<Kept>,
+    /// Where the rays without a point look: x and y at z = 1, camera frame.
+    pub without_point: Vec<[f32; 2]>,
+}
+
 /// What became of one view.
 #[derive(Debug)]
-pub(crate) struct ScannedView {
-    /// Points in shuffled order.
-    pub points: Vec<Kept>,
+pub(super) struct ScannedView {
+    /// Its points.
+    pub kept: KeptView,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: Isometry3<f64>,
     /// What became of it on the CAD, or why it must not be used.
@@ -63,7 +73,7 @@ pub(crate) struct LaidView {
     /// What it says about its pose, at the best one by what was known of the others at the time.
     pub information: ViewInformation,
     /// What it says of the map, there.
-    pub witnesses: Vec<Witness>,
+    pub cell_observations: Vec<CellObservation>,
     /// What it saw of every flank, there.
     pub flanks: BTreeMap<(u32, Flank), FlankView>,
 }
@@ -74,6 +84,8 @@ pub(super) struct ViewScanner {
     gear: GearData,
     layout: Layout,
     decoder: Arc<Decoder>,
+    /// Nearest and farthest distance at which the head measures, mm.
+    reach_mm: [f64; 2],
     itinerary: Arc<Itinerary>,
     joint: Solution,
     known: BTreeMap<usize, ViewInformation>,
@@ -95,6 +107,7 @@ impl ViewScanner {
             tool: Arc::clone(&subject.tool),
             layout: layout(gear),
             gear: gear.clone(),
+            reach_mm: reach_mm(&subject.head)?,
             decoder,
             itinerary,
             joint: Solution::prior(nominal, Local::default()),
@@ -109,31 +122,37 @@ impl ViewScanner {
         let at = place(&self.itinerary, view);
         let mut prior = self.joint.predict(at);
         let expected = *prior.tool_from_cloud.isometry();
-        let decoded = match self.decoder.finish(sums) {
-            Ok(decoded) => decoded.cloud,
+        let decoded_view = match self.decoder.finish(sums) {
+            Ok(decoded) => decoded,
             Err(error) => {
                 return ScannedView {
-                    points: Vec::new(),
+                    kept: KeptView::default(),
                     tool_from_camera: expected,
                     laid: Err(error.to_string()),
                 };
             }
         };
+        let decoded = &decoded_view.cloud;
         let kept = outlier::statistical(&decoded.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
-        let mut order: Vec<u32> = (0..decoded.len() as u32)
-            .filter(|&i| kept.get(i as usize).copied().unwrap_or(false))
+        let (mut order, dropped): (Vec<usize>, Vec<usize>) =
+            (0..decoded.len()).partition(|&i| kept.get(i).copied().unwrap_or(false));
+        let without_point = rays_without_point(&self.decoder, &decoded_view, &dropped)
+            .map(|[x, y, z]| [(x / z) as f32, (y / z) as f32])
             .collect();
         // Shuffled the same way every time: the first thousand points are a fair sample of all.
-        order.sort_unstable_by_key(|i| i.wrapping_mul(0x9E37_79B9));
+        order.sort_unstable_by_key(|&i| (i as u32).wrapping_mul(0x9E37_79B9));
         let points: Vec<Kept> = order
             .iter()
-            .map(|&i| {
-                let at = i as usize;
+            .map(|&at| {
                 let [x, y, z] = decoded.points_mm[at].map(|c| c as f32);
                 [x, y, z, decoded.sigma_z_mm[at], decoded.fringes_dn[at]]
             })
             .collect();
-        let first = coordinates(&points, FIRST_POSE);
+        let kept = KeptView {
+            points,
+            without_point,
+        };
+        let first = coordinates(&kept.points, FIRST_POSE);
         let surface = &self.tool.surface;
         let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
         let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * pitch_mm {
@@ -151,7 +170,7 @@ impl ViewScanner {
         };
         let registration = register(surface, &first, None, &options);
         let tool_from_camera = *registration.tool_from_cloud.isometry();
-        let sample = coordinates(&points, SAMPLE);
+        let sample = coordinates(&kept.points, SAMPLE);
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
             (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
@@ -160,30 +179,30 @@ impl ViewScanner {
             (_, None) => Err("no point lies on the CAD".into()),
             (_, Some(information)) => match unlike_cad(&information) {
                 Some(why) => Err(why),
-                None => Ok(self.lay(view, information, &points)),
+                None => Ok(self.lay(view, information, &kept)),
             },
         };
         ScannedView {
-            points,
+            kept,
             tool_from_camera,
             laid,
         }
     }
 
     /// Adds a view to what is known of all, and lays its points where it then is.
-    fn lay(&mut self, view: usize, information: ViewInformation, points: &[Kept]) -> LaidView {
+    fn lay(&mut self, view: usize, information: ViewInformation, kept: &KeptView) -> LaidView {
         self.known.insert(view, information.clone());
         if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
             self.solve();
         }
         let settled = self.joint.settle(&information);
         let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
-        let laid = Laid::new(&self.tool.surface, tool_from_camera, points);
+        let laid = Laid::new(&self.tool.surface, tool_from_camera, kept);
         let information = laid.information(information.at).unwrap_or(information);
         self.known.insert(view, information.clone());
         LaidView {
-            witnesses: laid.witnesses(&self.layout, points),
-            flanks: laid.flanks(&self.gear, points),
+            cell_observations: laid.cell_observations(&self.layout),
+            flanks: laid.flanks(&self.gear, self.reach_mm),
             information,
         }
     }

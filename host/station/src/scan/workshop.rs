@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use flankscope_metrology::joint::ViewInformation;
+use flankscope_metrology::multiview::adjustment::ViewInformation;
 use flankscope_profilometry::mask::MaskOptions;
 use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, FrameView};
 
@@ -43,10 +43,10 @@ impl Store {
             Err(why) => return Ok(Err(why)),
         };
         self.session
-            .keep(view, &scanned.points, scanned.tool_from_camera)?;
+            .keep(view, &scanned.kept, scanned.tool_from_camera)?;
         let pose = laid.information.tool_from_camera;
         self.patches
-            .keep(view, pose, &laid.witnesses, &laid.flanks)?;
+            .keep(view, pose, &laid.cell_observations, &laid.flanks)?;
         self.known.insert(view, laid.information);
         Ok(Ok(()))
     }

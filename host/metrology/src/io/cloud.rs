@@ -1,0 +1,217 @@
+//! Point clouds at the border: PLY or XYZ text in, PLY out.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
+
+/// Points that are known to be finite, mm. Nothing else may feed a tree, a registration or a verdict.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FinitePoints(Vec<[f64; 3]>);
+
+impl FinitePoints {
+    /// Checks every coordinate.
+    ///
+    /// # Errors
+    /// [`CloudError::NonFinite`] with the first offending point.
+    pub fn new(points: Vec<[f64; 3]>) -> Result<Self, CloudError> {
+        for (index, point) in points.iter().enumerate() {
+            if let Some(axis) = point.iter().position(|c| !c.is_finite()) {
+                return Err(CloudError::NonFinite {
+                    index,
+                    axis: ['x', 'y', 'z'][axis],
+                    value: point[axis],
+                });
+            }
+        }
+        Ok(Self(points))
+    }
+
+    /// The points.
+    pub fn into_inner(self) -> Vec<[f64; 3]> {
+        self.0
+    }
+}
+
+impl std::ops::Deref for FinitePoints {
+    type Target = [[f64; 3]];
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+/// A cloud with whatever else its file holds per point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cloud {
+    /// Finite points in file order, mm.
+    pub points: FinitePoints,
+    /// Type of the coordinates in the file; text counts as double.
+    pub coordinate: Scalar,
+    /// Further number properties (colour, normal, ...), carried over when the cloud is written again.
+    pub extras: Vec<Extra>,
+}
+
+/// Why a cloud was refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CloudError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] io::Error),
+    /// Zero bytes.
+    #[error("the file is empty; a cloud is PLY or text with `x y z` per line")]
+    EmptyFile,
+    /// No points.
+    #[error("the cloud has no points; at least one is needed")]
+    NoPoints,
+    /// A PLY file that is wrong inside.
+    #[error(transparent)]
+    Ply(#[from] PlyError),
+    /// A text line that is no point.
+    #[error(
+        "line {line}: {text:?} is not a point; right would be three finite numbers `x y z` in mm"
+    )]
+    Line {
+        /// Line number, from 1.
+        line: usize,
+        /// The line, shortened.
+        text: String,
+    },
+    /// Neither PLY nor text.
+    #[error(
+        "not a cloud: neither PLY nor text (byte {byte:#04x} at offset {offset}); right would be PLY or `x y z` lines"
+    )]
+    Foreign {
+        /// First byte that is not text.
+        byte: u8,
+        /// Where.
+        offset: usize,
+    },
+    /// NaN or infinity.
+    #[error("point {index}: coordinate {axis} is {value}; every coordinate must be finite")]
+    NonFinite {
+        /// Point, from 0.
+        index: usize,
+        /// `x`, `y` or `z`.
+        axis: char,
+        /// The value.
+        value: f64,
+    },
+}
+
+/// Loads a cloud; PLY is told by its first line, everything else is read as text.
+///
+/// # Errors
+/// [`CloudError`] names what is wrong and what would be right.
+pub fn load(path: &Path) -> Result<Cloud, CloudError> {
+    parse(&std::fs::read(path)?)
+}
+
+/// As [`load`], from memory.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse(bytes: &[u8]) -> Result<Cloud, CloudError> {
+    if bytes.is_empty() {
+        return Err(CloudError::EmptyFile);
+    }
+    let cloud = if bytes.starts_with(b"ply") {
+        let table = ply::read(bytes, Want::Extras)?;
+        Cloud {
+            // The PLY reader has already refused non-finite vertices by index and line.
+            points: FinitePoints(table.points),
+            coordinate: table.coordinate,
+            extras: table.extras,
+        }
+    } else {
+        parse_text(bytes)?
+    };
+    if cloud.points.is_empty() {
+        return Err(CloudError::NoPoints);
+    }
+    Ok(cloud)
+}
+
+/// One point per line, separated by blanks, commas or semicolons; further columns, blank lines and `#` or `//` comments are skipped.
+fn parse_text(bytes: &[u8]) -> Result<Cloud, CloudError> {
+    let is_binary = |&byte: &u8| byte < 0x20 && !byte.is_ascii_whitespace();
+    if let Some(offset) = bytes.iter().position(is_binary) {
+        return Err(CloudError::Foreign {
+            byte: bytes[offset],
+            offset,
+        });
+    }
+    let mut points = Vec::new();
+    for (number, raw) in bytes.split(|&b| b == b'\n').enumerate() {
+        let text = String::from_utf8_lossy(raw);
+        let line = text.trim();
+        if line.is_empty() || line.starts_with('#') || line.starts_with("//") {
+            continue;
+        }
+        let mut numbers = line
+            .split(|c: char| c.is_whitespace() || c == ',' || c == ';')
+            .filter(|word| !word.is_empty())
+            .map(|word| word.parse::<f64>().ok().filter(|v| v.is_finite()));
+        let (Some(Some(x)), Some(Some(y)), Some(Some(z))) =
+            (numbers.next(), numbers.next(), numbers.next())
+        else {
+            return Err(CloudError::Line {
+                line: number + 1,
+                text: line.chars().take(40).collect(),
+            });
+        };
+        points.push([x, y, z]);
+    }
+    Ok(Cloud {
+        points: FinitePoints(points),
+        coordinate: Scalar::F64,
+        extras: Vec::new(),
+    })
+}
+
+/// Writes points in their order as binary little-endian PLY with further `float` columns, for example `("deviation", ..)` in mm.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_ply(
+    out: &mut dyn Write,
+    points: &[[f64; 3]],
+    columns: &[(&str, &[f64])],
+) -> io::Result<()> {
+    let columns: Vec<Column<'_>> = columns
+        .iter()
+        .map(|(name, values)| Column::Float(name, values))
+        .collect();
+    ply::write_table(out, UNIT_COMMENT, points, Scalar::F64, &columns)
+}
+
+/// Header comment of every PLY that this crate writes.
+pub const UNIT_COMMENT: &str = "unit mm";
+
+impl Cloud {
+    /// Writes the cloud with the type of its coordinates, its own properties and further `float` columns; a column
+    /// replaces an own property of the same name.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_ply(&self, out: &mut dyn Write, columns: &[(&str, &[f64])]) -> io::Result<()> {
+        let replaced = |extra: &&Extra| !columns.iter().any(|(name, _)| *name == extra.name);
+        let mut all: Vec<Column<'_>> = self
+            .extras
+            .iter()
+            .filter(replaced)
+            .map(Column::Carried)
+            .collect();
+        all.extend(
+            columns
+                .iter()
+                .map(|(name, values)| Column::Float(name, values)),
+        );
+        let coordinate = match self.coordinate {
+            Scalar::F32 => Scalar::F32,
+            // Integer coordinates (a cloud in whole millimetres) are written as numbers too.
+            _ => Scalar::F64,
+        };
+        ply::write_table(out, UNIT_COMMENT, &self.points, coordinate, &all)
+    }
+}

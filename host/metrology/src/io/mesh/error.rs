@@ -1,0 +1,112 @@
+//! What can be wrong with a mesh.
+
+use super::Unit;
+use crate::io::ply::PlyError;
+
+/// Why a mesh was refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MeshError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(std::io::Error),
+    /// Zero bytes.
+    #[error("the file is empty; a mesh is PLY, STL or OBJ")]
+    EmptyFile,
+    /// None of the formats.
+    #[error(
+        "not a mesh: neither PLY (starts with `ply`), STL (starts with `solid`, or 84 + 50 n bytes) nor OBJ (`v` and `f` lines)"
+    )]
+    Foreign,
+    /// A PLY file that is wrong inside.
+    #[error(transparent)]
+    Ply(#[from] PlyError),
+    /// A binary STL whose length contradicts its triangle count.
+    #[error(
+        "binary STL declares {declared} triangles, which are {need_bytes} bytes, but the file has {have_bytes}; it is truncated, padded or not STL"
+    )]
+    StlSize {
+        /// Declared triangles.
+        declared: u32,
+        /// 84 + 50 n.
+        need_bytes: u64,
+        /// File size.
+        have_bytes: u64,
+    },
+    /// A line of a text format that is wrong.
+    #[error("line {line}: {text:?} not understood; right would be {expected}")]
+    Line {
+        /// Line number, from 1.
+        line: usize,
+        /// The line, shortened.
+        text: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// A text STL that stops before `endsolid`.
+    #[error("the STL text ends at line {line} before `endsolid`; the file is truncated")]
+    StlOpen {
+        /// Last line.
+        line: usize,
+    },
+    /// A vertex with NaN or infinity.
+    #[error("vertex {vertex}: coordinate {axis} is {value}; every coordinate must be finite")]
+    NonFinite {
+        /// Vertex, from 0.
+        vertex: usize,
+        /// `x`, `y` or `z`.
+        axis: char,
+        /// The value.
+        value: f64,
+    },
+    /// A triangle that names a vertex which does not exist.
+    #[error("triangle {triangle} names vertex {index}, but there are vertices 0..{vertices}")]
+    IndexOutOfRange {
+        /// Triangle, from 0.
+        triangle: usize,
+        /// The index.
+        index: i64,
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// No triangles.
+    #[error(
+        "the mesh has {vertices} vertices but no triangles; a surface needs at least one triangle"
+    )]
+    Empty {
+        /// Number of vertices.
+        vertices: usize,
+    },
+    /// All triangles are points or segments.
+    #[error(
+        "all {triangles} triangles are degenerate (no area); a surface needs at least one with area"
+    )]
+    NoArea {
+        /// Number of triangles.
+        triangles: usize,
+    },
+    /// Too small for a die.
+    #[error(
+        "bounding box diagonal is {diagonal_mm:.6} mm when read in {unit:?}, below {least_mm} mm: the file is probably in metres; say so with --cad-unit m (tool file: unit = \"m\")"
+    )]
+    TooSmall {
+        /// Diagonal.
+        diagonal_mm: f64,
+        /// Limit.
+        least_mm: f64,
+        /// Unit assumed.
+        unit: Unit,
+    },
+    /// Too large for a die.
+    #[error(
+        "bounding box diagonal is {diagonal_mm} mm when read in {unit:?}, above {most_mm} mm: the file is probably in micrometres or damaged; say so with --cad-unit um (tool file: unit = \"um\")"
+    )]
+    TooLarge {
+        /// Diagonal.
+        diagonal_mm: f64,
+        /// Limit.
+        most_mm: f64,
+        /// Unit assumed.
+        unit: Unit,
+    },
+}

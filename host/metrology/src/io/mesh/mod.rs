@@ -1,0 +1,180 @@
+//! Triangle meshes from CAD: the type, its border checks and the loaders for PLY, STL and OBJ.
+
+mod error;
+mod obj;
+mod stl;
+mod weld;
+
+use std::path::Path;
+
+pub use error::MeshError;
+pub use stl::write_stl;
+pub(crate) use weld::weld;
+
+use crate::io::ply;
+
+/// Smallest bounding box diagonal that a die or a feature of one can have, mm.
+const LEAST_DIAGONAL_MM: f64 = 1.0;
+/// Largest bounding box diagonal, mm.
+const MOST_DIAGONAL_MM: f64 = 10_000.0;
+
+/// Length unit of a mesh file; the formats themselves do not say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Unit {
+    /// Millimetres.
+    #[default]
+    Mm,
+    /// Metres.
+    M,
+    /// Micrometres.
+    Um,
+    /// Inches.
+    Inch,
+}
+
+impl Unit {
+    /// Millimetres per unit.
+    pub fn mm(self) -> f64 {
+        match self {
+            Self::Mm => 1.0,
+            Self::M => 1000.0,
+            Self::Um => 1e-3,
+            Self::Inch => 25.4,
+        }
+    }
+}
+
+/// A triangle mesh in millimetres: finite vertices, indices in range, counter-clockwise seen from outside the material.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TriMesh {
+    /// Corner positions, mm.
+    pub vertices: Vec<[f64; 3]>,
+    /// Corner indices.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriMesh {
+    /// Checks the invariants that a file or a caller may break.
+    ///
+    /// # Errors
+    /// [`MeshError`] for no triangles, a non-finite vertex or an index out of range.
+    pub fn check(&self) -> Result<(), MeshError> {
+        if self.triangles.is_empty() {
+            return Err(MeshError::Empty {
+                vertices: self.vertices.len(),
+            });
+        }
+        for (vertex, position) in self.vertices.iter().enumerate() {
+            if let Some(axis) = position.iter().position(|c| !c.is_finite()) {
+                return Err(MeshError::NonFinite {
+                    vertex,
+                    axis: ['x', 'y', 'z'][axis],
+                    value: position[axis],
+                });
+            }
+        }
+        let vertices = self.vertices.len();
+        for (triangle, corners) in self.triangles.iter().enumerate() {
+            if let Some(&index) = corners.iter().find(|&&i| i as usize >= vertices) {
+                return Err(MeshError::IndexOutOfRange {
+                    triangle,
+                    index: i64::from(index),
+                    vertices,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// Smallest and largest coordinates over the vertices, mm.
+    pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
+        let mut low = [f64::INFINITY; 3];
+        let mut high = [f64::NEG_INFINITY; 3];
+        for vertex in &self.vertices {
+            for k in 0..3 {
+                low[k] = low[k].min(vertex[k]);
+                high[k] = high[k].max(vertex[k]);
+            }
+        }
+        (low, high)
+    }
+
+    /// Positions of the corners of triangle `index`.
+    #[inline]
+    pub fn corners(&self, index: usize) -> [[f64; 3]; 3] {
+        // Spelled out: `map` would be called, not inlined.
+        let [a, b, c] = self.triangles[index];
+        [
+            self.vertices[a as usize],
+            self.vertices[b as usize],
+            self.vertices[c as usize],
+        ]
+    }
+
+    fn in_unit(mut self, unit: Unit) -> Result<Self, MeshError> {
+        if unit != Unit::Mm {
+            let scale = unit.mm();
+            for vertex in &mut self.vertices {
+                *vertex = vertex.map(|c| c * scale);
+            }
+        }
+        self.check()?;
+        let (low, high) = self.bounds();
+        let diagonal_mm = (0..3)
+            .map(|k| (high[k] - low[k]).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        if diagonal_mm < LEAST_DIAGONAL_MM {
+            return Err(MeshError::TooSmall {
+                diagonal_mm,
+                least_mm: LEAST_DIAGONAL_MM,
+                unit,
+            });
+        }
+        // An overflowed diagonal is infinite, so it is refused here too.
+        if diagonal_mm > MOST_DIAGONAL_MM {
+            return Err(MeshError::TooLarge {
+                diagonal_mm,
+                most_mm: MOST_DIAGONAL_MM,
+                unit,
+            });
+        }
+        Ok(self)
+    }
+}
+
+/// Loads a mesh file; the format is told by content, not by name.
+///
+/// # Errors
+/// [`MeshError`] names what is wrong and what would be right. Nothing is allocated for a count that the file cannot hold.
+pub fn load(path: &Path, unit: Unit) -> Result<TriMesh, MeshError> {
+    let bytes = std::fs::read(path).map_err(MeshError::Read)?;
+    parse(&bytes, unit)
+}
+
+/// As [`load`], from memory.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse(bytes: &[u8], unit: Unit) -> Result<TriMesh, MeshError> {
+    if bytes.is_empty() {
+        return Err(MeshError::EmptyFile);
+    }
+    let mesh = if bytes.starts_with(b"ply") {
+        let table = ply::read(bytes, ply::Want::Triangles)?;
+        TriMesh {
+            vertices: table.points,
+            triangles: table.triangles,
+        }
+    } else if stl::is_binary(bytes) {
+        stl::parse_binary(bytes)?
+    } else if bytes.trim_ascii_start().starts_with(b"solid") {
+        stl::parse_ascii(bytes)?
+    } else if obj::looks_like(bytes) {
+        obj::parse(bytes)?
+    } else {
+        return Err(stl::explain_foreign(bytes));
+    };
+    mesh.in_unit(unit)
+}

@@ -1,0 +1,8 @@
+//! Many views of one die: laid on CAD together, merged over the unrolled bore, and what that says of the die as a whole.
+
+pub mod adjustment;
+pub mod cylinder;
+pub mod drift;
+pub mod raster;
+pub mod spacing;
+pub mod tooth_identity;

@@ -1,0 +1,693 @@
+//! The tool file: which CAD, which gear, what to inspect, which limits.
+
+mod as_built;
+
+use std::path::{Path, PathBuf};
+
+pub use as_built::AsBuiltError;
+
+use crate::gear::{Flank, GearData, GearError};
+use crate::io::mesh::{self, MeshError, TriMesh, Unit};
+use crate::registration::detect_teeth;
+use crate::surface::Surface;
+use crate::verdict::flank::{Limits, TipLimits};
+use crate::verdict::{Reason, Rule, Undecided};
+use crate::wear::{AREA_MM2, Settings, Zone, tip_loss_mm2};
+
+/// Name of the file inside a tool folder.
+pub const FILE_NAME: &str = "tool.toml";
+/// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
+const AGREEMENT_MM: f64 = 0.1;
+/// Limits of a single cell over those of a disc, which has some twenty cells.
+const CELL_PER_DISC: f64 = 2.0;
+/// A loss so many times the warning limit is supposed wherever nothing was measured.
+const HIDDEN_DEPTH_PER_WARN: f64 = 10.0;
+/// Warning and stop limit of the tip edge's rounding in modules: a die's tip forms the workpiece's root, whose fillet ISO 53
+/// gives a radius of 0.25 modules (profile C) to 0.38 (profiles A, B).
+const TIP_PER_MODULE: [f64; 2] = [0.25, 0.38];
+/// More repetitions than this halve no uncertainty any more that fewer have not.
+const MOST_REPEATS: u32 = 10;
+
+/// A tool, ready to inspect.
+#[derive(Debug, Clone)]
+pub struct Tool {
+    /// Name.
+    pub name: String,
+    /// The tool file.
+    pub path: PathBuf,
+    /// CAD.
+    pub cad: Cad,
+    /// CAD mesh, mm.
+    pub mesh: TriMesh,
+    /// CAD surface, prepared.
+    pub surface: Surface,
+    /// Gear data, checked against the mesh.
+    pub gear: Option<GearData>,
+    /// What to inspect.
+    pub inspect: Option<Inspect>,
+    /// Standard uncertainty of a flank's form as built, µm; none when nothing is said of it.
+    pub as_built_um: Option<f64>,
+    /// How it grows with temperature; without it, it is taken to be measured at the temperature of its CAD.
+    pub temperature: Option<Temperature>,
+}
+
+/// The `[cad]` table.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cad {
+    /// Mesh file, absolute or relative to the tool file.
+    pub file: PathBuf,
+    /// Its unit.
+    #[serde(default)]
+    pub unit: Unit,
+    /// Largest distance of the facets from the true surface, micrometres.
+    #[serde(default)]
+    pub chord_error_um: f64,
+}
+
+/// The `[inspect]` table.
+#[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Inspect {
+    /// Teeth to look at, from 1.
+    pub teeth: Vec<u32>,
+    /// Height at which the head looks, mm.
+    pub height_mm: f64,
+    /// Least and largest radius of the judged zone, mm; without it, the flank without the outermost tenth of a module at
+    /// the tip and the root's rounding.
+    pub zone_radius_mm: Option<[f64; 2]>,
+    /// Lower and upper end of the judged zone relative to `height_mm`, mm.
+    #[serde(default = "default_zone_height")]
+    pub zone_height_mm: [f64; 2],
+    /// Warning limit, micrometres.
+    pub warn_um: f64,
+    /// Stop limit, micrometres.
+    pub limit_um: f64,
+    /// Limits of proud material, micrometres; without them those of wear.
+    #[serde(default)]
+    pub proud_warn_um: Option<f64>,
+    /// See [`Self::proud_warn_um`].
+    #[serde(default)]
+    pub proud_limit_um: Option<f64>,
+    /// Limits of the loss of a single cell, micrometres; without them twice those of wear.
+    #[serde(default)]
+    pub cell_warn_um: Option<f64>,
+    /// See [`Self::cell_warn_um`].
+    #[serde(default)]
+    pub cell_limit_um: Option<f64>,
+    /// Limits of the radius of the tip edge's rounding, mm; without them 0.25 and 0.38 of the module.
+    #[serde(default)]
+    pub tip_warn_mm: Option<f64>,
+    /// See [`Self::tip_warn_mm`].
+    #[serde(default)]
+    pub tip_limit_mm: Option<f64>,
+    /// Area of the disc over which the largest mean loss is sought, mm2.
+    #[serde(default = "default_area")]
+    pub wear_area_mm2: f64,
+    /// Loss that is supposed wherever nothing was measured, micrometres; without it ten times `warn_um`.
+    #[serde(default)]
+    pub hidden_depth_um: Option<f64>,
+    /// Standard uncertainty of a flank's form as built against CAD, micrometres; without it the CAD is taken as true, and
+    /// verdicts against CAD say so.
+    #[serde(default)]
+    pub as_built_um: Option<f64>,
+    /// Instead of [`Self::as_built_um`]: the class of ISO 1328-1 that the die keeps.
+    #[serde(default)]
+    pub as_built_class: Option<u32>,
+    /// Instead of [`Self::as_built_um`]: the JSON of a scan of the die when it was new, relative to the tool file.
+    #[serde(default)]
+    pub as_built_scan: Option<PathBuf>,
+    /// Thickest film of oil or spray that may lie on a flank, micrometres.
+    #[serde(default)]
+    pub film_um: f64,
+    /// Least measured share of a zone.
+    #[serde(default = "default_coverage")]
+    pub least_coverage: f64,
+    /// Least standard uncertainty that a head's calibration counts with, micrometres; all of it where the head does not say.
+    #[serde(default)]
+    pub calibration_um: Option<f64>,
+    /// Standard uncertainty of the head's drift since the baseline, micrometres.
+    #[serde(default = "default_drift")]
+    pub drift_um: f64,
+    /// Surfaces that the pose may rest on.
+    #[serde(default)]
+    pub datum: Datum,
+    /// Probability with which a limit must be kept or exceeded.
+    #[serde(default = "default_probability")]
+    pub probability: f64,
+    /// What a figure too near to a limit ends in.
+    #[serde(default)]
+    pub undecided: Undecided,
+    /// How often a view with such a figure is measured again, if there is time and it can help.
+    #[serde(default = "default_remeasure")]
+    pub remeasure: u32,
+}
+
+impl Inspect {
+    /// How wear is judged.
+    pub fn rule(&self) -> Rule {
+        Rule {
+            warn_um: self.warn_um,
+            limit_um: self.limit_um,
+            probability: self.probability,
+            undecided: self.undecided,
+            looks: 1 + self.remeasure,
+        }
+    }
+
+    /// Loss that is supposed wherever nothing was measured, micrometres.
+    pub fn hidden_depth_um(&self) -> f64 {
+        self.hidden_depth_um
+            .unwrap_or(HIDDEN_DEPTH_PER_WARN * self.warn_um)
+    }
+
+    /// Limits of the loss of a single cell, micrometres.
+    fn cell_um(&self) -> [f64; 2] {
+        [
+            self.cell_warn_um.unwrap_or(CELL_PER_DISC * self.warn_um),
+            self.cell_limit_um.unwrap_or(CELL_PER_DISC * self.limit_um),
+        ]
+    }
+
+    /// Limits of the height of proud material, micrometres.
+    fn proud_um(&self) -> [f64; 2] {
+        [
+            self.proud_warn_um.unwrap_or(self.warn_um),
+            self.proud_limit_um.unwrap_or(self.limit_um),
+        ]
+    }
+
+    /// Limits of the radius of the tip edge's rounding, mm.
+    fn tip_mm(&self, gear: &GearData) -> [f64; 2] {
+        let [warn, limit] = TIP_PER_MODULE.map(|share| share * gear.module_mm);
+        [
+            self.tip_warn_mm.unwrap_or(warn),
+            self.tip_limit_mm.unwrap_or(limit),
+        ]
+    }
+}
+
+/// Surfaces that a view's pose rests on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Datum {
+    /// All but the judged tooth: sharp, but blind to wear that all teeth in view share.
+    #[default]
+    Neighbours,
+    /// Tip and root lands only: no wear on any flank moves the pose, the stages hold it about the axis.
+    Lands,
+    /// Everything, the judged flanks included.
+    All,
+}
+
+/// The `[temperature]` table: the tool is measured at any temperature in its range and judged at the reference.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Temperature {
+    /// Temperature at which the CAD holds, degrees C.
+    #[serde(default = "default_reference")]
+    pub reference_degc: f64,
+    /// Lowest and highest temperature at which the tool may be judged, degrees C.
+    pub range_degc: [f64; 2],
+    /// Thermal expansion, 1/K.
+    #[serde(default = "default_expansion")]
+    pub expansion_per_k: f64,
+    /// Standard uncertainty of the measured temperature, K.
+    #[serde(default = "default_u_k")]
+    pub u_k: f64,
+}
+
+impl Temperature {
+    /// Size of the tool at a temperature relative to its CAD.
+    ///
+    /// # Errors
+    /// The temperature is missing or out of range: the tool cannot be judged.
+    pub fn scale(&self, measured_degc: Option<f64>) -> Result<f64, Reason> {
+        let degc = measured_degc.ok_or(Reason::TemperatureMissing)?;
+        let [low, high] = self.range_degc;
+        if (low..=high).contains(&degc) {
+            Ok(1.0 + self.expansion_per_k * (degc - self.reference_degc))
+        } else {
+            Err(Reason::TemperatureRange { degc, low, high })
+        }
+    }
+}
+
+fn default_area() -> f64 {
+    AREA_MM2
+}
+
+fn default_drift() -> f64 {
+    0.5
+}
+
+fn default_remeasure() -> u32 {
+    1
+}
+
+fn default_probability() -> f64 {
+    crate::verdict::PROBABILITY
+}
+
+fn default_reference() -> f64 {
+    20.0
+}
+
+/// Steel.
+fn default_expansion() -> f64 {
+    11.5e-6
+}
+
+fn default_u_k() -> f64 {
+    1.0
+}
+
+fn default_zone_height() -> [f64; 2] {
+    [-4.0, 4.0]
+}
+
+fn default_coverage() -> f64 {
+    0.8
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: String,
+    cad: Cad,
+    gear: Option<GearData>,
+    inspect: Option<Inspect>,
+    temperature: Option<Temperature>,
+}
+
+/// Why a tool cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ToolError {
+    /// The file cannot be read.
+    #[error("cannot read tool file {}: {source}; right would be a {FILE_NAME} or a folder that holds one", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Not TOML, an unknown key, a missing key or a wrong type.
+    #[error("{}:{line}:{column}: {message}", path.display())]
+    Syntax {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// Column, from 1.
+        column: usize,
+        /// What is wrong and what is expected, on one line.
+        message: String,
+    },
+    /// A value out of range.
+    #[error("{}: {key} = {value} is out of range; right would be {expected}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Key.
+        key: &'static str,
+        /// The value.
+        value: f64,
+        /// What would be right.
+        expected: String,
+    },
+    /// Gear data that contradict themselves.
+    #[error("{}: {source}", path.display())]
+    Gear {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: GearError,
+    },
+    /// The CAD file is unusable.
+    #[error("cannot use CAD file {} (cad.file in {}): {source}", cad.display(), path.display())]
+    Mesh {
+        /// The tool file.
+        path: PathBuf,
+        /// The CAD file.
+        cad: PathBuf,
+        /// Cause.
+        source: MeshError,
+    },
+    /// The scan of the new die is unusable.
+    #[error("cannot use {} (inspect.as_built_scan in {}): {source}", scan.display(), path.display())]
+    AsBuilt {
+        /// The tool file.
+        path: PathBuf,
+        /// The scan's JSON.
+        scan: PathBuf,
+        /// Cause.
+        source: AsBuiltError,
+    },
+    /// The mesh repeats another number of times than the gear has teeth.
+    #[error("{}: gear.teeth = {stated}, but the CAD mesh repeats {found} times about z", path.display())]
+    Teeth {
+        /// The file.
+        path: PathBuf,
+        /// In the file.
+        stated: u32,
+        /// In the mesh.
+        found: u32,
+    },
+    /// The gear's flanks are not where the mesh is.
+    #[error("{}: gear data and CAD mesh disagree: the {flank} flank of tooth {tooth} at radius {radius_mm:.3} mm is {distance_mm:.3} mm off the mesh, allowed are {limit_mm} mm; check module, pressure angle, first_tooth_centre_deg, height and unit", path.display())]
+    Disagree {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+        /// Radius.
+        radius_mm: f64,
+        /// Distance of the involute from the mesh.
+        distance_mm: f64,
+        /// Limit.
+        limit_mm: f64,
+    },
+}
+
+impl Tool {
+    /// Loads a tool from its file or from a folder that holds `tool.toml`, with its CAD, and checks that all fits together.
+    ///
+    /// # Errors
+    /// [`ToolError`] with file, place, value and what would be right.
+    pub fn load(dir_or_file: &Path) -> Result<Self, ToolError> {
+        let path = if dir_or_file.is_dir() {
+            dir_or_file.join(FILE_NAME)
+        } else {
+            dir_or_file.to_owned()
+        };
+        let text = std::fs::read_to_string(&path).map_err(|source| ToolError::Read {
+            path: path.clone(),
+            source,
+        })?;
+        let file = parse(&path, &text)?;
+        file.check(&path)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let cad = folder.join(&file.cad.file);
+        let in_mesh = |source| ToolError::Mesh {
+            path: path.clone(),
+            cad: cad.clone(),
+            source,
+        };
+        let mesh = mesh::load(&cad, file.cad.unit).map_err(in_mesh)?;
+        let surface = Surface::new(&mesh).map_err(in_mesh)?;
+        if let Some(gear) = &file.gear {
+            check_against_mesh(&path, gear, &mesh, &surface)?;
+        }
+        let as_built_um = match &file.inspect {
+            Some(inspect) => as_built::as_built_um(&path, file.gear.as_ref(), inspect)?,
+            None => None,
+        };
+        Ok(Self {
+            name: file.name,
+            path,
+            cad: file.cad,
+            mesh,
+            surface,
+            gear: file.gear,
+            inspect: file.inspect,
+            as_built_um,
+            temperature: file.temperature,
+        })
+    }
+
+    /// Where the CAD file is.
+    pub fn cad_path(&self) -> PathBuf {
+        self.path
+            .parent()
+            .unwrap_or(Path::new("."))
+            .join(&self.cad.file)
+    }
+
+    /// The zone to judge; none without gear data or without anything to inspect.
+    pub fn zone(&self) -> Option<Zone> {
+        let (gear, inspect) = (self.gear.as_ref()?, self.inspect.as_ref()?);
+        let [down, up] = inspect.zone_height_mm;
+        Some(Zone {
+            radius_mm: inspect
+                .zone_radius_mm
+                .unwrap_or_else(|| gear.active_flank_mm()),
+            height_mm: [inspect.height_mm + down, inspect.height_mm + up],
+        })
+    }
+
+    /// How a flank is judged; none without anything to inspect.
+    pub fn limits(&self) -> Option<Limits> {
+        let inspect = self.inspect.as_ref()?;
+        let rule = |[warn_um, limit_um]: [f64; 2]| Rule {
+            warn_um,
+            limit_um,
+            ..inspect.rule()
+        };
+        let tip = self.gear.as_ref().and_then(|gear| {
+            let radius_mm = inspect.tip_mm(gear);
+            let [Some(warn), Some(limit)] = radius_mm.map(|radius| tip_loss_mm2(gear, radius))
+            else {
+                return None;
+            };
+            Some(TipLimits {
+                radius_mm,
+                area_mm2: [warn, limit],
+            })
+        });
+        Some(Limits {
+            wear: inspect.rule(),
+            proud: rule(inspect.proud_um()),
+            cell: rule(inspect.cell_um()),
+            tip,
+            least_coverage: inspect.least_coverage,
+            area_mm2: inspect.wear_area_mm2,
+            hidden_depth_um: inspect.hidden_depth_um(),
+        })
+    }
+
+    /// How wear is computed for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which counts as
+    /// the standard uncertainty of the CAD surface.
+    pub fn wear_settings(&self) -> Settings {
+        let stated_um = self.inspect.as_ref().and_then(|i| i.calibration_um);
+        let defaults = Settings::default();
+        let inspect = self.inspect.as_ref();
+        Settings {
+            area_mm2: inspect.map_or(defaults.area_mm2, |i| i.wear_area_mm2),
+            hidden_depth_mm: inspect
+                .map_or(defaults.hidden_depth_mm, |i| 1e-3 * i.hidden_depth_um()),
+            as_built_mm: 1e-3 * self.as_built_um.unwrap_or(0.0),
+            film_mm: 1e-3 * inspect.map_or(0.0, |i| i.film_um),
+            calibration_mm: stated_um.map_or(defaults.calibration_mm, |um| 1e-3 * um),
+            drift_mm: 1e-3
+                * self
+                    .inspect
+                    .as_ref()
+                    .map_or_else(default_drift, |i| i.drift_um),
+            cad_mm: 1e-3 * self.cad.chord_error_um * 2.0 / 3.0,
+        }
+    }
+}
+
+fn parse(path: &Path, text: &str) -> Result<File, ToolError> {
+    toml::from_str(text).map_err(|error: toml::de::Error| {
+        let at = error.span().map_or(0, |span| span.start).min(text.len());
+        let before = &text.as_bytes()[..at];
+        let line_start = before
+            .iter()
+            .rposition(|&b| b == b'\n')
+            .map_or(0, |i| i + 1);
+        ToolError::Syntax {
+            path: path.to_owned(),
+            line: 1 + before.iter().filter(|&&b| b == b'\n').count(),
+            column: 1 + at - line_start,
+            message: error.message().replace('\n', ", "),
+        }
+    })
+}
+
+impl File {
+    fn check(&self, path: &Path) -> Result<(), ToolError> {
+        let refuse = |key, value, expected: &str| {
+            Err(ToolError::Value {
+                path: path.to_owned(),
+                key,
+                value,
+                expected: expected.to_owned(),
+            })
+        };
+        if !(0.0..=1000.0).contains(&self.cad.chord_error_um) {
+            return refuse("cad.chord_error_um", self.cad.chord_error_um, "0 to 1000");
+        }
+        if let Some(gear) = &self.gear {
+            gear.check().map_err(|source| ToolError::Gear {
+                path: path.to_owned(),
+                source,
+            })?;
+        }
+        if let Some(temperature) = &self.temperature {
+            let [low, high] = temperature.range_degc;
+            if !(-50.0..=high).contains(&low) || high > 1000.0 {
+                let expected = "increasing, from -50 to 1000";
+                return refuse("temperature.range_degc[0]", low, expected);
+            }
+            if !(-50.0..=1000.0).contains(&temperature.reference_degc) {
+                let value = temperature.reference_degc;
+                return refuse("temperature.reference_degc", value, "-50 to 1000");
+            }
+            if !(0.0..=1e-3).contains(&temperature.expansion_per_k) {
+                let value = temperature.expansion_per_k;
+                return refuse("temperature.expansion_per_k", value, "0 to 0.001");
+            }
+            if !(0.0..=100.0).contains(&temperature.u_k) {
+                return refuse("temperature.u_k", temperature.u_k, "0 to 100");
+            }
+        }
+        let Some(inspect) = &self.inspect else {
+            return Ok(());
+        };
+        if !(0.0..=1000.0).contains(&inspect.drift_um) {
+            return refuse("inspect.drift_um", inspect.drift_um, "0 to 1000");
+        }
+        if !(0.5..1.0).contains(&inspect.probability) {
+            return refuse("inspect.probability", inspect.probability, "0.5 to below 1");
+        }
+        if inspect.remeasure > MOST_REPEATS {
+            let expected = format!("0 to {MOST_REPEATS}");
+            return refuse("inspect.remeasure", f64::from(inspect.remeasure), &expected);
+        }
+        if inspect.teeth.is_empty() {
+            return refuse("inspect.teeth (count)", 0.0, "at least one tooth");
+        }
+        if let Some(gear) = &self.gear {
+            for &tooth in &inspect.teeth {
+                if !(1..=gear.teeth).contains(&tooth) {
+                    let expected = format!("1 to {} (gear.teeth)", gear.teeth);
+                    return refuse("inspect.teeth", f64::from(tooth), &expected);
+                }
+            }
+            let [low, high] = gear.height_mm;
+            if !(low..=high).contains(&inspect.height_mm) {
+                let expected = format!("{low} to {high} (gear.height_mm)");
+                return refuse("inspect.height_mm", inspect.height_mm, &expected);
+            }
+            if let Some([from, to]) = inspect.zone_radius_mm {
+                let (least, most) = (
+                    gear.tip_radius_mm.min(gear.root_radius_mm),
+                    gear.tip_radius_mm.max(gear.root_radius_mm),
+                );
+                let expected = format!("increasing and within {least} to {most} (tip and root)");
+                if !(least..to).contains(&from) {
+                    return refuse("inspect.zone_radius_mm[0]", from, &expected);
+                }
+                if to > most {
+                    return refuse("inspect.zone_radius_mm[1]", to, &expected);
+                }
+            }
+        }
+        let [down, up] = inspect.zone_height_mm;
+        if !(-1000.0..up).contains(&down) || up > 1000.0 {
+            return refuse(
+                "inspect.zone_height_mm[0]",
+                down,
+                "below zone_height_mm[1], both relative to height_mm",
+            );
+        }
+        if !(inspect.limit_um > 0.0 && inspect.limit_um <= 1e4) {
+            return refuse(
+                "inspect.limit_um",
+                inspect.limit_um,
+                "above 0, at most 10000",
+            );
+        }
+        if !(inspect.warn_um > 0.0 && inspect.warn_um <= inspect.limit_um) {
+            return refuse(
+                "inspect.warn_um",
+                inspect.warn_um,
+                "above 0, at most limit_um",
+            );
+        }
+        if !(0.0..=1.0).contains(&inspect.least_coverage) {
+            return refuse("inspect.least_coverage", inspect.least_coverage, "0 to 1");
+        }
+        // A disc below a hundredth of a square millimetre holds only a few cores.
+        if !(0.01..=100.0).contains(&inspect.wear_area_mm2) {
+            let area = inspect.wear_area_mm2;
+            return refuse("inspect.wear_area_mm2", area, "0.01 to 100");
+        }
+        if !(0.0..=1000.0).contains(&inspect.film_um) {
+            return refuse("inspect.film_um", inspect.film_um, "0 to 1000");
+        }
+        for (key, value, most) in [
+            ("inspect.as_built_um", inspect.as_built_um, 1000.0),
+            ("inspect.hidden_depth_um", inspect.hidden_depth_um, 1e5),
+        ] {
+            if let Some(value) = value.filter(|value| !(0.0..=most).contains(value)) {
+                return refuse(key, value, &format!("0 to {most}"));
+            }
+        }
+        let mut pairs = vec![
+            ("inspect.proud_warn_um", inspect.proud_um()),
+            ("inspect.cell_warn_um", inspect.cell_um()),
+        ];
+        if let Some(gear) = &self.gear {
+            pairs.push(("inspect.tip_warn_mm", inspect.tip_mm(gear)));
+        }
+        for (key, [warn, limit]) in pairs {
+            if !(warn > 0.0 && warn <= limit && limit <= 1e4) {
+                let expected = format!("above 0, at most its stop limit, {limit}");
+                return refuse(key, warn, &expected);
+            }
+        }
+        if let Some(um) = inspect.calibration_um
+            && !(0.0..=1000.0).contains(&um)
+        {
+            return refuse("inspect.calibration_um", um, "0 to 1000");
+        }
+        Ok(())
+    }
+}
+
+/// The gear's involutes must lie on the mesh, and the mesh must repeat as often as the gear has teeth.
+fn check_against_mesh(
+    path: &Path,
+    gear: &GearData,
+    mesh: &TriMesh,
+    surface: &Surface,
+) -> Result<(), ToolError> {
+    if let Some(found) = detect_teeth(mesh, surface, 0.02)
+        && found != gear.teeth
+    {
+        return Err(ToolError::Teeth {
+            path: path.to_owned(),
+            stated: gear.teeth,
+            found,
+        });
+    }
+    let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
+    let [from, to] = gear.active_flank_mm();
+    let step = (gear.teeth / 7).max(1);
+    for tooth in (1..=gear.teeth).step_by(step as usize) {
+        for flank in Flank::BOTH {
+            for radius_mm in [from, 0.5 * (from + to), to] {
+                let Some(point) = gear.flank_point(tooth, flank, radius_mm, height) else {
+                    continue;
+                };
+                let distance_mm = surface.closest(point).signed_distance_mm.abs();
+                if distance_mm > AGREEMENT_MM {
+                    return Err(ToolError::Disagree {
+                        path: path.to_owned(),
+                        tooth,
+                        flank,
+                        radius_mm,
+                        distance_mm,
+                        limit_mm: AGREEMENT_MM,
+                    });
+                }
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,481 @@
+//! One flank to its verdict: every figure against its limits, and what forbids a verdict.
+//!
+//! A loss that is shown to exceed the stop limit is a no-go whatever else could not be seen. Everything short of that needs
+//! more: that no unmeasured patch, no blunt instrument and no pose may hide what would change the word.
+
+use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
+use crate::wear::FlankWear;
+use crate::wear::leakage::RECOVERABLE;
+
+/// Limits of one flank.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Of the wear depth.
+    pub wear: Rule,
+    /// Of the height of proud material.
+    pub proud: Rule,
+    /// Of the loss of a single cell.
+    pub cell: Rule,
+    /// Of the rounding of the tip edge; none: it is not judged.
+    pub tip: Option<TipLimits>,
+    /// Least measured share of the zone.
+    pub least_coverage: f64,
+    /// Area of the disc over which the largest mean loss is sought, mm2.
+    pub area_mm2: f64,
+    /// Loss that is supposed wherever nothing was measured, µm.
+    pub hidden_depth_um: f64,
+}
+
+/// Limits of the tip edge's rounding, warning first. Judged is the cross-section that is lost: noise acts on it evenly, on the
+/// radius it does not.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TipLimits {
+    /// As radius of a tangent rounding, mm.
+    pub radius_mm: [f64; 2],
+    /// Cross-section that such roundings take away under the flank, mm2.
+    pub area_mm2: [f64; 2],
+}
+
+/// What decided a verdict that is not go and not indeterminate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cause {
+    /// Which figure.
+    pub figure: &'static str,
+    /// Its value, in the limits' unit.
+    pub value: f64,
+    /// How far it must keep from a limit.
+    pub guard: f64,
+    /// Its warning and its stop limit.
+    pub limits: [f64; 2],
+    /// Their unit.
+    pub unit: &'static str,
+}
+
+impl Cause {
+    /// In one sentence, why the verdict is that.
+    pub fn sentence(&self, verdict: &Verdict) -> String {
+        let Self {
+            figure,
+            value,
+            guard,
+            limits: [warn, stop],
+            unit,
+        } = self;
+        let (limit, name) = match verdict {
+            Verdict::NoGo => (stop, "stop limit"),
+            _ => (warn, "warning limit"),
+        };
+        // Rounding of tenths of a millimetre would hide what is compared.
+        let digits = if *unit == "mm" { 3 } else { 1 };
+        if value > limit {
+            format!(
+                "{figure} {value:.digits$} {unit} is beyond the {name} of {limit:.digits$} {unit}"
+            )
+        } else {
+            format!(
+                "{figure} {value:.digits$} {unit} is within the guard band (±{guard:.digits$} {unit}) of the {name} of {limit:.digits$} {unit}"
+            )
+        }
+    }
+}
+
+/// A flank's verdict, and what decided it where it is warn or no-go.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decision {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// The figure behind it.
+    pub cause: Option<Cause>,
+}
+
+/// Which of the refusals are in force: all of them, but in the tests that show what each is for.
+#[derive(Debug, Clone, Copy)]
+struct Refusals {
+    coverage: bool,
+    hidden: bool,
+    detection: bool,
+    disagreement: bool,
+    pose: bool,
+    tip: bool,
+}
+
+impl Refusals {
+    const ALL: Self = Self {
+        coverage: true,
+        hidden: true,
+        detection: true,
+        disagreement: true,
+        pose: true,
+        tip: true,
+    };
+}
+
+/// Judges one flank.
+pub fn judge(wear: &FlankWear, limits: &Limits) -> Decision {
+    judge_with(wear, limits, Refusals::ALL)
+}
+
+fn judge_with(wear: &FlankWear, limits: &Limits, refusals: Refusals) -> Decision {
+    let none = |reason| Decision {
+        verdict: Verdict::Indeterminate { reason },
+        cause: None,
+    };
+    // A pose that may hide or feign anything proves nothing either way.
+    if let Some(reason) = pose(wear).filter(|_| refusals.pose) {
+        return none(reason);
+    }
+    let judged = figures(wear, limits);
+    let verdict = combine(judged.iter().map(|(verdict, _)| verdict.clone()));
+    if verdict != Verdict::NoGo
+        && let Some(reason) = blind(wear, limits, &verdict, refusals)
+    {
+        return none(reason);
+    }
+    let cause = judged
+        .into_iter()
+        .find(|(of, _)| *of == verdict)
+        .map(|(_, cause)| cause)
+        .filter(|_| matches!(verdict, Verdict::Warn | Verdict::NoGo));
+    Decision { verdict, cause }
+}
+
+/// Every figure's own verdict.
+fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
+    let systematic = 1e3 * wear.budget.systematic_mm();
+    let noise = |mm: Option<f64>| 1e3 * mm.unwrap_or(f64::NAN);
+    let of = |figure: &'static str, value: f64, u: [f64; 2], rule: Rule| {
+        let cause = Cause {
+            figure,
+            value,
+            guard: rule.guard_um(u[0], u[1]),
+            limits: [rule.warn_um, rule.limit_um],
+            unit: "um",
+        };
+        (decide_parts(figure, value, u, &rule), cause)
+    };
+    let mut judged = vec![
+        of(
+            "wear",
+            1e3 * wear.wear_mm,
+            [1e3 * wear.budget.noise_mm, systematic],
+            limits.wear,
+        ),
+        of(
+            "proud material",
+            1e3 * wear.proud_mm,
+            [noise(wear.figures.map(|f| f.proud_mm.u)), systematic],
+            limits.proud,
+        ),
+        of(
+            "loss of a single cell",
+            1e3 * wear.cell_mm.value,
+            [noise(wear.figures.map(|f| f.cell_mm.u)), systematic],
+            limits.cell,
+        ),
+    ];
+    if let (Some(tip), Some(loss)) = (limits.tip, wear.tip) {
+        let rule = Rule {
+            warn_um: 1e3 * tip.area_mm2[0],
+            limit_um: 1e3 * tip.area_mm2[1],
+            ..limits.wear
+        };
+        let area = [loss.area_mm2.value, loss.area_mm2.u].map(|mm2| 1e3 * mm2);
+        let (verdict, cause) = of("rounding of the tip edge", area[0], [0.0, area[1]], rule);
+        let cause = Cause {
+            value: loss.radius_mm.value,
+            guard: rule.guard_um(0.0, loss.radius_mm.u),
+            limits: tip.radius_mm,
+            unit: "mm",
+            ..cause
+        };
+        judged.push((verdict, cause));
+    }
+    judged
+}
+
+/// Why the pose forbids any verdict.
+fn pose(wear: &FlankWear) -> Option<Reason> {
+    let leakage = wear.influence.as_ref()?.leakage.worst();
+    (leakage.is_nan() || leakage > RECOVERABLE).then_some(Reason::Leakage {
+        leakage,
+        limit: RECOVERABLE,
+    })
+}
+
+/// Why `verdict`, which is no no-go, cannot be given.
+fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
+    // What is no number is refused as well: it is never enough.
+    let enough = wear.coverage >= limits.least_coverage;
+    if !enough && on.coverage {
+        return Some(Reason::Coverage {
+            coverage: wear.coverage,
+            least: limits.least_coverage,
+        });
+    }
+    let Some(figures) = wear.figures else {
+        return Some(Reason::NoDisc {
+            area_mm2: limits.area_mm2,
+        });
+    };
+    let (noise_um, systematic_um) = (
+        1e3 * wear.budget.noise_mm,
+        1e3 * wear.budget.systematic_mm(),
+    );
+    let guard_um = limits.wear.guard_um(noise_um, systematic_um);
+    let allowed_um = if *verdict == Verdict::Go {
+        limits.wear.warn_um
+    } else {
+        limits.wear.limit_um
+    };
+    let allowed = |hidden_mm: f64| 1e3 * hidden_mm + guard_um <= allowed_um;
+    if let Some(hidden_mm) = wear.hidden_mm
+        && !allowed(hidden_mm)
+        && on.hidden
+    {
+        return Some(Reason::Hidden {
+            hidden_um: 1e3 * hidden_mm + guard_um,
+            supposed_um: limits.hidden_depth_um,
+            limit_um: allowed_um,
+        });
+    }
+    let detects_um = 1e3 * wear.detection_limit_mm();
+    let detects = detects_um < limits.wear.warn_um;
+    if !detects && on.detection {
+        let largest = wear
+            .budget
+            .terms()
+            .into_iter()
+            .filter(|(name, _)| *name != "leakage")
+            .max_by(|a, b| a.1.total_cmp(&b.1));
+        return Some(Reason::Detection {
+            detects_um,
+            warn_um: limits.wear.warn_um,
+            largest: largest.map_or("", |(name, _)| name),
+        });
+    }
+    let apart_um = 1e3 * (figures.raw_mm - figures.depth_mm.value).abs();
+    if apart_um > guard_um && on.disagreement {
+        return Some(Reason::Disagreement {
+            wear_um: 1e3 * wear.wear_mm,
+            raw_um: 1e3 * wear.raw_mm,
+            guard_um,
+        });
+    }
+    // What is worn away at the very edge is not there to be seen: at least as much is lost as was told.
+    let tip_seen = limits.tip.is_none() || wear.tip.is_some_and(|tip| tip.whole);
+    if !tip_seen && on.tip {
+        return Some(Reason::TipUnseen);
+    }
+    None
+}
+
+#[cfg(test)]
+mod campaign;
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::gear::Flank;
+    use crate::verdict::Rule;
+    use crate::wear::leakage::Leakage;
+    use crate::wear::{Figure, Influence, PoseEvidence, Settings};
+
+    /// Does something to a flank.
+    type Spoil = fn(&mut FlankWear);
+
+    fn limits() -> Limits {
+        Limits {
+            wear: Rule::new(30.0, 50.0),
+            proud: Rule::new(30.0, 50.0),
+            cell: Rule::new(60.0, 100.0),
+            tip: Some(TipLimits {
+                radius_mm: [0.25, 0.38],
+                area_mm2: [4e-3, 9e-3],
+            }),
+            least_coverage: 0.8,
+            area_mm2: 0.25,
+            hidden_depth_um: 300.0,
+        }
+    }
+
+    /// A sound flank, seen whole.
+    fn sound() -> FlankWear {
+        let settings = Settings::default();
+        let points: Vec<([f64; 2], f64, f64)> = (0..1600)
+            .map(|i| {
+                let at = [f64::from(i % 40), f64::from(i / 40)].map(|x| (x + 0.5) * 0.05);
+                (at, 1e-3 * ((i % 7) as f64 - 3.0) / 3.0, 0.5e-3)
+            })
+            .collect();
+        let mut wear = FlankWear::of_points((40, Flank::Left), [2.0, 2.0], &points, &settings);
+        wear.tip = Some(tip(0.0));
+        wear
+    }
+
+    fn tip(area_mm2: f64) -> crate::wear::TipLoss {
+        let known = |value| Figure { value, u: 1e-4 };
+        crate::wear::TipLoss {
+            area_mm2: known(area_mm2),
+            radius_mm: known((area_mm2 / 0.0627).sqrt()),
+            whole: true,
+        }
+    }
+
+    fn leaking(uniform: f64) -> Option<Influence> {
+        Some(Influence {
+            leakage: Leakage {
+                uniform,
+                slope: 0.0,
+                pit: 0.0,
+                side: 0.0,
+                flanks: 0.0,
+                ring: 0.0,
+            },
+            evidence: Arc::new(PoseEvidence {
+                tooth: 40,
+                flanks: Vec::new(),
+                stages_mm: 0.0,
+                approach_sigma_mm: 0.0,
+                mount_sigma_mm: 0.0,
+                stages_both_mm: 0.0,
+                both_sigma_mm: 0.0,
+                mount_mm: [0.0; 3],
+            }),
+            form_scatter_mm: 0.0,
+            others_form: 0.0,
+            temperature_mm: 0.0,
+        })
+    }
+
+    /// Each refusal is the only thing between a go and what it forbids: without it, the same flank passes.
+    #[test]
+    fn switching_a_refusal_off_lets_something_pass() {
+        assert_eq!(judge(&sound(), &limits()).verdict, Verdict::Go);
+        let all = Refusals::ALL;
+        let cases: [(&str, Refusals, Spoil); 6] = [
+            (
+                "coverage",
+                Refusals {
+                    coverage: false,
+                    ..all
+                },
+                |w| w.coverage = 0.7,
+            ),
+            (
+                "hidden",
+                Refusals {
+                    hidden: false,
+                    ..all
+                },
+                |w| w.hidden_mm = Some(0.031),
+            ),
+            (
+                "detection_limit",
+                Refusals {
+                    detection: false,
+                    ..all
+                },
+                |w| {
+                    w.budget.calibration_mm = 10e-3;
+                },
+            ),
+            (
+                "disagreement",
+                Refusals {
+                    disagreement: false,
+                    ..all
+                },
+                |w| {
+                    if let Some(figures) = &mut w.figures {
+                        figures.raw_mm = figures.depth_mm.value + 0.06;
+                    }
+                },
+            ),
+            ("leakage", Refusals { pose: false, ..all }, |w| {
+                w.influence = leaking(0.6)
+            }),
+            ("tip_unseen", Refusals { tip: false, ..all }, |w| {
+                w.tip = None
+            }),
+        ];
+        for (code, off, spoil) in cases {
+            let mut wear = sound();
+            spoil(&mut wear);
+            let Verdict::Indeterminate { reason } = judge(&wear, &limits()).verdict else {
+                panic!("{code} is not refused");
+            };
+            assert_eq!(reason.code(), code);
+            assert_eq!(
+                judge_with(&wear, &limits(), off).verdict,
+                Verdict::Go,
+                "{code}"
+            );
+        }
+    }
+
+    /// What is shown to be beyond the stop limit is no-go, whatever else could not be seen.
+    #[test]
+    fn every_figure_has_its_own_limits_and_a_proven_excess_needs_no_more() {
+        let cases: [(&str, Spoil); 4] = [
+            ("wear", |w| w.wear_mm = 0.08),
+            ("proud material", |w| w.proud_mm = 0.08),
+            ("loss of a single cell", |w| w.cell_mm.value = 0.15),
+            ("rounding of the tip edge", |w| w.tip = Some(tip(0.02))),
+        ];
+        for (figure, spoil) in cases {
+            for blind in [false, true] {
+                let mut wear = sound();
+                spoil(&mut wear);
+                if blind {
+                    wear.coverage = 0.5;
+                    wear.hidden_mm = Some(0.2);
+                }
+                let decision = judge(&wear, &limits());
+                assert_eq!(decision.verdict, Verdict::NoGo, "{figure}");
+                let sentence = decision.cause.unwrap().sentence(&Verdict::NoGo);
+                assert!(
+                    sentence.starts_with(figure) && sentence.contains("beyond the stop limit"),
+                    "{sentence}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_reason_says_beyond_only_where_it_is() {
+        let mut wear = sound();
+        wear.wear_mm = 28.8e-3;
+        let decision = judge(&wear, &limits());
+        assert_eq!(decision.verdict, Verdict::Warn);
+        let sentence = decision.cause.unwrap().sentence(&decision.verdict);
+        assert!(sentence.contains("within the guard band"), "{sentence}");
+        wear.wear_mm = 31.0e-3;
+        let decision = judge(&wear, &limits());
+        let sentence = decision.cause.unwrap().sentence(&decision.verdict);
+        assert!(sentence.contains("beyond the warning limit"), "{sentence}");
+    }
+
+    #[test]
+    fn nothing_that_is_no_number_is_ever_go() {
+        let cases: [Spoil; 7] = [
+            |w| w.wear_mm = f64::NAN,
+            |w| w.proud_mm = f64::NAN,
+            |w| w.cell_mm.value = f64::NAN,
+            |w| w.hidden_mm = Some(f64::NAN),
+            |w| w.budget.registration_mm = f64::NAN,
+            |w| w.coverage = f64::NAN,
+            |w| w.influence = leaking(f64::NAN),
+        ];
+        for (i, spoil) in cases.into_iter().enumerate() {
+            let mut wear = sound();
+            spoil(&mut wear);
+            let verdict = judge(&wear, &limits()).verdict;
+            assert!(
+                matches!(verdict, Verdict::Indeterminate { .. }),
+                "{i}: {verdict}"
+            );
+        }
+    }
+}
