@@ -17,5 +17,6 @@ pub mod inspection;
 pub mod origin;
 pub mod report;
 pub mod scan;
+pub mod settings;
 pub mod sink;
 pub mod watch;

@@ -24,7 +24,7 @@ use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
-use crate::inspection::ViewPlan;
+use crate::inspection::{FieldOfView, ViewPlan};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -32,8 +32,17 @@ const MOST_ROUNDS: usize = 6;
 const SETTLED_MM: f64 = 1e-3;
 /// A view that moved across the axis by more is laid on the CAD again with all its points, mm.
 const RELAY_MM: f64 = 10e-3;
-/// From the middle of a view to its edge, about, mm.
-const FIELD_MM: f64 = 5.0;
+
+/// What views are laid on each other in, and with what.
+pub(super) struct Frame {
+    /// Cells of the unrolled bore.
+    pub layout: Layout,
+    /// Half the field's width per distance.
+    pub field_slope: f64,
+    pub field: FieldOfView,
+    /// How a single view may lie from what all share.
+    pub single: Local,
+}
 
 /// Views that were laid on the CAD together.
 pub(super) struct Stitched {
@@ -83,21 +92,23 @@ pub(super) fn stitch(
     first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
     nominal: &Stages,
-    (layout, field_slope): (Layout, f64),
+    frame: &Frame,
 ) -> Result<Stitched, ScanError> {
+    let layout = frame.layout;
     let mut elapsed_ms = BTreeMap::new();
     let mut clock = Instant::now();
     let mut lap = |what| {
         elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
         clock = Instant::now();
     };
-    let mut common = Common::new(session, tool, first, nominal)?;
+    let mut common = Common::new(session, tool, first, nominal, frame)?;
     common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
     let relaid = common.lay(patches, &layout)?;
     lap("lay");
     let (alone, sure) = (common.poses(), common.adjustment.clone());
-    let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
+    let pairs =
+        common.settle(|views| overlaps(patches, &layout, views, &alone, frame.field.width_mm))?;
     let Common {
         views,
         adjustment,
@@ -115,7 +126,7 @@ pub(super) fn stitch(
         }
         Ok::<_, SessionError>(())
     };
-    let (map, quality) = merge(layout, field_slope, of_views)?;
+    let (map, quality) = merge(layout, frame.field_slope, of_views)?;
     let form = map.form();
     let mut rms_about_form_mm = Vec::with_capacity(views.len());
     of_views(&mut |_, view| {
@@ -149,6 +160,7 @@ pub(super) fn stitch(
 struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
+    frame: &'a Frame,
     views: Vec<(usize, ViewInformation)>,
     adjustment: Solution,
     refused: Vec<(usize, Reason)>,
@@ -162,12 +174,14 @@ impl<'a> Common<'a> {
         tool: &'a Tool,
         first: BTreeMap<usize, ViewInformation>,
         nominal: &Stages,
+        frame: &'a Frame,
     ) -> Result<Self, ScanError> {
         let views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
         Ok(Self {
             session,
             tool,
-            adjustment: solved(&views, &[], nominal)?,
+            frame,
+            adjustment: solved(&views, &[], nominal, frame)?,
             views,
             refused: Vec::new(),
             rounds: 1,
@@ -184,17 +198,16 @@ impl<'a> Common<'a> {
         let mut pairs = Vec::new();
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
-            let (laid, dropped) =
-                laid_anew(self.session, self.tool, &self.views, &self.adjustment)?;
+            let (laid, dropped) = laid_anew(self, &self.views, &self.adjustment)?;
             // A view that drops out moves the others: another round then.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
-            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages)?;
+            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages, self.frame)?;
             self.views = laid;
             self.rounds += 1;
             let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
-                moved_mm(info, &info.tool_from_camera, pose)
+                self.moved_mm(info, &info.tool_from_camera, pose)
             };
             self.settled = whole
                 && self
@@ -214,7 +227,9 @@ impl<'a> Common<'a> {
     fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
         let mut relaid = 0;
         for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
-            let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
+            let moved = patches
+                .pose(*view)
+                .map(|was| self.moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
                 let points = self.session.points(*view)?;
                 let laid = Laid::new(&self.tool.surface, *pose, &points);
@@ -232,6 +247,15 @@ impl<'a> Common<'a> {
             }
         }
         Ok(relaid)
+    }
+
+    /// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the
+    /// teeth are straight.
+    fn moved_mm(&self, info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
+        let to_edge_mm = 0.5 * self.frame.field.width_mm;
+        let centre = Point3::from(info.centre_mm);
+        let motion = to * from.inverse();
+        (motion * centre - centre).xy().norm() + motion.rotation.angle() * to_edge_mm
     }
 
     /// Where every view is, by its number.
@@ -267,9 +291,10 @@ fn solved(
     views: &[(usize, ViewInformation)],
     overlaps: &[Overlap],
     start: &Stages,
+    frame: &Frame,
 ) -> Result<Solution, ScanError> {
     let views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
-    Ok(solve(start, &views, overlaps, Local::default())?)
+    Ok(solve(start, &views, overlaps, frame.single)?)
 }
 
 type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
@@ -277,8 +302,7 @@ type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 /// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
 /// why.
 fn laid_anew(
-    session: &Session,
-    tool: &Tool,
+    common: &Common<'_>,
     views: &[(usize, ViewInformation)],
     adjustment: &Solution,
 ) -> Result<LaidAnew, SessionError> {
@@ -286,11 +310,11 @@ fn laid_anew(
         .par_iter()
         .zip(&adjustment.poses)
         .map(|((view, info), pose)| {
-            if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
+            if common.moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
                 return Ok((*view, Ok(info.clone())));
             }
-            let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
-            let laid = match compress(&tool.surface, &sample, info.at, *pose) {
+            let sample = coordinates(&common.session.sample(*view, SAMPLE)?, SAMPLE);
+            let laid = match compress(&common.tool.surface, &sample, info.at, *pose) {
                 None => Err(off_cad("no point lies on the CAD")),
                 Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
             };
@@ -305,12 +329,4 @@ fn laid_anew(
         }
     }
     Ok((laid, refused))
-}
-
-/// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the teeth
-/// are straight.
-fn moved_mm(info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
-    let centre = Point3::from(info.centre_mm);
-    let motion = to * from.inverse();
-    (motion * centre - centre).xy().norm() + motion.rotation.angle() * FIELD_MM
 }
