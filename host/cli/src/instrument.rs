@@ -90,7 +90,9 @@ impl Place {
         let (settings, hash) = station_file(file)?;
         let in_file = settings.controller.link.as_deref().map(str::parse);
         let in_file = in_file.transpose().context("controller.link")?;
-        let given = real.iter().find(|(_, given)| *given);
+        // A station's file is of an instrument at a press, and may name a history.
+        let of_station = [("--station", file.is_some())];
+        let given = real.iter().chain(&of_station).find(|(_, given)| *given);
         let link = match (self.link.clone().or(in_file), given) {
             (Some(link), _) => link,
             (None, None) => Link::Sim,

@@ -321,9 +321,9 @@ impl Judging<'_> {
         let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
         let evidence = Arc::new(evidence);
         let judged = measured.into_par_iter().map(|(zone, wear)| {
-            let influence = self.influence(&held, &zone, &wear, &evidence, form_scatter_mm);
-            let wear = match influence {
-                Some(influence) => wear.with(influence, &settings),
+            let sensitivity = self.sensitivity(&held, &zone, &wear, &evidence, form_scatter_mm);
+            let wear = match sensitivity {
+                Some(sensitivity) => wear.with(sensitivity, &settings),
                 None => wear,
             };
             judge(wear, &zone, &limits)
@@ -431,7 +431,7 @@ impl Judging<'_> {
     }
 
     /// What acts on a flank beside its points: the worst of the views that were asked for it.
-    fn influence(
+    fn sensitivity(
         &self,
         held: &[Held],
         zone: &Zone,

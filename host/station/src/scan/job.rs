@@ -355,8 +355,8 @@ impl Scanner {
         scan.teeth_stretch_ratio = stretch;
         let turned = turned_rad(&shared, nominal, planned, self.field.reach_mm);
         scan.teeth_turned_deg = turned.to_degrees();
-        let stranger = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
-        if let Some(why) = stranger.or_else(|| ambiguous_teeth(turned, &self.gear)) {
+        let other_die = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
+        if let Some(why) = other_die.or_else(|| ambiguous_teeth(turned, &self.gear)) {
             scan.invalidate(&why);
             return Ok(scan);
         }

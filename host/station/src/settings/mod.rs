@@ -10,6 +10,7 @@
 //! | `history` | where checks are stored |
 //! | `report` | where they are written for people |
 
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -258,116 +259,6 @@ impl StationSettings {
     }
 
     fn check(&self) -> Result<(), BadValue> {
-        let stages = &self.stages;
-        for (key, value, most, expected) in [
-            (
-                "stages.rotation_error_mdeg",
-                stages.rotation_error_mdeg,
-                1e3,
-                "more than 0 and at most 1000 millidegrees",
-            ),
-            (
-                "stages.vertical_error_um",
-                stages.vertical_error_um,
-                1e3,
-                "more than 0 and at most 1000 um",
-            ),
-            (
-                "stages.mount_um",
-                stages.mount_um,
-                1e3,
-                "more than 0 and at most 1000 um",
-            ),
-            (
-                "stages.mount_mrad",
-                stages.mount_mrad,
-                100.0,
-                "more than 0 and at most 100 mrad",
-            ),
-            (
-                "stages.runout_um",
-                stages.runout_um,
-                1e3,
-                "more than 0 and at most 1000 um",
-            ),
-            (
-                "stages.wobble_urad",
-                stages.wobble_urad,
-                1e4,
-                "more than 0 and at most 10000 urad",
-            ),
-            (
-                "stages.clearance_mm",
-                stages.clearance_mm,
-                1e3,
-                "more than 0 and at most 1000 mm",
-            ),
-            (
-                "press.hold_limit_s",
-                self.press.hold_limit_s,
-                600.0,
-                "more than 0 and at most 600 seconds",
-            ),
-            (
-                "press.opening_patience_s",
-                self.press.opening_patience_s,
-                600.0,
-                "more than 0 and at most 600 seconds",
-            ),
-        ] {
-            // What is no number is refused as well.
-            if !(value > 0.0 && value <= most) {
-                return Err(BadValue::new(key, value, expected));
-            }
-        }
-        for (key, value, range, expected) in [
-            (
-                "controller.baud",
-                self.controller.baud.into(),
-                1_200..=12_000_000,
-                "1200 to 12000000 bit/s, as the controller has it",
-            ),
-            (
-                "controller.answer_ms",
-                self.controller.answer_ms,
-                1..=60_000,
-                "1 to 60000 ms",
-            ),
-            (
-                "press.openings",
-                self.press.openings.into(),
-                1..=100,
-                "1 to 100",
-            ),
-            (
-                "light.led_ma",
-                self.light.led_ma.into(),
-                1..=u16::MAX.into(),
-                "1 to 65535 mA; the controller has its own limit below",
-            ),
-            (
-                "timing.settle_ms",
-                self.timing.settle_ms.into(),
-                0..=60_000,
-                "0 to 60000 ms",
-            ),
-            (
-                "timing.pattern_settle_us",
-                self.timing.pattern_settle_us.into(),
-                0..=1_000_000,
-                "0 to 1000000 us",
-            ),
-            (
-                "timing.camera_readout_us",
-                self.timing.camera_readout_us.into(),
-                0..=1_000_000,
-                "0 to 1000000 us",
-            ),
-        ] {
-            if !range.contains(&value) {
-                return Err(BadValue::new(key, value, expected));
-            }
-        }
         if self
             .name
             .as_ref()
@@ -375,7 +266,92 @@ impl StationSettings {
         {
             return Err(BadValue::new("name", "", "a name, or no such line"));
         }
+        self.controller.check()?;
+        self.press.check()?;
+        self.light.check()?;
+        self.timing.check()?;
+        self.stages.check()
+    }
+}
+
+/// More than nothing, and at most so much; what is no number is refused as well.
+fn up_to(key: &str, value: f64, most: f64, expected: &'static str) -> Result<(), BadValue> {
+    if value > 0.0 && value <= most {
         Ok(())
+    } else {
+        Err(BadValue::new(key, value, expected))
+    }
+}
+
+fn within(
+    key: &str,
+    value: impl Into<u64>,
+    range: RangeInclusive<u64>,
+    expected: &'static str,
+) -> Result<(), BadValue> {
+    let value = value.into();
+    if range.contains(&value) {
+        Ok(())
+    } else {
+        Err(BadValue::new(key, value, expected))
+    }
+}
+
+impl Controller {
+    fn check(&self) -> Result<(), BadValue> {
+        let speed = "1200 to 12000000 bit/s, as the controller has it";
+        within("controller.baud", self.baud, 1_200..=12_000_000, speed)?;
+        let wait = "1 to 60000 ms";
+        within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)
+    }
+}
+
+impl Press {
+    fn check(&self) -> Result<(), BadValue> {
+        let seconds = "more than 0 and at most 600 seconds";
+        up_to("press.hold_limit_s", self.hold_limit_s, 600.0, seconds)?;
+        let patience_s = self.opening_patience_s;
+        up_to("press.opening_patience_s", patience_s, 600.0, seconds)?;
+        within("press.openings", self.openings, 1..=100, "1 to 100")
+    }
+}
+
+impl Light {
+    fn check(&self) -> Result<(), BadValue> {
+        let current = "1 to 65535 mA; the controller has its own limit below";
+        within("light.led_ma", self.led_ma, 1..=65_535, current)
+    }
+}
+
+impl Timing {
+    fn check(&self) -> Result<(), BadValue> {
+        let (ms, us) = ("0 to 60000 ms", "0 to 1000000 us");
+        within("timing.settle_ms", self.settle_ms, 0..=60_000, ms)?;
+        for (key, value_us) in [
+            ("timing.pattern_settle_us", self.pattern_settle_us),
+            ("timing.camera_readout_us", self.camera_readout_us),
+        ] {
+            within(key, value_us, 0..=1_000_000, us)?;
+        }
+        Ok(())
+    }
+}
+
+impl Stages {
+    fn check(&self) -> Result<(), BadValue> {
+        let mdeg = "more than 0 and at most 1000 millidegrees";
+        let rotation_mdeg = self.rotation_error_mdeg;
+        up_to("stages.rotation_error_mdeg", rotation_mdeg, 1e3, mdeg)?;
+        let um = "more than 0 and at most 1000 um";
+        up_to("stages.vertical_error_um", self.vertical_error_um, 1e3, um)?;
+        up_to("stages.mount_um", self.mount_um, 1e3, um)?;
+        up_to("stages.runout_um", self.runout_um, 1e3, um)?;
+        let mrad = "more than 0 and at most 100 mrad";
+        up_to("stages.mount_mrad", self.mount_mrad, 100.0, mrad)?;
+        let urad = "more than 0 and at most 10000 urad";
+        up_to("stages.wobble_urad", self.wobble_urad, 1e4, urad)?;
+        let mm = "more than 0 and at most 1000 mm";
+        up_to("stages.clearance_mm", self.clearance_mm, 1e3, mm)
     }
 }
 
