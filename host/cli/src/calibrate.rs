@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{Instrument, Place, Scene, Scratch, fits_link};
+use crate::instrument::{Instrument, Place, Scene, Scratch, Site, fits_link};
 use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
@@ -147,7 +147,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
             let job = Job {
                 args,
-                setting: args.place.setting(&[of_target])?,
+                site: args.place.site(&[of_target])?,
                 folder: &folder,
                 target,
                 output,
@@ -176,7 +176,8 @@ fn check(
         "--check of a head that is not known to be the bench's",
         made != Some(true),
     );
-    let setting = args.place.setting(&[of_target, of_head])?;
+    let site = args.place.site(&[of_target, of_head])?;
+    let setting = &site.setting;
     fits_link(&head, &setting.link)?;
     ensure!(
         !setting.link.is_simulated() || made != Some(false),
@@ -187,13 +188,13 @@ fn check(
             .and_then(|made| made.link.as_deref())
             .unwrap_or("unknown port")
     );
-    let (test, truth) = self_test(args, &setting.link, folder, &head, target)?;
+    let (test, truth) = self_test(args, &site, folder, &head, target)?;
     save_self_test(&test, path)?;
     head.self_test = Some(test.clone());
     let unfit = head.fit_on(Date::today()).err();
     args.common.write_json(&CheckDocument {
         head: path,
-        made: Made::by(&setting, false),
+        made: Made::by(setting, false),
         fit: unfit.is_none(),
         reason: unfit.as_ref().map(ToString::to_string),
         self_test: &test,
@@ -215,14 +216,15 @@ fn check(
 
 fn self_test(
     args: &Args,
-    link: &Link,
+    site: &Site,
     folder: &Path,
     head: &HeadModel,
     target: Target,
 ) -> anyhow::Result<(SelfTest, Option<serde_json::Value>)> {
     let quiet = args.common.quiet;
-    let mut survey = open(args, link, folder, |root| {
-        Ok(FitnessSurvey::open(head.clone(), target, root)?)
+    let mut survey = open(args, site, folder, |root| {
+        let settings = &site.settings;
+        Ok(FitnessSurvey::open(head.clone(), target, settings, root)?)
     })?;
     let mut watcher = Watcher::new(quiet);
     let test = survey
@@ -237,7 +239,7 @@ fn self_test(
 /// A calibration to be done.
 struct Job<'a> {
     args: &'a Args,
-    setting: Setting,
+    site: Site,
     folder: &'a Path,
     target: Target,
     output: &'a Path,
@@ -255,17 +257,17 @@ impl Job<'_> {
     fn by_captures(self, mut head: HeadModel) -> anyhow::Result<Outcome> {
         let Self {
             args,
-            ref setting,
+            ref site,
             folder,
             ref target,
             output,
         } = self;
-        let link = &setting.link;
+        let settings = &site.settings;
         let quiet = args.common.quiet;
         let begun = Instant::now();
         if head.core_map.is_none() && head.binning > 1 {
-            let mut search = open(args, link, folder, |root| {
-                Ok(CoreSearch::open(&head, target, root)?)
+            let mut search = open(args, site, folder, |root| {
+                Ok(CoreSearch::open(&head, target, settings, root)?)
             })?;
             let mut watcher = Watcher::new(quiet);
             let map = search
@@ -276,8 +278,9 @@ impl Job<'_> {
             head.core_map = Some(map.into());
         }
         let cores = Instant::now();
-        let mut survey = open(args, link, folder, |root| {
-            Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
+        let mut survey = open(args, site, folder, |root| {
+            let (head, target) = (head.clone(), target.clone());
+            Ok(PlateSurvey::open(head, target, settings, root)?)
         })?;
         let mut watcher = Watcher::new(quiet);
         let calibrated = survey
@@ -285,11 +288,11 @@ impl Job<'_> {
             .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
         watcher.finish();
         let truth = survey.close(quiet)?;
-        let record = calibrated.save(output, Some(link), Date::today(), args.valid_days)?;
+        let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;
         let plates = Instant::now();
         let tested = if target.sphere.is_some() && target.limits.is_some() {
             let head = HeadModel::load(output)?;
-            Some(self_test(args, link, folder, &head, target.clone())?.0)
+            Some(self_test(args, site, folder, &head, target.clone())?.0)
         } else {
             None
         };
@@ -305,7 +308,8 @@ impl Job<'_> {
     fn by_images(self, head: HeadModel, images: &Path) -> anyhow::Result<Outcome> {
         let quiet = self.args.common.quiet;
         let begun = Instant::now();
-        let mut folder = CaptureFolder::open(images, head, self.target.clone())?;
+        let folder = CaptureFolder::open(images, head, self.target.clone())?;
+        let mut folder = folder.with_stages(&self.site.settings.stages);
         let calibrated = folder.calibrate(|view| {
             if !quiet {
                 say(&view.display().to_string());
@@ -337,7 +341,7 @@ impl Job<'_> {
         let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
         let document = Document {
             head: output,
-            made: Made::by(&self.setting, args.images.is_some()),
+            made: Made::by(&self.site.setting, args.images.is_some()),
             calibration: record,
             self_test: tested.as_ref(),
             cores: calibrated.cores(),
@@ -368,7 +372,7 @@ impl Job<'_> {
 
 fn open<S>(
     args: &Args,
-    link: &Link,
+    site: &Site,
     folder: &Path,
     station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
 ) -> anyhow::Result<Instrument<S>> {
@@ -378,7 +382,7 @@ fn open<S>(
     };
     Instrument::before(
         folder,
-        link,
+        site,
         &args.bench,
         scene,
         args.common.quiet,

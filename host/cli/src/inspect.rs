@@ -54,8 +54,14 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    args.try_places()?;
-    let (mut instrument, mut writer) = Instrument::open(&args.source, &args.bench, None, quiet)?;
+    let site = args.source.site()?;
+    let report = args
+        .report
+        .as_ref()
+        .or(site.settings.report.folder.as_ref());
+    args.try_places(report)?;
+    let (mut instrument, mut writer) =
+        Instrument::open(&args.source, &site, &args.bench, None, quiet)?;
     let mut watcher = Watcher::new(quiet);
     let mut inspection = instrument.station.inspect(
         &instrument.port,
@@ -71,7 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     inspection.truth = complaints.hear(instrument.close(quiet)).flatten();
     complaints.hear_of(args.common.document(), &mut inspection);
-    complaints.hear(args.write_report(&mut inspection));
+    complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
         let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path));
         complaints.hear(recorded.map_err(Into::into));
@@ -81,16 +87,20 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 impl Args {
     /// Before anything moves: a check whose results cannot be written should not begin.
-    fn try_places(&self) -> anyhow::Result<()> {
+    fn try_places(&self, report: Option<&PathBuf>) -> anyhow::Result<()> {
         self.common.try_json()?;
-        if let Some(folder) = &self.report {
+        if let Some(folder) = report {
             try_folder(folder, ReportFolder::OF_CHECK)?;
         }
         self.record_baseline.as_deref().map_or(Ok(()), try_place)
     }
 
-    fn write_report(&self, inspection: &mut Inspection) -> anyhow::Result<()> {
-        let Some(folder) = &self.report else {
+    fn write_report(
+        &self,
+        report: Option<&PathBuf>,
+        inspection: &mut Inspection,
+    ) -> anyhow::Result<()> {
+        let Some(folder) = report else {
             return self.show("add --report DIR for maps, histogram and timeline as one HTML file");
         };
         let mut folder = ReportFolder::new(folder);

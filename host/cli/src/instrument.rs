@@ -13,6 +13,7 @@ use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{Station, Subject};
 use flankscope_station::origin::{Link, Setting};
+use flankscope_station::settings::StationSettings;
 
 use crate::bench_link::{Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press};
 use crate::grid::Grid;
@@ -46,17 +47,17 @@ pub struct Source {
     #[arg(long, value_name = "FILE")]
     pub history: Option<PathBuf>,
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
-    #[arg(long, value_name = "N", requires = "history")]
+    #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
-    /// Remove the phasors of a go after N later checks; other verdicts keep theirs
-    #[arg(long, value_name = "N", default_value_t = 1000, requires = "history")]
-    pub keep_phasors: u32,
+    /// Remove the phasors of a go after N later checks; other verdicts keep theirs [default: the station's, or 1000]
+    #[arg(long, value_name = "N")]
+    pub keep_phasors: Option<u32>,
 }
 
 impl Source {
     /// Where it is looked.
-    pub fn setting(&self) -> anyhow::Result<Setting> {
-        self.place.setting(&[
+    pub fn site(&self) -> anyhow::Result<Site> {
+        self.place.site(&[
             ("--tool", self.tool.is_some()),
             ("--history", self.history.is_some()),
         ])
@@ -70,8 +71,8 @@ pub struct Place {
     /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
     #[arg(long, value_name = "sim|qemu|PORT")]
     link: Option<Link>,
-    /// Name of this station in every result [default: the host's name]
-    #[arg(long, value_name = "NAME")]
+    /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
+    #[arg(long, value_name = "NAME|STATION.toml")]
     station: Option<String>,
     /// Who measures, in every result [default: the user, as the system says]
     #[arg(long, value_name = "NAME")]
@@ -79,23 +80,73 @@ pub struct Place {
 }
 
 impl Place {
-    /// The setting. With one of the options in `real`, each by its name and whether it was given, it is not for the
-    /// built-in demo any more, and the link must have been named.
-    pub fn setting(&self, real: &[(&str, bool)]) -> anyhow::Result<Setting> {
-        let given = real.iter().find(|(_, given)| *given);
-        let link = match (&self.link, given) {
-            (Some(link), _) => link.clone(),
+    /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
+    /// built-in demo any more, and the link must have been named, here or in the station's file.
+    pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
+        let is_file = |text: &&str| Path::new(text).extension().is_some_and(|is| is == "toml");
+        let station = self.station.as_deref();
+        let file = station.filter(is_file).map(Path::new);
+        let (settings, hash) = station_file(file)?;
+        let in_file = settings.controller.link.as_deref().map(str::parse);
+        let in_file = in_file.transpose().context("controller.link")?;
+        // A station's file is of an instrument at a press, and may name a history.
+        let of_station = [("--station", file.is_some())];
+        let given = real.iter().chain(&of_station).find(|(_, given)| *given);
+        let link = match (self.link.clone().or(in_file), given) {
+            (Some(link), _) => link,
             (None, None) => Link::Sim,
             (None, Some((option, _))) => anyhow::bail!(
                 "{option} without --link: is the die real or simulated? Add --link PORT, the controller's port such as \
                  /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
             ),
         };
-        Ok(Setting {
-            link,
-            station: self.station.clone().unwrap_or_else(host_name),
-            operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+        let named = station.filter(|text| !is_file(text)).map(str::to_owned);
+        Ok(Site {
+            setting: Setting {
+                link,
+                station: named
+                    .or_else(|| settings.name.clone())
+                    .unwrap_or_else(host_name),
+                operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+            },
+            settings: Arc::new(settings),
+            hash,
         })
+    }
+}
+
+/// What a station's file says, and its hash; without one, what holds without.
+fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Option<String>)> {
+    let Some(path) = file else {
+        return Ok((StationSettings::default(), None));
+    };
+    let settings = StationSettings::load(path)?;
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok((settings, Some(flankscope_station::files::hash(&bytes))))
+}
+
+/// Where it is looked, for whom, and with what instrument.
+pub struct Site {
+    /// Link, station and operator.
+    pub setting: Setting,
+    /// The instrument.
+    pub settings: Arc<StationSettings>,
+    /// BLAKE3 of its file, if it has one.
+    hash: Option<String>,
+}
+
+impl Site {
+    /// Through which link.
+    pub fn link(&self) -> &Link {
+        &self.setting.link
+    }
+
+    /// Puts the instrument before what is inspected.
+    fn stand_before(&self, subject: &mut Subject) {
+        subject.station = Arc::clone(&self.settings);
+        if let Some(hash) = &self.hash {
+            subject.hashes.insert("station", hash.clone());
+        }
     }
 }
 
@@ -146,6 +197,7 @@ impl Instrument {
     /// that was asked for.
     pub fn open(
         source: &Source,
+        site: &Site,
         bench: &BenchArgs,
         press: Option<&PressArgs>,
         quiet: bool,
@@ -155,11 +207,26 @@ impl Instrument {
             teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
-        let setting = source.setting()?;
+        let setting = site.setting.clone();
+        let store = source
+            .history
+            .as_ref()
+            .or(site.settings.history.file.as_ref());
+        for (option, given) in [
+            ("--tool-cycles", source.tool_cycles.is_some()),
+            ("--keep-phasors", source.keep_phasors.is_some()),
+        ] {
+            anyhow::ensure!(
+                !given || store.is_some(),
+                "{option} without --history: nothing is stored; add --history FILE"
+            );
+        }
+        let keep_phasors = site.settings.history.keep_phasors;
+        let keep_phasors = source.keep_phasors.unwrap_or(keep_phasors);
         let mut writer = None;
         let instrument = Self::start(
             [source.tool.as_deref(), source.head.as_deref()],
-            &setting.link,
+            site,
             bench,
             scene,
             quiet,
@@ -177,7 +244,7 @@ impl Instrument {
                 let teeth = source.teeth.as_deref();
                 let baseline = subject.baseline.clone();
                 let station = Station::open(subject, setting.clone(), teeth, root)?;
-                if let Some(path) = &source.history {
+                if let Some(path) = store {
                     let history = History::open(path)?;
                     let unknown = history.of_unknown_origin()?;
                     if unknown > 0 {
@@ -190,7 +257,7 @@ impl Instrument {
                     let mut opened = HistoryWriter::new(
                         history,
                         source.tool_cycles,
-                        source.keep_phasors,
+                        keep_phasors,
                         setting.operator.clone().unwrap_or_else(user_name),
                     );
                     let simulated = setting.link.is_simulated();
@@ -210,7 +277,7 @@ impl<S> Instrument<S> {
     /// The files are the tool's folder and a head file instead of the one in it.
     pub fn start(
         [tool, head]: [Option<&Path>; 2],
-        link: &Link,
+        site: &Site,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
@@ -221,9 +288,10 @@ impl<S> Instrument<S> {
             Some(folder) => folder.to_path_buf(),
             None => demo_tool(scratch.path())?,
         };
-        let subject = load(&folder, head, scratch.path())?;
-        fits_link(&subject.head, link)?;
-        Self::before(&folder, link, bench, scene, quiet, scratch, |root| {
+        let mut subject = load(&folder, head, scratch.path())?;
+        site.stand_before(&mut subject);
+        fits_link(&subject.head, site.link())?;
+        Self::before(&folder, site, bench, scene, quiet, scratch, |root| {
             station(subject, root)
         })
     }
@@ -231,13 +299,14 @@ impl<S> Instrument<S> {
     /// Starts what `station` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
     pub fn before(
         folder: &Path,
-        link: &Link,
+        site: &Site,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
         scratch: Scratch,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
+        let link = site.link();
         if !link.is_simulated() {
             fits_real_press(bench, link)?;
         }
@@ -261,7 +330,7 @@ impl<S> Instrument<S> {
         Ok(Self {
             station,
             port: port.clone(),
-            settings: ClientSettings::default(),
+            settings: site.settings.client(),
             bench: None,
             _root: root,
             _scratch: scratch,
@@ -282,14 +351,23 @@ impl<S> Instrument<S> {
     }
 }
 
-/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's.
-pub fn subject(tool: Option<&Path>, head: Option<&Path>) -> anyhow::Result<Subject> {
+/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's, before the instrument of a station's
+/// file.
+pub fn subject(
+    tool: Option<&Path>,
+    head: Option<&Path>,
+    station: Option<&Path>,
+) -> anyhow::Result<Subject> {
     let scratch = Scratch::new()?;
     let folder = match tool {
         Some(folder) => folder.to_path_buf(),
         None => demo_tool(scratch.path())?,
     };
-    load(&folder, head, scratch.path())
+    let mut subject = load(&folder, head, scratch.path())?;
+    let (settings, hash) = station_file(station)?;
+    subject.station = Arc::new(settings);
+    subject.hashes.extend(hash.map(|hash| ("station", hash)));
+    Ok(subject)
 }
 
 /// Reads tool and head, and hashes what was read.
@@ -321,6 +399,7 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         head: Arc::new(head),
         temperature_degc: None,
         baseline: None,
+        station: Arc::default(),
         hashes,
     })
 }

@@ -152,7 +152,7 @@ impl Args {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
     let (method, paper) = args.paper.settings(seed(&args.bench))?;
-    let setting = args.place.setting(&[("--tool", args.tool.is_some())])?;
+    let site = args.place.site(&[("--tool", args.tool.is_some())])?;
     args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,
@@ -170,7 +170,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let mut instrument = Instrument::start(
         [args.tool.as_deref(), args.head.as_deref()],
-        &setting.link,
+        &site,
         &args.bench,
         scene,
         quiet,
@@ -178,8 +178,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             if let Some(grid) = args.grid {
                 grid.impose(Arc::make_mut(&mut subject.head))?;
             }
-            let bench = args.on_the_bench(&setting.link);
-            let setting = setting.clone();
+            let bench = args.on_the_bench(site.link());
+            let setting = site.setting.clone();
             let scanner = Scanner::open(subject, setting, args.views, session, &bench, root)?;
             let scanner = scanner.against(args.reference.as_deref())?;
             Ok(scanner.by_method(method, paper)?)

@@ -38,9 +38,9 @@ pub struct Args {
     /// End after this many press cycles [default: never]
     #[arg(long)]
     cycles: Option<u32>,
-    /// The press is never held longer than this, s
-    #[arg(long, default_value_t = 12.0)]
-    hold_limit_s: f64,
+    /// The press is never held longer than this, s [default: the station's, or 12]
+    #[arg(long)]
+    hold_limit_s: Option<f64>,
     /// Write the last check's report.html into this folder, and a line per check into checks.jsonl
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -54,25 +54,32 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let site = args.source.site()?;
+    let hold_limit_s = args
+        .hold_limit_s
+        .unwrap_or(site.settings.press.hold_limit_s);
     anyhow::ensure!(
-        args.hold_limit_s > 0.0 && args.hold_limit_s <= 600.0,
-        "--hold-limit-s {}: more than 0 and at most 600 seconds are possible",
-        args.hold_limit_s
+        hold_limit_s > 0.0 && hold_limit_s <= 600.0,
+        "--hold-limit-s {hold_limit_s}: more than 0 and at most 600 seconds are possible"
     );
     // Before anything moves: a watch whose results cannot be written should not begin.
     args.common.try_json()?;
     let mut papers = Papers::default();
-    if let Some(folder) = &args.report {
+    if let Some(folder) = args
+        .report
+        .as_ref()
+        .or(site.settings.report.folder.as_ref())
+    {
         papers = Papers::open(folder)?;
     }
-    let setting = args.source.setting()?;
+    let setting = &site.setting;
     let quiet = args.common.quiet;
     let (mut instrument, mut writer) =
-        Instrument::open(&args.source, &args.bench, Some(&args.press), quiet)?;
+        Instrument::open(&args.source, &site, &args.bench, Some(&args.press), quiet)?;
     let settings = WatchSettings {
         every: args.every,
         cycles: args.cycles,
-        hold_limit: Duration::from_secs_f64(args.hold_limit_s),
+        hold_limit: Duration::from_secs_f64(hold_limit_s),
     };
     let acknowledged = acknowledgements();
     let mut log = Log::new(args, papers);

@@ -16,5 +16,6 @@ pub mod inspection;
 pub mod origin;
 pub mod report;
 pub mod scan;
+pub mod settings;
 pub mod sink;
 pub mod watch;

@@ -32,6 +32,7 @@ fn main() -> Result<()> {
         tool: Arc::new(Tool::load(folder.path())?),
         head: Arc::new(HeadModel::load(&folder.path().join("head.toml"))?),
         temperature_degc: None,
+        station: Arc::default(),
         baseline: None,
         hashes: BTreeMap::new(),
     };

@@ -45,6 +45,7 @@ impl Instrument {
             tool: Arc::new(tool.clone()),
             head: Arc::new(head.clone()),
             temperature_degc: degc,
+            station: Arc::default(),
             baseline: baseline.map(Arc::new),
             hashes: std::collections::BTreeMap::new(),
         };

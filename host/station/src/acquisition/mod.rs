@@ -36,7 +36,6 @@ pub(crate) use capture::RETRACT_RESERVE;
 pub use error::{AcquisitionError, Progress, Stop, ViewError};
 pub use pairing::{PairingError, pair};
 pub use program::{Program, ProgramError, StagePosition};
-pub(crate) use program::{ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 pub(crate) use recapture::{AfterStop, never};
 pub use recorder::Picture;
 pub(crate) use run::{Counts, Run};

@@ -6,20 +6,7 @@ use flankscope_protocol::{
     View,
 };
 
-/// Wait from in position to light: the die's and the head's ringing at 20 Hz and more has died down (10 periods of 100 Hz).
-const SETTLE: Microseconds = Microseconds::from_millis(100);
-/// Wait from DMD ready to the camera trigger: mirrors settle within tens of µs.
-const DMD_SETTLE: Microseconds = Microseconds(200);
-/// Readout of a 1920 x 1200 frame at 16 bit over USB 3: 80 frames/s are 12.5 ms, and 4 % for the link's other traffic.
-const CAMERA_READOUT: Microseconds = Microseconds(13_000);
-/// LED current of the head.
-const LED: Milliamps = Milliamps(1_000);
-
-/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
-pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
-/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
-pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
-const SQRT_3: f64 = 1.732_050_807_568_877_2;
+use crate::settings::{Light, Timing};
 
 /// Where the stages stand for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +28,10 @@ pub struct Program {
     pub exposures_us: Vec<u32>,
     /// Vertical position of the retracted head, mm.
     pub retract_mm: f64,
+    /// How long everything settles.
+    pub timing: Timing,
+    /// How bright it is.
+    pub light: Light,
 }
 
 /// More than a capture plan holds.
@@ -65,15 +56,16 @@ impl Program {
         views: &[usize],
         limits: &Limits,
     ) -> Result<CapturePlan, ProgramError> {
+        let timing = &self.timing;
         let mut plan = CapturePlan {
             session: flankscope_frames::monotonic_ns() as u32,
             views: Default::default(),
             exposures: Default::default(),
             fringes: Default::default(),
-            led: LED.min(limits.led_max),
-            settle: SETTLE,
-            dmd_settle: DMD_SETTLE,
-            camera_readout: CAMERA_READOUT,
+            led: Milliamps(self.light.led_ma).min(limits.led_max),
+            settle: Microseconds::from_millis(timing.settle_ms),
+            dmd_settle: Microseconds(timing.pattern_settle_us),
+            camera_readout: Microseconds(timing.camera_readout_us),
             retract: Micrometres((self.retract_mm * 1e3).round() as i32),
             timeouts: Timeouts::default(),
         };
@@ -120,6 +112,8 @@ mod tests {
             patterns: PatternSet::named("article8").unwrap(),
             exposures_us: vec![10_000],
             retract_mm: 86.0,
+            timing: Timing::default(),
+            light: Light::default(),
         }
     }
 

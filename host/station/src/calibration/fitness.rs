@@ -13,6 +13,7 @@ use super::survey::Surveyor;
 use super::views;
 use crate::acquisition::Progress;
 use crate::controller::ClientSettings;
+use crate::settings::StationSettings;
 use flankscope_frames::SharedRoot;
 
 /// The capture of plane and sphere, and what follows from it.
@@ -31,6 +32,7 @@ impl FitnessSurvey {
     pub fn open(
         head: HeadModel,
         target: Target,
+        station: &StationSettings,
         root: Arc<SharedRoot>,
     ) -> Result<Self, CalibrationError> {
         let lacks = SelfTestError::Lacks {
@@ -44,7 +46,7 @@ impl FitnessSurvey {
         let options = DecodeOptions::for_head(&head);
         let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
         Ok(Self {
-            surveyor: Surveyor::open(&head, options, &target, &at, root, to_cells)?,
+            surveyor: Surveyor::open(&head, options, &target, &at, (station, root), to_cells)?,
             head,
             target,
         })

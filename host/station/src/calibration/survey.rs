@@ -13,6 +13,7 @@ use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop, never,
 };
 use crate::controller::{Client, ClientSettings};
+use crate::settings::StationSettings;
 use flankscope_frames::SharedRoot;
 
 /// Why there are no captures.
@@ -61,7 +62,7 @@ impl<O: Send + 'static> Surveyor<O> {
         options: DecodeOptions,
         target: &Target,
         positions: &[StagePose],
-        root: Arc<SharedRoot>,
+        (station, root): (&StationSettings, Arc<SharedRoot>),
         mut make: impl FnMut(&Decoder, &Accumulator) -> O + Send + 'static,
     ) -> Result<Self, SurveyError> {
         let lacks = || SurveyError::HeadLacks {
@@ -81,6 +82,8 @@ impl<O: Send + 'static> Surveyor<O> {
             patterns,
             exposures_us,
             retract_mm: target.retract_mm,
+            timing: station.timing.clone(),
+            light: station.light.clone(),
         };
         let views = program.positions.len();
         let own = Arc::clone(&decoder);

@@ -19,6 +19,7 @@ use crate::acquisition::{Acquisition, AcquisitionError, AfterStop, Progress, Run
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
 use crate::origin::{self, HeadId, Origin, Setting};
+use crate::settings::StationSettings;
 use crate::sink::{ResultSink, SinkError};
 use flankscope_frames::{SharedRoot, monotonic_ns};
 
@@ -33,6 +34,8 @@ pub struct Subject {
     pub temperature_degc: Option<f64>,
     /// The tool as it was when new; wear is then the difference to it.
     pub baseline: Option<Arc<Baseline>>,
+    /// The instrument that looks at it.
+    pub station: Arc<StationSettings>,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
 }
@@ -101,7 +104,8 @@ impl Station {
             outcome.phasors.push(Phasors::of(sums));
             outcome
         };
-        let acquisition = Acquisition::start(plan.program(), &decoder, root, evaluate)?;
+        let acquisition =
+            Acquisition::start(plan.program(&subject.station), &decoder, root, evaluate)?;
         Ok(Self {
             subject,
             plan,

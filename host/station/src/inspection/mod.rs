@@ -7,6 +7,7 @@
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `pose_sensitivity` | what the pose does to a flank's figures |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
@@ -17,6 +18,7 @@
 
 mod evidence;
 mod failure;
+mod field;
 mod findings;
 mod flank_decision;
 mod head_error;
@@ -31,6 +33,7 @@ mod views;
 pub(crate) use evidence::unsaid;
 pub use evidence::{Evidence, Phasors, Problem, Recipe};
 pub(crate) use failure::unfit;
+pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
@@ -43,6 +46,4 @@ pub use result::{
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;
 pub use views::{Evaluator, EvaluatorError, ViewOutcome};
-pub(crate) use views::{
-    OUTLIER_NEIGHBOURS, OUTLIER_RATIO, field_slope, hand_eye, rays_without_point, reach_mm,
-};
+pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, hand_eye, rays_without_point};

@@ -4,9 +4,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
 
 use crate::acquisition::{Program, StagePosition};
-
-/// The head clears the die when it stands this far above its upper face, mm.
-const CLEARANCE_MM: f64 = 20.0;
+use crate::settings::StationSettings;
 
 /// One view: which tooth is in its middle, and where the stages must stand.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,8 +26,8 @@ pub struct ViewPlan {
     pub patterns: PatternSet,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
-    /// Vertical position of the retracted head, mm.
-    pub retract_mm: f64,
+    /// Upper face of the die, mm.
+    pub top_mm: f64,
 }
 
 /// Why no plan can be made.
@@ -137,12 +135,12 @@ impl ViewPlan {
             views,
             patterns,
             exposures_us: head.exposures_us.clone(),
-            retract_mm: top_mm + CLEARANCE_MM,
+            top_mm,
         })
     }
 
     /// What it asks of stages, projector and camera.
-    pub(crate) fn program(&self) -> Program {
+    pub(crate) fn program(&self, settings: &StationSettings) -> Program {
         let position = |view: &PlannedView| StagePosition {
             rotation_rad: view.rotation_rad,
             vertical_mm: view.vertical_mm,
@@ -151,7 +149,9 @@ impl ViewPlan {
             positions: self.views.iter().map(position).collect(),
             patterns: self.patterns.clone(),
             exposures_us: self.exposures_us.clone(),
-            retract_mm: self.retract_mm,
+            retract_mm: self.top_mm + settings.stages.clearance_mm,
+            timing: settings.timing.clone(),
+            light: settings.light.clone(),
         }
     }
 

@@ -10,11 +10,6 @@ use super::views::ViewOutcome;
 use crate::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use crate::controller::{Client, ClientError};
 
-/// A press that does not open for so long stands still, or strokes fewer than 12 times a minute.
-const OPENING_PATIENCE: Duration = Duration::from_secs(5);
-/// Openings that are tried for a repetition: each may be over before the order arrives.
-const OPENINGS: u32 = 3;
-
 /// What became of a repetition.
 enum Captured {
     Whole,
@@ -78,7 +73,9 @@ impl Station {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Captured, InspectError> {
         let limits = client.identity().limits;
-        for _ in 0..OPENINGS {
+        let press = &self.subject.station.press;
+        let patience = Duration::from_secs_f64(press.opening_patience_s);
+        for _ in 0..press.openings {
             let captured = self.acquisition.capture(client, run, views, &limits, watch);
             match captured.await {
                 Ok(None) => return Ok(Captured::Whole),
@@ -88,7 +85,7 @@ impl Station {
                 }))) => {}
                 Err(error) => return Err(error.into()),
             }
-            let end = Instant::now() + OPENING_PATIENCE;
+            let end = Instant::now() + patience;
             loop {
                 let patience = end.saturating_duration_since(Instant::now());
                 match client.event(patience).await {

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use askama::Template;
 
-use super::chart::{open, ticks};
+use super::svg::{open, ticks};
 use crate::history::{Acknowledgement, Check, Forecast};
 
 /// Checks that the page lists, the last ones.

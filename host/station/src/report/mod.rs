@@ -7,6 +7,7 @@ mod history;
 mod plot;
 mod scan;
 mod scan_files;
+mod svg;
 
 use askama::Template;
 use flankscope_metrology::verdict::Word;
@@ -147,6 +148,8 @@ pub fn figure(value: Option<f64>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use flankscope_metrology::verdict::Code;
+
     use super::*;
 
     #[test]
@@ -154,6 +157,16 @@ mod tests {
         let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         let formats = words(include_str!("../../../../docs/formats.md"));
         assert!(formats.contains(&words(DEFINITIONS)));
+    }
+
+    #[test]
+    fn documentation_lists_every_reason_with_its_remedy() {
+        let formats = include_str!("../../../../docs/formats.md");
+        for code in Code::ALL {
+            let (begins, ends) = (format!("| `{code}` | "), format!(" | {} |", code.remedy()));
+            let of_code = |row: &str| row.starts_with(&begins) && row.ends_with(&ends);
+            assert!(formats.lines().any(of_code), "{code}");
+        }
     }
 
     #[test]

@@ -12,8 +12,8 @@ use crate::inspection::PlannedView;
 /// A field of which less than this share was seen is a hole. Some five cells lie across a judged flank, of which a die that
 /// stands askew hides one or two at an edge.
 pub(super) const LEAST_COVERAGE: f64 = 0.6;
-/// A view answers for at most so much of its tooth above and below its middle, mm: its field is 10 mm wide and round.
-const HALF_FIELD_MM: f64 = 4.0;
+/// A view answers for at most so much of its tooth above and below its middle, of the width of its field, which is round.
+const ASKED_PER_FIELD: f64 = 0.4;
 
 /// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height. A scan is for the teeth
 /// and heights that it looked at and says nothing of the others.
@@ -62,8 +62,9 @@ impl Coverage {
         gear: &GearData,
         radius_mm: [f64; 2],
         planned: &[PlannedView],
-        least_ratio: f64,
+        (field_mm, least_ratio): (f64, f64),
     ) -> Self {
+        let asked_mm = ASKED_PER_FIELD * field_mm;
         let layout = map.layout();
         // Cells of every flank by row of the map.
         let mut seen: BTreeMap<(u32, Flank), Vec<usize>> = BTreeMap::new();
@@ -84,7 +85,7 @@ impl Coverage {
         let across = cells_across(gear, &layout, radius_mm);
         let ratio = |tooth: u32, flank: Flank, vertical_mm: f64| {
             let row = |z: f64| ((z - low) / row_mm).clamp(0.0, layout.rows as f64) as usize;
-            let rows = row(vertical_mm - HALF_FIELD_MM)..row(vertical_mm + HALF_FIELD_MM);
+            let rows = row(vertical_mm - asked_mm)..row(vertical_mm + asked_mm);
             let all = rows.len().max(1) as f64 * across;
             let cells = seen.get(&(tooth, flank)).and_then(|of| of.get(rows));
             let cells = cells.map_or(0, |cells| cells.iter().sum::<usize>());
@@ -248,7 +249,7 @@ mod tests {
             &gear(),
             gear().active_flank_mm(),
             &plan(),
-            LEAST_COVERAGE,
+            (10.0, LEAST_COVERAGE),
         )
     }
 

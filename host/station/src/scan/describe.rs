@@ -42,7 +42,8 @@ impl Scanner {
         let zone = tool.zone();
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let map = &stitched.map;
-        let coverage = Coverage::of(map, &self.gear, radius_mm, planned, LEAST_COVERAGE);
+        let asked = (self.field.width_mm, LEAST_COVERAGE);
+        let coverage = Coverage::of(map, &self.gear, radius_mm, planned, asked);
         let views = Views {
             registered: stitched.views.len(),
             planned: planned.len(),

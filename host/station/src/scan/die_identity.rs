@@ -22,8 +22,6 @@ const MOST_VIEWS: usize = 96;
 
 /// Where the teeth are must be clearly nearer to where stages and head file say than one tooth on.
 const RIVAL_RATIO: f64 = 0.6;
-/// From the pinhole to the wall, about, mm.
-const REACH_MM: f64 = 22.0;
 
 /// By what share the teeth stand farther apart than the CAD's: median over views all around; none when no view tells.
 pub(super) fn stretch_of_views(
@@ -75,8 +73,13 @@ pub(super) fn unlike_teeth(stretch: f64, gear: &GearData) -> Option<Reason> {
 
 /// How far around the axis the views found the die from where stages and head file say, rad: mean over all places, so that
 /// eccentricity and encoder do not count.
-pub(super) fn turned_rad(found: &Stages, nominal: &Stages, planned: &[PlannedView]) -> f64 {
-    let seen = Point3::new(0.0, 0.0, REACH_MM);
+pub(super) fn turned_rad(
+    found: &Stages,
+    nominal: &Stages,
+    planned: &[PlannedView],
+    reach_mm: f64,
+) -> f64 {
+    let seen = Point3::new(0.0, 0.0, reach_mm);
     let turned = planned.iter().map(|view| {
         let at = Pose {
             rotation_rad: view.rotation_rad,
@@ -144,7 +147,7 @@ mod tests {
         // Seven times 0.2 degrees, and 0.5 mm aside.
         let mut found = nominal.clone();
         (found.parameters[2], found.parameters[3]) = (7.0, 1.0);
-        let turned = turned_rad(&found, &nominal, &planned);
+        let turned = turned_rad(&found, &nominal, &planned, 22.0);
         assert!(
             (turned.to_degrees() - 1.4).abs() < 0.01,
             "{} degrees",

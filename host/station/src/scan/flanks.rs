@@ -36,13 +36,12 @@ use super::view::{SAMPLE, coordinates};
 use super::view_pipeline::Store;
 use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
 
-/// A view is asked for at most so much above and below its middle, mm: where every tooth is in the middle of one, layers no
-/// farther apart than twice this are asked for everything between them. Beyond, the round rim of a field of 10 mm leaves
-/// slivers of flanks unseen that no view beside it shows ...
-const ASKED_MM: f64 = 4.0;
+/// A view is asked for at most so much above and below its middle, of the field's width: where every tooth is in the middle of
+/// one, layers no farther apart than twice this are asked for everything between them. Beyond, the round rims of the fields
+/// leave slivers of flanks unseen that no view beside them shows ...
+const ASKED_PER_FIELD: f64 = 0.4;
 /// ... and for no more than its round field shows of a flank that lies off its middle, even where die and head stand off by so
 /// much (mm) together.
-const FIELD_RADIUS_MM: f64 = 5.0;
 const PUT_DOWN_MM: f64 = 1.0;
 /// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
 const END_PER_MODULE: f64 = 0.1;
@@ -91,22 +90,23 @@ struct Held {
 }
 
 /// How far above and below its middle a view is asked for its middle tooth, mm.
-fn reach_mm(gear: &GearData, view: &PlannedView) -> f64 {
+fn reach_mm(gear: &GearData, view: &PlannedView, field_mm: f64) -> f64 {
+    let radius_mm = 0.5 * field_mm;
     let off_rad = gear.tooth_centre_rad(view.tooth) + view.rotation_rad;
     let off_rad = off_rad - TAU * (off_rad / TAU).round();
     let half_rad =
         gear.half_tooth_rad(gear.pitch_radius_mm()).unwrap_or(0.0) + 0.25 * gear.pitch_rad();
     let across_mm = (off_rad.abs() + half_rad) * gear.pitch_radius_mm() + PUT_DOWN_MM;
-    let squared = FIELD_RADIUS_MM * FIELD_RADIUS_MM - across_mm * across_mm;
-    squared.max(0.0).sqrt().min(ASKED_MM)
+    let squared = radius_mm * radius_mm - across_mm * across_mm;
+    squared.max(0.0).sqrt().min(ASKED_PER_FIELD * field_mm)
 }
 
 /// The heights that a plan asks for, tooth by tooth: around every view's middle; of a scan of all teeth, joined where layers
 /// are near each other or the end of the toothing is.
-fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]>> {
+fn asked(planned: &[PlannedView], gear: &GearData, field_mm: f64) -> BTreeMap<u32, Vec<[f64; 2]>> {
     let mut views: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
     for view in planned {
-        let of = [view.vertical_mm, reach_mm(gear, view)];
+        let of = [view.vertical_mm, reach_mm(gear, view, field_mm)];
         views.entry(view.tooth).or_default().push(of);
     }
     let [bottom, top] = gear.height_mm;
@@ -116,7 +116,7 @@ fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]
         let mut zones: Vec<[f64; 2]> = Vec::new();
         for (i, &[middle, reach]) in at.iter().enumerate() {
             let reach = |to_edge_mm: f64| {
-                if all && to_edge_mm <= ASKED_MM {
+                if all && to_edge_mm <= ASKED_PER_FIELD * field_mm {
                     to_edge_mm
                 } else {
                     reach
@@ -211,6 +211,8 @@ struct Judging<'a> {
     planned: &'a [PlannedView],
     store: &'a Store,
     nominal: &'a Stages,
+    single: Local,
+    field_mm: f64,
     /// Standard uncertainty of a flank's deviation by the head's calibration, mm.
     calibration_mm: f64,
 }
@@ -225,6 +227,8 @@ impl Scanner {
             planned: &self.plan.views,
             store: &self.store,
             nominal: &self.nominal,
+            single: subject.station.stages.of_single_view(),
+            field_mm: self.field.width_mm,
             calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
         };
         judging.flanks(stitched)
@@ -235,7 +239,7 @@ impl Judging<'_> {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     fn flanks(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
         let (tool, planned) = (self.tool, self.planned);
-        let asked = asked(planned, self.gear);
+        let asked = asked(planned, self.gear, self.field_mm);
         let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
             let why = "[inspect] is missing in the tool file: there are no limits to judge by";
             let why = Reason::instrument(Code::NoLimits, why);
@@ -328,9 +332,9 @@ impl Judging<'_> {
         let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
         let evidence = Arc::new(evidence);
         let judged = measured.into_par_iter().map(|(zone, wear)| {
-            let influence = self.influence(&held, &zone, &wear, &evidence, form_scatter_mm);
-            let wear = match influence {
-                Some(influence) => wear.with(influence, &settings),
+            let sensitivity = self.sensitivity(&held, &zone, &wear, &evidence, form_scatter_mm);
+            let wear = match sensitivity {
+                Some(sensitivity) => wear.with(sensitivity, &settings),
                 None => wear,
             };
             judge(wear, &zone, &limits)
@@ -344,7 +348,7 @@ impl Judging<'_> {
 
     /// What the poses of the views do to the flanks that they were asked for.
     fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
-        let nominal = Solution::prior(self.nominal.clone(), Local::default());
+        let nominal = Solution::prior(self.nominal.clone(), self.single);
         let views: Vec<_> = stitched
             .views
             .iter()
@@ -408,7 +412,8 @@ impl Judging<'_> {
         let response = Response::of_points(&contacts, at, Some(&prior), &options);
         let heights = Zone {
             radius_mm: zone.radius_mm,
-            height_mm: [-ASKED_MM, ASKED_MM].map(|mm| planned.vertical_mm + mm),
+            height_mm: [-ASKED_PER_FIELD, ASKED_PER_FIELD]
+                .map(|share| planned.vertical_mm + share * self.field_mm),
         };
         let mut seen: BTreeMap<Key, usize> = BTreeMap::new();
         for place in places.iter().flatten() {
@@ -440,7 +445,7 @@ impl Judging<'_> {
     }
 
     /// What acts on a flank beside its points: the worst of the views that were asked for it.
-    fn influence(
+    fn sensitivity(
         &self,
         held: &[Held],
         zone: &Zone,
@@ -591,7 +596,7 @@ mod tests {
                 vertical_mm: 66.0 * (f64::from(layer) + 0.5) / f64::from(layers),
             }));
         }
-        asked(&plan, &gear)[&7].clone()
+        asked(&plan, &gear, 10.0)[&7].clone()
     }
 
     #[test]

@@ -54,7 +54,7 @@ impl Grid {
     /// The tool has no gear, or the head no patterns, exposures or hand-eye.
     pub fn plan(&self, tool: &Tool, head: &HeadModel) -> Result<ViewPlan, PlanningError> {
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
-        let retract_mm = ViewPlan::new(tool, head, Some(&[1]))?.retract_mm;
+        let top_mm = ViewPlan::new(tool, head, Some(&[1]))?.top_mm;
         let [low, high] = gear.height_mm;
         let turn = std::f64::consts::TAU;
         let mut views = Vec::new();
@@ -81,7 +81,7 @@ impl Grid {
             views,
             patterns: PatternSet::named(patterns)?,
             exposures_us: head.exposures_us.clone(),
-            retract_mm,
+            top_mm,
         })
     }
 }

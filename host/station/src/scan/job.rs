@@ -24,7 +24,7 @@ use super::metrics::{self, MetricsError};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
 use super::session::SessionError;
-use super::stitch::{Optics, stitch};
+use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
 use super::view_pipeline::{Kept, Store, ViewPipeline};
 use crate::acquisition::{
@@ -32,8 +32,8 @@ use crate::acquisition::{
 };
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
-    self, EvaluatorError, FrameCount, InspectError, Subject, Timing, ViewPlan, hand_eye,
-    peak_memory_mb,
+    self, EvaluatorError, FieldOfView, FrameCount, InspectError, Subject, Timing, ViewPlan,
+    hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
 use flankscope_frames::{SharedRoot, monotonic_ns};
@@ -100,6 +100,7 @@ pub struct Scanner {
     pub(super) grid: Grid,
     pub(super) gear: GearData,
     pub(super) nominal: Stages,
+    pub(super) field: FieldOfView,
     pub(super) resumed: usize,
     method: Method,
     hinz2019: Hinz2019Settings,
@@ -126,6 +127,7 @@ impl Scanner {
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
+        let field = FieldOfView::of(&subject.head).map_err(unfit)?;
         let ViewPipeline {
             plan,
             decoder,
@@ -134,7 +136,7 @@ impl Scanner {
         } = ViewPipeline::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
-        let acquisition = Acquisition::start(plan.program(), &decoder, root, scan)?;
+        let acquisition = Acquisition::start(plan.program(&subject.station), &decoder, root, scan)?;
         Ok(Self {
             subject,
             setting,
@@ -144,6 +146,7 @@ impl Scanner {
             grid,
             gear,
             nominal,
+            field,
             resumed,
             method: Method::default(),
             hinz2019: Hinz2019Settings::default(),
@@ -302,9 +305,18 @@ impl Scanner {
         Ok((run, lost))
     }
 
+    /// What the views are laid on each other in.
+    fn frame(&self) -> Frame {
+        Frame {
+            layout: layout(&self.gear),
+            field: self.field,
+            single: self.subject.station.stages.of_single_view(),
+        }
+    }
+
     /// A scan without a view, and why.
     fn nothing(&mut self, why: &Reason) -> Result<Scan, ScanError> {
-        let optics = Optics::of(&self.subject.head).map_err(InspectError::from)?;
+        let frame = self.frame();
         let none = BTreeMap::new();
         let empty = stitch(
             &self.store.session,
@@ -312,8 +324,7 @@ impl Scanner {
             none,
             &self.subject.tool,
             &self.nominal,
-            layout(&self.gear),
-            optics,
+            &frame,
         )?;
         let mut scan = self.describe(empty, &BTreeMap::new())?;
         scan.invalidate(why);
@@ -325,8 +336,7 @@ impl Scanner {
         let first = std::mem::take(&mut self.store.known);
         let (tool, plan) = (&self.subject.tool, &self.plan);
         let (session, nominal, planned) = (&self.store.session, &self.nominal, &plan.views);
-        let layout = layout(&self.gear);
-        let optics = Optics::of(&self.subject.head).map_err(InspectError::from)?;
+        let frame = self.frame();
         let begun = Instant::now();
         let ours = stitch(
             session,
@@ -334,8 +344,7 @@ impl Scanner {
             first,
             tool,
             nominal,
-            layout,
-            optics,
+            &frame,
         )?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
@@ -343,10 +352,10 @@ impl Scanner {
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
-        let turned = turned_rad(&shared, nominal, planned);
+        let turned = turned_rad(&shared, nominal, planned, self.field.reach_mm);
         scan.teeth_turned_deg = turned.to_degrees();
-        let stranger = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
-        if let Some(why) = stranger.or_else(|| ambiguous_teeth(turned, &self.gear)) {
+        let other_die = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
+        if let Some(why) = other_die.or_else(|| ambiguous_teeth(turned, &self.gear)) {
             scan.invalidate(&why);
             return Ok(scan);
         }
@@ -364,7 +373,7 @@ impl Scanner {
             return Ok(scan);
         }
         let begun = Instant::now();
-        let map = CylinderMap::new(layout);
+        let map = CylinderMap::new(frame.layout);
         let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
         let took = begun.elapsed();
         let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);

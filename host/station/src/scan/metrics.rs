@@ -24,7 +24,7 @@ const BORE_SAMPLES_PER_MM2: f64 = 50.0;
 const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
 /// Points of an end face lie within this of it, mm.
 const END_MM: f64 = 1e-6;
-/// Points farther off are strangers in any metric, mm.
+/// Points farther off belong to nothing in any metric, mm.
 const STRANGER_MM: f64 = 0.5;
 
 /// Why nothing was compared.

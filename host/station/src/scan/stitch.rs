@@ -15,7 +15,6 @@ use flankscope_metrology::multiview::cylinder::{
 };
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::HeadModel;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
@@ -25,7 +24,7 @@ use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
-use crate::inspection::{EvaluatorError, ViewPlan, field_slope, reach_mm};
+use crate::inspection::{FieldOfView, ViewPlan};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -33,8 +32,15 @@ const MOST_ROUNDS: usize = 6;
 const SETTLED_MM: f64 = 1e-3;
 /// A view that moved across the axis by more is laid on the CAD again with all its points, mm.
 const RELAY_MM: f64 = 10e-3;
-/// From the middle of a view to its edge, about, mm.
-const FIELD_MM: f64 = 5.0;
+
+/// What views are laid on each other in, and with what.
+pub(super) struct Frame {
+    /// Cells of the unrolled bore.
+    pub layout: Layout,
+    pub field: FieldOfView,
+    /// How a single view may lie from what all share.
+    pub single: Local,
+}
 
 /// Views that were laid on the CAD together.
 pub(super) struct Stitched {
@@ -77,26 +83,6 @@ pub(super) fn first_information(
     Ok(found?.into_iter().flatten().collect())
 }
 
-/// What stitching asks of the head.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Optics {
-    /// Half the field's width per distance.
-    pub field_slope: f64,
-    /// Nearest and farthest distance at which it measures, mm.
-    pub reach_mm: [f64; 2],
-}
-
-impl Optics {
-    /// # Errors
-    /// The head file has no volume.
-    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
-        Ok(Self {
-            field_slope: field_slope(head),
-            reach_mm: reach_mm(head)?,
-        })
-    }
-}
-
 /// Stitches views, as each was laid on first.
 pub(super) fn stitch(
     session: &Session,
@@ -104,22 +90,23 @@ pub(super) fn stitch(
     first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
     nominal: &Stages,
-    layout: Layout,
-    optics: Optics,
+    frame: &Frame,
 ) -> Result<Stitched, ScanError> {
+    let layout = frame.layout;
     let mut elapsed_ms = BTreeMap::new();
     let mut clock = Instant::now();
     let mut lap = |what| {
         elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
         clock = Instant::now();
     };
-    let mut common = Common::new(session, tool, first, nominal)?;
+    let mut common = Common::new(session, tool, first, nominal, frame)?;
     common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
-    let relaid = common.lay(patches, &layout, optics.reach_mm)?;
+    let relaid = common.lay(patches, &layout)?;
     lap("lay");
     let (alone, sure) = (common.poses(), common.adjustment.clone());
-    let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
+    let pairs =
+        common.settle(|views| overlaps(patches, &layout, views, &alone, frame.field.width_mm))?;
     let Common {
         views,
         adjustment,
@@ -137,7 +124,7 @@ pub(super) fn stitch(
         }
         Ok::<_, SessionError>(())
     };
-    let (map, quality) = merge(layout, optics.field_slope, of_views)?;
+    let (map, quality) = merge(layout, frame.field.slope, of_views)?;
     let form = map.form();
     let mut rms_about_form_mm = Vec::with_capacity(views.len());
     of_views(&mut |_, view| {
@@ -171,6 +158,7 @@ pub(super) fn stitch(
 struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
+    frame: &'a Frame,
     views: Vec<(usize, ViewInformation)>,
     adjustment: Solution,
     refused: Vec<(usize, Reason)>,
@@ -184,12 +172,14 @@ impl<'a> Common<'a> {
         tool: &'a Tool,
         first: BTreeMap<usize, ViewInformation>,
         nominal: &Stages,
+        frame: &'a Frame,
     ) -> Result<Self, ScanError> {
         let views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
         Ok(Self {
             session,
             tool,
-            adjustment: solved(&views, &[], nominal)?,
+            frame,
+            adjustment: solved(&views, &[], nominal, frame)?,
             views,
             refused: Vec::new(),
             rounds: 1,
@@ -206,17 +196,16 @@ impl<'a> Common<'a> {
         let mut pairs = Vec::new();
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
-            let (laid, dropped) =
-                laid_anew(self.session, self.tool, &self.views, &self.adjustment)?;
+            let (laid, dropped) = laid_anew(self, &self.views, &self.adjustment)?;
             // A view that drops out moves the others: another round then.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
-            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages)?;
+            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages, self.frame)?;
             self.views = laid;
             self.rounds += 1;
             let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
-                moved_mm(info, &info.tool_from_camera, pose)
+                self.moved_mm(info, &info.tool_from_camera, pose)
             };
             self.settled = whole
                 && self
@@ -233,20 +222,17 @@ impl<'a> Common<'a> {
     }
 
     /// Lays views that moved far on the CAD again with all their points; returns how many.
-    fn lay(
-        &self,
-        patches: &mut Patches,
-        layout: &Layout,
-        reach_mm: [f64; 2],
-    ) -> Result<usize, SessionError> {
+    fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
         let mut relaid = 0;
         for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
-            let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
+            let moved = patches
+                .pose(*view)
+                .map(|was| self.moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
                 let kept = self.session.points(*view)?;
                 let laid = Laid::new(&self.tool.surface, *pose, &kept);
                 let flanks = match &self.tool.gear {
-                    Some(gear) => laid.flanks(gear, reach_mm),
+                    Some(gear) => laid.flanks(gear, self.frame.field.range_mm),
                     None => BTreeMap::new(),
                 };
                 patches.keep(*view, *pose, &laid.cell_observations(layout), &flanks)?;
@@ -254,6 +240,15 @@ impl<'a> Common<'a> {
             }
         }
         Ok(relaid)
+    }
+
+    /// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the
+    /// teeth are straight.
+    fn moved_mm(&self, info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
+        let to_edge_mm = 0.5 * self.frame.field.width_mm;
+        let centre = Point3::from(info.centre_mm);
+        let motion = to * from.inverse();
+        (motion * centre - centre).xy().norm() + motion.rotation.angle() * to_edge_mm
     }
 
     /// Where every view is, by its number.
@@ -289,9 +284,10 @@ fn solved(
     views: &[(usize, ViewInformation)],
     overlaps: &[Overlap],
     start: &Stages,
+    frame: &Frame,
 ) -> Result<Solution, ScanError> {
     let views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
-    Ok(solve(start, &views, overlaps, Local::default())?)
+    Ok(solve(start, &views, overlaps, frame.single)?)
 }
 
 type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
@@ -299,8 +295,7 @@ type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 /// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
 /// why.
 fn laid_anew(
-    session: &Session,
-    tool: &Tool,
+    common: &Common<'_>,
     views: &[(usize, ViewInformation)],
     adjustment: &Solution,
 ) -> Result<LaidAnew, SessionError> {
@@ -308,11 +303,11 @@ fn laid_anew(
         .par_iter()
         .zip(&adjustment.poses)
         .map(|((view, info), pose)| {
-            if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
+            if common.moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
                 return Ok((*view, Ok(info.clone())));
             }
-            let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
-            let laid = match compress(&tool.surface, &sample, info.at, *pose) {
+            let sample = coordinates(&common.session.sample(*view, SAMPLE)?, SAMPLE);
+            let laid = match compress(&common.tool.surface, &sample, info.at, *pose) {
                 None => Err(off_cad("no point lies on the CAD")),
                 Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
             };
@@ -327,12 +322,4 @@ fn laid_anew(
         }
     }
     Ok((laid, refused))
-}
-
-/// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the teeth
-/// are straight.
-fn moved_mm(info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
-    let centre = Point3::from(info.centre_mm);
-    let motion = to * from.inverse();
-    (motion * centre - centre).xy().norm() + motion.rotation.angle() * FIELD_MM
 }

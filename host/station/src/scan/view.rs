@@ -19,8 +19,8 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
-    rays_without_point, reach_mm,
+    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
+    rays_without_point,
 };
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
@@ -32,8 +32,6 @@ const BEND_MM: f64 = 30e-3;
 const BEND_RAD: f64 = 2e-3;
 /// A place known worse than this share of the pitch is searched for.
 const SEARCH_PITCH: f64 = 0.1;
-/// From the pinhole to the surface, about, mm: a turn of the head moves the surface by that much.
-const REACH_MM: f64 = 22.0;
 /// A first pose is good enough when its last step was shorter, mm.
 const NEARLY_MM: f64 = 10e-3;
 /// A view whose points lie farther from the CAD than this looks at another part, mm.
@@ -85,10 +83,11 @@ pub(super) struct ViewScanner {
     gear: GearData,
     layout: Layout,
     decoder: Arc<Decoder>,
-    /// Nearest and farthest distance at which the head measures, mm.
-    reach_mm: [f64; 2],
     plan: Arc<ViewPlan>,
     adjustment: Solution,
+    /// How a view may lie from what all share.
+    single: Local,
+    field: FieldOfView,
     known: BTreeMap<usize, ViewInformation>,
 }
 
@@ -104,14 +103,16 @@ impl ViewScanner {
         let gear = subject.tool.gear.as_ref();
         let gear = gear.ok_or(EvaluatorError::Missing { what })?;
         let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
+        let single = subject.station.stages.of_single_view();
         let mut scanner = Self {
             tool: Arc::clone(&subject.tool),
             layout: layout(gear),
             gear: gear.clone(),
-            reach_mm: reach_mm(&subject.head)?,
             decoder,
             plan,
-            adjustment: Solution::prior(nominal, Local::default()),
+            adjustment: Solution::prior(nominal, single),
+            single,
+            field: FieldOfView::of(&subject.head)?,
             known,
         };
         scanner.solve();
@@ -156,11 +157,12 @@ impl ViewScanner {
         let first = coordinates(&kept.points, FIRST_POSE);
         let surface = &self.tool.surface;
         let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
-        let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * pitch_mm {
-            search_phase(surface, &first, &expected, self.gear.teeth)
-        } else {
-            expected
-        };
+        let start =
+            if place_sigma_mm(&prior.covariance, self.field.reach_mm) > SEARCH_PITCH * pitch_mm {
+                search_phase(surface, &first, &expected, self.gear.teeth)
+            } else {
+                expected
+            };
         let bend = [BEND_RAD, BEND_RAD, BEND_RAD, BEND_MM, BEND_MM, BEND_MM].map(|s| s * s);
         prior.covariance += Matrix6::from_diagonal(&Vector6::from(bend));
         let options = Options {
@@ -203,7 +205,7 @@ impl ViewScanner {
         self.known.insert(view, information.clone());
         LaidView {
             cell_observations: laid.cell_observations(&self.layout),
-            flanks: laid.flanks(&self.gear, self.reach_mm),
+            flanks: laid.flanks(&self.gear, self.field.range_mm),
             information,
         }
     }
@@ -211,7 +213,7 @@ impl ViewScanner {
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
         // A solve that breaks down leaves the prediction as it was; the final one reports it.
-        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], Local::default()) {
+        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], self.single) {
             self.adjustment = adjustment;
         }
     }
@@ -260,8 +262,8 @@ pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
 }
 
 /// How well it is known where the head looks, mm.
-fn place_sigma_mm(covariance: &Matrix6<f64>) -> f64 {
+fn place_sigma_mm(covariance: &Matrix6<f64>, reach_mm: f64) -> f64 {
     let turn: f64 = (0..3).map(|i| covariance[(i, i)]).sum();
     let shift: f64 = (3..6).map(|i| covariance[(i, i)]).sum();
-    (turn * REACH_MM * REACH_MM + shift).sqrt()
+    (turn * reach_mm * reach_mm + shift).sqrt()
 }

@@ -120,7 +120,7 @@ impl ViewPipeline {
 /// Views from recorded frames, without an instrument: summed, laid on the CAD and kept exactly as in a running scan, which
 /// can then stitch them from the session folder.
 pub struct Processing {
-    workshop: ViewPipeline,
+    pipeline: ViewPipeline,
     sums: Accumulator,
 }
 
@@ -130,15 +130,15 @@ impl Processing {
     /// # Errors
     /// The subject is unfit, or the folder is another scan's or damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let workshop = ViewPipeline::open(subject, grid, folder, &BTreeMap::new())?;
-        let sums = workshop.decoder.begin();
-        Ok(Self { workshop, sums })
+        let pipeline = ViewPipeline::open(subject, grid, folder, &BTreeMap::new())?;
+        let sums = pipeline.decoder.begin();
+        Ok(Self { pipeline, sums })
     }
 
     /// Where the views are taken, and by which patterns and exposures.
     #[must_use]
     pub fn plan(&self) -> &ViewPlan {
-        &self.workshop.plan
+        &self.pipeline.plan
     }
 
     /// Processes the frames of a view, in their order of capture, and keeps it, if it lies on the CAD.
@@ -147,16 +147,16 @@ impl Processing {
     /// A frame does not fit the plan, or the session folder cannot be written.
     pub fn view(&mut self, view: usize, frames: &[FrameView<'_>]) -> Result<Kept, ProcessingError> {
         self.sums.reset();
-        for (frame, kind) in frames.iter().zip(self.workshop.decoder.capture_order()) {
+        for (frame, kind) in frames.iter().zip(self.pipeline.decoder.capture_order()) {
             let level = self.sums.add(*frame, kind).map_err(ViewError::from)?;
-            let limit_dn = self.workshop.decoder.dark_limit_dn();
+            let limit_dn = self.pipeline.decoder.dark_limit_dn();
             level
                 .check_content(kind, limit_dn)
                 .map_err(ViewError::from)?;
         }
-        let scanned = self.workshop.views.scan(view, &self.sums);
-        let kept = self.workshop.store.keep(view, scanned)?;
-        self.workshop
+        let scanned = self.pipeline.views.scan(view, &self.sums);
+        let kept = self.pipeline.store.keep(view, scanned)?;
+        self.pipeline
             .store
             .session
             .commit()
