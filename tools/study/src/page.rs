@@ -233,8 +233,8 @@ impl Page<'_> {
             "Of these {} figures {} are too low, and {} carry a go or warn. Two causes: the head looks along a flank, so the walls \
              of a narrow or deep hole hide part of its bottom, and a mean over what is left of the disc is too small by more than \
              U95 says; and of wear that a whole side has in common the pose takes a part (below). Of a damage with steep walls \
-             the figure is a lower bound. What an unmeasured patch may hide refuses most such flanks, not all: every pass that \
-             was wrong is counted below.\n",
+             the figure is a lower bound. What was not seen of a flank (holes, shadows, \
+             narrow grooves) refuses it where it could hide too much; every pass that was wrong is counted below.\n",
             missed().count(),
             low.count(),
             missed().filter(|s| s.passed()).count()
