@@ -233,7 +233,7 @@ impl<O: Send + 'static> Acquisition<O> {
                         .map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
                 }
                 Err(problem) => {
-                    tracing::warn!(view = view_number, %problem, "view refused");
+                    tracing::warn!(view = run.number(view_number) + 1, %problem, "view refused");
                     run.spoil(view_number, problem);
                     self.order(Order::Recycle(accumulator))?;
                 }

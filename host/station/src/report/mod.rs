@@ -9,8 +9,10 @@ mod scan;
 mod scan_files;
 mod svg;
 
+use std::collections::BTreeSet;
+
 use askama::Template;
-use flankscope_metrology::verdict::Word;
+use flankscope_metrology::verdict::{Code, Word};
 
 pub use folder::{LatestPage, ReportFolder};
 pub use history::{history_html, rate, remaining};
@@ -36,6 +38,8 @@ struct Page<'a> {
     origin: &'a Origin,
     date: &'a str,
     check: String,
+    /// What to do about what could not be decided.
+    remedies: BTreeSet<Code>,
     maps: Vec<Map<'a>>,
     colour_bar: String,
     histogram: String,
@@ -84,6 +88,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         origin: &inspection.origin,
         date: &inspection.date,
         check: numbered(inspection.id),
+        remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
         maps,
         colour_bar: chart::colour_bar(full_um),
         histogram: chart::histogram(
@@ -148,8 +153,6 @@ pub fn figure(value: Option<f64>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use flankscope_metrology::verdict::Code;
-
     use super::*;
 
     #[test]
