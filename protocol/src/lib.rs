@@ -56,7 +56,9 @@ pub use frame::{
 pub use message::{
     Command, Event, Identity, PressStatus, Refusal, Reply, State, Status, Trigger, Why,
 };
-pub use plan::{CapturePlan, FrameSpec, FringeSet, Limits, PlanError, Timeouts, View};
+pub use plan::{
+    CapturePlan, FrameOrder, FramePlace, FrameSpec, FringeSet, Limits, PlanError, Timeouts, View,
+};
 pub use units::{Micrometres, Microradians, Microseconds, Milliamps, Timestamp};
 
 /// Version of the meaning of the messages; raised whenever a golden byte vector changes.

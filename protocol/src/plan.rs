@@ -1,6 +1,6 @@
 //! The capture plan: everything the controller needs to take a series of views on its own.
 //!
-//! A plan is declarative. Per view the controller shows and exposes, in this order:
+//! A plan is declarative. Per view the controller shows and exposes, in this order ([`FrameOrder`]):
 //! frame 0 = the dark index frame (DMD index 0, all black) at the shortest exposure; then for each exposure, shortest
 //! first, every pattern from DMD index 1 on: set by set, each set step by step.
 
@@ -94,6 +94,50 @@ pub struct FrameSpec {
     pub pattern: u16,
     /// Exposure time.
     pub exposure: Microseconds,
+}
+
+/// The order of the frames of a view: the dark index frame, then at each exposure, shortest first, every pattern.
+///
+/// Controller, camera process and host all count by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameOrder {
+    /// Exposure steps (HDR series).
+    pub exposures: u16,
+    /// Fringe patterns per exposure step.
+    pub patterns: u16,
+}
+
+/// Which exposure step and pattern a frame has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FramePlace {
+    /// Exposure step, 0 the shortest.
+    pub exposure: u16,
+    /// DMD index: 0 is black, fringe patterns count from 1.
+    pub pattern: u16,
+}
+
+impl FrameOrder {
+    /// Frames of a view, the dark one included.
+    #[must_use]
+    pub fn frames(self) -> u16 {
+        self.patterns
+            .saturating_mul(self.exposures)
+            .saturating_add(1)
+    }
+
+    /// Exposure step and pattern of frame `index` of a view; `None` beyond the last frame.
+    #[must_use]
+    pub fn place(self, index: u16) -> Option<FramePlace> {
+        let Some(fringe_frame) = index.checked_sub(1) else {
+            return Some(FramePlace {
+                exposure: 0,
+                pattern: BLACK_PATTERN,
+            });
+        };
+        let exposure = fringe_frame.checked_div(self.patterns)?;
+        let pattern = fringe_frame.checked_rem(self.patterns)?.saturating_add(1);
+        (exposure < self.exposures).then_some(FramePlace { exposure, pattern })
+    }
 }
 
 /// Bounds within which a plan is accepted; sent by the controller in its hello.
@@ -315,31 +359,29 @@ impl CapturePlan {
             .fold(0u16, |sum, set| sum.saturating_add(u16::from(set.steps)))
     }
 
+    /// The order of the frames of every view.
+    #[must_use]
+    pub fn order(&self) -> FrameOrder {
+        FrameOrder {
+            exposures: u16::try_from(self.exposures.len()).unwrap_or(u16::MAX),
+            patterns: self.pattern_count(),
+        }
+    }
+
     /// Frames taken per view: the dark index frame and every pattern at every exposure.
     #[must_use]
     pub fn frames_per_view(&self) -> u16 {
-        let exposures = u16::try_from(self.exposures.len()).unwrap_or(u16::MAX);
-        self.pattern_count()
-            .saturating_mul(exposures)
-            .saturating_add(1)
+        self.order().frames()
     }
 
     /// Pattern and exposure of frame `index` of a view; `None` beyond the last frame.
     #[must_use]
     pub fn frame(&self, index: u16) -> Option<FrameSpec> {
-        let shortest = *self.exposures.first()?;
-        let Some(fringe_frame) = index.checked_sub(1) else {
-            return Some(FrameSpec {
-                pattern: BLACK_PATTERN,
-                exposure: shortest,
-            });
-        };
-        let patterns = self.pattern_count();
-        let exposure = *self
-            .exposures
-            .get(usize::from(fringe_frame.checked_div(patterns)?))?;
-        let pattern = fringe_frame.checked_rem(patterns)?.saturating_add(1);
-        Some(FrameSpec { pattern, exposure })
+        let FramePlace { exposure, pattern } = self.order().place(index)?;
+        Some(FrameSpec {
+            pattern,
+            exposure: *self.exposures.get(usize::from(exposure))?,
+        })
     }
 
     /// Set and step of DMD index `pattern`; `None` for black and beyond the last pattern.

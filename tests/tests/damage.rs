@@ -97,6 +97,32 @@ fn deep_grooves_and_craters_are_never_passed() {
     }
 }
 
+/// Of an opening of 0.1 mm the camera sees one wall and nothing of the floor: some micrometres are read, whatever is gone.
+#[test]
+fn an_opening_too_narrow_to_look_into_is_never_passed() {
+    for depth_um in [40, 300] {
+        let run = inspect(&[
+            "--teeth",
+            "40",
+            "--wear",
+            &format!("40:left:{depth_um}:crack"),
+        ]);
+        let [wear_um, u95_um, truth_um] = answered(&run, 40, "left");
+        println!("{depth_um}: {wear_um:.1} ± {u95_um:.1}, true {truth_um:.1}");
+        assert_eq!(run.code, 2, "{}", run.json["reason"]);
+        let of_flank = |name: &str| {
+            let flanks = run.json["features"].as_array().unwrap();
+            let flank = flanks.iter().find(|f| f["flank"] == name);
+            flank.map(|f| [&f["verdict"], &f["code"]].map(|v| v.as_str().unwrap_or("").to_owned()))
+        };
+        assert_eq!(
+            of_flank("left"),
+            Some(["indeterminate".into(), "hidden".into()])
+        );
+        assert_eq!(of_flank("right"), Some(["go".into(), String::new()]));
+    }
+}
+
 /// Thirds and quarters are no built-in shape: they come as anybody's mesh does.
 mod by_mesh {
     use super::*;

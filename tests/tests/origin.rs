@@ -170,3 +170,47 @@ fn a_baseline_from_the_bench_judges_no_press() {
         press.stderr
     );
 }
+
+/// A station's file says who and where, stores and reports; what is wrong with it is named before anything moves.
+#[test]
+fn a_station_is_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("station.toml");
+    let check = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        inspect(&["--teeth", "40", "--station", file.to_str().unwrap()])
+    };
+    let stored = "[history]\nfile = \"press.db\"\n[report]\nfolder = \"out\"\n";
+    let sound = check(&format!(
+        "name = \"press 9\"\n[controller]\nlink = \"sim\"\n{stored}"
+    ));
+    assert_eq!(sound.code, 0, "{}", sound.stderr);
+    assert_eq!(sound.json["station"], "press 9");
+    assert_eq!(sound.json["id"], 1, "stored beside the file");
+    assert!(sound.json["hashes"]["station"].is_string());
+    for made in ["press.db", "out/report.html", "out/inspection.json"] {
+        assert!(folder.path().join(made).exists(), "{made}");
+    }
+    // Stages that promise less leave more in doubt.
+    let link = "[controller]\nlink = \"sim\"\n";
+    let loose = check(&format!("{link}[stages]\nrotation_error_mdeg = 150.0\n"));
+    let u95 = |run: &flankscope_tests::Run| run.json["features"][0]["u95_um"].as_f64();
+    assert!(
+        u95(&loose) > u95(&sound),
+        "{:?} {:?}",
+        u95(&loose),
+        u95(&sound)
+    );
+    for (text, named) in [
+        (
+            "[stages]\nmount_um = -1.0\n",
+            "station.toml:2: stages.mount_um",
+        ),
+        ("[lights]\nled_ma = 1\n", "unknown field `lights`"),
+        (stored, "--station without --link"),
+    ] {
+        let refused = check(text);
+        assert_eq!(refused.code, 3, "{text}");
+        assert!(refused.stderr.contains(named), "{}", refused.stderr);
+    }
+}

@@ -131,7 +131,11 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let reason = whole.json["reason"].as_str().unwrap_or_default();
     let percent = 100.0 * figure(&whole, "/coverage_ratio");
     assert!((7.0..10.0).contains(&percent), "{percent} %");
-    let said = format!("go for 12 of 84 teeth at 2 heights, {percent:.1} % of the bore looked at");
+    // Two bands of 8 mm, of 66 mm without a tenth of a module at either end.
+    let face = 100.0 * 16.0 / 65.8;
+    let said = format!(
+        "go for 12 of 84 teeth at 2 heights ({face:.1} % of their face width), {percent:.1} % of the bore looked at"
+    );
     assert!(reason.starts_with(&said), "{reason}");
     assert_eq!(whole.json["simulated"], true);
     for (what, truth_um) in [("/form/ovality_um", 20.0), ("/form/taper_um", 15.0)] {

@@ -1,10 +1,10 @@
 //! The controller, free of any board: capture sequence, drivers over embedded-hal traits, thin tasks.
 //!
 //! ```text
-//!            bytes                 commands                        actions
-//! host ──► link::receive ──► run::sequencer( Desk ► Sequence ) ──► LED, DMD, camera pins
-//! host ◄── link::transmit ◄── replies, events ◄──┘      ▲ └─────► stage::run ──► stage driver (UART)
-//!                                                       └──────── pin levels, in position, deadlines
+//!            bytes                 commands                                  actions
+//! host ──► link::receive ──► run::sequencer( CommandHandler ► Sequence ) ──► LED, DMD, camera pins
+//! host ◄── link::transmit ◄── replies, events ◄──────────────┘ ▲ └─────────► stage::run ──► stage driver (UART)
+//!                                                              └──────────── pin levels, in position, deadlines
 //! ```
 //! [`sequence::Sequence`] and what it is made of ([`lamp::Lamp`], [`budget::LedBudget`], [`session::Session`]) are
 //! pure: time comes in as an argument, what to do comes out as a list of [`sequence::Action`]s. They are tested by
@@ -25,25 +25,25 @@
 )]
 
 pub mod budget;
-pub mod desk;
+pub mod command_handler;
 pub mod devices;
-pub mod dlpc350;
 #[cfg(test)]
-mod drawings;
+mod diagrams;
+pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
 pub mod link;
+pub mod liveness;
 pub mod mailbox;
 pub mod press;
 pub mod run;
 pub mod sequence;
 pub mod session;
 pub mod stage;
-pub mod vitals;
 
-pub use desk::Desk;
+pub use command_handler::CommandHandler;
 pub use devices::{Camera, CameraWait, Dmd, Led, Optics};
+pub use liveness::{Watchdog, supervise};
 pub use press::{NoPress, PinPress, Press};
 pub use run::{Mailboxes, press_sequencer, sequencer};
 pub use sequence::{Action, Actions, Config, Input, Sequence};
-pub use vitals::{Watchdog, supervise};

@@ -1,7 +1,7 @@
 //! The link's two tasks: bytes to commands, replies and events to bytes.
 
+use crate::liveness::Task;
 use crate::run::{Mailboxes, Outgoing, Request};
-use crate::vitals::Task;
 use core::sync::atomic::Ordering;
 use embedded_io_async::{Read, Write};
 use flankscope_protocol::{Command, Decoder, Header, Kind, MAX_FRAME_BYTES, encode};
@@ -11,7 +11,7 @@ pub async fn receive(mut port: impl Read, mail: &Mailboxes) -> ! {
     let mut decoder = Decoder::new();
     let mut bytes = [0u8; 64];
     loop {
-        let read = mail.vitals.alive(Task::Receive, port.read(&mut bytes));
+        let read = mail.liveness.alive(Task::Receive, port.read(&mut bytes));
         let Ok(count) = read.await else {
             // A line error (framing, overrun): whatever was damaged fails its checksum.
             mail.frames_dropped.fetch_add(1, Ordering::Relaxed);
@@ -30,7 +30,7 @@ pub async fn receive(mut port: impl Read, mail: &Mailboxes) -> ! {
                 }
             };
             let sent = mail.requests.send(request);
-            mail.vitals.alive(Task::Receive, sent).await;
+            mail.liveness.alive(Task::Receive, sent).await;
         }
     }
 }
@@ -41,7 +41,7 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
     let (mut session, mut sequence, mut ack) = (0, 0u16, 0);
     loop {
         let next = mail.outgoing.receive();
-        let outgoing = mail.vitals.alive(Task::Transmit, next).await;
+        let outgoing = mail.liveness.alive(Task::Transmit, next).await;
         let length = match outgoing {
             Outgoing::Reply(to, reply) => {
                 ack = to.sequence;
@@ -80,7 +80,7 @@ pub async fn transmit(mut port: impl Write, mail: &Mailboxes) -> ! {
                 let _dead_port = port.flush().await;
             };
             // A host that reads nothing is no reason for a reset.
-            mail.vitals.alive(Task::Transmit, write).await;
+            mail.liveness.alive(Task::Transmit, write).await;
         }
     }
 }

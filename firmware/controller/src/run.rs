@@ -1,13 +1,13 @@
 //! The sequencer task and the mailboxes between the tasks.
 
-use crate::desk::{Desk, LinkCounts};
+use crate::command_handler::{CommandHandler, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::interlock::Position;
+use crate::liveness::{Liveness, Task};
 use crate::mailbox::Mailbox;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
 use crate::stage::{StageReport, StageRequest};
-use crate::vitals::{Task, Vitals};
 use core::sync::atomic::{AtomicU32, Ordering};
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
@@ -44,7 +44,7 @@ pub struct Mailboxes {
     pub(crate) outgoing: Mailbox<Outgoing, EVENTS_QUEUED>,
     pub(crate) stage_requests: Mailbox<StageRequest, 4>,
     pub(crate) stage_reports: Mailbox<StageReport, 4>,
-    pub(crate) vitals: Vitals,
+    pub(crate) liveness: Liveness,
     pub(crate) session: AtomicU32,
     pub(crate) frames_dropped: AtomicU32,
     pub(crate) events_lost: AtomicU32,
@@ -65,7 +65,7 @@ impl Mailboxes {
 
     const fn with(supervised: bool) -> Self {
         Self {
-            vitals: Vitals::new(supervised),
+            liveness: Liveness::new(supervised),
             requests: Mailbox::new(),
             outgoing: Mailbox::new(),
             stage_requests: Mailbox::new(),
@@ -91,31 +91,31 @@ pub fn now() -> Timestamp {
 
 /// Runs the sequence for ever on a table, without a press.
 pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
-    desk: Desk,
+    handler: CommandHandler,
     optics: Optics<L, D, C>,
     mail: &Mailboxes,
 ) -> ! {
-    press_sequencer(desk, optics, NoPress, mail).await
+    press_sequencer(handler, optics, NoPress, mail).await
 }
 
 /// Runs the sequence for ever: waits for a command, a stage, a pin, the press or a deadline, and does what the
 /// interlock and the sequence say, in this order.
 pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
-    mut desk: Desk,
+    mut handler: CommandHandler,
     mut optics: Optics<L, D, C>,
     mut press: P,
     mail: &Mailboxes,
 ) -> ! {
     let mut unreported = 0u32;
-    if desk.boot() != Boot::PowerUp {
+    if handler.boot() != Boot::PowerUp {
         // What was set off before the reset may still be under way.
         let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
     }
     loop {
-        watch_press(&mut desk, &mut optics, &mut press, mail, &mut unreported).await;
-        let awaiting = desk.sequence.awaiting();
-        let deadline = desk.deadline(now());
-        let seen = desk.interlock.levels();
+        watch_press(&mut handler, &mut optics, &mut press, mail, &mut unreported).await;
+        let awaiting = handler.sequence.awaiting();
+        let deadline = handler.deadline(now());
+        let seen = handler.interlock.levels();
         let any = select(
             press.changed(seen),
             select4(
@@ -125,9 +125,9 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
                 optics.wait(awaiting),
             ),
         );
-        let woken = mail.vitals.alive(Task::Sequencer, any).await;
+        let woken = mail.liveness.alive(Task::Sequencer, any).await;
         // The press first: what it forbids must not begin in this step either.
-        watch_press(&mut desk, &mut optics, &mut press, mail, &mut unreported).await;
+        watch_press(&mut handler, &mut optics, &mut press, mail, &mut unreported).await;
         let Either::Second(woken) = woken else {
             continue;
         };
@@ -139,42 +139,56 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
                     events_lost: mail.events_lost.load(Ordering::Relaxed),
                 };
                 let Request { header, command } = request;
-                let reply = desk.handle(now(), header, command.as_ref(), link, &mut actions);
+                let reply = handler.handle(now(), header, command.as_ref(), link, &mut actions);
                 mail.session
-                    .store(desk.session().unwrap_or(0), Ordering::Relaxed);
+                    .store(handler.session().unwrap_or(0), Ordering::Relaxed);
                 // The outputs follow before the reply is sent: an accepted abort has already put out the LED.
-                perform(&mut desk, &mut optics, mail, &mut actions, &mut unreported).await;
+                perform(
+                    &mut handler,
+                    &mut optics,
+                    mail,
+                    &mut actions,
+                    &mut unreported,
+                )
+                .await;
                 // No room: the host asks again, and the reply is remembered.
                 let _room = mail.outgoing.try_send(Outgoing::Reply(header, reply));
                 continue;
             }
-            Either4::Second(report) => desk.sequence.step(now(), report.into(), &mut actions),
-            Either4::Third(()) => desk.sequence.step(now(), Input::Tick, &mut actions),
-            Either4::Fourth(input) => desk.sequence.step(now(), input, &mut actions),
+            Either4::Second(report) => handler.sequence.step(now(), report.into(), &mut actions),
+            Either4::Third(()) => handler.sequence.step(now(), Input::Tick, &mut actions),
+            Either4::Fourth(input) => handler.sequence.step(now(), input, &mut actions),
         }
-        perform(&mut desk, &mut optics, mail, &mut actions, &mut unreported).await;
+        perform(
+            &mut handler,
+            &mut optics,
+            mail,
+            &mut actions,
+            &mut unreported,
+        )
+        .await;
     }
 }
 
 /// Looks at the press, drives its outputs, and passes on what the interlock found.
 async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
-    desk: &mut Desk,
+    handler: &mut CommandHandler,
     optics: &mut Optics<L, D, C>,
     press: &mut P,
     mail: &Mailboxes,
     unreported: &mut u32,
 ) {
     let at = now();
-    let parked = desk.sequence.head(at).position == Position::Retracted;
-    let change = desk.look(at, press.levels(parked));
-    let says = desk.interlock.outputs();
+    let parked = handler.sequence.head(at).position == Position::Retracted;
+    let change = handler.sample_inputs(at, press.levels(parked));
+    let says = handler.interlock.outputs();
     if !says.may_enter {
         // Whatever the sequence still believes.
         optics.led.off();
     }
-    press.drive(says.head_clear, desk.verdict.lines(at));
+    press.drive(says.head_clear, handler.verdict.lines(at));
     let mut actions = Actions::new();
-    let count = desk.interlock.cycles();
+    let count = handler.interlock.cycles();
     if change.cycle {
         report(mail, Event::Cycle { count, at }, unreported);
     }
@@ -182,17 +196,19 @@ async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
         report(mail, Event::PressOpen { open, at }, unreported);
     }
     match change.fault {
-        Some(fault) => desk.sequence.step(at, Input::Unsafe(fault), &mut actions),
-        None if change.entered => desk.sequence.step(at, Input::MayEnter, &mut actions),
+        Some(fault) => handler
+            .sequence
+            .step(at, Input::Unsafe(fault), &mut actions),
+        None if change.entered => handler.sequence.step(at, Input::MayEnter, &mut actions),
         None => return,
     }
-    perform(desk, optics, mail, &mut actions, unreported).await;
+    perform(handler, optics, mail, &mut actions, unreported).await;
 }
 
 /// Carries out actions in order, and what follows from them; none is left. Lent, not given: they are a kilobyte, and
 /// copying it would be most of the time from an alarm to its edge.
 async fn perform<L: Led, D: Dmd, C: Camera>(
-    desk: &mut Desk,
+    handler: &mut CommandHandler,
     optics: &mut Optics<L, D, C>,
     mail: &Mailboxes,
     actions: &mut Actions,
@@ -202,7 +218,7 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
         let mut follow_up = None;
         for action in actions.iter() {
             match *action {
-                Action::LedOn(current) if desk.interlock.outputs().may_enter => {
+                Action::LedOn(current) if handler.interlock.outputs().may_enter => {
                     optics.led.on(current);
                 }
                 // Its current will be missed, which is a fault.
@@ -233,7 +249,7 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
         }
         actions.clear();
         let Some(input) = follow_up else { return };
-        desk.sequence.step(now(), input, actions);
+        handler.sequence.step(now(), input, actions);
     }
 }
 

@@ -2,15 +2,15 @@
 //! may not have been.
 //!
 //! ```text
-//! host: command, at most 3 retries ──► channel ──► Decoder ► Desk (the controller's judge) ──► reply
+//! host: command, at most 3 retries ──► channel ──► Decoder ► CommandHandler (the controller's judge) ──► reply
 //!       ◄───────────────────────────── channel ◄─────────────────────────────────────────────┘
 //! channel: flips, drops, repeats, swaps, cuts and joins frames, adds junk
 //! ```
 //! Ten million frames, or `LINK_FRAMES`; `-- --nocapture` prints the counts.
 
-use flankscope_controller::desk::LinkCounts;
+use flankscope_controller::command_handler::LinkCounts;
 use flankscope_controller::sequence::{Actions, Config};
-use flankscope_controller::{Desk, Sequence};
+use flankscope_controller::{CommandHandler, Sequence};
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{
     CapturePlan, Command, Decoder, FringeSet, Header, Kind, MAX_FRAME_BYTES, Micrometres,
@@ -151,7 +151,7 @@ fn plan(number: u32) -> CapturePlan {
 
 /// The controller behind the channel: the real decoder and the real judge.
 struct Controller {
-    desk: Desk,
+    handler: CommandHandler,
     decoder: Decoder,
     /// Plans as they were stored, in order: one entry per execution.
     stored: Vec<u32>,
@@ -160,7 +160,7 @@ struct Controller {
 impl Controller {
     fn new() -> Self {
         let mut controller = Self {
-            desk: Desk::new(Sequence::new(Config::DEFAULT), Boot::PowerUp),
+            handler: CommandHandler::new(Sequence::new(Config::DEFAULT), Boot::PowerUp),
             decoder: Decoder::new(),
             stored: Vec::new(),
         };
@@ -192,13 +192,13 @@ impl Controller {
                     continue;
                 }
             };
-            let before = self.desk.sequence.plan().map(|plan| plan.session);
+            let before = self.handler.sequence.plan().map(|plan| plan.session);
             let mut out = Actions::new();
             let link = LinkCounts::default();
             let reply = self
-                .desk
+                .handler
                 .handle(Timestamp(1), header, command.as_ref(), link, &mut out);
-            let after = self.desk.sequence.plan().map(|plan| plan.session);
+            let after = self.handler.sequence.plan().map(|plan| plan.session);
             if let Some(number) = after.filter(|_| after != before) {
                 self.stored.push(number);
             }

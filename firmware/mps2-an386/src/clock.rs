@@ -16,10 +16,10 @@ use core::task::Waker;
 use critical_section::{CriticalSection, Mutex};
 use embassy_time_driver::Driver;
 
-use crate::pin_wire::Subject;
 use crate::pins;
 use crate::registers::{Block, CLOCK_HZ};
 use crate::watchdog;
+use flankscope_pin_wire::Subject;
 
 const CONTROL: usize = 0x0;
 const VALUE: usize = 0x4;

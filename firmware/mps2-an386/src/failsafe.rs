@@ -8,8 +8,8 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
 use flankscope_protocol::message::Boot;
 
-use crate::pin_wire::Subject;
 use crate::pins::tell;
+use flankscope_pin_wire::Subject;
 
 /// Survives a reset, not a power cycle.
 #[repr(C)]

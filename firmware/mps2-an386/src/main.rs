@@ -3,7 +3,7 @@
 //! | UART | address     | other end                                                     |
 //! |------|-------------|---------------------------------------------------------------|
 //! | 0    | 0x4000_4000 | host link                                                     |
-//! | 1    | 0x4000_5000 | the bench: virtual pins, see [`pin_wire`]                     |
+//! | 1    | 0x4000_5000 | the bench: virtual pins, see [`flankscope_pin_wire`]          |
 //! | 2    | 0x4000_6000 | stage controller, ESP301 text                                 |
 //!
 //! Two executors, each in a software interrupt: the sequencer above link and stages, so that an edge is never late
@@ -12,10 +12,9 @@
 #![no_main]
 
 mod clock;
-mod drill;
 mod failsafe;
+mod fault_injection;
 mod level;
-mod pin_wire;
 mod pins;
 mod registers;
 mod stack;
@@ -24,20 +23,20 @@ mod watchdog;
 
 use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
+use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::vitals::Task;
 use flankscope_controller::{
-    Desk, Mailboxes, Optics, Sequence, link, sequence, stage, supervise,
+    CommandHandler, Mailboxes, Optics, Sequence, link, sequence, stage, supervise,
 };
 use flankscope_protocol::Microseconds;
 
 use crate::level::Level;
-use crate::pin_wire::Subject;
 use crate::pins::{Current, InputPin, Output, PatternBus};
 use crate::registers::{Block, Irq};
 use crate::uart::{Port, Uart};
+use flankscope_pin_wire::Subject;
 
 static HOST: Uart = Uart::new(Block::UART0, Irq::Uart0Rx);
 static STAGE: Uart = Uart::new(Block::UART2, Irq::Uart2Rx);
@@ -79,24 +78,24 @@ type PinOptics = Optics<
 
 #[embassy_executor::task]
 async fn receive() {
-    drill::exposed(Task::Receive, link::receive(Port(&HOST), &MAIL)).await;
+    fault_injection::exposed(Task::Receive, link::receive(Port(&HOST), &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn transmit() {
-    drill::exposed(Task::Transmit, link::transmit(Port(&HOST), &MAIL)).await;
+    fault_injection::exposed(Task::Transmit, link::transmit(Port(&HOST), &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn stages() {
     let driver = Esp301::new(Port(&STAGE), Axes::DEFAULT);
-    drill::exposed(Task::Stage, stage::run(driver, &MAIL)).await;
+    fault_injection::exposed(Task::Stage, stage::run(driver, &MAIL)).await;
 }
 
 #[embassy_executor::task]
-async fn capture(desk: Desk, optics: PinOptics, press: PinPress<InputPin, Output>) {
-    let work = press_sequencer(desk, optics, press, &MAIL);
-    drill::exposed(Task::Sequencer, work).await;
+async fn capture(handler: CommandHandler, optics: PinOptics, press: PinPress<InputPin, Output>) {
+    let work = press_sequencer(handler, optics, press, &MAIL);
+    fault_injection::exposed(Task::Sequencer, work).await;
 }
 
 #[embassy_executor::task]
@@ -150,9 +149,9 @@ fn main() -> ! {
         no_go: Output::new(Subject::NoGo),
         beat: Output::new(Subject::VerdictBeat),
     };
-    let desk = Desk::new(Sequence::new(CONFIG), boot);
+    let handler = CommandHandler::new(Sequence::new(CONFIG), boot);
     let watchdog = watchdog::Cmsdk::start();
-    URGENT.start(|spawner| spawner.spawn_if(capture(desk, optics, press)));
+    URGENT.start(|spawner| spawner.spawn_if(capture(handler, optics, press)));
     BACKGROUND.start(|spawner| {
         spawner.spawn_if(stages());
         spawner.spawn_if(receive());

@@ -13,10 +13,10 @@ use embedded_hal_async::digital::Wait;
 use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort};
 use flankscope_protocol::Milliamps;
 
-use crate::pin_wire::{InputDecoder, PinMessage, Subject};
 use crate::registers::{Block, Irq};
 use crate::uart::Uart;
 use crate::{clock, stack};
+use flankscope_pin_wire::{InputDecoder, PinMessage, Subject};
 
 /// To the bench.
 pub static BENCH: Uart = Uart::new(Block::UART1, Irq::Uart1Rx);
@@ -80,10 +80,10 @@ fn hear(subject: Subject, value: u16) {
                 u16::try_from(clock::latest_alarm_us()).unwrap_or(u16::MAX),
             );
         }
-        #[cfg(feature = "drill")]
-        Subject::Drill => return crate::drill::order(value as u8),
-        #[cfg(not(feature = "drill"))]
-        Subject::Drill => return,
+        #[cfg(feature = "fault-injection")]
+        Subject::InjectFault => return crate::fault_injection::order(value as u8),
+        #[cfg(not(feature = "fault-injection"))]
+        Subject::InjectFault => return,
         Subject::LedEnable
         | Subject::LedCurrent
         | Subject::DmdTrigger

@@ -13,8 +13,8 @@ use embassy_stm32::{Config, bind_interrupts, dma, interrupt, rcc};
 use embassy_time::Duration;
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
 use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
-use flankscope_controller::{Optics, Watchdog};
 use flankscope_controller::press::PinPress;
+use flankscope_controller::{Optics, Watchdog};
 use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Microseconds, Milliamps};
 use static_cell::StaticCell;
 

@@ -15,7 +15,9 @@ use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
 use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::{Desk, Mailboxes, Sequence, link, sequence, stage, supervise};
+use flankscope_controller::{
+    CommandHandler, Mailboxes, Sequence, link, sequence, stage, supervise,
+};
 use static_cell::StaticCell;
 
 use crate::board::{Board, BoardOptics, BoardPress, BoardWatchdog};
@@ -40,8 +42,8 @@ async fn stages(port: BufferedUart<'static>) {
 }
 
 #[embassy_executor::task]
-async fn capture(desk: Desk, optics: BoardOptics, press: BoardPress) {
-    press_sequencer(desk, optics, press, &MAIL).await;
+async fn capture(handler: CommandHandler, optics: BoardOptics, press: BoardPress) {
+    press_sequencer(handler, optics, press, &MAIL).await;
 }
 
 #[embassy_executor::task]
@@ -70,10 +72,10 @@ fn main() -> ! {
         failsafe::fall_safe(line!())
     };
     watchdog.start();
-    let desk = Desk::new(Sequence::new(sequence::Config::DEFAULT), boot);
+    let handler = CommandHandler::new(Sequence::new(sequence::Config::DEFAULT), boot);
     interrupt::SAI4.set_priority(Priority::P6);
     let urgent = URGENT.start(interrupt::SAI4);
-    if let Ok(task) = capture(desk, optics, press) {
+    if let Ok(task) = capture(handler, optics, press) {
         urgent.spawn(task);
     }
     let (to_host, from_host) = host.split();

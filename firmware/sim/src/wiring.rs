@@ -10,10 +10,10 @@ use embassy_sync::channel::Channel;
 use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
+use flankscope_controller::liveness::Task;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
-use flankscope_controller::vitals::Task;
 use flankscope_controller::{
-    Desk, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence, stage,
+    CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence, stage,
 };
 use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
@@ -251,7 +251,7 @@ pub(crate) fn tasks(
         },
     };
     let press = board.press.pins();
-    let desk = Desk::new(Sequence::new(config), boot);
+    let handler = CommandHandler::new(Sequence::new(config), boot);
     let stages = Esp301::new(wiring.controller_stage.clone(), axes);
     let (rx, tx) = (
         wiring.controller_link.clone(),
@@ -272,7 +272,7 @@ pub(crate) fn tasks(
         ),
         (
             Task::Sequencer,
-            Box::pin(async move { press_sequencer(desk, optics, press, mail).await }),
+            Box::pin(async move { press_sequencer(handler, optics, press, mail).await }),
         ),
     ]
 }

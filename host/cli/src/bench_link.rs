@@ -1,15 +1,77 @@
 //! The simulated bench as a process of its own: this very program, started again.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{self, Child, ChildStdout, Stdio};
 
 use anyhow::{Context, bail};
+pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
+use flankscope_bench::config::{BenchConfig, ControllerKind, Stands};
 use flankscope_bench::process::{Farewell, Hello};
-use flankscope_station::capture::SharedRoot;
+use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
+use flankscope_station::origin::Link;
 
-use crate::instrument::{BenchArgs, Scene};
+use crate::instrument::Scene;
+
+/// What the hidden subcommand does: run the bench, or write the demo's files.
+#[derive(clap::Subcommand)]
+pub enum Command {
+    #[command(flatten)]
+    Bench(flankscope_bench::process::Command),
+    #[command(flatten)]
+    Demo(flankscope_demo::Command),
+}
+
+/// Runs the hidden subcommand.
+pub fn run(command: &Command) -> anyhow::Result<()> {
+    match command {
+        Command::Bench(command) => flankscope_bench::process::run(command),
+        Command::Demo(command) => flankscope_demo::run(command),
+    }
+}
+
+/// Seed of everything random.
+pub fn seed(args: &BenchArgs) -> u64 {
+    args.seed
+}
+
+/// Refuses what a real press cannot have.
+pub fn fits_real_press(args: &BenchArgs, link: &Link) -> anyhow::Result<()> {
+    if let Some(mesh) = &args.die_mesh {
+        bail!(
+            "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
+            mesh.display()
+        );
+    }
+    Ok(())
+}
+
+/// What stands on the bench, in words that two runs share only if the same stands there.
+pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
+    let mut what = format!(
+        "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
+        bench.seed,
+        die.ovality_um,
+        die.taper_um,
+        die.turned_deg,
+        die.turned_teeth,
+        die.die_seed,
+        die.flanks_um
+    );
+    if let Some(other) = &die.die {
+        what += &format!(", die {other}");
+    }
+    for wear in &bench.wear {
+        what += &format!(", wear {wear}");
+    }
+    if let Some(mesh) = &bench.die_mesh {
+        // Another content under the same name is another die; what cannot be read is refused by the bench.
+        let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
+        what += &format!(", mesh {}", content.unwrap_or_default());
+    }
+    what
+}
 
 /// A running bench.
 pub struct Bench {
@@ -22,7 +84,7 @@ pub struct Bench {
 pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("demo");
     if !folder.join("tool.toml").exists() {
-        flankscope_bench::demo::write_tool(&folder).context("cannot write the demo tool")?;
+        flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
     }
     Ok(folder)
 }
@@ -30,76 +92,50 @@ pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
 /// Writes the demo calibration target's folder and returns it.
 pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("target");
-    flankscope_bench::demo::write_target(&folder).context("cannot write the demo target")?;
+    flankscope_demo::write_target(&folder).context("cannot write the demo target")?;
     Ok(folder)
 }
 
 impl Bench {
     /// Starts the bench for the folder of a tool or a target, with its camera sending frames below `root`.
-    ///
-    /// `controller` is `sim` for the controller in the bench's own process, `qemu` for its image in the emulator.
     pub fn start(
         args: &BenchArgs,
-        controller: &str,
+        link: &Link,
         scene: Scene<'_>,
         folder: &Path,
         root: &SharedRoot,
     ) -> anyhow::Result<Self> {
+        let folder = folder.to_path_buf();
+        let config = BenchConfig {
+            root: root.path().to_path_buf(),
+            stands: if scene.target {
+                Stands::Target(folder)
+            } else {
+                Stands::Tool(folder)
+            },
+            teeth: scene.teeth.map(<[u32]>::to_vec),
+            controller: match link {
+                Link::Sim => ControllerKind::Sim,
+                Link::Qemu => ControllerKind::Qemu,
+                Link::Port(port) => bail!("{} has a press of its own", port.display()),
+            },
+            bench: args.clone(),
+            press: scene.press.cloned(),
+            die: scene.die.cloned(),
+        };
         let program =
             std::env::current_exe().context("cannot find this program to start the bench")?;
-        let mut command = Command::new(program);
-        command
-            .arg("bench")
-            .arg("run")
-            .arg("--root")
-            .arg(root.path())
-            .arg(if scene.target { "--target" } else { "--tool" })
-            .arg(folder)
-            .args(["--controller", controller]);
-        command.args(["--seed", &args.seed.to_string(), "--speed", &args.speed]);
-        command.args(["--vibration-um", &args.vibration_um.to_string()]);
-        command.args(["--lens-error-um", &args.lens_error_um.to_string()]);
-        for wear in &args.wear {
-            command.args(["--wear", wear]);
-        }
-        if let Some(mesh) = &args.die_mesh {
-            command.arg("--die-mesh").arg(mesh);
-        }
-        if let Some(teeth) = scene.teeth {
-            let teeth: Vec<String> = teeth.iter().map(u32::to_string).collect();
-            command.args(["--teeth", &teeth.join(",")]);
-        }
-        if let Some(fault) = &args.frame_fault {
-            command.args(["--frame-fault", fault]);
-        }
-        if let Some(die) = scene.die {
-            command.arg("--by-hand");
-            command.args(["--ovality-um", &die.ovality_um.to_string()]);
-            command.args(["--taper-um", &die.taper_um.to_string()]);
-            command.args(["--turned-deg", &die.turned_deg.to_string()]);
-            command.args(["--turned-teeth", &die.turned_teeth.to_string()]);
-            command.args(["--flanks-um", &die.flanks_um.to_string()]);
-            command.args(["--die-seed", &die.die_seed.to_string()]);
-            if let Some(other) = &die.die {
-                command.args(["--die", other]);
-            }
-        }
-        if let Some(press) = scene.press {
-            command.args([
-                "--strokes-per-minute",
-                &press.strokes_per_minute.to_string(),
-            ]);
-            command.args(["--open-share", &press.open_share.to_string()]);
-            for rate in &press.wear_rate {
-                command.args(["--wear-rate", rate]);
-            }
-        }
-        // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
-        let mut child = command
+        let mut child = process::Command::new(program)
+            .args(["bench", "run"])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .context("cannot start the bench")?;
+        // The bench ends when its standard input does: however this process ends, the bench does not outlive it.
+        if let Some(stdin) = &mut child.stdin {
+            writeln!(stdin, "{}", serde_json::to_string(&config)?)
+                .context("cannot tell the bench what stands on it")?;
+        }
         let Some(stdout) = child.stdout.take() else {
             bail!("the bench has no standard output")
         };
@@ -138,13 +174,15 @@ impl Bench {
         }
     }
 
-    /// Ends the bench and takes its truth.
-    pub fn finish(mut self) -> anyhow::Result<Farewell> {
+    /// Ends the bench and takes its truth, and a line for the user if it did not keep up with real time.
+    pub fn finish(mut self) -> anyhow::Result<(serde_json::Value, Option<String>)> {
         drop(self.child.stdin.take());
         let mut text = String::new();
         self.stdout.read_to_string(&mut text)?;
         self.child.wait()?;
-        serde_json::from_str(&text).context("the simulated bench ended without its truth")
+        let truth: Farewell =
+            serde_json::from_str(&text).context("the simulated bench ended without its truth")?;
+        Ok((serde_json::to_value(&truth)?, truth.notice()))
     }
 }
 

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::date::Date;
@@ -13,12 +14,12 @@ use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::origin::{Link, Setting, now};
 use serde::Serialize;
 
+use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{BenchArgs, Instrument, Place, Scene, Scratch, fits_link};
+use crate::instrument::{Instrument, Place, Scene, Scratch, Site, fits_link};
 use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
@@ -147,7 +148,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
             let job = Job {
                 args,
-                setting: args.place.setting(&[of_target])?,
+                site: args.place.site(&[of_target])?,
                 folder: &folder,
                 target,
                 output,
@@ -176,7 +177,8 @@ fn check(
         "--check of a head that is not known to be the bench's",
         made != Some(true),
     );
-    let setting = args.place.setting(&[of_target, of_head])?;
+    let site = args.place.site(&[of_target, of_head])?;
+    let setting = &site.setting;
     fits_link(&head, &setting.link)?;
     ensure!(
         !setting.link.is_simulated() || made != Some(false),
@@ -187,13 +189,13 @@ fn check(
             .and_then(|made| made.link.as_deref())
             .unwrap_or("unknown port")
     );
-    let (test, truth) = self_test(args, &setting.link, folder, &head, target)?;
+    let (test, truth) = self_test(args, &site, folder, &head, target)?;
     save_self_test(&test, path)?;
     head.self_test = Some(test.clone());
     let unfit = head.fit_on(Date::today()).err();
     args.common.write_json(&CheckDocument {
         head: path,
-        made: Made::by(&setting, false),
+        made: Made::by(setting, false),
         fit: unfit.is_none(),
         reason: unfit.as_ref().map(ToString::to_string),
         self_test: &test,
@@ -207,22 +209,23 @@ fn check(
         }
     }
     Ok(if unfit.is_none() {
-        Outcome::Go
+        Outcome::Done
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 
 fn self_test(
     args: &Args,
-    link: &Link,
+    site: &Site,
     folder: &Path,
     head: &HeadModel,
     target: Target,
 ) -> anyhow::Result<(SelfTest, Option<serde_json::Value>)> {
     let quiet = args.common.quiet;
-    let mut survey = open(args, link, folder, |root| {
-        Ok(FitnessSurvey::open(head.clone(), target, root)?)
+    let mut survey = open(args, site, folder, |root| {
+        let settings = &site.settings;
+        Ok(FitnessSurvey::open(head.clone(), target, settings, root)?)
     })?;
     let mut watcher = Watcher::new(quiet);
     let test = survey
@@ -237,7 +240,7 @@ fn self_test(
 /// A calibration to be done.
 struct Job<'a> {
     args: &'a Args,
-    setting: Setting,
+    site: Site,
     folder: &'a Path,
     target: Target,
     output: &'a Path,
@@ -255,17 +258,17 @@ impl Job<'_> {
     fn by_captures(self, mut head: HeadModel) -> anyhow::Result<Outcome> {
         let Self {
             args,
-            ref setting,
+            ref site,
             folder,
             ref target,
             output,
         } = self;
-        let link = &setting.link;
+        let settings = &site.settings;
         let quiet = args.common.quiet;
         let begun = Instant::now();
         if head.core_map.is_none() && head.binning > 1 {
-            let mut search = open(args, link, folder, |root| {
-                Ok(CoreSearch::open(&head, target, root)?)
+            let mut search = open(args, site, folder, |root| {
+                Ok(CoreSearch::open(&head, target, settings, root)?)
             })?;
             let mut watcher = Watcher::new(quiet);
             let map = search
@@ -276,8 +279,9 @@ impl Job<'_> {
             head.core_map = Some(map.into());
         }
         let cores = Instant::now();
-        let mut survey = open(args, link, folder, |root| {
-            Ok(PlateSurvey::open(head.clone(), target.clone(), root)?)
+        let mut survey = open(args, site, folder, |root| {
+            let (head, target) = (head.clone(), target.clone());
+            Ok(PlateSurvey::open(head, target, settings, root)?)
         })?;
         let mut watcher = Watcher::new(quiet);
         let calibrated = survey
@@ -285,11 +289,11 @@ impl Job<'_> {
             .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
         watcher.finish();
         let truth = survey.close(quiet)?;
-        let record = calibrated.save(output, Some(link), Date::today(), args.valid_days)?;
+        let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;
         let plates = Instant::now();
         let tested = if target.sphere.is_some() && target.limits.is_some() {
             let head = HeadModel::load(output)?;
-            Some(self_test(args, link, folder, &head, target.clone())?.0)
+            Some(self_test(args, site, folder, &head, target.clone())?.0)
         } else {
             None
         };
@@ -305,7 +309,8 @@ impl Job<'_> {
     fn by_images(self, head: HeadModel, images: &Path) -> anyhow::Result<Outcome> {
         let quiet = self.args.common.quiet;
         let begun = Instant::now();
-        let mut folder = CaptureFolder::open(images, head, self.target.clone())?;
+        let folder = CaptureFolder::open(images, head, self.target.clone())?;
+        let mut folder = folder.with_stages(&self.site.settings.stages);
         let calibrated = folder.calibrate(|view| {
             if !quiet {
                 say(&view.display().to_string());
@@ -337,7 +342,7 @@ impl Job<'_> {
         let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
         let document = Document {
             head: output,
-            made: Made::by(&self.setting, args.images.is_some()),
+            made: Made::by(&self.site.setting, args.images.is_some()),
             calibration: record,
             self_test: tested.as_ref(),
             cores: calibrated.cores(),
@@ -362,13 +367,13 @@ impl Job<'_> {
                 )?,
             }
         }
-        Ok(Outcome::Go)
+        Ok(Outcome::Done)
     }
 }
 
 fn open<S>(
     args: &Args,
-    link: &Link,
+    site: &Site,
     folder: &Path,
     station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
 ) -> anyhow::Result<Instrument<S>> {
@@ -378,7 +383,7 @@ fn open<S>(
     };
     Instrument::before(
         folder,
-        link,
+        site,
         &args.bench,
         scene,
         args.common.quiet,
@@ -454,14 +459,4 @@ fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()>
         )?;
     }
     Ok(())
-}
-
-#[cfg(feature = "bench")]
-fn demo_target(folder: &Path) -> anyhow::Result<PathBuf> {
-    crate::bench_link::demo_target(folder)
-}
-
-#[cfg(not(feature = "bench"))]
-fn demo_target(_folder: &Path) -> anyhow::Result<PathBuf> {
-    bail!("this build has no demo target: name a folder with target.toml and head.toml by --target")
 }

@@ -156,7 +156,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         );
     }
     args.common.write_json(&document)?;
-    Ok(Outcome::Go)
+    Ok(Outcome::Done)
 }
 
 fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {

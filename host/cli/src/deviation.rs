@@ -119,5 +119,5 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             args.output.display()
         )
     });
-    Ok(Outcome::Go)
+    Ok(Outcome::Done)
 }

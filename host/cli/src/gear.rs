@@ -4,10 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_metrology::gear::GearData;
-use flankscope_metrology::gear::evaluation::{CLASSES, GearEvaluation, Rating, Settings, evaluate};
+use flankscope_metrology::gear::evaluation::{CLASSES, GearEvaluation, Settings, evaluate};
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::PROBABILITY;
+use flankscope_metrology::verdict::{PROBABILITY, Word, holds_class};
 use serde::Serialize;
 
 use crate::geometry::load_cloud;
@@ -66,7 +65,7 @@ enum Axis {
 #[derive(Serialize)]
 struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
-    verdict: Option<&'static str>,
+    verdict: Option<Word>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
     u95_um: f64,
@@ -118,17 +117,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let guard_um = settings.guard_um(probability);
     let judged = args
         .class
-        .map(|class| judge(gear, &evaluation, class, [args.u95_um, guard_um]));
-    let (outcome, verdict, reason) = match judged {
-        None => (Outcome::Go, None, None),
-        Some((outcome, reason)) => {
-            let verdict = match outcome {
-                Outcome::Go => "go",
-                Outcome::NoGo => "no-go",
-                _ => "indeterminate",
-            };
-            (outcome, Some(verdict), Some(reason))
-        }
+        .map(|class| holds_class(gear, &evaluation, &settings, class, probability));
+    let (verdict, reason) = match judged {
+        Some((verdict, reason)) => (Some(verdict.word()), Some(reason)),
+        None => (None, None),
     };
     args.common.write_json(&Report {
         verdict,
@@ -141,72 +133,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
         print_table(&evaluation, verdict.zip(reason))?;
     }
-    Ok(outcome)
+    Ok(verdict.map_or(Outcome::Done, Outcome::Verdict))
 }
 
-/// Whether every quantity holds a class, and why.
-fn judge(
-    gear: &GearData,
-    evaluation: &GearEvaluation,
-    class: u32,
-    [u95_um, guard_um]: [f64; 2],
-) -> (Outcome, String) {
-    let mut open = Vec::new();
-    let mut broken = Vec::new();
-    for rating in &evaluation.ratings {
-        let tolerance = rating.quantity.tolerance_um(gear, class);
-        match rating.value_um {
-            None => open.push(format!("{} is not told: {}", rating.symbol, why(rating))),
-            // Only clearly beyond the tolerance is it broken, only clearly within is it held.
-            Some(value) if value - guard_um > tolerance => {
-                broken.push(format!(
-                    "{} = {value:.1} um, tolerance {tolerance} um",
-                    rating.symbol
-                ));
-            }
-            Some(_)
-                if rating
-                    .best_stateable_class
-                    .is_none_or(|least| class < least) =>
-            {
-                open.push(format!(
-                    "{}: not capable for class {class}, U/T = {:.2}",
-                    rating.symbol,
-                    u95_um / tolerance
-                ));
-            }
-            Some(value) if value + guard_um > tolerance => open.push(format!(
-                "{} = {value:.1} um is within {guard_um:.1} um of its tolerance {tolerance} um",
-                rating.symbol
-            )),
-            Some(_) => {}
-        }
-    }
-    if !broken.is_empty() {
-        (Outcome::NoGo, broken.join("; "))
-    } else if !open.is_empty() {
-        (Outcome::Indeterminate, open.join("; "))
-    } else {
-        let seen = evaluation.ratings.iter().map(|rating| rating.flanks).min();
-        let reason = format!(
-            "every quantity holds class {class} on at least {} of {} flanks",
-            seen.unwrap_or(0),
-            2 * gear.teeth
-        );
-        (Outcome::Go, reason)
-    }
-}
-
-/// Why a quantity has no value, and what to do next.
-fn why(rating: &Rating) -> String {
-    let told = rating.not_told.as_ref();
-    told.map_or_else(String::new, |why| format!("{why}; {}", why.next_step()))
-}
-
-fn print_table(
-    evaluation: &GearEvaluation,
-    judged: Option<(&'static str, String)>,
-) -> anyhow::Result<()> {
+fn print_table(evaluation: &GearEvaluation, judged: Option<(Word, String)>) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(
         out,
@@ -253,11 +183,11 @@ fn print_table(
             class,
             number(rating.tolerance_um),
             rating.flanks,
-            rating.note.clone().unwrap_or_else(|| why(rating))
+            rating.note.clone().unwrap_or_else(|| rating.why_not_told())
         )?;
     }
     if let Some((verdict, reason)) = judged {
-        writeln!(out, "\n{}: {reason}", verdict.to_uppercase())?;
+        writeln!(out, "\n{}: {reason}", verdict.as_str().to_uppercase())?;
     }
     Ok(())
 }

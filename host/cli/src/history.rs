@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_station::files::stream_whole;
-use flankscope_station::history::{Check, History, LEAST_POINTS, Outlook, csv, series};
+use flankscope_station::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
 use flankscope_station::report::{figure, history_html, rate, remaining};
 use serde_json::json;
 
@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let checks = history.checks(tool)?;
     let acknowledgements = history.acknowledgements(tool)?;
-    let outlooks: Vec<Outlook> = series(&checks).into_iter().map(Outlook::of).collect();
+    let forecasts: Vec<Forecast> = series(&checks).into_iter().map(Forecast::of).collect();
     if let Some(path) = &args.csv {
         stream_whole(path, |out| csv(&checks, out))
             .with_context(|| format!("cannot write {}", path.display()))?;
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(folder) = &args.report {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make {}", folder.display()))?;
-        let page = history_html(tool, &checks, &acknowledgements, &outlooks)?;
+        let page = history_html(tool, &checks, &acknowledgements, &forecasts)?;
         write_whole(&folder.join("history.html"), page.as_bytes())?;
     }
     args.common.write_json(&json!({
@@ -81,13 +81,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "tools": tools,
         "checks": checks.len(),
         "last": checks.last(),
-        "flanks": outlooks,
+        "flanks": forecasts,
         "acknowledgements": acknowledgements,
     }))?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
-        print_table(tool, &checks, &outlooks, args)?;
+        print_table(tool, &checks, &forecasts, args)?;
     }
-    Ok(Outcome::Go)
+    Ok(Outcome::Done)
 }
 
 fn listed(tools: &[String]) -> String {
@@ -101,7 +101,7 @@ fn listed(tools: &[String]) -> String {
 fn print_table(
     tool: &str,
     checks: &[Check],
-    outlooks: &[Outlook],
+    forecasts: &[Forecast],
     args: &Args,
 ) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
@@ -113,7 +113,7 @@ fn print_table(
             last.id,
             last.at,
             last.tool_cycles,
-            last.verdict.to_uppercase()
+            last.verdict.as_str().to_uppercase()
         )?;
         write_origin(&mut out, &last.origin, &last.at)?;
         let unknown = checks.iter().filter(|c| c.origin.simulated.is_none());
@@ -129,7 +129,7 @@ fn print_table(
         out,
         "tooth  flank   figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, 95 of 100 do more  changes at check"
     )?;
-    for o in outlooks {
+    for o in forecasts {
         let last = o.points.last();
         let changes: Vec<String> = o.changes.iter().map(i64::to_string).collect();
         writeln!(
@@ -145,7 +145,7 @@ fn print_table(
             changes.join(", ")
         )?;
     }
-    if outlooks.iter().any(|o| o.trend.is_none()) {
+    if forecasts.iter().any(|o| o.trend.is_none()) {
         writeln!(
             out,
             "\na trend needs {LEAST_POINTS} figures since the last change, with cycles in between"

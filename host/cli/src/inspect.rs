@@ -4,14 +4,16 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use flankscope_station::acquisition::Progress;
 use flankscope_station::baseline::Baseline;
-use flankscope_station::inspection::{Inspection, Progress};
+use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::Origin;
-use flankscope_station::report::figure;
-use serde_json::Value;
+use flankscope_station::report::{ReportFolder, figure};
+use flankscope_station::sink::ResultSink;
 
-use crate::instrument::{BenchArgs, Instrument, Source};
-use crate::output::{Common, Complaints, Outcome, try_folder, try_place, write_whole};
+use crate::bench_link::BenchArgs;
+use crate::instrument::{Instrument, Source};
+use crate::output::{Common, Complaints, Outcome, try_folder, try_place};
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
@@ -52,57 +54,58 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    args.try_places()?;
-    let mut instrument = Instrument::open(&args.source, &args.bench, None, quiet)?;
+    let site = args.source.site()?;
+    let report = args
+        .report
+        .as_ref()
+        .or(site.settings.report.folder.as_ref());
+    args.try_places(report)?;
+    let (mut instrument, mut writer) =
+        Instrument::open(&args.source, &site, &args.bench, None, quiet)?;
     let mut watcher = Watcher::new(quiet);
-    let inspection =
-        instrument
-            .station
-            .inspect(&instrument.port, instrument.settings, |progress| {
-                watcher.show(progress);
-            })?;
+    let mut inspection = instrument.station.inspect(
+        &instrument.port,
+        instrument.settings,
+        &mut writer,
+        |progress| watcher.show(progress),
+    )?;
     watcher.finish();
     // The verdict stands, and is stored. It is said and returned whatever happens to the papers.
     let mut complaints = Complaints::default();
     if args.common.shows_table() {
         complaints.hear(print_table(&inspection));
     }
-    let truth = complaints.hear(instrument.close(quiet)).flatten();
-    let document = serde_json::to_value(&inspection).map_err(Into::into);
-    if let Some(mut document) = complaints.hear(document) {
-        if let Some(truth) = truth {
-            document["truth"] = truth;
-        }
-        complaints.hear(args.common.write_json(&document));
-        complaints.hear(args.write_report(&inspection, &document));
-    }
+    inspection.truth = complaints.hear(instrument.close(quiet)).flatten();
+    complaints.hear_of(args.common.document(), &mut inspection);
+    complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
         let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path));
         complaints.hear(recorded.map_err(Into::into));
     }
-    Ok(complaints.end(&inspection.verdict, &inspection.reason))
+    Ok(complaints.end(inspection.verdict, &inspection.sentence()))
 }
 
 impl Args {
     /// Before anything moves: a check whose results cannot be written should not begin.
-    fn try_places(&self) -> anyhow::Result<()> {
+    fn try_places(&self, report: Option<&PathBuf>) -> anyhow::Result<()> {
         self.common.try_json()?;
-        if let Some(folder) = &self.report {
-            try_folder(folder, &["report.html", "inspection.json"])?;
+        if let Some(folder) = report {
+            try_folder(folder, ReportFolder::OF_CHECK)?;
         }
         self.record_baseline.as_deref().map_or(Ok(()), try_place)
     }
 
-    fn write_report(&self, inspection: &Inspection, document: &Value) -> anyhow::Result<()> {
-        let Some(folder) = &self.report else {
+    fn write_report(
+        &self,
+        report: Option<&PathBuf>,
+        inspection: &mut Inspection,
+    ) -> anyhow::Result<()> {
+        let Some(folder) = report else {
             return self.show("add --report DIR for maps, histogram and timeline as one HTML file");
         };
-        // The document first: what it says cannot be drawn again.
-        let text = serde_json::to_string_pretty(document)?;
-        write_whole(&folder.join("inspection.json"), text.as_bytes())?;
-        let page = flankscope_station::report::html(inspection)?;
-        write_whole(&folder.join("report.html"), page.as_bytes())?;
-        self.show(&format!("report: {}", folder.join("report.html").display()))
+        let mut folder = ReportFolder::new(folder);
+        folder.put(inspection)?;
+        self.show(&format!("report: {}", folder.page().display()))
     }
 
     fn show(&self, line: &str) -> anyhow::Result<()> {
@@ -139,7 +142,7 @@ impl Watcher {
             Progress::Connected => "controller answered".to_string(),
             Progress::Homing => "stages reference".to_string(),
             Progress::Moving(view, views) => format!("head moves to view {} of {views}", view + 1),
-            Progress::Exposed(_, frame, frames) => {
+            Progress::Exposed(frame, frames) => {
                 // One line per view, drawn as it grows: a mark for every frame.
                 if frame == 0 {
                     self.begin_line("LED on, frames ");
@@ -239,7 +242,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     writeln!(
         out,
         "\n{}: {}",
-        inspection.verdict.to_uppercase(),
+        inspection.verdict.as_str().to_uppercase(),
         inspection.reason
     )?;
     write_origin(&mut out, &inspection.origin, &inspection.date)?;

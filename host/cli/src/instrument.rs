@@ -5,19 +5,19 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_frames::SharedRoot;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::baseline::Baseline;
-use flankscope_station::capture::SharedRoot;
 use flankscope_station::controller::ClientSettings;
-use flankscope_station::history::{History, Keeper};
+use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{Station, Subject};
 use flankscope_station::origin::{Link, Setting};
+use flankscope_station::settings::StationSettings;
 
+use crate::bench_link::{Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press};
 use crate::grid::Grid;
 use crate::output::say;
-use crate::scan::DieArgs;
-use crate::watch::PressArgs;
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
@@ -47,17 +47,17 @@ pub struct Source {
     #[arg(long, value_name = "FILE")]
     pub history: Option<PathBuf>,
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
-    #[arg(long, value_name = "N", requires = "history")]
+    #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
-    /// Remove the phasors of a go after N later checks; other verdicts keep theirs
-    #[arg(long, value_name = "N", default_value_t = 1000, requires = "history")]
-    pub keep_phasors: u32,
+    /// Remove the phasors of a go after N later checks; other verdicts keep theirs [default: the station's, or 1000]
+    #[arg(long, value_name = "N")]
+    pub keep_phasors: Option<u32>,
 }
 
 impl Source {
     /// Where it is looked.
-    pub fn setting(&self) -> anyhow::Result<Setting> {
-        self.place.setting(&[
+    pub fn site(&self) -> anyhow::Result<Site> {
+        self.place.site(&[
             ("--tool", self.tool.is_some()),
             ("--history", self.history.is_some()),
         ])
@@ -71,8 +71,8 @@ pub struct Place {
     /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
     #[arg(long, value_name = "sim|qemu|PORT")]
     link: Option<Link>,
-    /// Name of this station in every result [default: the host's name]
-    #[arg(long, value_name = "NAME")]
+    /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
+    #[arg(long, value_name = "NAME|STATION.toml")]
     station: Option<String>,
     /// Who measures, in every result [default: the user, as the system says]
     #[arg(long, value_name = "NAME")]
@@ -80,23 +80,73 @@ pub struct Place {
 }
 
 impl Place {
-    /// The setting. With one of the options in `real`, each by its name and whether it was given, it is not for the
-    /// built-in demo any more, and the link must have been named.
-    pub fn setting(&self, real: &[(&str, bool)]) -> anyhow::Result<Setting> {
-        let given = real.iter().find(|(_, given)| *given);
-        let link = match (&self.link, given) {
-            (Some(link), _) => link.clone(),
+    /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
+    /// built-in demo any more, and the link must have been named, here or in the station's file.
+    pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
+        let is_file = |text: &&str| Path::new(text).extension().is_some_and(|is| is == "toml");
+        let station = self.station.as_deref();
+        let file = station.filter(is_file).map(Path::new);
+        let (settings, hash) = station_file(file)?;
+        let in_file = settings.controller.link.as_deref().map(str::parse);
+        let in_file = in_file.transpose().context("controller.link")?;
+        // A station's file is of an instrument at a press, and may name a history.
+        let of_station = [("--station", file.is_some())];
+        let given = real.iter().chain(&of_station).find(|(_, given)| *given);
+        let link = match (self.link.clone().or(in_file), given) {
+            (Some(link), _) => link,
             (None, None) => Link::Sim,
             (None, Some((option, _))) => anyhow::bail!(
                 "{option} without --link: is the die real or simulated? Add --link PORT, the controller's port such as \
                  /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
             ),
         };
-        Ok(Setting {
-            link,
-            station: self.station.clone().unwrap_or_else(host_name),
-            operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+        let named = station.filter(|text| !is_file(text)).map(str::to_owned);
+        Ok(Site {
+            setting: Setting {
+                link,
+                station: named
+                    .or_else(|| settings.name.clone())
+                    .unwrap_or_else(host_name),
+                operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+            },
+            settings: Arc::new(settings),
+            hash,
         })
+    }
+}
+
+/// What a station's file says, and its hash; without one, what holds without.
+fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Option<String>)> {
+    let Some(path) = file else {
+        return Ok((StationSettings::default(), None));
+    };
+    let settings = StationSettings::load(path)?;
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok((settings, Some(flankscope_station::files::hash(&bytes))))
+}
+
+/// Where it is looked, for whom, and with what instrument.
+pub struct Site {
+    /// Link, station and operator.
+    pub setting: Setting,
+    /// The instrument.
+    pub settings: Arc<StationSettings>,
+    /// BLAKE3 of its file, if it has one.
+    hash: Option<String>,
+}
+
+impl Site {
+    /// Through which link.
+    pub fn link(&self) -> &Link {
+        &self.setting.link
+    }
+
+    /// Puts the instrument before what is inspected.
+    fn stand_before(&self, subject: &mut Subject) {
+        subject.station = Arc::clone(&self.settings);
+        if let Some(hash) = &self.hash {
+            subject.hashes.insert("station", hash.clone());
+        }
     }
 }
 
@@ -110,37 +160,6 @@ pub fn fits_link(head: &HeadModel, link: &Link) -> anyhow::Result<()> {
         head.name
     );
     Ok(())
-}
-
-/// What only the simulated bench knows.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated bench")]
-pub struct BenchArgs {
-    /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Wear of a flank, up to 300 um: TOOTH:left|right:DEPTH_UM, and :KIND may follow: uniform, tip, pit, buildup, half (above
-    /// half height), ramp, edge, spall, scratch-along, scratch-across, crater, crack, side (this flank of every tooth) or
-    /// ring (the whole toothing)
-    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
-    pub wear: Vec<String>,
-    /// This mesh stands there instead of the CAD: PLY or STL, in mm and in the frame of the CAD, open or closed, up to five
-    /// million triangles; it is the die as it is, so no wear can be added
-    #[arg(long, value_name = "FILE", conflicts_with = "wear")]
-    pub die_mesh: Option<PathBuf>,
-    /// How many times faster than real time the bench runs, or max
-    #[arg(long, value_name = "1|K|max", default_value = "1")]
-    pub speed: String,
-    /// Head and die shift against each other from frame to frame: standard deviation in um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub vibration_um: f64,
-    /// The head's lenses lead light astray by this where no distortion model follows, smoothly over the field: root mean
-    /// square along each axis in um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub lens_error_um: f64,
-    /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
-    #[arg(long, value_name = "KIND:FRAME")]
-    pub frame_fault: Option<String>,
 }
 
 /// What stands on the simulated bench beside the die of the tool file.
@@ -168,29 +187,46 @@ pub struct Instrument<S = Station> {
     pub port: PathBuf,
     /// How patiently to talk to it.
     pub settings: ClientSettings,
-    #[cfg(feature = "bench")]
-    bench: Option<crate::bench_link::Bench>,
+    bench: Option<Bench>,
     _root: Arc<SharedRoot>,
     _scratch: Scratch,
 }
 
 impl Instrument {
-    /// Reads tool and head, starts a station for checks, then the bench or nothing.
+    /// Reads tool and head, starts a station for checks, then the bench or nothing; also returns what stores the checks, if
+    /// that was asked for.
     pub fn open(
         source: &Source,
+        site: &Site,
         bench: &BenchArgs,
         press: Option<&PressArgs>,
         quiet: bool,
-    ) -> anyhow::Result<Self> {
+    ) -> anyhow::Result<(Self, Option<HistoryWriter>)> {
         let scene = Scene {
             press,
             teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
-        let setting = source.setting()?;
-        Self::start(
+        let setting = site.setting.clone();
+        let store = source
+            .history
+            .as_ref()
+            .or(site.settings.history.file.as_ref());
+        for (option, given) in [
+            ("--tool-cycles", source.tool_cycles.is_some()),
+            ("--keep-phasors", source.keep_phasors.is_some()),
+        ] {
+            anyhow::ensure!(
+                !given || store.is_some(),
+                "{option} without --history: nothing is stored; add --history FILE"
+            );
+        }
+        let keep_phasors = site.settings.history.keep_phasors;
+        let keep_phasors = source.keep_phasors.unwrap_or(keep_phasors);
+        let mut writer = None;
+        let instrument = Self::start(
             [source.tool.as_deref(), source.head.as_deref()],
-            &setting.link,
+            site,
             bench,
             scene,
             quiet,
@@ -206,8 +242,9 @@ impl Instrument {
                     subject.baseline = Some(Arc::new(baseline));
                 }
                 let teeth = source.teeth.as_deref();
-                let mut station = Station::open(subject, setting.clone(), teeth, root)?;
-                if let Some(path) = &source.history {
+                let baseline = subject.baseline.clone();
+                let station = Station::open(subject, setting.clone(), teeth, root)?;
+                if let Some(path) = store {
                     let history = History::open(path)?;
                     let unknown = history.of_unknown_origin()?;
                     if unknown > 0 {
@@ -217,16 +254,20 @@ impl Instrument {
                             path.display()
                         ));
                     }
-                    station.keep(Keeper::new(
+                    let mut opened = HistoryWriter::new(
                         history,
                         source.tool_cycles,
-                        source.keep_phasors,
+                        keep_phasors,
                         setting.operator.clone().unwrap_or_else(user_name),
-                    ))?;
+                    );
+                    let simulated = setting.link.is_simulated();
+                    opened.begin(station.tool(), simulated, baseline.as_deref())?;
+                    writer = Some(opened);
                 }
                 Ok(station)
             },
-        )
+        )?;
+        Ok((instrument, writer))
     }
 }
 
@@ -236,7 +277,7 @@ impl<S> Instrument<S> {
     /// The files are the tool's folder and a head file instead of the one in it.
     pub fn start(
         [tool, head]: [Option<&Path>; 2],
-        link: &Link,
+        site: &Site,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
@@ -247,9 +288,10 @@ impl<S> Instrument<S> {
             Some(folder) => folder.to_path_buf(),
             None => demo_tool(scratch.path())?,
         };
-        let subject = load(&folder, head, scratch.path())?;
-        fits_link(&subject.head, link)?;
-        Self::before(&folder, link, bench, scene, quiet, scratch, |root| {
+        let mut subject = load(&folder, head, scratch.path())?;
+        site.stand_before(&mut subject);
+        fits_link(&subject.head, site.link())?;
+        Self::before(&folder, site, bench, scene, quiet, scratch, |root| {
             station(subject, root)
         })
     }
@@ -257,26 +299,30 @@ impl<S> Instrument<S> {
     /// Starts what `station` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
     pub fn before(
         folder: &Path,
-        link: &Link,
+        site: &Site,
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
         scratch: Scratch,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
-        let simulated = link.is_simulated();
-        if let Some(mesh) = bench.die_mesh.as_ref().filter(|_| !simulated) {
-            anyhow::bail!(
-                "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
-                mesh.display()
-            );
+        let link = site.link();
+        if !link.is_simulated() {
+            fits_real_press(bench, link)?;
         }
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
         let station = station(Arc::clone(&root))?;
         let Link::Port(port) = link else {
-            let controller = link.to_string();
-            return Self::with_bench(station, (&controller, bench), scene, folder, root, scratch);
+            let bench = Bench::start(bench, link, scene, folder, &root)?;
+            return Ok(Self {
+                station,
+                port: bench.port().to_path_buf(),
+                settings: bench.client_settings(),
+                bench: Some(bench),
+                _root: root,
+                _scratch: scratch,
+            });
         };
         if !quiet {
             say(&format!("frames are expected in {}", root.path().display()));
@@ -284,70 +330,44 @@ impl<S> Instrument<S> {
         Ok(Self {
             station,
             port: port.clone(),
-            settings: ClientSettings::default(),
-            #[cfg(feature = "bench")]
+            settings: site.settings.client(),
             bench: None,
             _root: root,
             _scratch: scratch,
         })
     }
 
-    #[cfg(feature = "bench")]
-    fn with_bench(
-        station: S,
-        (controller, args): (&str, &BenchArgs),
-        scene: Scene<'_>,
-        tool: &Path,
-        root: Arc<SharedRoot>,
-        scratch: Scratch,
-    ) -> anyhow::Result<Self> {
-        let bench = crate::bench_link::Bench::start(args, controller, scene, tool, &root)?;
-        Ok(Self {
-            station,
-            port: bench.port().to_path_buf(),
-            settings: bench.client_settings(),
-            bench: Some(bench),
-            _root: root,
-            _scratch: scratch,
-        })
-    }
-
-    #[cfg(not(feature = "bench"))]
-    fn with_bench(
-        _: S,
-        _: (&str, &BenchArgs),
-        _: Scene<'_>,
-        _: &Path,
-        _: Arc<SharedRoot>,
-        _: Scratch,
-    ) -> anyhow::Result<Self> {
-        anyhow::bail!("this build has no simulated bench: name the controller's port by --link")
-    }
-
     /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
     pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
         drop(self.station);
-        #[cfg(feature = "bench")]
-        if let Some(bench) = self.bench {
-            let truth = bench.finish()?;
-            if let Some(notice) = truth.notice().filter(|_| !quiet) {
-                say(&notice);
-            }
-            return Ok(Some(serde_json::to_value(&truth)?));
+        let Some(bench) = self.bench else {
+            return Ok(None);
+        };
+        let (truth, notice) = bench.finish()?;
+        if let Some(notice) = notice.filter(|_| !quiet) {
+            say(&notice);
         }
-        let _ = quiet;
-        Ok(None)
+        Ok(Some(truth))
     }
 }
 
-/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's.
-pub fn subject(tool: Option<&Path>, head: Option<&Path>) -> anyhow::Result<Subject> {
+/// Reads tool and head from a folder, or the demo's; `head` instead of the folder's, before the instrument of a station's
+/// file.
+pub fn subject(
+    tool: Option<&Path>,
+    head: Option<&Path>,
+    station: Option<&Path>,
+) -> anyhow::Result<Subject> {
     let scratch = Scratch::new()?;
     let folder = match tool {
         Some(folder) => folder.to_path_buf(),
         None => demo_tool(scratch.path())?,
     };
-    load(&folder, head, scratch.path())
+    let mut subject = load(&folder, head, scratch.path())?;
+    let (settings, hash) = station_file(station)?;
+    subject.station = Arc::new(settings);
+    subject.hashes.extend(hash.map(|hash| ("station", hash)));
+    Ok(subject)
 }
 
 /// Reads tool and head, and hashes what was read.
@@ -379,20 +399,9 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         head: Arc::new(head),
         temperature_degc: None,
         baseline: None,
+        station: Arc::default(),
         hashes,
     })
-}
-
-#[cfg(feature = "bench")]
-fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
-    crate::bench_link::demo_tool(scratch)
-}
-
-#[cfg(not(feature = "bench"))]
-fn demo_tool(_scratch: &Path) -> anyhow::Result<PathBuf> {
-    anyhow::bail!(
-        "this build has no demo tool: name a folder with tool.toml and head.toml by --tool"
-    )
 }
 
 /// This host, as the system says.

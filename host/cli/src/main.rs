@@ -4,6 +4,9 @@
 
 #[cfg(feature = "bench")]
 mod bench_link;
+#[cfg(not(feature = "bench"))]
+#[path = "no_bench.rs"]
+mod bench_link;
 mod calibrate;
 mod decode;
 mod deviation;
@@ -52,8 +55,8 @@ enum Command {
     Replay(replay::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
-    #[command(hide = true)]
-    Bench(flankscope_bench::process::Args),
+    #[command(hide = true, subcommand)]
+    Bench(bench_link::Command),
 }
 
 fn main() -> ExitCode {
@@ -93,7 +96,7 @@ fn main() -> ExitCode {
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "bench")]
-        Command::Bench(args) => flankscope_bench::process::run(&args).map(|()| output::Outcome::Go),
+        Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };
     match result {
         Ok(outcome) => outcome.into(),

@@ -5,37 +5,32 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
+use flankscope_metrology::verdict::Word;
+use flankscope_station::sink::{DocumentFile, ResultSink};
 
-/// How a run ended, as the process's exit code.
+/// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Verdict go, or the requested file was produced.
-    Go = 0,
-    /// Verdict no-go.
-    NoGo = 1,
-    /// The instrument cannot tell.
-    Indeterminate = 2,
+    /// What was asked for was produced; nothing was judged.
+    Done,
+    /// Something was judged.
+    Verdict(Word),
     /// Bad arguments, no link, unreadable file.
-    CouldNotRun = 3,
-    /// Verdict warn.
-    Warn = 4,
+    CouldNotRun,
 }
 
 impl Outcome {
-    /// The outcome of a check by the word of its verdict; an unknown word is indeterminate, never go.
-    pub fn of_verdict(word: &str) -> Self {
-        match word {
-            "go" => Self::Go,
-            "warn" => Self::Warn,
-            "no-go" => Self::NoGo,
-            _ => Self::Indeterminate,
-        }
-    }
+    /// What was asked for has no sound answer.
+    pub const INDETERMINATE: Self = Self::Verdict(Word::Indeterminate);
 }
 
 impl From<Outcome> for ExitCode {
     fn from(outcome: Outcome) -> Self {
-        ExitCode::from(outcome as u8)
+        match outcome {
+            Outcome::Done => Self::SUCCESS,
+            Outcome::Verdict(word) => Self::from(word.exit_code()),
+            Outcome::CouldNotRun => Self::from(3),
+        }
     }
 }
 
@@ -62,6 +57,11 @@ impl Common {
             Some(path) if path != Path::new("-") => try_place(path).context("--json"),
             _ => Ok(()),
         }
+    }
+
+    /// Where the JSON document of a result goes, if one was asked for.
+    pub fn document(&self) -> Option<DocumentFile> {
+        self.json.as_deref().map(DocumentFile::new)
     }
 
     /// Writes the JSON document, if one was asked for.
@@ -128,14 +128,20 @@ impl Complaints {
         result.map_err(|error| self.0.push(error)).ok()
     }
 
-    /// Complains on standard error, with the verdict for those who have only that; returns the verdict's outcome.
-    pub fn end(self, verdict: &str, reason: &str) -> Outcome {
+    /// Hands a result to a sink.
+    pub fn hear_of<R>(&mut self, mut sink: impl ResultSink<R>, result: &mut R) {
+        self.hear(sink.put(result).map_err(Into::into));
+    }
+
+    /// Complains on standard error, with the verdict and its reason for those who have only that; returns the verdict's
+    /// outcome.
+    pub fn end(self, verdict: Word, sentence: &str) -> Outcome {
         for error in &self.0 {
             say(&format!("error: {error:#}"));
         }
         if !self.0.is_empty() {
-            say(&format!("the verdict stands: {verdict}: {reason}"));
+            say(&format!("the verdict stands: {sentence}"));
         }
-        Outcome::of_verdict(verdict)
+        Outcome::Verdict(verdict)
     }
 }

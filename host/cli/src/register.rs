@@ -7,10 +7,12 @@ use anyhow::{Context, bail};
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
-    Options, PaperOptions, Reason, Registration, Status, detect_teeth, register, register_paper,
+    Hinz2019Options, Options, Reason, Registration, Status, detect_teeth, register,
+    register_hinz2019,
 };
 use flankscope_metrology::space::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
 use crate::geometry::{CadArgs, load_cloud, milliseconds, pose_of_pairs, tell, write_file};
@@ -57,7 +59,7 @@ struct Report {
     tool_from_cloud: [[f64; 4]; 4],
     status: &'static str,
     reason: Option<String>,
-    reason_code: Option<&'static str>,
+    reason_code: Option<Code>,
     converged: bool,
     iterations: usize,
     points: usize,
@@ -99,7 +101,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let prepared = Instant::now();
     let found = match args.method {
         Method::Surface => register(&surface, &cloud.points, None, &options),
-        Method::Paper => register_paper(&mesh, &cloud.points, &initial, &PaperOptions::default()).0,
+        Method::Paper => {
+            register_hinz2019(&mesh, &cloud.points, &initial, &Hinz2019Options::default()).0
+        }
     };
     let aligned = Instant::now();
     if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {
@@ -136,9 +140,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.write_json(&report)?;
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
-        Outcome::Go
+        Outcome::Done
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 
@@ -193,7 +197,7 @@ impl Report {
                 "indeterminate"
             },
             reason: reason.map(ToString::to_string),
-            reason_code: reason.map(Reason::code),
+            reason_code: reason.map(Code::from),
             converged: found.converged,
             iterations: found.iterations,
             points,

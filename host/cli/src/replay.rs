@@ -31,6 +31,9 @@ pub struct Args {
     /// Head file instead of the tool folder's, as inspect was given it
     #[arg(long, value_name = "HEAD.toml")]
     head: Option<PathBuf>,
+    /// File of the station, as inspect was given it
+    #[arg(long, value_name = "STATION.toml")]
+    station: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -38,7 +41,11 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let history = History::read(&args.file)?;
-    let subject = instrument::subject(args.tool.as_deref(), args.head.as_deref())?;
+    let subject = instrument::subject(
+        args.tool.as_deref(),
+        args.head.as_deref(),
+        args.station.as_deref(),
+    )?;
     let replay = Replay::of(&history, args.id, subject)?;
     let same = replay.differences.is_empty();
     let mut document = serde_json::to_value(&replay)?;
@@ -48,9 +55,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&replay)?;
     }
     Ok(if same {
-        Outcome::of_verdict(&replay.verdict)
+        Outcome::Verdict(replay.verdict)
     } else {
-        Outcome::Indeterminate
+        Outcome::INDETERMINATE
     })
 }
 

@@ -8,15 +8,17 @@ use std::sync::Arc;
 use anyhow::Context;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
+use flankscope_station::report::ReportFolder;
 use flankscope_station::scan::{
-    Grid, Method, MethodResult, PaperSettings, Progress, Scan, Scanner, percent,
+    Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
 };
-use serde_json::Value;
+use flankscope_station::sink::ResultSink;
 
+use crate::bench_link::{BenchArgs, DieArgs, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{BenchArgs, Instrument, Place, Scene};
-use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, write_whole};
+use crate::instrument::{Instrument, Place, Scene};
+use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
 ///
@@ -103,10 +105,10 @@ enum MethodName {
 }
 
 impl PaperArgs {
-    fn settings(&self, seed: u64) -> anyhow::Result<(Method, PaperSettings)> {
+    fn settings(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
-            MethodName::Paper => Method::Paper,
+            MethodName::Paper => Method::Hinz2019,
             MethodName::Both => Method::Both,
         };
         for (option, given) in [
@@ -119,12 +121,12 @@ impl PaperArgs {
                 anyhow::bail!("{option} is for the article's method: add --method paper or both");
             }
         }
-        let defaults = PaperSettings::default();
+        let defaults = Hinz2019Settings::default();
         let mask_dn = self.mask_threshold.unwrap_or(defaults.mask_dn);
         if !(0.0..=65535.0).contains(&mask_dn) {
             anyhow::bail!("--mask-threshold {mask_dn}: 0 to 65535 counts are possible");
         }
-        let settings = PaperSettings {
+        let settings = Hinz2019Settings {
             first_pose: self.pairs.as_deref().map(pose_of_pairs).transpose()?,
             mask_dn,
             voxel_mm: self.voxel_mm.unwrap_or(defaults.voxel_mm),
@@ -136,79 +138,12 @@ impl PaperArgs {
     }
 }
 
-/// The die on the simulated bench.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated bench")]
-pub struct DieArgs {
-    /// Largest minus smallest radius of the bore, um
-    #[arg(
-        long,
-        value_name = "UM",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub ovality_um: f64,
-    /// Growth of the bore's radius from bottom to top, um
-    #[arg(
-        long,
-        value_name = "UM",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub taper_um: f64,
-    /// Another die than the tool file's on the bench: so many teeth of such a module
-    #[arg(long, value_name = "TEETHxMODULE_MM")]
-    pub die: Option<String>,
-    /// The die is put down turned by this angle
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub turned_deg: f64,
-    /// The die is put down turned by so many whole teeth
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        allow_negative_numbers = true
-    )]
-    pub turned_teeth: i32,
-    /// What every flank stands off by since it was made: standard deviation along the pitch circle, um
-    #[arg(long, value_name = "UM", default_value_t = 0.0)]
-    pub flanks_um: f64,
-    /// Which die: draws what its flanks stand off by
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub die_seed: u64,
-}
-
 impl Args {
     /// What stands on the simulated bench: a scan that goes on must find the same there.
     fn on_the_bench(&self, link: &Link) -> BTreeMap<String, String> {
-        let (bench, die) = (&self.bench, &self.die);
-        let mut what = format!(
-            "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
-            bench.seed,
-            die.ovality_um,
-            die.taper_um,
-            die.turned_deg,
-            die.turned_teeth,
-            die.die_seed,
-            die.flanks_um
-        );
-        if let Some(other) = &die.die {
-            what += &format!(", die {other}");
-        }
-        for wear in &bench.wear {
-            what += &format!(", wear {wear}");
-        }
-        if let Some(mesh) = &bench.die_mesh {
-            // Another content under the same name is another die; what cannot be read is refused by the bench.
-            let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
-            what += &format!(", mesh {}", content.unwrap_or_default());
-        }
-        let named = link.is_simulated().then(|| ("bench".to_string(), what));
+        let named = link
+            .is_simulated()
+            .then(|| ("bench".to_string(), in_words(&self.bench, &self.die)));
         named.into_iter().collect()
     }
 }
@@ -216,8 +151,8 @@ impl Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    let (method, paper) = args.paper.settings(args.bench.seed)?;
-    let setting = args.place.setting(&[("--tool", args.tool.is_some())])?;
+    let (method, paper) = args.paper.settings(seed(&args.bench))?;
+    let site = args.place.site(&[("--tool", args.tool.is_some())])?;
     args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,
@@ -235,7 +170,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let mut instrument = Instrument::start(
         [args.tool.as_deref(), args.head.as_deref()],
-        &setting.link,
+        &site,
         &args.bench,
         scene,
         quiet,
@@ -243,8 +178,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             if let Some(grid) = args.grid {
                 grid.impose(Arc::make_mut(&mut subject.head))?;
             }
-            let bench = args.on_the_bench(&setting.link);
-            let setting = setting.clone();
+            let bench = args.on_the_bench(site.link());
+            let setting = site.setting.clone();
             let scanner = Scanner::open(subject, setting, args.views, session, &bench, root)?;
             let scanner = scanner.against(args.reference.as_deref())?;
             Ok(scanner.by_method(method, paper)?)
@@ -267,22 +202,15 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         complaints.hear(print(&scan));
     }
     let truth = complaints.hear(instrument.close(quiet)).flatten();
-    let document = serde_json::to_value(&scan).map_err(Into::into);
-    if let Some(mut document) = complaints.hear(document) {
-        if let Some(truth) = truth {
-            document["truth"] = truth;
-            document["truth"]["ovality_um"] = args.die.ovality_um.abs().into();
-            document["truth"]["taper_um"] = args.die.taper_um.into();
-        }
-        complaints.hear(args.common.write_json(&document));
-        complaints.hear(args.write_report(&scan, &document));
-    }
+    scan.truth = truth;
+    complaints.hear_of(args.common.document(), &mut scan);
+    complaints.hear(args.write_report(&mut scan));
     if let Some(mesh) = &args.mesh {
         complaints.hear(write_file(mesh, |file| {
             flankscope_station::report::scan_mesh(&scan, file)
         }));
     }
-    Ok(complaints.end(&scan.verdict, &scan.reason))
+    Ok(complaints.end(scan.verdict, &scan.sentence()))
 }
 
 impl Args {
@@ -290,24 +218,18 @@ impl Args {
     fn try_places(&self) -> anyhow::Result<()> {
         self.common.try_json()?;
         if let Some(folder) = &self.report {
-            try_folder(folder, &["report.html", "scan.json", "map.ply"])?;
+            try_folder(folder, ReportFolder::OF_SCAN)?;
         }
         self.mesh.as_deref().map_or(Ok(()), try_place)
     }
 
-    fn write_report(&self, scan: &Scan, document: &Value) -> anyhow::Result<()> {
+    fn write_report(&self, scan: &mut Scan) -> anyhow::Result<()> {
         let Some(folder) = &self.report else {
             return self.show("add --report DIR for the map as HTML and PLY");
         };
-        // The document first: what it says cannot be drawn again.
-        let text = serde_json::to_string_pretty(document)?;
-        write_whole(&folder.join("scan.json"), text.as_bytes())?;
-        let page = flankscope_station::report::scan_html(scan)?;
-        write_whole(&folder.join("report.html"), page.as_bytes())?;
-        write_file(&folder.join("map.ply"), |file| {
-            flankscope_station::report::scan_ply(scan, file)
-        })?;
-        self.show(&format!("report: {}", folder.join("report.html").display()))
+        let mut folder = ReportFolder::new(folder);
+        folder.put(scan)?;
+        self.show(&format!("report: {}", folder.page().display()))
     }
 
     fn show(&self, line: &str) -> anyhow::Result<()> {
@@ -342,7 +264,7 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
         percent(scan.coverage_ratio),
-        scan.joint.rounds
+        scan.adjustment.rounds
     )?;
     if let Some(form) = &scan.form {
         writeln!(
@@ -370,7 +292,12 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     if let [_, _, ..] = &scan.methods[..] {
         print_methods(&mut out, &scan.methods)?;
     }
-    writeln!(out, "\n{}: {}", scan.verdict.to_uppercase(), scan.reason)?;
+    writeln!(
+        out,
+        "\n{}: {}",
+        scan.verdict.as_str().to_uppercase(),
+        scan.reason
+    )?;
     write_origin(&mut out, &scan.origin, &scan.date)?;
     writeln!(
         out,

@@ -1,20 +1,22 @@
 //! `flankscope watch`: check every N press cycles, as a service.
 
-use std::io::{BufRead, Write};
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::now;
-use flankscope_station::report::{figure, html};
-use flankscope_station::watch::{Checked, Shown, Told, WatchSettings};
+use flankscope_station::report::{LatestPage, ReportFolder, figure};
+use flankscope_station::sink::LinesFile;
+use flankscope_station::watch::{Checked, Told, WatchSettings};
 use serde_json::{Value, json};
 
+use crate::bench_link::{BenchArgs, PressArgs};
 use crate::inspect::SIMULATED;
-use crate::instrument::{BenchArgs, Instrument, Source};
-use crate::output::{Common, Complaints, Outcome, say, try_folder, write_whole};
+use crate::instrument::{Instrument, Source};
+use crate::output::{Common, Complaints, Outcome, say, try_folder};
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
@@ -36,9 +38,9 @@ pub struct Args {
     /// End after this many press cycles [default: never]
     #[arg(long)]
     cycles: Option<u32>,
-    /// The press is never held longer than this, s
-    #[arg(long, default_value_t = 12.0)]
-    hold_limit_s: f64,
+    /// The press is never held longer than this, s [default: the station's, or 12]
+    #[arg(long)]
+    hold_limit_s: Option<f64>,
     /// Write the last check's report.html into this folder, and a line per check into checks.jsonl
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -50,44 +52,37 @@ pub struct Args {
     press: PressArgs,
 }
 
-/// The simulated press.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Simulated press")]
-pub struct PressArgs {
-    /// Strokes per minute
-    #[arg(long, default_value_t = 30.0)]
-    pub strokes_per_minute: f64,
-    /// Share of a stroke during which the press counts as open
-    #[arg(long, default_value_t = 0.4)]
-    pub open_share: f64,
-    /// Wear that each cycle adds: TOOTH:FLANK:DEPTH_UM
-    #[arg(long, value_name = "TOOTH:FLANK:DEPTH_UM")]
-    pub wear_rate: Vec<String>,
-}
-
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let site = args.source.site()?;
+    let hold_limit_s = args
+        .hold_limit_s
+        .unwrap_or(site.settings.press.hold_limit_s);
     anyhow::ensure!(
-        args.hold_limit_s > 0.0 && args.hold_limit_s <= 600.0,
-        "--hold-limit-s {}: more than 0 and at most 600 seconds are possible",
-        args.hold_limit_s
+        hold_limit_s > 0.0 && hold_limit_s <= 600.0,
+        "--hold-limit-s {hold_limit_s}: more than 0 and at most 600 seconds are possible"
     );
     // Before anything moves: a watch whose results cannot be written should not begin.
     args.common.try_json()?;
-    if let Some(folder) = &args.report {
-        try_folder(folder, &["report.html"])?;
-        open_lines(&folder.join("checks.jsonl"))?;
+    let mut papers = Papers::default();
+    if let Some(folder) = args
+        .report
+        .as_ref()
+        .or(site.settings.report.folder.as_ref())
+    {
+        papers = Papers::open(folder)?;
     }
-    let setting = args.source.setting()?;
+    let setting = &site.setting;
     let quiet = args.common.quiet;
-    let mut instrument = Instrument::open(&args.source, &args.bench, Some(&args.press), quiet)?;
+    let (mut instrument, mut writer) =
+        Instrument::open(&args.source, &site, &args.bench, Some(&args.press), quiet)?;
     let settings = WatchSettings {
         every: args.every,
         cycles: args.cycles,
-        hold_limit: Duration::from_secs_f64(args.hold_limit_s),
+        hold_limit: Duration::from_secs_f64(hold_limit_s),
     };
     let acknowledged = acknowledgements();
-    let mut log = Log::new(args);
+    let mut log = Log::new(args, papers);
     if setting.link.is_simulated() {
         log.say(SIMULATED);
     }
@@ -95,6 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &instrument.port,
         instrument.settings,
         &settings,
+        writer.as_mut(),
         &acknowledged,
         |told| log.take(told),
     )?;
@@ -111,14 +107,26 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "truth": truth,
     })));
     // What nobody checked is indeterminate.
-    Ok(complaints.end(shown.word(), "this is what the press was shown last"))
+    let sentence = format!("{}: this is what the press was shown last", shown.word());
+    Ok(complaints.end(shown.verdict(), &sentence))
 }
 
-/// Opens the file that a line is added to for every check.
-fn open_lines(path: &Path) -> anyhow::Result<std::fs::File> {
-    let mut options = std::fs::OpenOptions::new();
-    let file = options.append(true).create(true).open(path);
-    file.with_context(|| format!("cannot write {}", path.display()))
+/// What is written of every check.
+#[derive(Default)]
+struct Papers {
+    lines: Option<LinesFile>,
+    page: Option<LatestPage>,
+}
+
+impl Papers {
+    /// Before anything moves: a watch whose results cannot be written should not begin.
+    fn open(folder: &Path) -> anyhow::Result<Self> {
+        try_folder(folder, &["report.html"])?;
+        Ok(Self {
+            lines: Some(LinesFile::open(&folder.join("checks.jsonl"))?),
+            page: Some(LatestPage(ReportFolder::new(folder))),
+        })
+    }
 }
 
 /// A message for every line that somebody types: a name, or nothing.
@@ -139,14 +147,16 @@ struct Log<'a> {
     args: &'a Args,
     start: Instant,
     checks: Vec<Value>,
+    papers: Papers,
 }
 
 impl<'a> Log<'a> {
-    fn new(args: &'a Args) -> Self {
+    fn new(args: &'a Args, papers: Papers) -> Self {
         Self {
             args,
             start: Instant::now(),
             checks: Vec::new(),
+            papers,
         }
     }
 
@@ -164,12 +174,12 @@ impl<'a> Log<'a> {
             )),
             Told::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
             Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
-            Told::Checked(checked) => self.keep(&checked),
+            Told::Checked(mut checked) => self.keep(&mut checked),
         }
         true
     }
 
-    fn keep(&mut self, checked: &Checked) {
+    fn keep(&mut self, checked: &mut Checked) {
         let Checked {
             cycle,
             inspection,
@@ -192,7 +202,7 @@ impl<'a> Log<'a> {
         let held_s = inspection.timing_ms.total / 1000.0;
         self.say(&format!(
             "cycle {cycle}: {} (shown: {}){worst}, press held {held_s:.2} s: {}",
-            inspection.verdict.to_uppercase(),
+            inspection.verdict.as_str().to_uppercase(),
             shown.word(),
             inspection.reason
         ));
@@ -201,33 +211,17 @@ impl<'a> Log<'a> {
                 "MAINTENANCE: several checks in a row gave no result; is the head soiled or moved?",
             );
         }
-        if *shown == Shown::NoGo && inspection.verdict == "no-go" {
+        if *shown == Shown::NoGo && inspection.verdict == Word::NoGo {
             self.say("ALARM: no-go stays until it is acknowledged (press Enter)");
         }
-        let line = json!({ "cycle": cycle, "shown": shown.word(), "inspection": inspection });
         // The press is watched on, whatever becomes of the papers.
         let mut complaints = Complaints::default();
-        complaints.hear(self.add_line(&line));
-        complaints.hear(self.write_page(inspection));
-        let _ = complaints.end(&inspection.verdict, &inspection.reason);
-        self.checks.push(line);
-    }
-
-    fn add_line(&self, line: &Value) -> anyhow::Result<()> {
-        let Some(folder) = &self.args.report else {
-            return Ok(());
-        };
-        let path = folder.join("checks.jsonl");
-        // In one piece, so that no other line ends up in it.
-        let added = open_lines(&path)?.write_all(format!("{line}\n").as_bytes());
-        added.with_context(|| format!("cannot write {}", path.display()))
-    }
-
-    fn write_page(&self, inspection: &Inspection) -> anyhow::Result<()> {
-        match &self.args.report {
-            Some(folder) => write_whole(&folder.join("report.html"), html(inspection)?.as_bytes()),
-            None => Ok(()),
-        }
+        complaints.hear_of(self.papers.lines.as_mut(), checked);
+        complaints.hear_of(self.papers.page.as_mut(), &mut checked.inspection);
+        let document = serde_json::to_value(&*checked).map_err(Into::into);
+        self.checks.extend(complaints.hear(document));
+        let Inspection { verdict, .. } = checked.inspection;
+        let _ = complaints.end(verdict, &checked.inspection.sentence());
     }
 
     fn say(&self, text: &str) {

@@ -330,7 +330,7 @@ fn neighbours_hold_a_view_that_ran_out_as_a_ring_of_springs_does() {
     );
     // Without overlaps it stays where the stage should be.
     let alone = solve(&stages(), &views, &[], local).unwrap();
-    assert!(alone.strays[wrong].norm() < 1e-9);
+    assert!(alone.pose_residuals[wrong].norm() < 1e-9);
 }
 
 #[test]

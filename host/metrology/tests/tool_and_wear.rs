@@ -8,7 +8,7 @@ use flankscope_metrology::gear::Flank;
 use flankscope_metrology::registration::{Contact, Options, Response, register};
 use flankscope_metrology::surface::sampling;
 use flankscope_metrology::tool::{Tool, ToolError};
-use flankscope_metrology::verdict::{Verdict, combine, decide};
+use flankscope_metrology::verdict::{Code, Verdict, combine, decide};
 use flankscope_metrology::wear::leakage;
 use flankscope_metrology::wear::{self, FlankWear, Measured, evaluate};
 use support::{Random, on_every_ring84_file};
@@ -87,6 +87,7 @@ fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
         points: &laid,
         closest: &closest,
         sigma_mm: None,
+        sight: None,
     };
     evaluate(
         tool.gear.as_ref().unwrap(),
@@ -208,6 +209,7 @@ fn run_a_flank_that_was_not_seen(cad: PathBuf) {
         points: &[],
         closest: &[],
         sigma_mm: None,
+        sight: None,
     };
     let wear = evaluate(
         tool.gear.as_ref().unwrap(),
@@ -402,11 +404,11 @@ fn run_temperature_is_asked_for(cad: PathBuf) {
     assert!((warm - 1.000_46).abs() < 1e-12, "{warm}");
     for degc in [9.9, 80.1, f64::NAN, f64::INFINITY] {
         let refused = temperature.scale(Some(degc)).unwrap_err();
-        assert_eq!(refused.code(), "temperature_range");
+        assert_eq!(refused.code(), Code::TemperatureRange);
     }
     assert_eq!(
         temperature.scale(None).unwrap_err().code(),
-        "temperature_missing"
+        Code::TemperatureMissing
     );
     let wrong = text.replace("[10.0, 80.0]", "[80.0, 10.0]");
     assert!(load(folder.path(), &wrong, &cad).is_err());

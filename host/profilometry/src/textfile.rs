@@ -81,7 +81,8 @@ impl BadValue {
         }
     }
 
-    pub(crate) fn in_file(self, path: &Path, text: &str) -> TextFileError {
+    /// The complaint with its file, and the line of the key in the text of it.
+    pub fn in_file(self, path: &Path, text: &str) -> TextFileError {
         TextFileError::Value {
             path: path.to_owned(),
             line: line_of_key(text, &self.key),
@@ -125,7 +126,10 @@ pub(crate) fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFi
 }
 
 /// Parses TOML, with file and line on errors.
-pub(crate) fn parse_toml<T: serde::de::DeserializeOwned>(
+///
+/// # Errors
+/// [`TextFileError::Syntax`].
+pub fn parse_toml<T: serde::de::DeserializeOwned>(
     path: &Path,
     text: &str,
 ) -> Result<T, TextFileError> {

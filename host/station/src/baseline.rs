@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::verdict::Word;
 use flankscope_metrology::wear::{Field, PoseEvidence};
 use serde::{Deserialize, Serialize};
 
@@ -114,7 +115,7 @@ pub enum BaselineError {
     #[error("a check that ended in {verdict} is no baseline of a new tool; it must end in go")]
     NotNew {
         /// Its verdict.
-        verdict: String,
+        verdict: Word,
     },
 }
 
@@ -124,9 +125,9 @@ impl Baseline {
     /// # Errors
     /// The check did not end in go.
     pub fn of(inspection: &Inspection) -> Result<Self, BaselineError> {
-        if inspection.verdict != "go" {
+        if inspection.verdict != Word::Go {
             return Err(BaselineError::NotNew {
-                verdict: inspection.verdict.clone(),
+                verdict: inspection.verdict,
             });
         }
         let hash = |(name, hash): (&&str, &String)| ((*name).to_owned(), hash.clone());

@@ -1,14 +1,14 @@
-//! The running instrument: controller client, zero-copy capture, inspection job, report.
+//! The running instrument: controller client, inspection job, report.
 //!
 //! ```text
-//!  controller ── orders, triggers ──┐
-//!                                   ├─ inspection ── verdict ── report
-//!  capture ───── frames, in place ──┘             └── history
+//!  controller ── orders, triggers ──┐                 ┌─ inspection ── verdict ── sinks: history, report, lines
+//!                                   ├─ acquisition ───┼─ scan
+//!  camera ────── frames, in place ──┘                 └─ calibration
 //! ```
 
+pub mod acquisition;
 pub mod baseline;
 pub mod calibration;
-pub mod capture;
 pub mod controller;
 pub mod files;
 pub mod history;
@@ -16,4 +16,6 @@ pub mod inspection;
 pub mod origin;
 pub mod report;
 pub mod scan;
+pub mod settings;
+pub mod sink;
 pub mod watch;

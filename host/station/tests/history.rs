@@ -2,14 +2,20 @@
 
 mod inspections;
 
-use flankscope_station::history::{History, HistoryError, Keeper, csv, series};
+use flankscope_metrology::verdict::{Code, Word};
+use flankscope_station::history::{History, HistoryError, HistoryWriter, csv, series};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::{HeadId, Link, Origin, Setting};
+use flankscope_station::sink::ResultSink;
 use inspections::inspection;
 use rusqlite::Connection;
 
-fn keeper(history: History) -> Keeper {
-    Keeper::new(history, None, 3, "tester".into())
+fn writer(history: History) -> HistoryWriter {
+    HistoryWriter::new(history, None, 3, "tester".into())
+}
+
+fn word(text: &str) -> Word {
+    text.parse().unwrap()
 }
 
 #[test]
@@ -27,7 +33,7 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
         (11, Some(0)),
         (14, None),
     ] {
-        let check = inspection(counter, "go", "all is well");
+        let check = inspection(counter, Word::Go, "all is well");
         ids.push(history.record(&check, said).unwrap());
     }
     assert_eq!(ids, [1, 2, 3, 4, 5, 6]);
@@ -45,7 +51,7 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
     );
     assert_eq!(last.flanks[0].wear_um, Some(14.0 / 8.0));
     history
-        .record(&inspection(20, "warn", "worn"), None)
+        .record(&inspection(20, Word::Warn, "worn"), None)
         .unwrap();
     assert_eq!(reader.checks("die").unwrap().len(), 7);
     let document: serde_json::Value = serde_json::from_str(&reader.document(7).unwrap()).unwrap();
@@ -64,7 +70,7 @@ fn rows_are_only_added() {
     let path = folder.path().join("press.db");
     let mut history = History::open(&path).unwrap();
     history
-        .record(&inspection(1, "no-go", "worn"), None)
+        .record(&inspection(1, Word::NoGo, "worn"), None)
         .unwrap();
     history.acknowledge("die", "Ada").unwrap();
     history.audit("Ada", "looked", "at it").unwrap();
@@ -136,22 +142,22 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
 fn a_verdict_that_cannot_be_stored_is_no_go() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut keeper = keeper(History::open(&path).unwrap());
-    let mut first = inspection(1, "go", "all is well");
-    keeper.keep(&mut first);
-    assert_eq!((first.id, first.verdict.as_str()), (Some(1), "go"));
+    let mut writer = writer(History::open(&path).unwrap());
+    let mut first = inspection(1, Word::Go, "all is well");
+    writer.put(&mut first).unwrap();
+    assert_eq!((first.id, first.verdict), (Some(1), Word::Go));
     // Somebody else holds the file for longer than a writer waits.
     let other = Connection::open(&path).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
     for (verdict, left) in [
-        ("go", "indeterminate"),
-        ("warn", "indeterminate"),
-        ("indeterminate", "indeterminate"),
-        ("no-go", "no-go"),
+        (Word::Go, Word::Indeterminate),
+        (Word::Warn, Word::Indeterminate),
+        (Word::Indeterminate, Word::Indeterminate),
+        (Word::NoGo, Word::NoGo),
     ] {
         let mut check = inspection(2, verdict, "found");
-        keeper.keep(&mut check);
-        assert_eq!((check.id, check.verdict.as_str()), (None, left));
+        writer.put(&mut check).unwrap();
+        assert_eq!((check.id, check.verdict), (None, left));
         assert!(
             check.reason.contains("cannot store the check"),
             "{}",
@@ -159,28 +165,30 @@ fn a_verdict_that_cannot_be_stored_is_no_go() {
         );
     }
     other.execute_batch("COMMIT").unwrap();
-    let mut again = inspection(3, "go", "all is well");
-    keeper.keep(&mut again);
-    assert_eq!((again.id, again.verdict.as_str()), (Some(2), "go"));
+    let mut again = inspection(3, Word::Go, "all is well");
+    writer.put(&mut again).unwrap();
+    assert_eq!((again.id, again.verdict), (Some(2), Word::Go));
 }
 
 #[test]
 fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut keeper = keeper(History::open(&path).unwrap());
+    let mut writer = writer(History::open(&path).unwrap());
     let mut stored = Vec::new();
-    for (number, verdict) in (1..).zip(["go", "no-go", "indeterminate", "go", "go", "go", "warn"]) {
+    for (number, verdict) in
+        (1..).zip(["go", "no-go", "indeterminate", "go", "go", "go", "warn"].map(word))
+    {
         let mut check = inspection(number, verdict, "");
         stored.push((check.phasors[0].clone(), verdict));
-        keeper.keep(&mut check);
+        writer.put(&mut check).unwrap();
         assert!(check.id.is_some());
     }
     let history = History::read(&path).unwrap();
     for (at, (phasors, verdict)) in stored.iter().enumerate() {
         let found = history.phasors(&phasors.blake3, phasors.bytes.len());
         // Seven are stored: those of a go that has three or more after it are gone.
-        let gone = *verdict == "go" && at + 3 < stored.len();
+        let gone = *verdict == Word::Go && at + 3 < stored.len();
         match found {
             Ok(found) => {
                 assert!(!gone, "check {}", at + 1);
@@ -211,15 +219,20 @@ fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
 fn what_is_open_ends_with_an_acknowledgement() {
     let folder = tempfile::tempdir().unwrap();
     let mut history = History::open(&folder.path().join("press.db")).unwrap();
-    for verdict in ["go", "no-go", "go"] {
+    for verdict in ["go", "no-go", "go"].map(word) {
         history.record(&inspection(1, verdict, ""), None).unwrap();
     }
-    assert_eq!(history.open_verdicts("die").unwrap(), ["go", "no-go", "go"]);
+    assert_eq!(
+        history.open_verdicts("die").unwrap(),
+        ["go", "no-go", "go"].map(word)
+    );
     assert!(history.open_verdicts("another die").unwrap().is_empty());
     history.acknowledge("die", "Ada").unwrap();
     assert!(history.open_verdicts("die").unwrap().is_empty());
-    history.record(&inspection(2, "warn", ""), None).unwrap();
-    assert_eq!(history.open_verdicts("die").unwrap(), ["warn"]);
+    history
+        .record(&inspection(2, Word::Warn, ""), None)
+        .unwrap();
+    assert_eq!(history.open_verdicts("die").unwrap(), [Word::Warn]);
     let noted = history.acknowledgements("die").unwrap();
     assert_eq!(
         (noted[0].who.as_str(), noted[0].inspection),
@@ -240,7 +253,7 @@ fn check_at(link: &str, press_cycles: u32) -> Inspection {
     };
     Inspection {
         origin: Origin::new(Some(&setting), head),
-        ..inspection(press_cycles, "go", "all is well")
+        ..inspection(press_cycles, Word::Go, "all is well")
     }
 }
 
@@ -265,13 +278,10 @@ fn simulated_and_real_checks_never_share_a_history() {
         // Already when it is opened, before anything moves.
         assert!(history.takes(other == "qemu").is_err());
         assert!(history.takes(first == "sim").is_ok());
-        let mut keeper = keeper(history);
+        let mut writer = writer(history);
         let mut refused = check_at(other, 3);
-        keeper.keep(&mut refused);
-        assert_eq!(
-            (refused.id, refused.verdict.as_str()),
-            (None, "indeterminate")
-        );
+        writer.put(&mut refused).unwrap();
+        assert_eq!((refused.id, refused.verdict), (None, Word::Indeterminate));
         let reader = History::read(&path).unwrap();
         assert_eq!(reader.checks("die").unwrap().len(), 1);
         let connection = Connection::open(&path).unwrap();
@@ -383,7 +393,7 @@ fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
     unknown(&reader, 1);
     assert_eq!(
         history.open_verdicts("die").unwrap(),
-        ["no-go"],
+        [Word::NoGo],
         "it still stands"
     );
     assert_eq!(history.record(&check_at("sim", 120), None).unwrap(), 2);
@@ -400,4 +410,35 @@ fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
     // Opening it again changes nothing more.
     drop(history);
     unknown(&History::open(&path).unwrap(), 2);
+}
+
+/// What the file says is one of four words and a known reason, or it is not read: nothing is taken for a go.
+#[test]
+fn words_outlive_the_file_and_strange_ones_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (at, verdict) in Word::ALL.into_iter().enumerate() {
+        let path = folder.path().join(format!("{verdict}.db"));
+        let mut history = History::open(&path).unwrap();
+        let mut stored = inspection(1, verdict, "found");
+        stored.features[0].code = Code::ALL.get(at).copied();
+        history.record(&stored, None).unwrap();
+        let checks = history.checks("die").unwrap();
+        assert_eq!(checks[0].verdict, verdict);
+        let flank = &checks[0].flanks[0];
+        assert_eq!(
+            (flank.verdict, flank.code),
+            (verdict, stored.features[0].code)
+        );
+        assert_eq!(history.open_verdicts("die").unwrap(), [verdict]);
+    }
+    let path = folder.path().join("strange.db");
+    Connection::open(&path)
+        .unwrap()
+        .execute_batch(&LAYOUT_1.replace("'no-go', NULL)", "'no-go', 'bewitched')"))
+        .unwrap();
+    let error = History::read(&path).unwrap().checks("die").unwrap_err();
+    assert!(
+        error.to_string().contains("\"bewitched\" is no word"),
+        "{error}"
+    );
 }

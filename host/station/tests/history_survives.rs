@@ -11,7 +11,9 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use flankscope_station::history::{History, Keeper};
+use flankscope_metrology::verdict::Word;
+use flankscope_station::history::{History, HistoryWriter};
+use flankscope_station::sink::ResultSink;
 use inspections::inspection;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -37,11 +39,11 @@ fn store(path: &Path, checks: u32) {
         Ok(history) => history,
         Err(error) => return println!("none could-not-run {error}"),
     };
-    let mut keeper = Keeper::new(history, None, u32::MAX, "tester".into());
+    let mut writer = HistoryWriter::new(history, None, u32::MAX, "tester".into());
     let process = std::process::id();
     for number in 0..checks {
-        let mut check = inspection(number, "go", &format!("{number} of {process}"));
-        keeper.keep(&mut check);
+        let mut check = inspection(number, Word::Go, &format!("{number} of {process}"));
+        writer.put(&mut check).unwrap();
         let id = check.id.map_or_else(|| "none".into(), |id| id.to_string());
         println!("{id} {} {}", check.verdict, check.reason);
         std::io::stdout().flush().unwrap();
@@ -51,7 +53,7 @@ fn store(path: &Path, checks: u32) {
 /// What a storing process said; a line that it did not finish was not said.
 struct Said {
     id: Option<i64>,
-    verdict: String,
+    verdict: Word,
     reason: String,
 }
 
@@ -61,7 +63,7 @@ fn said(text: &str) -> Vec<Said> {
         let mut words = line.splitn(3, ' ');
         Said {
             id: words.next().and_then(|id| id.parse().ok()),
-            verdict: words.next().unwrap().into(),
+            verdict: words.next().unwrap().parse().unwrap_or(Word::Indeterminate),
             reason: words.next().unwrap().into(),
         }
     };
@@ -91,7 +93,7 @@ fn assert_kept(path: &Path, given: &[Said]) {
             (&check.verdict, &check.reason),
             (&said.verdict, &said.reason)
         );
-        let phasors = &inspection(check.press_cycles as u32, "go", "").phasors[0];
+        let phasors = &inspection(check.press_cycles as u32, Word::Go, "").phasors[0];
         let found = history
             .phasors(&phasors.blake3, phasors.bytes.len())
             .unwrap();
@@ -126,7 +128,7 @@ fn a_thousand_kills_lose_no_verdict(folder: &Path) {
                 .unwrap();
             given.extend(said(&text));
         }
-        assert!(given.iter().all(|said| said.verdict == "go"));
+        assert!(given.iter().all(|said| said.verdict == Word::Go));
         if path.exists() {
             // Killed while the file was made, it is empty or not there; it can always be opened.
             drop(History::open(&path).unwrap());
@@ -172,7 +174,7 @@ fn a_full_disk_never_gives_go(folder: &Path) {
         }
         let (go, other): (Vec<Said>, Vec<Said>) = said(&lines.concat())
             .into_iter()
-            .partition(|said| said.verdict == "go");
+            .partition(|said| said.verdict == Word::Go);
         assert!(
             other.iter().all(|said| said.id.is_none()),
             "what is stored is not taken back"

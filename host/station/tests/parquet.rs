@@ -2,6 +2,7 @@
 
 mod inspections;
 
+use flankscope_metrology::verdict::{Code, Word};
 use flankscope_station::history::{History, parquet};
 use flankscope_station::origin::{HeadId, Origin};
 use inspections::inspection;
@@ -12,7 +13,7 @@ use parquet::record::{Field, Row};
 fn every_figure_is_there_and_what_is_missing_is_null() {
     let folder = tempfile::tempdir().unwrap();
     let mut history = History::open(&folder.path().join("press.db")).unwrap();
-    let mut first = inspection(8, "go", "");
+    let mut first = inspection(8, Word::Go, "");
     first.origin = Origin {
         link: Some("sim".into()),
         simulated: Some(true),
@@ -24,10 +25,10 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
         operator: None,
     };
     history.record(&first, None).unwrap();
-    let mut lost = inspection(16, "indeterminate", "");
+    let mut lost = inspection(16, Word::Indeterminate, "");
     lost.features[0].wear_um = None;
     lost.features[0].u95_um = None;
-    lost.features[0].code = Some("not_measured");
+    lost.features[0].code = Some(Code::NotMeasured);
     history.record(&lost, None).unwrap();
     let checks = history.checks("die").unwrap();
 
@@ -60,15 +61,18 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
             ("tool_cycles", Field::Long(check.tool_cycles)),
             ("press_cycles", Field::Long(check.press_cycles)),
             ("baseline", Field::Null),
-            ("check_verdict", text(&check.verdict)),
+            ("check_verdict", text(check.verdict.as_str())),
             ("tooth", Field::Int(flank.tooth as i32)),
             ("flank", text(&flank.flank)),
             ("wear_um", number(flank.wear_um)),
             ("u95_um", number(flank.u95_um)),
             ("warn_um", Field::Double(30.0)),
             ("limit_um", Field::Double(50.0)),
-            ("verdict", text(&flank.verdict)),
-            ("code", flank.code.as_deref().map_or(Field::Null, text)),
+            ("verdict", text(flank.verdict.as_str())),
+            (
+                "code",
+                flank.code.map_or(Field::Null, |code| text(code.word())),
+            ),
             ("link", of(&check.origin.link)),
             (
                 "simulated",

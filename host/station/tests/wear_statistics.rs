@@ -1,6 +1,7 @@
 //! Trend, change and remaining cycles against closed forms, tables and simulated wear.
 
-use flankscope_station::history::{Check, FlankRow, Outlook};
+use flankscope_metrology::verdict::{Code, Word};
+use flankscope_station::history::{Check, FlankRow, Forecast};
 use flankscope_station::history::{LEAST_POINTS, Passage, Point, Series, Trend, changes, series};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -106,17 +107,17 @@ fn a_chip_and_a_new_rate_are_found_where_they_are() {
     let faster = points(80, 5.0, |cycles| {
         0.01 * cycles + 0.05 * (cycles - 200.0).max(0.0) + 0.3 * normal(&mut random)
     });
-    let outlook = Outlook::of(Series {
+    let forecast = Forecast::of(Series {
         tooth: 40,
         flank: "left".into(),
         warn_um: 30.0,
         limit_um: 50.0,
         points: faster,
     });
-    let trend = outlook.trend.unwrap();
+    let trend = forecast.trend.unwrap();
     assert!(
         (trend.rate_um - 0.06).abs() < 0.006,
-        "the line since the change: {outlook:?}"
+        "the line since the change: {forecast:?}"
     );
 }
 
@@ -208,14 +209,14 @@ fn wandering_is_told_from_scatter() {
 
 #[test]
 fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
-    let check = |id, cycles, baseline: Option<&str>, verdict: &str, code: Option<&str>| Check {
+    let check = |id, cycles, baseline: Option<&str>, verdict: Word, code: Option<Code>| Check {
         id,
         at: String::new(),
         tool: "die".into(),
         tool_cycles: cycles,
         press_cycles: cycles,
         baseline: baseline.map(str::to_owned),
-        verdict: verdict.into(),
+        verdict,
         reason: String::new(),
         origin: flankscope_station::origin::Origin::default(),
         flanks: vec![FlankRow {
@@ -225,18 +226,18 @@ fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
             u95_um: Some(1.96),
             warn_um: 30.0,
             limit_um: 50.0,
-            verdict: verdict.into(),
-            code: code.map(str::to_owned),
+            verdict,
+            code,
         }],
     };
     let checks = [
-        check(1, 900, None, "no-go", None),
-        check(2, 0, None, "go", None), // another die
-        check(3, 10, Some("a"), "go", None),
-        check(4, 20, None, "go", None),
-        check(5, 30, None, "indeterminate", Some("undecidable")),
-        check(6, 40, None, "indeterminate", Some("coverage")),
-        check(7, 50, None, "go", None),
+        check(1, 900, None, Word::NoGo, None),
+        check(2, 0, None, Word::Go, None), // another die
+        check(3, 10, Some("a"), Word::Go, None),
+        check(4, 20, None, Word::Go, None),
+        check(5, 30, None, Word::Indeterminate, Some(Code::Undecidable)),
+        check(6, 40, None, Word::Indeterminate, Some(Code::Coverage)),
+        check(7, 50, None, Word::Go, None),
     ];
     let found = series(&checks);
     assert_eq!(found.len(), 1);

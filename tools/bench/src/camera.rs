@@ -11,11 +11,11 @@ use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 
-use flankscope_sim::{Hold, Remote};
-use flankscope_station::capture::{
-    Arm, FrameHeader, FrameLabel, FrameSender, LoanedFrame, Overflow, SealedFrame, SharedRoot,
-    monotonic_ns,
+use flankscope_frames::{
+    FrameHeader, FrameLabel, FrameSender, FrameSink, FrameSlot, Labels, LoanedFrame, Overflow,
+    SealedFrame, SharedRoot, monotonic_ns,
 };
+use flankscope_sim::{Hold, Remote};
 
 use crate::ageing::Ageing;
 use crate::devices::{Exposure, ExposureSink, TruePose};
@@ -137,7 +137,7 @@ pub fn start(
             match FrameSender::open(&root, overflow) {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
-                    Darkroom::new(world, patterns, ageing, fault, sender).run(&queue);
+                    FrameRenderer::new(world, patterns, ageing, fault, sender).run(&queue);
                 }
                 Err(error) => drop(opened_sender.send(Err(error))),
             }
@@ -210,14 +210,13 @@ impl ExposureSink for Camera {
 }
 
 /// What the thread works with.
-struct Darkroom {
+struct FrameRenderer {
     world: World,
     patterns: Vec<PatternSpec>,
     sender: FrameSender,
     views: VecDeque<([u64; 2], ViewState)>,
-    ready: VecDeque<(u32, SealedFrame)>,
-    arm: Option<Arm>,
-    since_arming: u32,
+    ready: VecDeque<(u32, SealedFrame<LoanedFrame>)>,
+    labels: Labels,
     ageing: Ageing,
     /// Strokes of the press so far, and after how many the world's die is.
     cycles: [u32; 2],
@@ -229,7 +228,7 @@ struct Darkroom {
     truth: Truth,
 }
 
-impl Darkroom {
+impl FrameRenderer {
     fn new(
         world: World,
         patterns: Vec<PatternSpec>,
@@ -243,8 +242,7 @@ impl Darkroom {
             sender,
             views: VecDeque::new(),
             ready: VecDeque::new(),
-            arm: None,
-            since_arming: 0,
+            labels: Labels::default(),
             ageing,
             cycles: [0; 2],
             fault,
@@ -328,48 +326,40 @@ impl Darkroom {
     /// Turns an exposure into frames: one, unless the camera misbehaves.
     fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
         if let Some(arm) = self.sender.armed() {
-            self.arm = Some(arm);
-            self.since_arming = 0;
+            self.labels.arm(arm);
             self.captures += 1;
         }
         let struck = |fault: &FrameFault| {
-            fault.frame == self.since_arming && !(fault.once && self.captures > 1)
+            fault.frame == self.labels.exposed() && !(fault.once && self.captures > 1)
         };
         let fault = self.fault.filter(struck).map(|fault| fault.kind);
-        let frame = self.expose(exposure, ended_monotonic_ns);
+        let labelled = self.labels.take();
+        let frame = self.expose(exposure, labelled, ended_monotonic_ns);
         match fault {
             None => self.ready.extend(frame),
             Some(FrameFaultKind::Lose) => {}
             Some(FrameFaultKind::Repeat) => {
                 self.ready.extend(frame);
-                self.since_arming -= 1; // the same label and number once more
-                let again = self.expose(exposure, ended_monotonic_ns);
+                let again = self.expose(exposure, labelled, ended_monotonic_ns);
                 self.ready.extend(again);
             }
             Some(FrameFaultKind::Extra) => {
                 self.ready.extend(frame);
                 self.extra += 1;
-                let extra = self.expose(exposure, ended_monotonic_ns);
+                let labelled = self.labels.take();
+                let extra = self.expose(exposure, labelled, ended_monotonic_ns);
                 self.ready.extend(extra);
             }
         }
     }
 
-    /// Renders an exposure into a slot of the shared memory and labels it.
+    /// Renders an exposure into a slot of the shared memory, under its session and label.
     fn expose(
         &mut self,
         exposure: &Exposure,
+        (session, label): (u32, FrameLabel),
         ended_monotonic_ns: u64,
-    ) -> Option<(u32, SealedFrame)> {
-        let beyond = FrameLabel {
-            view: u16::MAX,
-            ..FrameLabel::default()
-        };
-        let label = self
-            .arm
-            .and_then(|arm| arm.label(self.since_arming))
-            .unwrap_or(beyond);
-        self.since_arming += 1;
+    ) -> Option<(u32, SealedFrame<LoanedFrame>)> {
         let [width, height] = self.world.size_px();
         let frame = match self.sender.loan(width * height, exposure.counter) {
             Ok(frame) => frame,
@@ -379,7 +369,7 @@ impl Darkroom {
             }
         };
         let header = FrameHeader {
-            session: self.arm.unwrap_or_default().session,
+            session,
             counter: exposure.counter + self.extra,
             label,
             width_px: width as u32,

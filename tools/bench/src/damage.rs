@@ -29,9 +29,11 @@ const SHORTEST_MM: f64 = 0.1;
 const LENGTH_RATIO: f64 = 30.0;
 
 /// Numbers drawn for one purpose.
-pub(crate) struct Random(rand_pcg::Pcg64);
+pub struct Random(rand_pcg::Pcg64);
 
 impl Random {
+    /// Those of a seed and a purpose below 64.
+    #[must_use]
     pub fn new(seed: u64, purpose: u64) -> Self {
         Self(rand_pcg::Pcg64::seed_from_u64(
             seed.wrapping_mul(64).wrapping_add(purpose),
@@ -43,6 +45,7 @@ impl Random {
         self.0.random()
     }
 
+    /// Evenly between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }

@@ -3,13 +3,13 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use flankscope_gear_cad::Mesh;
-use flankscope_metrology::io::mesh::{self, MeshError, Unit};
-
+use crate::files::mesh::{self, MeshFileError};
 use crate::world::{DieMesh, MAX_DIE_TRIANGLES, WorldError};
 
 /// Largest file, bytes: text STL of the most triangles takes some 300 bytes for each.
 const MAX_FILE_BYTES: u64 = 4 << 30;
+/// Diagonals of what can be a die, or a part of one, mm.
+const DIAGONAL_MM: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
 /// A PLY header is looked for in so many bytes.
 const HEADER_BYTES: u64 = 1 << 16;
 
@@ -71,7 +71,7 @@ pub enum DieFileError {
         /// The file.
         path: PathBuf,
         /// Cause.
-        cause: MeshError,
+        cause: MeshFileError,
     },
     /// A mesh that cannot stand on the bench.
     #[error("the mesh of the die {}: {cause}", path.display())]
@@ -95,19 +95,29 @@ pub fn load(path: &Path) -> Result<DieMesh, DieFileError> {
             got,
             max: MAX_DIE_TRIANGLES,
         }),
-        _ => match mesh::load(&path, Unit::Mm) {
-            Ok(read) => DieMesh::new(Mesh {
-                vertices: read.vertices,
-                triangles: read.triangles,
-            })
-            .map_err(|cause| DieFileError::World { path, cause }),
-            Err(MeshError::Read(cause)) => Err(DieFileError::Read { path, cause }),
-            Err(
-                MeshError::TooSmall { diagonal_mm, .. } | MeshError::TooLarge { diagonal_mm, .. },
-            ) => Err(DieFileError::Size { path, diagonal_mm }),
-            Err(cause) => Err(DieFileError::Mesh { path, cause }),
-        },
+        _ => {
+            let mesh = match mesh::load(&path, 1.0) {
+                Ok(mesh) => mesh,
+                Err(MeshFileError::Read(cause)) => return Err(DieFileError::Read { path, cause }),
+                Err(cause) => return Err(DieFileError::Mesh { path, cause }),
+            };
+            let diagonal_mm = diagonal_mm(&mesh.vertices);
+            // An overflowed diagonal is infinite, so it is refused here too.
+            if !DIAGONAL_MM.contains(&diagonal_mm) {
+                return Err(DieFileError::Size { path, diagonal_mm });
+            }
+            DieMesh::new(mesh).map_err(|cause| DieFileError::World { path, cause })
+        }
     }
+}
+
+/// Of the bounding box.
+fn diagonal_mm(vertices: &[[f64; 3]]) -> f64 {
+    let sides = [0, 1, 2].map(|axis| {
+        let along = vertices.iter().map(|vertex| vertex[axis]);
+        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+    });
+    sides.iter().map(|side| side * side).sum::<f64>().sqrt()
 }
 
 /// The number of triangles (faces of PLY) that the file's header promises, if it has one; refuses what is too long.

@@ -1,5 +1,7 @@
 //! The simulated physical bench: die with wear, fibre optics, camera, stages, and the truth.
 //!
+//! It shares no reader, formula or type with what decodes, registers and judges: a world that did would prove nothing.
+//!
 //! | module | holds |
 //! |---|---|
 //! | [`devices`] | LED, DMD, camera and stages as the controller sees them, in virtual time |
@@ -10,20 +12,24 @@
 //! | [`zones`] | how far the die is from its drawing where it is judged |
 //! | [`damage`] | random damage, cut into the mesh of a die |
 //! | [`die_file`] | a die from anyone's mesh file |
-//! | [`demo`] | the built-in die and head |
+//! | [`demo`] | what the built-in demo is made of: die, target, tile |
+//! | [`files`] | what tool, head, target and mesh files say, by readers of the bench's own |
+//! | [`specimen`] | what stands before which head, by those files |
+//! | [`config`] | all that a run of the bench can be told |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
-//! | [`study`] | how often the verdict is right, measured on many captures |
 //! | [`process`] | all of it as a process of its own |
 
 pub mod ageing;
 pub mod camera;
+pub mod config;
 pub mod damage;
 pub mod demo;
 pub mod devices;
 pub mod die_file;
+pub mod files;
 pub mod process;
 pub mod qemu;
-pub mod study;
+pub mod specimen;
 pub mod truth;
 pub mod world;
 pub mod zones;

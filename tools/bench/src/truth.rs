@@ -47,6 +47,15 @@ pub struct MeshTruth {
     pub closed: bool,
 }
 
+/// The form of a bore that was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FormTruth {
+    /// Largest minus smallest radius, µm.
+    pub ovality_um: f64,
+    /// Growth of the radius from bottom to top, µm.
+    pub taper_um: f64,
+}
+
 /// A pose at which frames were taken, stage errors included.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseTruth {
@@ -71,6 +80,9 @@ pub struct Truth {
     /// What stood there instead of the CAD.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub die_mesh: Option<MeshTruth>,
+    /// Form of a die that was put down by hand.
+    #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
+    pub form: Option<FormTruth>,
 }
 
 impl Truth {

@@ -86,7 +86,7 @@ pub fn run(root: &Path, peers: Option<&str>) -> Result<(), String> {
         "--release",
         "-q",
         "-p",
-        "flankscope-bench",
+        "flankscope-demo",
         "--example",
         "capture",
     ]);

@@ -20,14 +20,14 @@ const RAM_START: u32 = 0x2000_0000;
 pub const EMULATED_IMAGE: &str =
     "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
 /// Beside it, the one that the bench can make go wrong.
-const DRILL_IMAGE: &str = "flankscope-mps2-an386-drill";
+const FAULT_INJECTION_IMAGE: &str = "flankscope-mps2-an386-fault-injection";
 const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
 struct Board {
     folder: &'static str,
     /// Also built so that the bench can make it go wrong.
-    drills: bool,
+    fault_injection: bool,
     /// Its hardware library has panicking paths of its own: where `core` is compiled anyway, they become traps.
     traps: bool,
 }
@@ -35,12 +35,12 @@ struct Board {
 const BOARDS: [Board; 2] = [
     Board {
         folder: "mps2-an386",
-        drills: true,
+        fault_injection: true,
         traps: false,
     },
     Board {
         folder: "nucleo-h743zi",
-        drills: false,
+        fault_injection: false,
         traps: true,
     },
 ];
@@ -57,9 +57,9 @@ pub fn build(root: &Path) -> Result<(), String> {
     let toolchain = toolchain()?;
     let mut broken = Vec::new();
     for board in &BOARDS {
-        if board.drills {
-            let path = compile(root, board, &toolchain, &["--features", "drill"])?;
-            let kept = path.with_file_name(DRILL_IMAGE);
+        if board.fault_injection {
+            let path = compile(root, board, &toolchain, &["--features", "fault-injection"])?;
+            let kept = path.with_file_name(FAULT_INJECTION_IMAGE);
             std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
         }
         let path = compile(root, board, &toolchain, &[])?;

@@ -130,18 +130,18 @@ fn demo() -> Result<(), String> {
 }
 
 fn study(rest: &[&str]) -> Result<(), String> {
-    let bench = [
+    let study = [
         "run",
         "--release",
+        "-p",
+        "flankscope-study",
         "--",
-        "bench",
-        "study",
         "--out",
         "docs/study",
         "--commit",
         &commit(),
     ];
-    run(cargo(&[&bench[..], rest].concat()))
+    run(cargo(&[&study[..], rest].concat()))
 }
 
 /// The commit that is checked out, and whether the sources differ from it.

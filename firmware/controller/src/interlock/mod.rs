@@ -187,8 +187,14 @@ impl Interlock {
         rules::objection::<0>(self.state, &inputs).or(at_rest)
     }
 
-    /// Looks at everything, at `now`.
-    pub fn look(&mut self, now: Timestamp, levels: Levels, head: Head, orders: Orders) -> Change {
+    /// Samples every input, at `now`.
+    pub fn sample_inputs(
+        &mut self,
+        now: Timestamp,
+        levels: Levels,
+        head: Head,
+        orders: Orders,
+    ) -> Change {
         let over = |until: Option<Timestamp>| until.is_some_and(|until| now >= until);
         let expired = Expired {
             disagreement: over(self.disagrees_until),

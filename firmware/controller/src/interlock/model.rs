@@ -5,7 +5,7 @@
 extern crate std;
 
 use super::rules::{Expired, Inputs, Orders, Phase, Position, Rule, State, decide, outputs};
-use crate::drawings;
+use crate::diagrams;
 use flankscope_protocol::Fault;
 use std::{collections::BTreeMap, println, vec::Vec};
 
@@ -343,7 +343,7 @@ fn every_change_of_phase_is_drawn_in_the_readme_and_no_other() {
         Phase::Withdrawing(_) => "Withdrawing",
     };
     let vectors: Vec<Inputs> = inputs().collect();
-    let mut changes = drawings::Changes::new();
+    let mut changes = diagrams::Changes::new();
     for before in states() {
         for input in &vectors {
             let (from, to) = (name(before.phase), name(decide::<0>(before, input).phase));
@@ -353,8 +353,8 @@ fn every_change_of_phase_is_drawn_in_the_readme_and_no_other() {
             }
         }
     }
-    drawings::assert_drawn(
+    diagrams::assert_drawn(
         "interlock",
-        &drawings::mermaid("Locked", ("", &[]), &changes),
+        &diagrams::mermaid("Locked", ("", &[]), &changes),
     );
 }

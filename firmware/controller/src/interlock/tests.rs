@@ -41,19 +41,19 @@ fn ms(ms: u64) -> Timestamp {
 /// Entered at 300 ms, with the head away from its switch.
 fn entered() -> Interlock {
     let mut interlock = Interlock::new(Timing::DEFAULT);
-    interlock.look(ms(0), OPEN, OUT, RELEASE);
-    interlock.look(ms(1), OPEN, OUT, NONE);
+    interlock.sample_inputs(ms(0), OPEN, OUT, RELEASE);
+    interlock.sample_inputs(ms(1), OPEN, OUT, NONE);
     assert!(interlock.outputs().head_clear);
-    interlock.look(ms(200), OPEN, OUT, ENTER);
+    interlock.sample_inputs(ms(200), OPEN, OUT, ENTER);
     assert_eq!(interlock.outputs(), Outputs::default());
     assert_eq!(interlock.deadline(ms(200)), Some(ms(300)));
-    assert!(!interlock.look(ms(299), OPEN, OUT, NONE).entered);
-    assert!(interlock.look(ms(300), OPEN, OUT, NONE).entered);
+    assert!(!interlock.sample_inputs(ms(299), OPEN, OUT, NONE).entered);
+    assert!(interlock.sample_inputs(ms(300), OPEN, OUT, NONE).entered);
     let away = Levels {
         retract_switch: false,
         ..OPEN
     };
-    interlock.look(ms(400), away, IN, NONE);
+    interlock.sample_inputs(ms(400), away, IN, NONE);
     assert!(interlock.outputs().may_enter);
     interlock
 }
@@ -68,22 +68,22 @@ fn one_channel_alone_starts_the_retract_at_once_and_locks() {
             retract_switch: false,
             ..OPEN
         };
-        let change = interlock.look(ms(500), lost, IN, NONE);
+        let change = interlock.sample_inputs(ms(500), lost, IN, NONE);
         assert_eq!(change.fault, Some(Fault::PressNotOpen));
         assert_eq!(change.press_open, Some(false));
         assert!(interlock.outputs().retract);
         // Out again, and well again: still locked, whatever is ordered but a release.
-        interlock.look(ms(900), OPEN, OUT, NONE);
+        interlock.sample_inputs(ms(900), OPEN, OUT, NONE);
         for orders in [NONE, ENTER] {
-            interlock.look(ms(901), OPEN, OUT, orders);
+            interlock.sample_inputs(ms(901), OPEN, OUT, orders);
             assert_eq!(
                 interlock.state().phase,
                 Phase::Locked(Some(Fault::PressNotOpen))
             );
         }
         assert_eq!(interlock.objection(), Some(Fault::PressNotOpen));
-        interlock.look(ms(902), OPEN, OUT, RELEASE);
-        interlock.look(ms(903), OPEN, OUT, NONE);
+        interlock.sample_inputs(ms(902), OPEN, OUT, RELEASE);
+        interlock.sample_inputs(ms(903), OPEN, OUT, NONE);
         assert!(interlock.outputs().head_clear);
     }
 }
@@ -92,8 +92,8 @@ fn one_channel_alone_starts_the_retract_at_once_and_locks() {
 fn channels_may_disagree_for_the_discrepancy_time_and_no_longer() {
     let clear = || {
         let mut interlock = Interlock::new(Timing::DEFAULT);
-        interlock.look(ms(0), OPEN, OUT, RELEASE);
-        interlock.look(ms(1), OPEN, OUT, NONE);
+        interlock.sample_inputs(ms(0), OPEN, OUT, RELEASE);
+        interlock.sample_inputs(ms(1), OPEN, OUT, NONE);
         interlock
     };
     let both = Levels {
@@ -101,15 +101,15 @@ fn channels_may_disagree_for_the_discrepancy_time_and_no_longer() {
         ..OPEN
     };
     let mut brief = clear();
-    brief.look(ms(100), both, OUT, NONE);
+    brief.sample_inputs(ms(100), both, OUT, NONE);
     assert_eq!(brief.deadline(ms(100)), Some(ms(600)));
-    brief.look(ms(599), OPEN, OUT, NONE);
-    brief.look(ms(10_000), OPEN, OUT, NONE);
+    brief.sample_inputs(ms(599), OPEN, OUT, NONE);
+    brief.sample_inputs(ms(10_000), OPEN, OUT, NONE);
     assert!(brief.outputs().head_clear);
 
     let mut long = clear();
-    long.look(ms(100), both, OUT, NONE);
-    let change = long.look(ms(600), both, OUT, NONE);
+    long.sample_inputs(ms(100), both, OUT, NONE);
+    let change = long.sample_inputs(ms(600), both, OUT, NONE);
     assert_eq!(change.fault, Some(Fault::PressSignal));
     assert!(!long.outputs().head_clear);
 }
@@ -125,9 +125,9 @@ fn a_head_that_does_not_come_out_locks_with_head_clear_low() {
         retract: true,
         ..NONE
     };
-    interlock.look(ms(500), away, IN, retract);
+    interlock.sample_inputs(ms(500), away, IN, retract);
     assert_eq!(interlock.deadline(ms(500)), Some(ms(6_500)));
-    let change = interlock.look(ms(6_500), away, IN, retract);
+    let change = interlock.sample_inputs(ms(6_500), away, IN, retract);
     assert_eq!(change.fault, Some(Fault::RetractFailed));
     assert_eq!(interlock.outputs(), Outputs::default());
 }
@@ -142,20 +142,23 @@ fn a_press_held_for_too_long_is_let_go_whatever_the_host_says() {
     };
     assert_eq!(interlock.deadline(ms(400)), Some(ms(60_200)));
     assert_eq!(
-        interlock.look(ms(60_199), away, IN, NONE),
+        interlock.sample_inputs(ms(60_199), away, IN, NONE),
         Change::default()
     );
-    let change = interlock.look(ms(60_200), away, IN, NONE);
+    let change = interlock.sample_inputs(ms(60_200), away, IN, NONE);
     assert_eq!(change.fault, Some(Fault::HoldLimit));
     assert!(interlock.outputs().retract);
     // Said once only, and an order to enter changes nothing.
-    assert_eq!(interlock.look(ms(60_300), away, IN, ENTER).fault, None);
-    interlock.look(ms(61_000), OPEN, OUT, NONE);
+    assert_eq!(
+        interlock.sample_inputs(ms(60_300), away, IN, ENTER).fault,
+        None
+    );
+    interlock.sample_inputs(ms(61_000), OPEN, OUT, NONE);
     assert!(interlock.outputs().head_clear);
     // The next stay has its whole time again.
-    interlock.look(ms(62_000), OPEN, OUT, ENTER);
+    interlock.sample_inputs(ms(62_000), OPEN, OUT, ENTER);
     assert_eq!(interlock.deadline(ms(62_000)), Some(ms(62_100)));
-    assert!(interlock.look(ms(62_100), OPEN, OUT, NONE).entered);
+    assert!(interlock.sample_inputs(ms(62_100), OPEN, OUT, NONE).entered);
     assert_eq!(interlock.deadline(ms(62_100)), Some(ms(122_000)));
 }
 
@@ -167,8 +170,8 @@ fn cycles_are_counted_by_their_rising_edge() {
             cycle: n % 3 == 1,
             ..OPEN
         };
-        interlock.look(ms(n), levels, OUT, NONE);
-        interlock.look(ms(n), levels, OUT, NONE);
+        interlock.sample_inputs(ms(n), levels, OUT, NONE);
+        interlock.sample_inputs(ms(n), levels, OUT, NONE);
     }
     assert_eq!(interlock.cycles(), 3);
 }

@@ -1,4 +1,4 @@
-//! The host's orders, already judged by the desk.
+//! The host's orders, already judged by the command handler.
 
 use super::signals::{Action, Actions, push};
 use super::{Sequence, Step, Then};

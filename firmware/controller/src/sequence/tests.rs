@@ -3,7 +3,7 @@
 extern crate std;
 
 use super::*;
-use crate::drawings;
+use crate::diagrams;
 use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
 
 use flankscope_protocol::{FringeSet, Timeouts};
@@ -809,7 +809,7 @@ fn an_unsafe_press_darkens_and_retracts_in_the_same_step_at_every_step() {
 }
 
 /// Every change of state in captures that are disturbed in every way at every step, with what causes it.
-fn every_change() -> drawings::Changes {
+fn every_change() -> diagrams::Changes {
     let orders: [fn(&mut Sequence, Timestamp, &mut Actions); 4] = [
         Sequence::abort,
         Sequence::retract,
@@ -837,7 +837,7 @@ fn every_change() -> drawings::Changes {
             rigs.push(rig.clone());
         }
     }
-    let mut changes = drawings::Changes::new();
+    let mut changes = diagrams::Changes::new();
     let mut note = |rig: &Rig| {
         for event in rig.events() {
             if let Event::StateChanged {
@@ -859,7 +859,7 @@ fn every_change() -> drawings::Changes {
     for rig in &rigs {
         note(rig);
         for order in orders {
-            // The desk judges an order before it comes here: homing only at rest.
+            // The command handler judges an order before it comes here: homing only at rest.
             let busy = !matches!(
                 rig.sequence.state(),
                 State::Unhomed | State::Ready | State::Faulted
@@ -901,6 +901,6 @@ fn every_change_of_state_is_drawn_in_the_readme_and_no_other() {
         "Capturing",
         "Darkening",
     ];
-    let diagram = drawings::mermaid("Unhomed", ("Capture", &capture), &every_change());
-    drawings::assert_drawn("sequence", &diagram);
+    let diagram = diagrams::mermaid("Unhomed", ("Capture", &capture), &every_change());
+    diagrams::assert_drawn("sequence", &diagram);
 }

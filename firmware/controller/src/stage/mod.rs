@@ -7,9 +7,9 @@
 pub mod decimal;
 pub mod esp301;
 
+use crate::liveness::Task;
 use crate::run::Mailboxes;
 use crate::sequence::Input;
-use crate::vitals::Task;
 use core::pin::pin;
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer, with_timeout};
@@ -122,11 +122,11 @@ pub async fn run(mut stage: impl Stage, mail: &Mailboxes) -> ! {
             Some(request) => request,
             None => {
                 let next = next_request(&mut stage, at_view.take(), mail);
-                mail.vitals.alive(Task::Stage, next).await
+                mail.liveness.alive(Task::Stage, next).await
             }
         };
         // Every question has a time limit of its own, so this ends.
-        let started = mail.vitals.alive(Task::Stage, stage.start(request)).await;
+        let started = mail.liveness.alive(Task::Stage, stage.start(request)).await;
         let mut outcome = started.map(|()| None);
         let overtaken = loop {
             match outcome {
@@ -143,7 +143,7 @@ pub async fn run(mut stage: impl Stage, mail: &Mailboxes) -> ! {
                     });
                 }
                 Either::Second(()) => {
-                    outcome = mail.vitals.alive(Task::Stage, stage.standing()).await;
+                    outcome = mail.liveness.alive(Task::Stage, stage.standing()).await;
                 }
             }
         };
@@ -153,7 +153,7 @@ pub async fn run(mut stage: impl Stage, mail: &Mailboxes) -> ! {
                 outcome: overtaken,
             };
             let sent = mail.stage_reports.send(report);
-            mail.vitals.alive(Task::Stage, sent).await;
+            mail.liveness.alive(Task::Stage, sent).await;
             if let (StageRequest::Move { .. }, Ok(pose)) = (request, overtaken) {
                 at_view = Some((ticket, pose));
             }

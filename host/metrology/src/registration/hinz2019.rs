@@ -16,7 +16,7 @@ use crate::surface::sampling::{Region, centre_of_mass};
 
 /// The article's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PaperOptions {
+pub struct Hinz2019Options {
     /// Number of reference points in the window.
     pub samples: usize,
     /// Seed of the reference points.
@@ -37,7 +37,7 @@ pub struct PaperOptions {
     pub most_rms_mm: f64,
 }
 
-impl Default for PaperOptions {
+impl Default for Hinz2019Options {
     fn default() -> Self {
         Self {
             samples: 100_000,
@@ -61,7 +61,7 @@ pub struct PaperReference {
 
 impl PaperReference {
     /// Draws the points in the window about `centre` (tool coordinates, mm); none when no surface is there.
-    pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &PaperOptions) -> Option<Self> {
+    pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &Hinz2019Options) -> Option<Self> {
         let region = &options.region;
         let points = region.sample(centre, mesh, options.samples, options.seed);
         let points = points.ok()?;
@@ -95,11 +95,11 @@ impl PaperReference {
 
 /// Lays finite `points` (mm) on random points of the mesh as the article does. Returns these points too, unless nothing of
 /// the mesh is where the cloud starts.
-pub fn register_paper(
+pub fn register_hinz2019(
     mesh: &TriMesh,
     points: &[[f64; 3]],
     initial: &Rigid<Tool, Cloud>,
-    options: &PaperOptions,
+    options: &Hinz2019Options,
 ) -> (Registration, Option<PaperReference>) {
     let refused = |reason| Registration::refused(*initial, reason);
     let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
@@ -131,7 +131,7 @@ fn settle(
     points: &[[f64; 3]],
     mut result: Registration,
     centre: [f64; 3],
-    options: &PaperOptions,
+    options: &Hinz2019Options,
 ) -> Registration {
     let kept = ((points.len() as f64 * options.inlier_ratio) as usize).max(3);
     let mut pose = result.tool_from_cloud;

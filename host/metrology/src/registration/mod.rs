@@ -14,7 +14,7 @@ mod response;
 mod solve;
 pub mod stretch;
 
-pub use hinz2019::{PaperOptions, PaperReference, register_paper};
+pub use hinz2019::{Hinz2019Options, PaperReference, register_hinz2019};
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;
@@ -175,24 +175,6 @@ pub enum Reason {
     /// The prior's covariance is none.
     #[error("the prior's covariance is not positive definite")]
     BadPrior,
-}
-
-impl Reason {
-    /// A short stable name for files and reports.
-    pub fn code(&self) -> &'static str {
-        match self {
-            Self::TooFewPoints { .. } => "too_few_points",
-            Self::NotFinite { .. } => "not_finite",
-            Self::SigmaCount { .. } => "sigma_count",
-            Self::Disjoint { .. } => "disjoint",
-            Self::TooFewInliers { .. } => "too_few_inliers",
-            Self::NotConverged { .. } => "not_converged",
-            Self::Unconstrained { .. } => "unconstrained",
-            Self::AmbiguousTooth { .. } => "ambiguous_tooth",
-            Self::PriorViolated { .. } => "prior_violated",
-            Self::BadPrior => "bad_prior",
-        }
-    }
 }
 
 /// A direction that the points do not fix well.

@@ -1,6 +1,10 @@
 //! The tool file: which CAD, which gear, what to inspect, which limits.
 
+mod as_built;
+
 use std::path::{Path, PathBuf};
+
+pub use as_built::AsBuiltError;
 
 use crate::gear::{Flank, GearData, GearError};
 use crate::io::mesh::{self, MeshError, TriMesh, Unit};
@@ -41,6 +45,8 @@ pub struct Tool {
     pub gear: Option<GearData>,
     /// What to inspect.
     pub inspect: Option<Inspect>,
+    /// Standard uncertainty of a flank's form as built, µm; none when nothing is said of it.
+    pub as_built_um: Option<f64>,
     /// How it grows with temperature; without it, it is taken to be measured at the temperature of its CAD.
     pub temperature: Option<Temperature>,
 }
@@ -105,6 +111,12 @@ pub struct Inspect {
     /// verdicts against CAD say so.
     #[serde(default)]
     pub as_built_um: Option<f64>,
+    /// Instead of [`Self::as_built_um`]: the class of ISO 1328-1 that the die keeps.
+    #[serde(default)]
+    pub as_built_class: Option<u32>,
+    /// Instead of [`Self::as_built_um`]: the JSON of a scan of the die when it was new, relative to the tool file.
+    #[serde(default)]
+    pub as_built_scan: Option<PathBuf>,
     /// Thickest film of oil or spray that may lie on a flank, micrometres.
     #[serde(default)]
     pub film_um: f64,
@@ -322,6 +334,16 @@ pub enum ToolError {
         /// Cause.
         source: MeshError,
     },
+    /// The scan of the new die is unusable.
+    #[error("cannot use {} (inspect.as_built_scan in {}): {source}", scan.display(), path.display())]
+    AsBuilt {
+        /// The tool file.
+        path: PathBuf,
+        /// The scan's JSON.
+        scan: PathBuf,
+        /// Cause.
+        source: AsBuiltError,
+    },
     /// The mesh repeats another number of times than the gear has teeth.
     #[error("{}: gear.teeth = {stated}, but the CAD mesh repeats {found} times about z", path.display())]
     Teeth {
@@ -379,6 +401,10 @@ impl Tool {
         if let Some(gear) = &file.gear {
             check_against_mesh(&path, gear, &mesh, &surface)?;
         }
+        let as_built_um = match &file.inspect {
+            Some(inspect) => as_built::as_built_um(&path, file.gear.as_ref(), inspect)?,
+            None => None,
+        };
         Ok(Self {
             name: file.name,
             path,
@@ -387,6 +413,7 @@ impl Tool {
             surface,
             gear: file.gear,
             inspect: file.inspect,
+            as_built_um,
             temperature: file.temperature,
         })
     }
@@ -451,7 +478,7 @@ impl Tool {
             area_mm2: inspect.map_or(defaults.area_mm2, |i| i.wear_area_mm2),
             hidden_depth_mm: inspect
                 .map_or(defaults.hidden_depth_mm, |i| 1e-3 * i.hidden_depth_um()),
-            as_built_mm: 1e-3 * inspect.and_then(|i| i.as_built_um).unwrap_or(0.0),
+            as_built_mm: 1e-3 * self.as_built_um.unwrap_or(0.0),
             film_mm: 1e-3 * inspect.map_or(0.0, |i| i.film_um),
             calibration_mm: stated_um.map_or(defaults.calibration_mm, |um| 1e-3 * um),
             drift_mm: 1e-3

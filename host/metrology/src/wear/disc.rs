@@ -56,6 +56,8 @@ pub(super) struct Discs<'a> {
     /// Samples by cell: `order[start[i]..start[i + 1]]`.
     order: Vec<u32>,
     start: Vec<u32>,
+    /// Share of each measured cell that was not seen, where that is known.
+    unseen: Option<&'a [f64]>,
     radius_mm: f64,
 }
 
@@ -85,8 +87,14 @@ impl<'a> Discs<'a> {
             samples,
             order,
             start,
+            unseen: None,
             radius_mm: radius_mm(area_mm2),
         }
+    }
+
+    /// The same with what is known of the share of each measured cell that was not seen.
+    pub fn with_unseen(self, unseen: Option<&'a [f64]>) -> Self {
+        Self { unseen, ..self }
     }
 
     /// The samples of a cell.
@@ -390,8 +398,8 @@ impl<'a> Discs<'a> {
         })
     }
 
-    /// The largest mean loss that any disc with unmeasured cells can have when those lost what `of_hole` says of each, mm; none
-    /// when every disc was measured whole.
+    /// The largest mean loss that any disc with unseen parts can have when those lost what `of_hole` says of each cell, if that
+    /// is more than was seen, mm; none when every disc was seen whole.
     fn with_holes(&self, of_hole: impl Fn(usize) -> f64) -> Option<f64> {
         let (kernel, middles) = (self.kernel(), self.middles());
         let mut worst: Option<f64> = None;
@@ -407,7 +415,9 @@ impl<'a> Discs<'a> {
                 let cell = y as usize * self.field.columns + x as usize;
                 let wear = self.field.wear_mm[cell];
                 if wear.is_finite() {
-                    sum += share * wear;
+                    let hidden = self.unseen.map_or(0.0, |unseen| share * unseen[cell]);
+                    unseen += hidden;
+                    sum += share * wear + hidden * (of_hole(cell) - wear).max(0.0);
                 } else {
                     unseen += share;
                     sum += share * of_hole(cell);
@@ -420,8 +430,8 @@ impl<'a> Discs<'a> {
         worst
     }
 
-    /// The largest mean loss that any disc can have when every cell without points lost `depth_mm`, mm; none when every disc
-    /// was measured whole.
+    /// The largest mean loss that any disc can have when whatever was not seen lost `depth_mm`, mm; none when every disc was
+    /// seen whole.
     pub fn hidden_mm(&self, depth_mm: f64) -> Option<f64> {
         self.with_holes(|_| depth_mm)
     }
@@ -431,6 +441,12 @@ impl<'a> Discs<'a> {
         let field = self.field;
         let holes = field.groups(|i| !field.wear_mm[i].is_finite());
         let mut depth = vec![0.0_f64; field.wear_mm.len()];
+        for (i, depth) in depth.iter_mut().enumerate() {
+            *depth = field
+                .around(i)
+                .map(|c| field.wear_mm[c])
+                .fold(0.0, f64::max);
+        }
         for hole in holes {
             let rim = hole.iter().flat_map(|&i| field.around(i));
             // f64::max passes over the cells of the hole itself.

@@ -41,6 +41,13 @@ pub struct Mismatch {
 
 /// Fewer second differences tell nothing about noise.
 const LEAST_DIFFERENCES: usize = 8;
+/// A cell counts as a groove beyond so many standard deviations of noise: of the five thousand pairs of neighbours in a zone
+/// none passes by chance.
+const GROOVE_SIGMAS: f64 = 5.0;
+/// Cells from the deepest cell of a groove of at most two to a cell beside it.
+const GROOVE_SIDE: isize = 3;
+/// All that an opening with an unseen floor reads lies on its far wall: in one cell, or in two where that is their border.
+const MOST_GROOVE_CELLS: f64 = 2.0;
 /// Standard deviation of a normal variable over the median of its size.
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
 
@@ -130,6 +137,81 @@ impl Field {
             return 1.0;
         }
         (SIGMA_PER_MEDIAN * median(sizes)).max(1.0)
+    }
+
+    /// Share of each cell that an opening with an unseen floor may take up.
+    ///
+    /// An opening too narrow for the camera to see its floor reads as a shallow groove: of width `w`, seen at an angle to the
+    /// normal whose tangent is `slant`, its wall shows down to `w / slant`, and over cells of width `b` that reads
+    /// `w² / (2 slant b)` in all. So a groove of one or two cells' width that reads `r` in all may be as wide as
+    /// `√(2 r slant b)`, and nothing says how deep. In a wider one the rays tell (see `sight.rs`).
+    ///
+    /// `noise_scale` says how many times larger than stated the cells' noise is.
+    pub(super) fn groove_shares(&self, slant: f64, noise_scale: f64) -> Vec<f64> {
+        let width_mm = self.cell_area_mm2().sqrt();
+        let mut shares = vec![0.0_f64; self.wear_mm.len()];
+        for cell in 0..self.wear_mm.len() {
+            for step in [[1, 0], [0, 1], [1, 1], [1, -1]] {
+                if let Some((run, read_mm)) = self.groove(cell, step, noise_scale) {
+                    let share = (2.0 * read_mm * slant / width_mm).sqrt() / run.len() as f64;
+                    for of in run {
+                        shares[of] = shares[of].max(share.min(1.0));
+                    }
+                }
+            }
+        }
+        shares
+    }
+
+    /// Width of the widest opening with an unseen floor that noise hides where `cell` is, mm: it reads no more than what counts
+    /// as a groove.
+    pub(super) fn unseen_groove_mm(&self, cell: usize, slant: f64, noise_scale: f64) -> f64 {
+        let noise_mm = noise_scale * (2.0 * self.variance_mm2[cell]).sqrt();
+        let read_mm2 = GROOVE_SIGMAS * noise_mm * self.cell_area_mm2().sqrt();
+        (2.0 * read_mm2 * slant).sqrt()
+    }
+
+    /// The groove across which `cell` is the deepest going by `step`: its cells, one or two, and their depth in all below what
+    /// lies on either side of it, mm. None where there is none, or a wider one, or a step from one level to another.
+    fn groove(
+        &self,
+        cell: usize,
+        [across, up]: [isize; 2],
+        noise_scale: f64,
+    ) -> Option<(Vec<usize>, f64)> {
+        let at = |steps: isize| {
+            let column = (cell % self.columns).checked_add_signed(steps * across)?;
+            let row = (cell / self.columns).checked_add_signed(steps * up)?;
+            let there = row * self.columns + column;
+            (column < self.columns && row < self.rows && self.wear_mm[there].is_finite())
+                .then_some(there)
+        };
+        // Beyond a groove of two cells wherever it lies; near the zone's rim the last cell that there is, but not slantwise, where
+        // a corner would cut a wider groove in two.
+        let nearest = if across * up == 0 { 1 } else { GROOVE_SIDE };
+        let side = |sign: isize| (nearest..=GROOVE_SIDE).rev().find_map(|k| at(sign * k));
+        let (before, behind) = (side(-1)?, side(1)?);
+        let [low, level_mm] = {
+            let [a, b] = [before, behind].map(|c| self.wear_mm[c]);
+            [a.min(b), a.max(b)]
+        };
+        let depth_mm = self.wear_mm[cell] - level_mm;
+        let beside_mm2 = self.variance_mm2[before].max(self.variance_mm2[behind]);
+        let noise_mm = noise_scale * (self.variance_mm2[cell] + beside_mm2).sqrt();
+        // Written so that a NaN is none. Beside a step there is a ripple; what its wall hides the rays tell.
+        if !(depth_mm > GROOVE_SIGMAS * noise_mm && depth_mm > level_mm - low) {
+            return None;
+        }
+        let within: Vec<(usize, f64)> = (1 - GROOVE_SIDE..GROOVE_SIDE)
+            .filter_map(at)
+            .map(|c| (c, (self.wear_mm[c] - level_mm).max(0.0)))
+            .collect();
+        let read_mm: f64 = within.iter().map(|(_, mm)| mm).sum();
+        let deepest = within.iter().all(|(_, mm)| *mm <= depth_mm);
+        (deepest && read_mm <= MOST_GROOVE_CELLS * depth_mm).then(|| {
+            let most = within.iter().filter(|(_, mm)| *mm > 0.5 * depth_mm);
+            (most.map(|(c, _)| *c).collect(), read_mm)
+        })
     }
 
     /// The cells that share a side or a corner with a cell.
@@ -228,6 +310,86 @@ mod tests {
         }
         let found = rough.noise_scale();
         assert!((found - 4.0).abs() < 0.5, "{found}");
+    }
+
+    const SLANT: f64 = 1.7;
+
+    /// Cells of 0.1 mm along the height as a camera sees them that looks along x: rays to a plane with an opening in it, each
+    /// followed to the opening's far wall or floor, and its depth counted where that lies.
+    fn seen_through(opening_mm: [f64; 2], depth_mm: f64, with_noise: bool) -> Field {
+        let [from, to] = opening_mm;
+        let mut sums = [(0.0, 0.0); 16];
+        for ray in 0..16_000 {
+            let x = 1e-4 * (f64::from(ray) + 0.5);
+            let (foot, depth) = if !(from..to).contains(&x) {
+                (x, 0.0)
+            } else if (to - x) / SLANT < depth_mm {
+                (to - 1e-9, (to - x) / SLANT)
+            } else {
+                (x + depth_mm * SLANT, depth_mm)
+            };
+            let sum = &mut sums[(foot / 0.1) as usize];
+            *sum = (sum.0 + depth, sum.1 + 1.0);
+        }
+        let mut field = field(|x, _| sums[x as usize].0 / f64::max(sums[x as usize].1, 1.0));
+        if !with_noise {
+            for (i, wear) in field.wear_mm.iter_mut().enumerate() {
+                *wear = sums[i % 16].0 / f64::max(sums[i % 16].1, 1.0);
+            }
+        }
+        field
+    }
+
+    #[test]
+    fn an_opening_with_an_unseen_floor_is_found_as_wide_as_it_is() {
+        for (width_mm, offset_mm) in [
+            (0.03, 0.01),
+            (0.05, 0.02),
+            (0.08, 0.005),
+            (0.08, 0.06),
+            (0.1, 0.0),
+            (0.1, 0.05),
+        ] {
+            let from = 0.7 + offset_mm;
+            let field = seen_through([from, from + width_mm], 1.0, true);
+            let shares = field.groove_shares(SLANT, 1.0);
+            let row: f64 = shares[16 * 40..16 * 41].iter().sum();
+            // Across the border of two cells up to twice as many points share what the opening reads.
+            assert!(
+                0.1 * row > 0.7 * width_mm && 0.1 * row < 1.02 * width_mm,
+                "{width_mm} at {offset_mm}: {}",
+                0.1 * row
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_seen_to_its_floor_is_no_opening() {
+        // A scratch three cells wide, a slope, a step, a flat flank, a bowl.
+        let scratch = seen_through([0.65, 0.95], 0.02, true);
+        let shapes = [
+            scratch,
+            field(|x, _| 0.004 * x),
+            field(|_, y| if y > 40.0 { 0.2 } else { 0.0 }),
+            field(|_, _| 0.0),
+            field(|x, y| (0.05 - 2e-3 * ((x - 8.0).powi(2) + (y - 40.0).powi(2))).max(0.0)),
+        ];
+        for (k, shape) in shapes.iter().enumerate() {
+            let shares = shape.groove_shares(SLANT, 1.0);
+            let found = shares.iter().position(|&share| share > 0.0);
+            assert_eq!(
+                found.map(|at| (at % 16, at / 16)),
+                None,
+                "{k}: {:?}",
+                &shape.wear_mm[..16]
+            );
+        }
+        // But where the noise is larger than what it reads, nothing is said: that is what `unseen_groove_mm` is for.
+        let mut loud = seen_through([0.72, 0.75], 1.0, false);
+        let read_mm = loud.wear_mm.iter().copied().fold(0.0, f64::max);
+        loud.variance_mm2.fill((0.2 * read_mm).powi(2));
+        assert!(loud.groove_shares(SLANT, 1.0).iter().all(|&s| s == 0.0));
+        assert!(loud.unseen_groove_mm(0, SLANT, 1.0) > 0.03);
     }
 
     #[test]

@@ -60,10 +60,13 @@ pub struct Figures {
     pub in_holes_mm: f64,
 }
 
-/// Evaluates the points of a zone; `field` holds their cells. None when nothing was measured or no disc fits.
+/// Evaluates the points of a zone; `field` holds their cells, `scale` says how many times larger than stated their noise is,
+/// `unseen` what share of each measured one was not seen. None when nothing was measured or no disc fits.
 pub(super) fn evaluate(
     field: &Field,
     samples: &[Sample],
+    scale: f64,
+    unseen: Option<&[f64]>,
     settings: &Settings,
     systematic_mm: f64,
 ) -> Option<Figures> {
@@ -71,8 +74,7 @@ pub(super) fn evaluate(
     if measured.is_empty() {
         return None;
     }
-    let scale = field.noise_scale();
-    let discs = Discs::new(field, samples, settings.area_mm2);
+    let discs = Discs::new(field, samples, settings.area_mm2).with_unseen(unseen);
     let [loss, proud] = discs.largest(scale)?;
 
     let n = measured.len() as f64;

@@ -11,6 +11,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
 use super::field::{Field, Sample, median};
+use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, Settings, Zone, places};
 use crate::gear::{Flank, FlankPlace, GearData};
 
@@ -40,6 +41,10 @@ pub struct FlankView {
     pub on: Vec<FlankPoint>,
     /// Points in the material whose nearest surface is the tip's land: where the edge is worn away.
     pub under: Vec<FlankPoint>,
+    /// Where rays of the view meet the flank on the CAD; their wear and uncertainty are zero.
+    pub rays: Vec<FlankPoint>,
+    /// Mean tangent of the angle between the view's rays and the flank's normal.
+    pub slant: f64,
 }
 
 impl FlankView {
@@ -48,8 +53,8 @@ impl FlankView {
         let band = TipBand::new(gear);
         let mut flanks: BTreeMap<(u32, Flank), Self> = BTreeMap::new();
         let points = measured.points.iter().zip(measured.closest);
-        for (i, ((point, closest), place)) in points.zip(places(gear, measured.closest)).enumerate()
-        {
+        let places = places(gear, measured.closest);
+        for (i, ((point, closest), &place)) in points.zip(&places).enumerate() {
             let sigma_mm = measured.sigma_mm.and_then(|s| s.get(i)).copied();
             let kept = |place: &FlankPlace, wear_mm: f64| FlankPoint {
                 profile_mm: place.profile_mm as f32,
@@ -61,12 +66,26 @@ impl FlankView {
                 let wear_mm = -closest.signed_distance_mm;
                 if wear_mm.is_finite() {
                     let seen = flanks.entry((place.tooth, place.flank)).or_default();
+                    let slant = measured.sight.map_or(0.0, |s| s.slant(*point, closest));
+                    let count = seen.on.len() as f64;
+                    seen.slant = (count * seen.slant + slant) / (count + 1.0);
                     seen.on.push(kept(&place, wear_mm));
                 }
             } else if let Some(under) = UnderEdge::of(gear, *point) {
                 let (place, wear_mm) = band.place_under(gear, &under);
                 let seen = flanks.entry((under.tooth, under.flank)).or_default();
                 seen.under.push(kept(&place, wear_mm));
+            }
+        }
+        if let Some(sight) = measured.sight {
+            for place in sight.ray_places(gear, measured, &places) {
+                let seen = flanks.entry((place.tooth, place.flank)).or_default();
+                seen.rays.push(FlankPoint {
+                    profile_mm: place.profile_mm as f32,
+                    height_mm: place.height_mm as f32,
+                    wear_mm: 0.0,
+                    sigma_mm: 0.0,
+                });
             }
         }
         flanks
@@ -91,6 +110,7 @@ pub struct Gathered<'a> {
     key: (u32, Flank),
     empty: Field,
     parts: Vec<Part>,
+    visibility: Option<Visibility>,
     edge: TipBand,
     profile_from_mm: f64,
     points: usize,
@@ -111,6 +131,7 @@ impl<'a> Gathered<'a> {
             key,
             parts: vec![Part::default(); PARTS * PARTS * empty.wear_mm.len()],
             empty,
+            visibility: None,
             edge: TipBand::new(gear),
             profile_from_mm,
             points: 0,
@@ -151,10 +172,40 @@ impl<'a> Gathered<'a> {
             }
             self.points += 1;
         }
+        if !seen.rays.is_empty() {
+            self.count(seen, motion);
+        }
         for point in &seen.under {
             if let Some((place, wear_mm, _)) = self.moved(point, motion) {
                 self.edge.add(&place, wear_mm);
             }
+        }
+    }
+
+    /// Counts a view's rays and points by cells.
+    fn count(&mut self, seen: &FlankView, motion: &Isometry3<f64>) {
+        let mut counts = RayCounts::new(self.empty.wear_mm.len());
+        counts.slant = seen.slant;
+        for (of, into) in [
+            (&seen.rays, &mut counts.rays),
+            (&seen.on, &mut counts.points),
+        ] {
+            for point in of {
+                let place = self.moved(point, motion).map(|(place, ..)| place);
+                if let Some(place) = place
+                    && let Some(cell) = self.empty.cell_at([
+                        place.profile_mm - self.profile_from_mm,
+                        place.height_mm - self.zone.height_mm[0],
+                    ])
+                {
+                    into[cell] += 1;
+                }
+            }
+        }
+        let view = Visibility::of(&counts, &self.empty);
+        match &mut self.visibility {
+            Some(all) => all.add(&view),
+            None => self.visibility = Some(view),
         }
     }
 
@@ -211,7 +262,14 @@ impl<'a> Gathered<'a> {
             variance_mm2: part.variance / (part.weight * part.weight),
         });
         let samples = samples.collect();
-        let mut wear = FlankWear::new(self.key, self.empty, samples, registration_mm, settings);
+        let mut wear = FlankWear::new(
+            self.key,
+            self.empty,
+            samples,
+            self.visibility,
+            registration_mm,
+            settings,
+        );
         wear.points = self.points;
         // All flanks of a die together would not fit into memory with them.
         wear.samples = Vec::new();
@@ -267,7 +325,7 @@ mod tests {
             .collect();
         FlankView {
             on,
-            under: Vec::new(),
+            ..FlankView::default()
         }
     }
 

@@ -20,6 +20,7 @@ mod figures;
 mod gather;
 pub mod leakage;
 mod shared;
+mod sight;
 
 use std::sync::Arc;
 
@@ -33,6 +34,8 @@ use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
+pub use sight::Sight;
+use sight::{RayCounts, Visibility};
 
 use crate::gear::{Flank, FlankPlace, GearData};
 use crate::registration::Registration;
@@ -121,6 +124,8 @@ pub struct Measured<'a> {
     pub closest: &'a [Closest],
     /// Their standard uncertainties, mm; without them the scatter inside the cells is used.
     pub sigma_mm: Option<&'a [f32]>,
+    /// The camera that saw them; without it only a cell without any point counts as not seen.
+    pub sight: Option<Sight<'a>>,
 }
 
 /// Wear of one flank. Positive is loss. A flank without measured cells has NaN figures and coverage 0, which no verdict
@@ -157,13 +162,15 @@ pub struct FlankWear {
     /// Where the uncertainty comes from.
     pub budget: Budget,
     /// What acts on the flank beside the points, where it is known.
-    pub influence: Option<Influence>,
+    pub influence: Option<PoseSensitivity>,
     /// The cells.
     pub field: Field,
     /// What the pose leaves open of a turn about the axis, where it is known.
     pub turn: Option<Turn>,
     /// The points.
     samples: Vec<Sample>,
+    /// How well the cells were seen, where the rays are known.
+    visibility: Option<Visibility>,
     /// What the view of each capture said of its pose about the axis.
     evidence: Vec<Arc<PoseEvidence>>,
     /// Whether it is the difference to a baseline.
@@ -199,7 +206,7 @@ pub const COVERAGE_95: f64 = 1.96;
 
 /// What acts on a flank beside the points: from the fit and the thermometer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Influence {
+pub struct PoseSensitivity {
     /// Leakage of the pose.
     pub leakage: Leakage,
     /// What the view says of its own pose about the axis.
@@ -220,6 +227,7 @@ struct Grid {
     profile_from_mm: f64,
     empty: Field,
     samples: Vec<Sample>,
+    counts: Option<RayCounts>,
     /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
     motions: Vec<(Vector6<f64>, u32)>,
     edge: edge::TipBand,
@@ -274,6 +282,7 @@ pub fn evaluate_placed(
             profile_from_mm,
             empty: empty.clone(),
             samples: Vec::new(),
+            counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
             motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
             edge: edge::TipBand::new(gear),
         })
@@ -309,6 +318,11 @@ pub fn evaluate_placed(
         let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
         };
+        if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
+            counts.points[cell] += 1;
+            // Their sum, until all are known.
+            counts.slant += sight.slant(*point, closest);
+        }
         let sigma = measured
             .sigma_mm
             .and_then(|s| s.get(index))
@@ -323,6 +337,26 @@ pub fn evaluate_placed(
         let (sum, count) = &mut grid.motions[cell];
         *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
         *count += 1;
+    }
+    let rays = measured
+        .sight
+        .map(|sight| sight.ray_places(gear, measured, places));
+    for place in rays.iter().flatten() {
+        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
+        if let Some(grid) = grids.iter_mut().find(wanted)
+            && let Some(cell) = grid.empty.cell_at([
+                place.profile_mm - grid.profile_from_mm,
+                place.height_mm - zone.height_mm[0],
+            ])
+            && let Some(counts) = &mut grid.counts
+        {
+            counts.rays[cell] += 1;
+        }
+    }
+    for grid in &mut grids {
+        if let Some(counts) = &mut grid.counts {
+            counts.slant /= grid.samples.len().max(1) as f64;
+        }
     }
     grids
         .into_par_iter()
@@ -354,10 +388,14 @@ impl Grid {
                 .fold(0.0, f64::max)
                 .sqrt()
         });
+        let visibility = self
+            .counts
+            .map(|counts| Visibility::of(&counts, &self.empty));
         let mut wear = FlankWear::new(
             (self.tooth, self.flank),
             self.empty,
             self.samples,
+            visibility,
             registration_mm,
             settings,
         );
@@ -374,6 +412,7 @@ impl FlankWear {
         (tooth, flank): (u32, Flank),
         empty: Field,
         mut samples: Vec<Sample>,
+        visibility: Option<Visibility>,
         registration_mm: f64,
         settings: &Settings,
     ) -> Self {
@@ -404,6 +443,7 @@ impl FlankWear {
             field: empty,
             turn: None,
             samples,
+            visibility,
             evidence: Vec::new(),
             since_baseline: false,
         };
@@ -426,7 +466,7 @@ impl FlankWear {
         };
         let samples = points.iter().map(sample).collect();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
-        Self::new(key, empty, samples, 0.0, settings)
+        Self::new(key, empty, samples, None, 0.0, settings)
     }
 }
 
@@ -486,7 +526,17 @@ impl FlankWear {
         }
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
-        self.figures = figures::evaluate(&self.field, &self.samples, settings, systematic_mm);
+        let noise_scale = self.field.noise_scale();
+        let visibility = self.visibility.as_ref();
+        let unseen = visibility.map(|seen| seen.unseen_shares(&self.field, noise_scale));
+        self.figures = figures::evaluate(
+            &self.field,
+            &self.samples,
+            noise_scale,
+            unseen.as_deref(),
+            settings,
+            systematic_mm,
+        );
         self.settle(before, settings);
     }
 
@@ -584,6 +634,10 @@ impl FlankWear {
             wear.field.same_grid(&other.field).ok()?;
             wear.samples.extend_from_slice(&other.samples);
             wear.points += other.points;
+            match (&mut wear.visibility, &other.visibility) {
+                (Some(seen), Some(more)) => seen.add(more),
+                (mine, _) => *mine = None,
+            }
             wear.budget.registration_mm = wear
                 .budget
                 .registration_mm
@@ -601,7 +655,7 @@ impl FlankWear {
 
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
-    pub fn with(mut self, influence: Influence, settings: &Settings) -> Self {
+    pub fn with(mut self, influence: PoseSensitivity, settings: &Settings) -> Self {
         self.evidence = vec![Arc::clone(&influence.evidence)];
         self.influence = Some(influence);
         self.settle(None, settings);

@@ -101,6 +101,8 @@ pub struct Decoded {
     pub cloud: Cloud,
     /// Cells looked at: points plus rejected.
     pub cells: usize,
+    /// Numbers of the cells without a point, in row order: [`crate::decode::Decoder::direction`] says where they look.
+    pub without_point: Vec<u32>,
     /// Cells without a point.
     pub rejected: Rejected,
 }

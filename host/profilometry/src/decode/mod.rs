@@ -294,6 +294,11 @@ impl Decoder {
         }
     }
 
+    /// Where a cell looks, in the camera frame: x and y at z = 1. None beyond the last cell.
+    pub fn direction(&self, cell: u32) -> Option<[f64; 2]> {
+        self.rays.get(cell as usize).map(|ray| ray.direction)
+    }
+
     fn collect(&self, results: &[CellResult], fringes_dn: Option<&[f32]>) -> Decoded {
         let grid = &self.layout.grid;
         let mut rejected = Rejected::default();
@@ -302,6 +307,7 @@ impl Decoder {
             .filter(|result| result.fate == Fate::Point)
             .count();
         let mut cloud = Cloud::with_capacity(points);
+        let mut without_point = Vec::with_capacity(results.len() - points);
         for row in 0..grid.rows() {
             for (cell, (place, _)) in grid.cells(row).zip(grid.places(row)) {
                 let result = &results[cell];
@@ -327,11 +333,13 @@ impl Decoder {
                     Fate::Isolated => &mut rejected.isolated,
                 };
                 *counter += 1;
+                without_point.push(cell as u32);
             }
         }
         Decoded {
             cloud,
             cells: results.len(),
+            without_point,
             rejected,
         }
     }

@@ -12,9 +12,10 @@ use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, 
 use super::job::{CalibrationError, SaveError, write};
 use super::survey::Surveyor;
 use super::views;
-use crate::capture::SharedRoot;
+use crate::acquisition::Progress;
 use crate::controller::ClientSettings;
-use crate::inspection::Progress;
+use crate::settings::StationSettings;
+use flankscope_frames::SharedRoot;
 
 /// The capture of plane and sphere, and what follows from it.
 #[derive(Debug)]
@@ -32,6 +33,7 @@ impl FitnessSurvey {
     pub fn open(
         head: HeadModel,
         target: Target,
+        station: &StationSettings,
         root: Arc<SharedRoot>,
     ) -> Result<Self, CalibrationError> {
         let lacks = SelfTestError::Lacks {
@@ -45,7 +47,7 @@ impl FitnessSurvey {
         let options = DecodeOptions::for_head(&head);
         let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
         Ok(Self {
-            surveyor: Surveyor::open(&head, options, &target, &at, root, to_cells)?,
+            surveyor: Surveyor::open(&head, options, &target, &at, (station, root), to_cells)?,
             head,
             target,
         })

@@ -13,6 +13,7 @@ use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, HeadModel};
 
 use super::job::{Calibrated, CalibrationError, for_cores};
 use super::views::PlateView;
+use crate::settings::Stages;
 
 /// Captures of a target in a folder with `captures.toml`.
 #[derive(Debug)]
@@ -22,6 +23,7 @@ pub struct CaptureFolder {
     plan: Plan,
     start: HeadModel,
     target: Target,
+    stages: Stages,
 }
 
 impl CaptureFolder {
@@ -43,7 +45,15 @@ impl CaptureFolder {
             plan,
             start,
             target,
+            stages: Stages::default(),
         })
+    }
+
+    /// Captured with these stages, instead of those that are taken for granted.
+    #[must_use]
+    pub fn with_stages(mut self, stages: &Stages) -> Self {
+        self.stages = stages.clone();
+        self
     }
 
     /// Reads all views and adjusts the head to them. `watch` is told of each folder.
@@ -75,7 +85,7 @@ impl CaptureFolder {
             };
             Ok((place, columns(&view.folder)?))
         });
-        Calibrated::of_views(&self.start, &self.target, &blank, views)
+        Calibrated::of_views(&self.start, &self.target, &self.stages, &blank, views)
     }
 
     /// Plane and sphere measured with a head calibrated by these captures; `None` without a sphere in them.

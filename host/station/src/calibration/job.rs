@@ -21,11 +21,12 @@ use serde::Serialize;
 
 use super::survey::{SurveyError, Surveyor};
 use super::views::{self, PlateView};
-use crate::capture::SharedRoot;
+use crate::acquisition::Progress;
 use crate::controller::ClientSettings;
 use crate::files;
-use crate::inspection::{Progress, ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM};
 use crate::origin::Link;
+use crate::settings::{Stages, StationSettings};
+use flankscope_frames::SharedRoot;
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
@@ -94,6 +95,7 @@ impl CoreSearch {
     pub fn open(
         start: &HeadModel,
         target: &Target,
+        station: &StationSettings,
         root: Arc<SharedRoot>,
     ) -> Result<Self, CalibrationError> {
         let sensor = start.sensor.ok_or(CalibrationError::NoSensor)?;
@@ -102,7 +104,12 @@ impl CoreSearch {
         let to_flat =
             move |_: &Decoder, sums: &Accumulator| FlatField::of_view(sums, sensor.offset_dn);
         Ok(Self(Surveyor::open(
-            &head, options, target, &at, root, to_flat,
+            &head,
+            options,
+            target,
+            &at,
+            (station, root),
+            to_flat,
         )?))
     }
 
@@ -144,6 +151,7 @@ pub struct PlateSurvey {
     start: HeadModel,
     target: Target,
     views: Vec<PlateView>,
+    stages: Stages,
 }
 
 impl PlateSurvey {
@@ -154,6 +162,7 @@ impl PlateSurvey {
     pub fn open(
         start: HeadModel,
         target: Target,
+        station: &StationSettings,
         root: Arc<SharedRoot>,
     ) -> Result<Self, CalibrationError> {
         let views = views::of_target(&target);
@@ -165,7 +174,8 @@ impl PlateSurvey {
         let options = DecodeOptions::for_head(&start);
         let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
         Ok(Self {
-            surveyor: Surveyor::open(&start, options, &target, &at, root, to_cells)?,
+            surveyor: Surveyor::open(&start, options, &target, &at, (station, root), to_cells)?,
+            stages: station.stages.clone(),
             start,
             target,
             views,
@@ -187,12 +197,13 @@ impl PlateSurvey {
             start,
             target,
             views,
+            stages,
         } = self;
         let mut captured = surveyor.survey(port, settings, watch)?.into_iter();
         let blank = captured.next().unwrap_or(Ok(Vec::new()))?;
         let views = views.iter().zip(captured);
         let views = views.map(|(view, cells)| Ok((*view, cells?)));
-        Calibrated::of_views(start, target, &blank, views)
+        Calibrated::of_views(start, target, stages, &blank, views)
     }
 }
 
@@ -229,6 +240,7 @@ impl Calibrated {
     pub(super) fn of_views(
         start: &HeadModel,
         target: &Target,
+        stages: &Stages,
         blank: &[CellColumn],
         views: impl Iterator<Item = Result<(PlateView, Vec<CellColumn>), CalibrationError>>,
     ) -> Result<Self, CalibrationError> {
@@ -251,7 +263,7 @@ impl Calibrated {
                 sightings.push(sighting);
             }
         }
-        let stage_sigma = [ROTATION_SIGMA_RAD, VERTICAL_SIGMA_MM];
+        let stage_sigma = [stages.rotation_sigma_rad(), stages.vertical_sigma_mm()];
         let adjusted = adjust(start, target, &sightings, stage_sigma)?;
         Ok(Self {
             hold_out: [&adjusted.head, &adjusted.without_field]

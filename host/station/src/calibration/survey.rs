@@ -4,15 +4,17 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_profilometry::calibrate::{StagePose, Target};
+use flankscope_profilometry::pattern::PatternError;
 use flankscope_profilometry::{
     Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet,
 };
 
-use crate::capture::SharedRoot;
-use crate::controller::{Client, ClientSettings};
-use crate::inspection::{
-    InspectError, Itinerary, PlannedView, PlanningError, Progress, Run, Station,
+use crate::acquisition::{
+    Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop, never,
 };
+use crate::controller::{Client, ClientSettings};
+use crate::settings::StationSettings;
+use flankscope_frames::SharedRoot;
 
 /// Why there are no captures.
 #[derive(Debug, thiserror::Error)]
@@ -20,7 +22,19 @@ use crate::inspection::{
 pub enum SurveyError {
     /// The instrument does not work.
     #[error(transparent)]
-    Instrument(#[from] InspectError),
+    Instrument(#[from] AcquisitionError),
+    /// The head file names no patterns.
+    #[error("the head file has no {what}; a capture needs it (see docs/formats.md)")]
+    HeadLacks {
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The pattern set's name is unknown.
+    #[error(transparent)]
+    Pattern(#[from] PatternError),
+    /// The head model cannot decode.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
     /// A view that could not be captured, twice.
     #[error("view {view} was lost: {why}")]
     Lost {
@@ -34,7 +48,8 @@ pub enum SurveyError {
 /// The instrument's host side for captures that are no check, one result `O` per position.
 #[derive(Debug)]
 pub struct Surveyor<O> {
-    station: Station<O, ()>,
+    acquisition: Acquisition<O>,
+    views: usize,
 }
 
 impl<O: Send + 'static> Surveyor<O> {
@@ -47,35 +62,34 @@ impl<O: Send + 'static> Surveyor<O> {
         options: DecodeOptions,
         target: &Target,
         positions: &[StagePose],
-        root: Arc<SharedRoot>,
+        (station, root): (&StationSettings, Arc<SharedRoot>),
         mut make: impl FnMut(&Decoder, &Accumulator) -> O + Send + 'static,
     ) -> Result<Self, SurveyError> {
-        let unfit = |error: PlanningError| SurveyError::from(InspectError::from(error));
-        let lacks = PlanningError::HeadLacks {
+        let lacks = || SurveyError::HeadLacks {
             what: "pattern_set",
         };
-        let name = head.pattern_set.as_deref().ok_or(lacks).map_err(unfit)?;
-        let patterns = PatternSet::named(name).map_err(|error| unfit(error.into()))?;
+        let name = head.pattern_set.as_deref().ok_or_else(lacks)?;
+        let patterns = PatternSet::named(name)?;
         let exposures_us = vec![target.exposure_us];
-        let unfit = |error: DecodeError| SurveyError::from(InspectError::from(error));
-        let decoder = Decoder::new(head, &patterns, &exposures_us, options).map_err(unfit)?;
+        let decoder = Decoder::new(head, &patterns, &exposures_us, options)?;
         let decoder = Arc::new(decoder);
-        let views = positions.iter().map(|at| PlannedView {
-            tooth: 0,
+        let positions = positions.iter().map(|at| StagePosition {
             rotation_rad: at.rotation_rad,
             vertical_mm: at.vertical_mm,
         });
-        let itinerary = Arc::new(Itinerary {
-            views: views.collect(),
+        let program = Program {
+            positions: positions.collect(),
             patterns,
             exposures_us,
             retract_mm: target.retract_mm,
-        });
+            timing: station.timing.clone(),
+            light: station.light.clone(),
+        };
+        let views = program.positions.len();
         let own = Arc::clone(&decoder);
-        let station = Station::start((), itinerary, decoder, root, move |_, sums| {
-            make(&own, sums)
-        })?;
-        Ok(Self { station })
+        let make = move |_, sums: &Accumulator| make(&own, sums);
+        let acquisition = Acquisition::start(program, &decoder, root, make)?;
+        Ok(Self { acquisition, views })
     }
 
     /// Captures every position in the order given, a lost one once more.
@@ -91,36 +105,35 @@ impl<O: Send + 'static> Surveyor<O> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
-        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
         runtime.block_on(async {
             let client = Client::connect(port, settings).await;
-            let mut client = client.map_err(InspectError::from)?;
+            let mut client = client.map_err(AcquisitionError::from)?;
             watch(Progress::Connected);
-            self.station.make_ready(&mut client, &mut watch).await?;
-            let limits = client.identity().limits;
-            let wanted: Vec<usize> = (0..self.station.itinerary.views.len()).collect();
+            self.acquisition.make_ready(&mut client, &mut watch).await?;
+            let wanted: Vec<usize> = (0..self.views).collect();
             let mut run = Run::new(wanted.clone(), None);
             for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
-                let mut open = views.to_vec();
-                for _ in 0..2 {
-                    let stopped = self
-                        .station
-                        .capture(&mut client, &mut run, &open, &limits, &mut watch)
-                        .await?;
-                    if let Some(why) = stopped {
-                        let view = open.first().copied().unwrap_or_default();
-                        return Err(SurveyError::Lost { view, why });
-                    }
-                    open.retain(|view| !run.outcomes.contains_key(view));
-                    if open.is_empty() {
-                        break;
-                    }
-                    open.iter()
-                        .for_each(|&view| watch(Progress::Recapture(view)));
-                }
-                if let Some(&view) = open.first() {
-                    let why = run.problems.get(&view).cloned();
-                    let why = why.unwrap_or_else(|| "it was not captured".into());
+                let missing = |run: &mut Run<O>, views: &[usize], _: Option<&Stop>| {
+                    Ok::<_, AcquisitionError>(run.without_outcome(views))
+                };
+                let policy = (AfterStop::End, &mut never());
+                let captured = self.acquisition.capture_settled(
+                    &mut client,
+                    &mut run,
+                    views,
+                    policy,
+                    missing,
+                    &mut watch,
+                );
+                let stopped = captured.await?;
+                let lost = run.without_outcome(views).first().copied();
+                if let Some(view) = lost.or(stopped.is_some().then_some(views[0])) {
+                    let why = match (stopped, run.problems.get(&view)) {
+                        (Some(stopped), _) => stopped.to_string(),
+                        (None, Some(problem)) => problem.to_string(),
+                        (None, None) => "it was not captured".into(),
+                    };
                     return Err(SurveyError::Lost { view, why });
                 }
             }

@@ -19,6 +19,8 @@ const ATTEMPTS: u32 = 4;
 pub struct ClientSettings {
     /// Wait for an answer before the same command is sent again.
     pub answer: Duration,
+    /// Speed of a serial port, bit/s: at 921 600, a trigger event of 40 bytes takes 0.4 ms.
+    pub baud: u32,
     /// Time between heartbeats; `None`: a third of what the controller allows.
     pub heartbeat: Option<Duration>,
 }
@@ -28,6 +30,7 @@ impl Default for ClientSettings {
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
+            baud: 921_600,
             heartbeat: None,
         }
     }
@@ -108,10 +111,10 @@ impl Client {
     /// # Errors
     /// No port, no answer, or a controller of another version.
     pub async fn connect(port: &Path, settings: ClientSettings) -> Result<Self, ClientError> {
-        let link = Link::open(port)?;
+        let link = Link::open(port, settings.baud)?;
         // A session number that an earlier run of the host is unlikely to have used: replies to its commands are then
         // told from replies to ours.
-        let session = crate::capture::monotonic_ns() as u32 | 1;
+        let session = flankscope_frames::monotonic_ns() as u32 | 1;
         let mut client = Self {
             link,
             settings,

@@ -12,8 +12,6 @@ use flankscope_protocol::{
 };
 use tokio::sync::mpsc;
 
-/// Line speed of a real port, bit/s; a pseudo-terminal ignores it. A trigger event of 40 bytes then takes 0.4 ms.
-const BAUD: u32 = 921_600;
 /// How long the reader waits for bytes before it looks whether the link was closed.
 const POLL: Duration = Duration::from_millis(20);
 
@@ -64,13 +62,13 @@ pub struct Link {
 }
 
 impl Link {
-    /// Opens a serial port or pseudo-terminal.
+    /// Opens a serial port at `baud` bit/s, or a pseudo-terminal, which ignores that.
     ///
     /// # Errors
     /// There is no such port, or another program holds it.
-    pub fn open(port: &Path) -> Result<Self, LinkError> {
+    pub fn open(port: &Path, baud: u32) -> Result<Self, LinkError> {
         let name = port.to_string_lossy().into_owned();
-        let opened = serialport::new(&name, BAUD).timeout(POLL).open();
+        let opened = serialport::new(&name, baud).timeout(POLL).open();
         let mut reader = opened.map_err(|source| LinkError::Open {
             port: name.clone(),
             source,

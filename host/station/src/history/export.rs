@@ -2,6 +2,8 @@
 
 use std::io::{self, Write};
 
+use flankscope_metrology::verdict::Code;
+
 use super::store::Check;
 
 /// Writes a line per check and flank, as comma-separated values (RFC 4180) under a line of names.
@@ -37,7 +39,7 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 flank.warn_um,
                 flank.limit_um,
                 flank.verdict,
-                flank.code.as_deref().unwrap_or_default(),
+                flank.code.map_or("", Code::word),
                 text(check.origin.link.as_deref()),
                 simulated.as_deref().unwrap_or_default(),
                 text(head.map(|head| head.name.as_str())),

@@ -1,7 +1,7 @@
 //! What was found, for good: checks, baselines and acknowledgements of a press in one file, and what follows from them.
 //!
 //! ```text
-//!  check ──► keeper ──► store (SQLite, on the disk before it counts) ──► verdict at the press
+//!  check ──► writer ──► store (SQLite, on the disk before it counts) ──► verdict at the press
 //!                         └──► series of each flank ──► change ──► trend ──► remaining cycles ──► table, page, CSV
 //! ```
 //!
@@ -9,12 +9,12 @@
 //! |---|---|
 //! | `store` | the file: made, opened, written in whole transactions, read |
 //! | `schema` | its tables, and which version of them this is |
-//! | `keeper` | stores checks, and takes back a verdict that cannot be stored |
+//! | `writer` | the sink that a verdict waits for: stores checks, and takes back a verdict that cannot be stored |
 //! | `series` | wear of each flank against cycles, over the tool's present life |
 //! | `change` | where the wear left its line |
 //! | `trend` | a robust line since then |
 //! | `remaining` | how many cycles are left |
-//! | `outlook` | all of that for one flank |
+//! | `forecast` | all of that for one flank |
 //! | `export` | CSV |
 //! | `parquet` | the same as Apache Parquet, behind a feature |
 //! | `phasors` | what verdicts were computed from, in files beside the store |
@@ -23,8 +23,7 @@
 mod change;
 mod error;
 mod export;
-mod keeper;
-mod outlook;
+mod forecast;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod phasors;
@@ -34,12 +33,12 @@ mod schema;
 mod series;
 mod store;
 mod trend;
+mod writer;
 
 pub use change::changes;
 pub use error::HistoryError;
 pub use export::csv;
-pub use keeper::Keeper;
-pub use outlook::Outlook;
+pub use forecast::Forecast;
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
 pub use remaining::Passage;
@@ -47,3 +46,4 @@ pub use replay::{Difference, Replay, ReplayError};
 pub use series::{Point, Series, series};
 pub use store::{Acknowledgement, Check, FlankRow, History};
 pub use trend::{LEAST_POINTS, Trend};
+pub use writer::HistoryWriter;

@@ -66,15 +66,15 @@ fn write(
     columns.all::<Int64Type>(|(check, _)| check.tool_cycles)?;
     columns.all::<Int64Type>(|(check, _)| check.press_cycles)?;
     columns.some::<ByteArrayType>(|(check, _)| check.baseline.as_deref().map(text))?;
-    columns.all::<ByteArrayType>(|(check, _)| text(&check.verdict))?;
+    columns.all::<ByteArrayType>(|(check, _)| text(check.verdict.as_str()))?;
     columns.all::<Int32Type>(|(_, flank)| i32::try_from(flank.tooth).unwrap_or(i32::MAX))?;
     columns.all::<ByteArrayType>(|(_, flank)| text(&flank.flank))?;
     columns.some::<DoubleType>(|(_, flank)| flank.wear_um)?;
     columns.some::<DoubleType>(|(_, flank)| flank.u95_um)?;
     columns.all::<DoubleType>(|(_, flank)| flank.warn_um)?;
     columns.all::<DoubleType>(|(_, flank)| flank.limit_um)?;
-    columns.all::<ByteArrayType>(|(_, flank)| text(&flank.verdict))?;
-    columns.some::<ByteArrayType>(|(_, flank)| flank.code.as_deref().map(text))?;
+    columns.all::<ByteArrayType>(|(_, flank)| text(flank.verdict.as_str()))?;
+    columns.some::<ByteArrayType>(|(_, flank)| flank.code.map(|code| text(code.word())))?;
     let head = |check: &Check| check.origin.head.clone();
     columns.some::<ByteArrayType>(|(check, _)| check.origin.link.as_deref().map(text))?;
     columns.some::<BoolType>(|(check, _)| check.origin.simulated)?;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -11,8 +12,8 @@ use super::error::HistoryError;
 use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::{
-    Evaluator, EvaluatorError, Evidence, Findings, Itinerary, PlanningError, Recipe, Subject,
-    ViewOutcome,
+    Evaluator, EvaluatorError, Evidence, Findings, PlanningError, Recipe, Subject, ViewOutcome,
+    ViewPlan, unsaid,
 };
 
 /// Why a check cannot be computed again.
@@ -79,9 +80,9 @@ pub struct Replay {
     #[serde(flatten)]
     pub origin: BTreeMap<&'static str, Value>,
     /// The stored verdict.
-    pub stored_verdict: String,
+    pub stored_verdict: Word,
     /// The verdict as computed now.
-    pub verdict: String,
+    pub verdict: Word,
     /// Its reason.
     pub reason: String,
     /// Captures that it was computed from.
@@ -106,10 +107,11 @@ const ORIGIN: [&str; 7] = [
 /// What a replay reads of the stored document.
 #[derive(Deserialize)]
 struct Stored {
-    verdict: String,
+    verdict: Word,
     recipe: Recipe,
     evidence: Vec<Evidence>,
     stopped: Option<String>,
+    stopped_code: Option<Code>,
     hashes: BTreeMap<String, String>,
 }
 
@@ -135,25 +137,21 @@ impl Replay {
             subject.hashes.insert("baseline", baseline.hash());
             subject.baseline = Some(Arc::new(baseline));
         }
-        let itinerary = Arc::new(Itinerary::new(
-            &subject.tool,
-            &subject.head,
-            Some(&stored.recipe.teeth),
-        )?);
+        let plan = ViewPlan::new(&subject.tool, &subject.head, Some(&stored.recipe.teeth))?;
         let decoder = Arc::new(Decoder::new(
             &subject.head,
-            &itinerary.patterns,
-            &itinerary.exposures_us,
+            &plan.patterns,
+            &plan.exposures_us,
             DecodeOptions::for_head(&subject.head),
         )?);
-        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let mut outcomes = BTreeMap::new();
         let mut problems = BTreeMap::new();
         let mut captures = 0;
         let mut sums = decoder.begin();
         for (view, evidence) in stored.evidence.iter().enumerate() {
             if let Some(problem) = &evidence.problem {
-                problems.insert(view, problem.clone());
+                problems.insert(view, Reason::from(problem));
             }
             for blake3 in &evidence.phasors {
                 let phasors = history.phasors(blake3, sums.byte_count())?;
@@ -173,14 +171,16 @@ impl Replay {
                 outcomes.insert(view, outcome);
             }
         }
-        let recipe = Recipe::of(&subject, &itinerary);
+        let recipe = Recipe::of(&subject, &plan);
         subject.hashes.insert("recipe", recipe.hash());
+        let code = stored.stopped_code.unwrap_or_else(unsaid);
+        let stopped = stored.stopped.map(|why| Reason::instrument(code, why));
         let found = Findings::of(
             &subject.tool,
-            &itinerary,
+            &plan,
             outcomes,
             &problems,
-            stored.stopped.as_deref(),
+            stopped.as_ref(),
             subject.baseline.is_some(),
         );
         let now = json!({
@@ -214,7 +214,7 @@ impl Replay {
             id,
             origin: origin.collect(),
             stored_verdict: stored.verdict,
-            verdict: found.verdict.into(),
+            verdict: found.verdict,
             reason: found.reason,
             captures,
             versions,
@@ -247,13 +247,22 @@ fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Differ
                 compare(&format!("{what}.{i}"), a, b, differences);
             }
         }
-        _ if same(stored, now) => {}
+        _ if same(stored, now) || unsaid_then(what, stored, now) => {}
         _ => differences.push(Difference {
             what: what.to_owned(),
             stored: stored.clone(),
             now: now.clone(),
         }),
     }
+}
+
+/// Earlier releases had one word for all that was not measured; a more exact one is no difference.
+fn unsaid_then(what: &str, stored: &Value, now: &Value) -> bool {
+    let is_code = what.ends_with(".code");
+    let exact = now
+        .as_str()
+        .is_some_and(|word| word.parse::<Code>().is_ok());
+    is_code && exact && stored.as_str() == Some(unsaid().word())
 }
 
 /// Numbers are compared as they are, to the last bit.
@@ -281,5 +290,12 @@ mod tests {
         compare("r", &json!([1, 2]), &json!([1]), &mut differences);
         compare("r", &json!(0.0), &json!(-0.0), &mut differences);
         assert_eq!(differences.len(), 2);
+        differences.clear();
+        let once = json!({ "code": "not_measured", "reason": "not_measured" });
+        let now = json!({ "code": "frames_missing", "reason": "frames_missing" });
+        compare("f", &once, &now, &mut differences);
+        compare("f", &now, &once, &mut differences);
+        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
+        assert_eq!(names, ["f.reason", "f.code", "f.reason"]);
     }
 }

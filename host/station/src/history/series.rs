@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_metrology::verdict::{Code, Word};
+
 use super::store::Check;
 
 /// Wear of one flank over the tool's present life.
@@ -65,7 +67,7 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
                 });
             (series.warn_um, series.limit_um) = (flank.warn_um, flank.limit_um);
             let measured =
-                flank.verdict != "indeterminate" || flank.code.as_deref() == Some("undecidable");
+                flank.verdict != Word::Indeterminate || flank.code == Some(Code::Undecidable);
             if let (true, Some(wear_um), Some(u95_um)) = (measured, flank.wear_um, flank.u95_um) {
                 series.points.push(Point {
                     check: check.id,

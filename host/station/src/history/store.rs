@@ -1,9 +1,12 @@
 //! The file: one SQLite database, written in whole transactions that are on the disk before they count.
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::Duration;
 
-use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, params};
+use flankscope_metrology::verdict::{Code, Word};
+use rusqlite::types::Type;
+use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavior, params};
 
 use super::error::HistoryError;
 use super::schema::{APPLICATION_ID, FROM_1_TO_2, KEPT, TABLES, VERSION};
@@ -35,8 +38,8 @@ pub struct Check {
     pub press_cycles: i64,
     /// BLAKE3 of the baseline that wear is the difference to; absent where it is the deviation from CAD.
     pub baseline: Option<String>,
-    /// `go`, `warn`, `no-go` or `indeterminate`.
-    pub verdict: String,
+    /// Its verdict.
+    pub verdict: Word,
     /// Why.
     pub reason: String,
     /// Where it comes from; nothing is known of the checks of layout 1.
@@ -62,9 +65,9 @@ pub struct FlankRow {
     /// Stop limit, µm.
     pub limit_um: f64,
     /// Its verdict.
-    pub verdict: String,
-    /// Short name of the reason where it is indeterminate.
-    pub code: Option<String>,
+    pub verdict: Word,
+    /// What kind of reason, where it is indeterminate.
+    pub code: Option<Code>,
 }
 
 /// Somebody took note of a verdict.
@@ -360,7 +363,7 @@ impl History {
                 tool_cycles,
                 counter,
                 inspection.hashes.get("baseline"),
-                inspection.verdict,
+                inspection.verdict.as_str(),
                 inspection.reason,
                 document.to_string(),
                 link,
@@ -385,8 +388,8 @@ impl History {
                     feature.u95_um,
                     feature.warn_um,
                     feature.limit_um,
-                    feature.verdict,
-                    feature.code
+                    feature.verdict.as_str(),
+                    feature.code.map(Code::word)
                 ])?;
             }
         }
@@ -484,7 +487,7 @@ impl History {
                     tool_cycles: row.get(3)?,
                     press_cycles: row.get(4)?,
                     baseline: row.get(5)?,
-                    verdict: row.get(6)?,
+                    verdict: parsed(row, 6)?,
                     reason: row.get(7)?,
                     origin: Origin {
                         link: row.get(8)?,
@@ -509,8 +512,8 @@ impl History {
                     u95_um: row.get(4)?,
                     warn_um: row.get(5)?,
                     limit_um: row.get(6)?,
-                    verdict: row.get(7)?,
-                    code: row.get(8)?,
+                    verdict: parsed(row, 7)?,
+                    code: parsed_or_none(row, 8)?,
                 };
                 Ok((row.get::<_, i64>(0)?, flank))
             },
@@ -602,12 +605,12 @@ impl History {
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn open_verdicts(&self, tool: &str) -> Result<Vec<String>, HistoryError> {
+    pub fn open_verdicts(&self, tool: &str) -> Result<Vec<Word>, HistoryError> {
         self.rows(
             "SELECT verdict FROM inspection WHERE tool = ?1 AND id > coalesce( \
              (SELECT inspection FROM acknowledgement WHERE tool = ?1 ORDER BY id DESC LIMIT 1), 0) ORDER BY id",
             [tool],
-            |row| row.get(0),
+            |row| parsed(row, 0),
         )
     }
 
@@ -622,5 +625,27 @@ impl History {
             statement.query_map(parameters, row)?.collect()
         };
         read().map_err(self.because("read it"))
+    }
+}
+
+/// A word of a closed list: one that is not in it is an error, never taken for another.
+fn parsed<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<T>
+where
+    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
+{
+    let word: String = row.get(column)?;
+    word.parse().map_err(|error| {
+        rusqlite::Error::FromSqlConversionFailure(column, Type::Text, Box::new(error))
+    })
+}
+
+/// The same where there may be none.
+fn parsed_or_none<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<T>>
+where
+    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
+{
+    match row.get_ref(column)? {
+        rusqlite::types::ValueRef::Null => Ok(None),
+        _ => parsed(row, column).map(Some),
     }
 }

@@ -1,10 +1,11 @@
 //! What a verdict was computed from: enough to compute it again, and to notice when something is not the same.
 
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
 use serde::{Deserialize, Serialize};
 
 use super::job::Subject;
-use super::plan::Itinerary;
+use super::plan::ViewPlan;
 use crate::files;
 
 /// How a check looks at a tool, beside what its files say.
@@ -23,16 +24,16 @@ pub struct Recipe {
 }
 
 impl Recipe {
-    pub(crate) fn of(subject: &Subject, itinerary: &Itinerary) -> Self {
+    pub(crate) fn of(subject: &Subject, plan: &ViewPlan) -> Self {
         let grid = if subject.head.core_map.is_some() {
             "core"
         } else {
             "pixel"
         };
         Self {
-            teeth: itinerary.views.iter().map(|view| view.tooth).collect(),
-            pattern_set: itinerary.patterns.name.clone(),
-            exposures_us: itinerary.exposures_us.clone(),
+            teeth: plan.views.iter().map(|view| view.tooth).collect(),
+            pattern_set: plan.patterns.name.clone(),
+            exposures_us: plan.exposures_us.clone(),
             grid: grid.into(),
             temperature_degc: subject.temperature_degc,
         }
@@ -52,8 +53,44 @@ pub struct Evidence {
     /// BLAKE3 of the phasors of each capture of the view, in order; none when it was not captured whole.
     pub phasors: Vec<String>,
     /// Why there are none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub problem: Option<String>,
+    #[serde(flatten)]
+    pub problem: Option<Problem>,
+}
+
+/// Why a view was not captured whole, as it is stored: enough for the same verdict to follow from it again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Problem {
+    /// In one sentence.
+    #[serde(rename = "problem")]
+    pub sentence: String,
+    /// What kind of reason; earlier releases did not say.
+    #[serde(default = "unsaid", skip_serializing_if = "is_unsaid")]
+    pub code: Code,
+}
+
+/// What is taken for the kind of a reason that is stored without.
+pub(crate) fn unsaid() -> Code {
+    Code::NotMeasured
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_unsaid(code: &Code) -> bool {
+    *code == unsaid()
+}
+
+impl From<&Reason> for Problem {
+    fn from(reason: &Reason) -> Self {
+        Self {
+            sentence: reason.to_string(),
+            code: reason.code(),
+        }
+    }
+}
+
+impl From<&Problem> for Reason {
+    fn from(problem: &Problem) -> Self {
+        Self::instrument(problem.code, &problem.sentence)
+    }
 }
 
 /// The sums of one capture of one view.

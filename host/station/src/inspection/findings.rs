@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use flankscope_metrology::tool::Tool;
-
+use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 
 use super::evidence::{Evidence, Phasors};
-use super::plan::Itinerary;
+use super::plan::ViewPlan;
 use super::result::{Feature, FlankMap, ViewRegistration};
 use super::verdict::{self, Judged};
 use super::views::ViewOutcome;
@@ -16,7 +16,7 @@ use crate::baseline::Reference;
 /// What a check found.
 #[derive(Debug)]
 pub(crate) struct Findings {
-    pub verdict: &'static str,
+    pub verdict: Word,
     pub reason: String,
     pub features: Vec<Feature>,
     pub registration: Vec<ViewRegistration>,
@@ -33,17 +33,13 @@ impl Findings {
     /// check `stopped`.
     pub fn of(
         tool: &Tool,
-        itinerary: &Itinerary,
+        plan: &ViewPlan,
         mut outcomes: BTreeMap<usize, ViewOutcome>,
-        problems: &BTreeMap<usize, String>,
-        stopped: Option<&str>,
+        problems: &BTreeMap<usize, Reason>,
+        stopped: Option<&Reason>,
         since_baseline: bool,
     ) -> Self {
-        let as_built_um = tool
-            .inspect
-            .as_ref()
-            .and_then(|inspect| inspect.as_built_um);
-        let cad_taken_as_true = as_built_um.is_none() && !since_baseline;
+        let cad_taken_as_true = tool.as_built_um.is_none() && !since_baseline;
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
         let mut evidence = Vec::new();
@@ -52,7 +48,7 @@ impl Findings {
         let mut poses = Vec::new();
         let mut maps = Vec::new();
         let mut deviations_um = Vec::new();
-        for (view, &super::PlannedView { tooth, .. }) in itinerary.views.iter().enumerate() {
+        for (view, &super::PlannedView { tooth, .. }) in plan.views.iter().enumerate() {
             if let Some(outcome) = outcomes.remove(&view) {
                 let hashes = outcome.phasors.iter().map(|p| p.blake3.clone());
                 evidence.push(Evidence {
@@ -68,13 +64,13 @@ impl Findings {
                 maps.extend(outcome.maps);
                 deviations_um.extend(outcome.deviations_um);
             } else {
-                let why = problems.get(&view).map(String::as_str).or(stopped);
-                let why = why.unwrap_or("the view was not captured");
+                let nobody = Reason::instrument(Code::NotCaptured, "the view was not captured");
+                let why = problems.get(&view).or(stopped).unwrap_or(&nobody);
                 judged.extend(verdict::unmeasured(tooth, tool, why));
                 evidence.push(Evidence {
                     tooth,
                     phasors: Vec::new(),
-                    problem: Some(why.to_owned()),
+                    problem: Some(why.into()),
                 });
             }
         }

@@ -1,35 +1,27 @@
-//! The check from hello to verdict: orders to the controller, frames to sums, sums to flanks.
-//!
-//! ```text
-//!  I/O runtime           capture thread            compute thread
-//!  ───────────           ──────────────            ──────────────
-//!  hello, home, plan ──► armed
-//!  start ──────────────► frame, frame, … summed
-//!  triggers collected    view ───────────► pair ─► points, registration, wear
-//!  retracting                                      └► outcome ─► verdict
-//! ```
+//! The check from hello to verdict: views captured, evaluated as they come, joined to one verdict.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder};
-use flankscope_protocol::{FaultCode, PlanError};
 
 use super::evidence::{Phasors, Recipe};
+use super::failure;
 use super::findings::Findings;
-use super::plan::{Itinerary, PlanningError};
-use super::result::{FrameCount, Handover, Inspection, Pictures, Timing};
-use super::run::Run;
-use super::station::Station;
+use super::plan::{PlanningError, ViewPlan};
+use super::result::{FrameCount, Inspection, Pictures, Timing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
+use crate::acquisition::{Acquisition, AcquisitionError, AfterStop, Progress, Run, Stop, never};
 use crate::baseline::Baseline;
-use crate::capture::{Frame, ServiceError, SharedRoot, monotonic_ns};
-use crate::controller::{Client, ClientError, ClientSettings};
-use crate::history::{HistoryError, Keeper};
+use crate::controller::{Client, ClientSettings};
 use crate::origin::{self, HeadId, Origin, Setting};
+use crate::settings::StationSettings;
+use crate::sink::{ResultSink, SinkError};
+use flankscope_frames::{SharedRoot, monotonic_ns};
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -42,18 +34,20 @@ pub struct Subject {
     pub temperature_degc: Option<f64>,
     /// The tool as it was when new; wear is then the difference to it.
     pub baseline: Option<Arc<Baseline>>,
+    /// The instrument that looks at it.
+    pub station: Arc<StationSettings>,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
 }
 
 impl Subject {
     /// What a result says of where it comes from, found in this setting.
-    pub(crate) fn origin(&self, setting: Option<&Setting>) -> Origin {
+    pub(crate) fn origin(&self, setting: &Setting) -> Origin {
         let head = HeadId {
             name: self.head.name.clone(),
             blake3: self.hashes.get("head").cloned().unwrap_or_default(),
         };
-        Origin::new(setting, head)
+        Origin::new(Some(setting), head)
     }
 }
 
@@ -61,60 +55,31 @@ impl Subject {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InspectError {
-    /// No frames.
+    /// What was found cannot be kept, and the store does not say so in the verdict.
     #[error(transparent)]
-    Services(#[from] ServiceError),
-    /// No controller.
+    Store(#[from] SinkError),
+    /// Controller or camera cannot be worked with.
     #[error(transparent)]
-    Client(#[from] ClientError),
+    Acquisition(#[from] AcquisitionError),
     /// No plan from this tool and head.
     #[error(transparent)]
     Planning(#[from] PlanningError),
-    /// The plan breaks the controller's limits.
-    #[error("the controller's limits do not allow the plan: {0}")]
-    Plan(#[from] PlanError),
     /// The head model cannot decode.
     #[error(transparent)]
     Decode(#[from] DecodeError),
     /// The tool cannot be evaluated.
     #[error(transparent)]
     Evaluator(#[from] EvaluatorError),
-    /// A thread ended early.
-    #[error("the {thread} thread ended early")]
-    Thread {
-        /// Which.
-        thread: &'static str,
-    },
-    /// What was found cannot be kept.
-    #[error(transparent)]
-    History(#[from] HistoryError),
-    /// The controller waits for somebody.
-    #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
-    Faulted {
-        /// Its fault.
-        fault: FaultCode,
-    },
 }
 
-/// How far a running check is; for somebody who watches.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Progress {
-    /// The controller answered.
-    Connected,
-    /// The stages reference.
-    Homing,
-    /// The head moves to a view (its number, of how many).
-    Moving(usize, usize),
-    /// A frame was exposed (view, frame of the view, of how many).
-    Exposed(usize, u16, u16),
-    /// A view is being captured again.
-    Recapture(usize),
-    /// A view's figures are too near to a limit: it is measured again.
-    Repeat(usize),
-    /// The stages retract.
-    Retracting,
-    /// A view's flanks are known.
-    Evaluated(usize),
+/// The instrument's host side for checks: its threads run, frames have a place to arrive.
+#[derive(Debug)]
+pub struct Station {
+    pub(crate) subject: Subject,
+    pub(crate) plan: Arc<ViewPlan>,
+    pub(crate) acquisition: Acquisition<ViewOutcome>,
+    /// Where it works.
+    setting: Setting,
 }
 
 impl Station {
@@ -129,39 +94,33 @@ impl Station {
         teeth: Option<&[u32]>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
-        let itinerary = Arc::new(Itinerary::new(&subject.tool, &subject.head, teeth)?);
+        let plan = Arc::new(ViewPlan::new(&subject.tool, &subject.head, teeth)?);
         let options = DecodeOptions::for_head(&subject.head);
-        let decoder = Decoder::new(
-            &subject.head,
-            &itinerary.patterns,
-            &itinerary.exposures_us,
-            options,
-        )?;
+        let decoder = Decoder::new(&subject.head, &plan.patterns, &plan.exposures_us, options)?;
         let decoder = Arc::new(decoder);
-        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), Arc::clone(&itinerary))?;
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let evaluate = move |view, sums: &Accumulator| {
             let mut outcome = evaluator.evaluate(view, sums);
             outcome.phasors.push(Phasors::of(sums));
             outcome
         };
-        let mut station = Self::start(subject, itinerary, decoder, root, evaluate)?;
-        station.setting = Some(setting);
-        Ok(station)
+        let acquisition =
+            Acquisition::start(plan.program(&subject.station), &decoder, root, evaluate)?;
+        Ok(Self {
+            subject,
+            plan,
+            acquisition,
+            setting,
+        })
     }
 
-    /// Stores every check from now on: a verdict is then only given once it is on the disk.
-    ///
-    /// # Errors
-    /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
-    pub fn keep(&mut self, mut keeper: Keeper) -> Result<(), InspectError> {
-        let simulated = self.setting.as_ref().map(|s| s.link.is_simulated());
-        let baseline = self.subject.baseline.as_deref();
-        keeper.begin(&self.subject.tool.name, simulated, baseline)?;
-        self.keeper = Some(keeper);
-        Ok(())
+    /// Name of the tool that is checked.
+    #[must_use]
+    pub fn tool(&self) -> &str {
+        &self.subject.tool.name
     }
 
-    /// Runs one check through the controller at `port`.
+    /// Runs one check through the controller at `port`; the verdict waits for `store`.
     ///
     /// # Errors
     /// The check could not begin. Once it has begun, every trouble ends in an indeterminate verdict.
@@ -169,18 +128,21 @@ impl Station {
         &mut self,
         port: &Path,
         settings: ClientSettings,
-        watch: impl FnMut(Progress),
+        store: &mut impl ResultSink<Inspection>,
+        mut watch: impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
-        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
         runtime.block_on(async {
-            let mut client = Client::connect(port, settings).await?;
-            let mut watch = watch;
+            let client = Client::connect(port, settings).await;
+            let mut client = client.map_err(AcquisitionError::from)?;
             watch(Progress::Connected);
-            self.make_ready(&mut client, &mut watch).await?;
-            self.check(&mut client, None, &mut watch).await
+            self.acquisition.make_ready(&mut client, &mut watch).await?;
+            let mut inspection = self.check(&mut client, None, &mut watch).await?;
+            store.put(&mut inspection)?;
+            Ok(inspection)
         })
     }
 
@@ -193,54 +155,57 @@ impl Station {
         watch: &mut impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
         let begun_ns = monotonic_ns();
-        let rotation_rad = f64::from(client.status().await?.rotation.get()) * 1e-6;
-        let limits = client.identity().limits;
-        let order = self.itinerary.order_from(rotation_rad);
+        let status = client.status().await.map_err(AcquisitionError::from)?;
+        let rotation_rad = f64::from(status.rotation.get()) * 1e-6;
+        let order = self.plan.order_from(rotation_rad);
         let mut run = Run::new(order.clone(), hold_limit);
         // What a head that must not judge would measure is not worth the press's time.
-        let unfit = self.subject.head.fit_on(Date::today()).err();
-        let mut stopped = match unfit {
-            Some(unfit) => Some(unfit.to_string()),
-            None => {
-                self.capture(client, &mut run, &order, &limits, watch)
-                    .await?
+        let stopped = match self.subject.head.fit_on(Date::today()) {
+            Err(why) => Some(failure::unfit(&why)),
+            Ok(()) => {
+                let stopped = self.capture(client, &mut run, &order, watch).await?;
+                stopped.as_ref().map(Reason::from)
             }
         };
-        let again = run.missing();
-        if stopped.is_none() && !again.is_empty() {
-            for &view in &again {
-                watch(Progress::Recapture(view));
-            }
-            run.recaptured += again.len() as u32;
-            stopped = self
-                .capture(client, &mut run, &again, &limits, watch)
-                .await?;
+        Ok(self.conclude(run, stopped, begun_ns, client))
+    }
+
+    /// Captures the views, and again what was lost or is too near to a limit.
+    async fn capture(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        order: &[usize],
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<Stop>, InspectError> {
+        let missing = |run: &mut Run<ViewOutcome>, views: &[usize], _: Option<&Stop>| {
+            Ok::<_, AcquisitionError>(run.without_outcome(views))
+        };
+        let policy = (AfterStop::End, &mut never());
+        let captured = self
+            .acquisition
+            .capture_settled(client, run, order, policy, missing, watch);
+        if let Some(stopped) = captured.await? {
+            return Ok(Some(stopped));
         }
-        if stopped.is_none() {
-            stopped = self
-                .repeat_open_views(client, &mut run, &limits, watch)
-                .await?;
-        }
-        let mut inspection = self.conclude(run, stopped, begun_ns, client);
-        if let Some(keeper) = &mut self.keeper {
-            keeper.keep(&mut inspection);
-        }
-        Ok(inspection)
+        self.repeat_open_views(client, run, watch).await
     }
 
     fn conclude(
         &self,
         mut run: Run<ViewOutcome>,
-        stopped: Option<String>,
+        stopped: Option<Reason>,
         begun_ns: u64,
         client: &Client,
     ) -> Inspection {
+        let problems = run.problems.iter();
+        let problems = problems.map(|(&view, why)| (view, why.into())).collect();
         let found = Findings::of(
             &self.subject.tool,
-            &self.itinerary,
+            &self.plan,
             std::mem::take(&mut run.outcomes),
-            &run.problems,
-            stopped.as_deref(),
+            &problems,
+            stopped.as_ref(),
             self.subject.baseline.is_some(),
         );
         let positioning = run.timeline.positioning_ms();
@@ -254,31 +219,28 @@ impl Station {
         );
         versions.insert("firmware", format!("{major}.{minor}.{patch}"));
         let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
-        let recipe = Recipe::of(&self.subject, &self.itinerary);
+        let recipe = Recipe::of(&self.subject, &self.plan);
         let mut hashes = self.subject.hashes.clone();
         hashes.insert("recipe", recipe.hash());
         Inspection {
             id: None,
-            verdict: found.verdict.to_string(),
+            verdict: found.verdict,
             reason: found.reason,
             features: found.features,
             timing_ms: Timing {
                 total: since(begun_ns, monotonic_ns()),
                 positioning,
                 exposure,
-                last_exposure_to_verdict: since(run.last_exposure_ns, run.verdict_ns),
+                last_exposure_to_verdict: since(
+                    run.counts.last_exposure_ns,
+                    run.counts.last_outcome_ns,
+                ),
             },
-            frames: FrameCount {
-                triggered: run.triggered,
-                received: run.received,
-                bytes_copied: Frame::bytes_copied(),
-                recaptured_views: run.recaptured,
-                handover_us: Handover::of(&mut run.handover_ns),
-            },
-            press_cycles: run.press_cycles,
+            press_cycles: run.counts.press_cycles,
+            frames: FrameCount::of(run.counts),
             peak_memory_mb: peak_memory_mb(),
             registration: found.registration,
-            origin: self.subject.origin(self.setting.as_ref()),
+            origin: self.subject.origin(&self.setting),
             date: origin::now(),
             tool: self.subject.tool.name.clone(),
             temperature_degc: self.subject.temperature_degc,
@@ -286,14 +248,16 @@ impl Station {
             hashes,
             recipe,
             evidence: found.evidence,
-            stopped,
+            truth: None,
+            stopped: stopped.as_ref().map(Reason::to_string),
+            stopped_code: stopped.as_ref().map(Reason::code),
             phasors: found.phasors,
             fields: found.fields,
             poses: found.poses,
             pictures: Pictures {
                 maps: found.maps,
                 deviations_um: found.deviations_um,
-                lanes: run.timeline.lanes(),
+                activities: run.timeline.activities(),
                 frame: run.picture,
             },
         }

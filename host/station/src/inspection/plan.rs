@@ -1,22 +1,10 @@
-//! From the tool's critical teeth and the head's geometry to a capture plan.
+//! From the tool's critical teeth and the head's geometry to a plan of views.
 
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
-use flankscope_protocol::{
-    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts,
-    View,
-};
 
-/// Wait from in position to light: the die's and the head's ringing at 20 Hz and more has died down (10 periods of 100 Hz).
-const SETTLE: Microseconds = Microseconds::from_millis(100);
-/// Wait from DMD ready to the camera trigger: mirrors settle within tens of µs.
-const DMD_SETTLE: Microseconds = Microseconds(200);
-/// Readout of a 1920 x 1200 frame at 16 bit over USB 3: 80 frames/s are 12.5 ms, and 4 % for the link's other traffic.
-const CAMERA_READOUT: Microseconds = Microseconds(13_000);
-/// LED current of the head.
-const LED: Milliamps = Milliamps(1_000);
-/// The head clears the die when it stands this far above its upper face, mm.
-const CLEARANCE_MM: f64 = 20.0;
+use crate::acquisition::{Program, StagePosition};
+use crate::settings::StationSettings;
 
 /// One view: which tooth is in its middle, and where the stages must stand.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,15 +19,15 @@ pub struct PlannedView {
 
 /// All views of a check and how each is exposed.
 #[derive(Clone, Debug)]
-pub struct Itinerary {
+pub struct ViewPlan {
     /// The views, in the tool file's order.
     pub views: Vec<PlannedView>,
     /// Fringe patterns.
     pub patterns: PatternSet,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
-    /// Vertical position of the retracted head, mm.
-    pub retract_mm: f64,
+    /// Upper face of the die, mm.
+    pub top_mm: f64,
 }
 
 /// Why no plan can be made.
@@ -89,7 +77,7 @@ pub enum PlanningError {
     Pattern(#[from] flankscope_profilometry::pattern::PatternError),
 }
 
-impl Itinerary {
+impl ViewPlan {
     /// The views for the tool's critical teeth, or for `teeth` instead.
     ///
     /// # Errors
@@ -147,8 +135,24 @@ impl Itinerary {
             views,
             patterns,
             exposures_us: head.exposures_us.clone(),
-            retract_mm: top_mm + CLEARANCE_MM,
+            top_mm,
         })
+    }
+
+    /// What it asks of stages, projector and camera.
+    pub(crate) fn program(&self, settings: &StationSettings) -> Program {
+        let position = |view: &PlannedView| StagePosition {
+            rotation_rad: view.rotation_rad,
+            vertical_mm: view.vertical_mm,
+        };
+        Program {
+            positions: self.views.iter().map(position).collect(),
+            patterns: self.patterns.clone(),
+            exposures_us: self.exposures_us.clone(),
+            retract_mm: self.top_mm + settings.stages.clearance_mm,
+            timing: settings.timing.clone(),
+            light: settings.light.clone(),
+        }
     }
 
     /// The views in the order of the shortest way for a rotary stage that stands at `rotation_rad`: from the nearer end
@@ -166,55 +170,6 @@ impl Itinerary {
         }
         order
     }
-}
-
-/// The capture plan for some views of an itinerary.
-///
-/// # Errors
-/// More sets or exposures than a plan holds.
-pub fn capture_plan(
-    itinerary: &Itinerary,
-    views: &[usize],
-    limits: &Limits,
-) -> Result<CapturePlan, PlanningError> {
-    let too_many = |got| PlanningError::TooMany {
-        got,
-        limit: flankscope_protocol::plan::MAX_VIEWS,
-    };
-    let fringes = itinerary.patterns.sets.iter().map(|set| FringeSet {
-        periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
-        steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
-    });
-    let mut plan = CapturePlan {
-        session: crate::capture::monotonic_ns() as u32,
-        views: Default::default(),
-        exposures: Default::default(),
-        fringes: Default::default(),
-        led: LED.min(limits.led_max),
-        settle: SETTLE,
-        dmd_settle: DMD_SETTLE,
-        camera_readout: CAMERA_READOUT,
-        retract: Micrometres((itinerary.retract_mm * 1e3).round() as i32),
-        timeouts: Timeouts::default(),
-    };
-    for view in views.iter().filter_map(|&view| itinerary.views.get(view)) {
-        let view = View {
-            rotation: Microradians((view.rotation_rad * 1e6).round() as i32),
-            vertical: Micrometres((view.vertical_mm * 1e3).round() as i32),
-        };
-        plan.views.push(view).map_err(|_| too_many(views.len()))?;
-    }
-    for &exposure in &itinerary.exposures_us {
-        plan.exposures
-            .push(Microseconds(exposure))
-            .map_err(|_| too_many(itinerary.exposures_us.len()))?;
-    }
-    for set in fringes {
-        plan.fringes
-            .push(set)
-            .map_err(|_| too_many(itinerary.patterns.sets.len()))?;
-    }
-    Ok(plan)
 }
 
 /// The same angle in −π..π.

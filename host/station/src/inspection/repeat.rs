@@ -2,26 +2,19 @@
 
 use std::time::Duration;
 
-use flankscope_protocol::{Event, Limits, Refusal};
+use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
-use super::capture::RETRACT_RESERVE;
-use super::job::{InspectError, Progress};
-use super::run::Run;
-use super::station::Station;
+use super::job::{InspectError, Station};
 use super::views::ViewOutcome;
+use crate::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use crate::controller::{Client, ClientError};
-
-/// A press that does not open for so long stands still, or strokes fewer than 12 times a minute.
-const OPENING_PATIENCE: Duration = Duration::from_secs(5);
-/// Openings that are tried for a repetition: each may be over before the order arrives.
-const OPENINGS: u32 = 3;
 
 /// What became of a repetition.
 enum Captured {
     Whole,
     /// For this reason.
-    Stopped(String),
+    Stopped(Stop),
     /// The press stayed closed to the head.
     NotLetIn,
 }
@@ -33,9 +26,8 @@ impl Station {
         &mut self,
         client: &mut Client,
         run: &mut Run<ViewOutcome>,
-        limits: &Limits,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<Option<String>, InspectError> {
+    ) -> Result<Option<Stop>, InspectError> {
         let inspect = self.subject.tool.inspect.as_ref();
         // One way in and out, and a visit to each view.
         let visit = run.timeline.elapsed() / (run.wanted.len() as u32 + 1);
@@ -49,11 +41,11 @@ impl Station {
             if open.is_empty() || !in_time {
                 return Ok(None);
             }
-            open.iter().for_each(|&view| watch(Progress::Repeat(view)));
+            for &view in &open {
+                watch(Progress::Repeat(run.number(view)));
+            }
             let mut outcomes = std::mem::take(&mut run.outcomes);
-            let captured = self
-                .capture_when_open(client, run, &open, limits, watch)
-                .await;
+            let captured = self.capture_when_open(client, run, &open, watch).await;
             // A view that fails now keeps what it had.
             for (view, again) in std::mem::take(&mut run.outcomes) {
                 let outcome = match outcomes.remove(&view) {
@@ -78,24 +70,29 @@ impl Station {
         client: &mut Client,
         run: &mut Run<ViewOutcome>,
         views: &[usize],
-        limits: &Limits,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Captured, InspectError> {
-        for _ in 0..OPENINGS {
-            match self.capture(client, run, views, limits, watch).await {
+        let limits = client.identity().limits;
+        let press = &self.subject.station.press;
+        let patience = Duration::from_secs_f64(press.opening_patience_s);
+        for _ in 0..press.openings {
+            let captured = self.acquisition.capture(client, run, views, &limits, watch);
+            match captured.await {
                 Ok(None) => return Ok(Captured::Whole),
                 Ok(Some(why)) => return Ok(Captured::Stopped(why)),
-                Err(InspectError::Client(ClientError::Refused(Refusal::Interlock { .. }))) => {}
-                Err(error) => return Err(error),
+                Err(AcquisitionError::Client(ClientError::Refused(Refusal::Interlock {
+                    ..
+                }))) => {}
+                Err(error) => return Err(error.into()),
             }
-            let end = Instant::now() + OPENING_PATIENCE;
+            let end = Instant::now() + patience;
             loop {
                 let patience = end.saturating_duration_since(Instant::now());
                 match client.event(patience).await {
                     Ok(Event::PressOpen { open: true, .. }) => break,
                     Ok(_) => {}
                     Err(ClientError::NoEvent { .. }) => return Ok(Captured::NotLetIn),
-                    Err(error) => return Err(error.into()),
+                    Err(error) => return Err(AcquisitionError::from(error).into()),
                 }
             }
         }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
 use serde::Serialize;
@@ -10,7 +11,8 @@ use crate::baseline::Reference;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
-pub use super::recorder::Picture;
+use crate::acquisition::{Activity, Counts, Picture};
+use flankscope_frames::Frame;
 
 /// One inspected flank: a row of the table.
 #[derive(Clone, Debug, Serialize)]
@@ -38,14 +40,14 @@ pub struct Feature {
     /// Where it was measured more than once: the figure of each capture alone, µm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub measurements: Vec<Option<Expanded>>,
-    /// `go`, `warn`, `no-go` or `indeterminate`.
-    pub verdict: String,
+    /// Its verdict.
+    pub verdict: Word,
     /// Why it is not go.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Short name of that reason, always the same word for the same cause.
+    /// What kind of reason, where it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub code: Option<&'static str>,
+    pub code: Option<Code>,
 }
 
 /// The figures beside the judged one, each with its expanded uncertainty (95 %), and where the uncertainty comes from.
@@ -140,6 +142,19 @@ pub struct FrameCount {
     pub handover_us: Handover,
 }
 
+impl FrameCount {
+    /// From the bookkeeping of a run.
+    pub(crate) fn of(mut counts: Counts) -> Self {
+        Self {
+            triggered: counts.triggered,
+            received: counts.received,
+            bytes_copied: Frame::bytes_copied(),
+            recaptured_views: counts.recaptured,
+            handover_us: Handover::of(&mut counts.handover_ns),
+        }
+    }
+}
+
 /// How long frames were on their way, µs.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Handover {
@@ -219,8 +234,8 @@ pub struct Inspection {
     pub origin: Origin,
     /// When it ended: ISO 8601, UTC, by the host's clock.
     pub date: String,
-    /// `go`, `warn`, `no-go` or `indeterminate`.
-    pub verdict: String,
+    /// The verdict.
+    pub verdict: Word,
     /// Why, in one sentence.
     pub reason: String,
     /// One entry per inspected flank.
@@ -250,6 +265,12 @@ pub struct Inspection {
     /// Why the check ended early, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stopped: Option<String>,
+    /// What kind of reason that was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stopped_code: Option<Code>,
+    /// From the simulated bench alone: what was true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<serde_json::Value>,
     /// The sums of every capture, to be stored.
     #[serde(skip)]
     pub phasors: Vec<Phasors>,
@@ -264,6 +285,23 @@ pub struct Inspection {
     pub pictures: Pictures,
 }
 
+impl Inspection {
+    /// The verdict and its reason.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        format!("{}: {}", self.verdict, self.reason)
+    }
+
+    /// Something speaks against the verdict: damage that was found stays found, everything else is indeterminate.
+    pub fn withhold(&mut self, why: &Reason) {
+        self.verdict = self.verdict.withheld();
+        self.reason = match self.verdict {
+            Word::NoGo => format!("{}; {why}", self.reason),
+            Word::Go | Word::Warn | Word::Indeterminate => why.to_string(),
+        };
+    }
+}
+
 /// Raw material of the report's pictures.
 #[derive(Clone, Debug, Default)]
 pub struct Pictures {
@@ -272,7 +310,7 @@ pub struct Pictures {
     /// Signed deviations in the inspected zones, µm.
     pub deviations_um: Vec<f64>,
     /// Activity of the devices.
-    pub lanes: Vec<crate::report::Lane>,
+    pub activities: Vec<Activity>,
     /// One raw frame.
     pub frame: Option<Picture>,
 }

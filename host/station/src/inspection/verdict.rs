@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::{Cause, Decision, Limits, judge};
-use flankscope_metrology::verdict::{Reason, Verdict, combine, probability_below};
+use flankscope_metrology::verdict::{Reason, Verdict, Word, combine, probability_below};
 use flankscope_metrology::wear::{Budget, COVERAGE_95, Figure, FlankWear};
 
 use super::result::{Expanded, Feature, FlankDetail};
@@ -28,8 +28,8 @@ pub struct Judged {
     verdict: Verdict,
     /// The figure behind a warn or no-go.
     cause: Option<Cause>,
-    /// Why it was not measured, where the verdict does not say it.
-    unmeasured: Option<String>,
+    /// Whether there was anything to judge.
+    measured: bool,
 }
 
 impl Judged {
@@ -55,7 +55,7 @@ impl Judged {
             limit_um: rule.limit_um,
             verdict,
             cause,
-            unmeasured: None,
+            measured: true,
         }
     }
 
@@ -133,13 +133,10 @@ fn budget_um(budget: &Budget) -> BTreeMap<&'static str, f64> {
 
 impl From<Judged> for Feature {
     fn from(judged: Judged) -> Self {
-        let (reason, code) = match &judged.verdict {
-            Verdict::Indeterminate { reason } => (
-                Some(judged.unmeasured.unwrap_or_else(|| reason.to_string())),
-                Some(reason.code()),
-            ),
-            verdict => (judged.cause.map(|cause| cause.sentence(verdict)), None),
-        };
+        let reason = judged.verdict.reason();
+        let code = reason.map(Reason::code);
+        let reason = reason.map(Reason::to_string);
+        let reason = reason.or_else(|| judged.cause.map(|cause| cause.sentence(&judged.verdict)));
         Self {
             tooth: judged.tooth,
             flank: judged.flank.to_string(),
@@ -152,7 +149,7 @@ impl From<Judged> for Feature {
             measurements: judged.measurements,
             warn_um: judged.warn_um,
             limit_um: judged.limit_um,
-            verdict: judged.verdict.word().into(),
+            verdict: judged.verdict.word(),
             reason,
             code,
         }
@@ -160,14 +157,14 @@ impl From<Judged> for Feature {
 }
 
 /// Both flanks of a tooth that could not be measured.
-pub fn unmeasured(tooth: u32, tool: &Tool, why: &str) -> Vec<Judged> {
+pub fn unmeasured(tooth: u32, tool: &Tool, why: &Reason) -> Vec<Judged> {
     Flank::BOTH
         .map(|flank| unmeasured_flank(tooth, flank, tool, why))
         .into()
 }
 
 /// A flank that could not be measured.
-pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Judged {
+pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> Judged {
     let (warn_um, limit_um) = tool
         .inspect
         .as_ref()
@@ -185,12 +182,10 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Jud
         warn_um,
         limit_um,
         verdict: Verdict::Indeterminate {
-            reason: Reason::Instrument {
-                code: "not_measured",
-            },
+            reason: why.clone(),
         },
         cause: None,
-        unmeasured: Some(why.to_string()),
+        measured: false,
     }
 }
 
@@ -198,16 +193,14 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &str) -> Jud
 /// not known how true the die is to it says so.
 pub fn of_tool(
     flanks: &[Judged],
-    stopped: Option<&str>,
+    stopped: Option<&Reason>,
     cad_taken_as_true: bool,
-) -> (&'static str, String) {
+) -> (Word, String) {
     let mut verdict = combine(flanks.iter().map(|flank| flank.verdict.clone()));
-    if stopped.is_some() && matches!(verdict, Verdict::Go | Verdict::Warn) {
-        verdict = Verdict::Indeterminate {
-            reason: Reason::Instrument { code: "stopped" },
-        };
+    if let Some(why) = stopped {
+        verdict = verdict.withheld(why);
     }
-    let named = |word: &str| {
+    let named = |word: Word| {
         let names: Vec<String> = flanks
             .iter()
             .filter(|flank| flank.verdict.word() == word)
@@ -236,10 +229,11 @@ pub fn of_tool(
         }
         Verdict::Warn | Verdict::NoGo => named(verdict.word()),
         Verdict::Indeterminate { reason } => {
-            let first = flanks.iter().find_map(|flank| flank.unmeasured.as_deref());
+            let unmeasured = flanks.iter().find(|flank| !flank.measured);
+            let first = unmeasured.and_then(|flank| flank.verdict.reason());
             stopped.or(first).map_or_else(
-                || format!("{reason} ({})", named("indeterminate")),
-                str::to_string,
+                || format!("{reason} ({})", named(Word::Indeterminate)),
+                Reason::to_string,
             )
         }
     };

@@ -10,30 +10,24 @@ use flankscope_metrology::registration::{Options, Prior, Registration, Status, r
 use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
-use flankscope_metrology::verdict::Reason;
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Zone};
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_metrology::wear::leakage::Leakage;
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
 use flankscope_profilometry::head::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
+use super::field::FieldOfView;
+use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
-use super::influence::Fitted;
 use super::job::Subject;
-use super::judge::Judge;
-use super::plan::Itinerary;
+use super::plan::ViewPlan;
+use super::pose_sensitivity::Fitted;
 use super::result::{FlankMap, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
 use crate::baseline::Reference;
-
-/// Uniform error of ±15 mdeg of the rotary stage as a standard uncertainty (data sheet, rectangular distribution), rad.
-pub(crate) const ROTATION_SIGMA_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0 / SQRT_3;
-/// Uniform error of ±5 µm of the vertical stage as a standard uncertainty, mm.
-pub(crate) const VERTICAL_SIGMA_MM: f64 = 5e-3 / SQRT_3;
-/// What remains of hand-eye and axis after their calibration: position and tilt. An estimate, stated in the report.
-const MOUNT_SIGMA_MM: f64 = 10e-3;
-const MOUNT_SIGMA_RAD: f64 = 0.2e-3;
-const SQRT_3: f64 = 1.732_050_807_568_877_2;
+use crate::settings::Stages;
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
@@ -92,7 +86,7 @@ pub struct ViewOutcome {
     tooth: u32,
     /// What each capture measured of the flanks; nothing where it could not.
     captures: Vec<Vec<FlankWear>>,
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
 }
 
 impl ViewOutcome {
@@ -100,7 +94,7 @@ impl ViewOutcome {
     pub(crate) fn is_open(&self) -> bool {
         self.captures
             .last()
-            .is_some_and(|last| last.iter().any(|wear| self.judge.is_open(wear)))
+            .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
     }
 
     /// The outcome of this view and of another capture of it, judged together.
@@ -110,7 +104,7 @@ impl ViewOutcome {
         self.phasors.extend(again.phasors);
         self.captures.extend(again.captures);
         for (judged, flank) in self.flanks.iter_mut().zip(Flank::BOTH) {
-            if let Some(together) = self.judge.flank(self.tooth, flank, &self.captures) {
+            if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
                 *judged = together;
             }
         }
@@ -135,38 +129,41 @@ impl Place {
 }
 
 /// What the stages say of a view's pose.
-fn stage_prior(expected: Rigid<ToolFrame, Cloud>) -> Prior {
+fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
+    let (mount_mm, mount_rad) = stages.mount_sigma();
     Prior::independent(
         expected,
         [
-            MOUNT_SIGMA_RAD,
-            MOUNT_SIGMA_RAD,
-            ROTATION_SIGMA_RAD.hypot(MOUNT_SIGMA_RAD),
+            mount_rad,
+            mount_rad,
+            stages.rotation_sigma_rad().hypot(mount_rad),
         ],
         [
-            MOUNT_SIGMA_MM,
-            MOUNT_SIGMA_MM,
-            VERTICAL_SIGMA_MM.hypot(MOUNT_SIGMA_MM),
+            mount_mm,
+            mount_mm,
+            stages.vertical_sigma_mm().hypot(mount_mm),
         ],
     )
 }
 
 /// Of its covariance, what the stages draw anew with every approach; the rest is how head and die are mounted.
-fn approach_covariance() -> Matrix6<f64> {
+fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
     let mut covariance = Matrix6::zeros();
-    covariance[(2, 2)] = ROTATION_SIGMA_RAD * ROTATION_SIGMA_RAD;
-    covariance[(5, 5)] = VERTICAL_SIGMA_MM * VERTICAL_SIGMA_MM;
+    covariance[(2, 2)] = stages.rotation_sigma_rad() * stages.rotation_sigma_rad();
+    covariance[(5, 5)] = stages.vertical_sigma_mm() * stages.vertical_sigma_mm();
     covariance
 }
 
 /// Everything that does not change from check to check.
 pub struct Evaluator {
-    judge: Arc<Judge>,
+    criteria: Arc<FlankCriteria>,
     gear: GearData,
     zone: Zone,
     datum: Datum,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
+    field: FieldOfView,
+    stages: Stages,
     /// Size of the tool relative to its CAD, or why it cannot be judged.
     scale: Result<f64, Reason>,
 }
@@ -179,7 +176,7 @@ impl Evaluator {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: &ViewPlan,
     ) -> Result<Self, EvaluatorError> {
         let missing = |what| EvaluatorError::Missing { what };
         let tool = Arc::clone(&subject.tool);
@@ -195,12 +192,13 @@ impl Evaluator {
             .unwrap_or_default();
         let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
         let stage_from_camera = hand_eye(subject)?;
+        let field = FieldOfView::of(&subject.head)?;
         let volume = subject
             .head
             .volume
             .ok_or(missing("[volume] in the head file"))?;
-        let field_mm = volume.far_mm * field_slope(&subject.head);
-        let places = itinerary
+        let field_mm = volume.far_mm * field.slope;
+        let places = plan
             .views
             .iter()
             .map(|view| {
@@ -247,19 +245,21 @@ impl Evaluator {
         };
         let temperature = tool.temperature.as_ref();
         let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
-        let judge = Judge {
+        let criteria = FlankCriteria {
             tool,
             limits,
             settings,
             baseline: subject.baseline.clone(),
         };
         Ok(Self {
-            judge: Arc::new(judge),
+            criteria: Arc::new(criteria),
             gear,
             zone,
             datum,
             decoder,
             places,
+            field,
+            stages: subject.station.stages.clone(),
             scale,
         })
     }
@@ -268,45 +268,108 @@ impl Evaluator {
     #[must_use]
     pub fn evaluate(&self, view: usize, accumulator: &Accumulator) -> ViewOutcome {
         let place = &self.places[view];
-        let mut elapsed_ms = BTreeMap::new();
-        let mut clock = Instant::now();
-        let mut lap = |what, elapsed_ms: &mut BTreeMap<&'static str, f64>| {
-            elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
-            clock = Instant::now();
-        };
+        let mut laps = Laps::begin();
         let decoded = match self.decoder.finish(accumulator) {
             Ok(decoded) => decoded,
-            Err(error) => return self.unmeasured(place, &error.to_string(), elapsed_ms),
-        };
-        lap("decode", &mut elapsed_ms);
-        let inconsistent_ratio = inconsistent_ratio(&decoded);
-        if inconsistent_ratio > MOST_INCONSISTENT {
-            let why = format!(
-                "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press \
-                 vibrates, or the light flickers",
-                100.0 * inconsistent_ratio,
-                100.0 * MOST_INCONSISTENT
-            );
-            let mut outcome = self.unmeasured(place, &why, elapsed_ms);
-            for registration in &mut outcome.registration {
-                registration.inconsistent_ratio = inconsistent_ratio;
+            Err(error) => {
+                let why = Reason::instrument(Code::Decoding, error);
+                return self.unmeasured(place, &why, 0.0, laps.elapsed_ms);
             }
-            return outcome;
+        };
+        laps.lap("decode");
+        let inconsistent_ratio = inconsistent_ratio(&decoded);
+        if let Some(why) = shaken(inconsistent_ratio) {
+            return self.unmeasured(place, &why, inconsistent_ratio, laps.elapsed_ms);
         }
-        let kept =
-            outlier::statistical(&decoded.cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
-        let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
-        let chosen: Vec<usize> = (0..decoded.cloud.len()).filter(of_kept).collect();
-        // A warm die is laid on its CAD as it is when cold: everything shrinks towards axis and seat, poses included.
-        let scale = self.scale.as_ref().copied().unwrap_or(1.0);
-        let cold = |i: &usize| decoded.cloud.points_mm[*i].map(|x| x / scale);
-        let points: Vec<[f64; 3]> = chosen.iter().map(cold).collect();
-        let sigma: Vec<f32> = chosen
+        let cold = self.cold(&decoded);
+        laps.lap("outliers");
+        let fit = self.fit(place, &cold.points);
+        laps.lap("registration");
+        let located: Vec<[f64; 3]> = cold
+            .points
             .iter()
-            .map(|&i| decoded.cloud.sigma_z_mm[i])
+            .map(|&p| fit.registration.tool_from_cloud.apply(p))
             .collect();
-        lap("outliers", &mut elapsed_ms);
-        let tool_from_camera = place.tool_from_cold_camera(scale);
+        let closest = place.surface.closest_many(&located);
+        laps.lap("deviation");
+        let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
+        let without_point: Vec<[f64; 3]> =
+            rays_without_point(&self.decoder, &decoded, &cold.dropped)
+                .map(|direction| (tool_from_cloud * Vector3::from(direction).normalize()).into())
+                .collect();
+        let measured = Measured {
+            points: &located,
+            closest: &closest,
+            sigma_mm: Some(&cold.sigma),
+            sight: Some(Sight {
+                surface: &place.surface,
+                camera_mm: tool_from_cloud.translation.vector.into(),
+                without_point: &without_point,
+                reach_mm: self.field.range_mm,
+            }),
+        };
+        let assessed = match (&fit.registration.status, &self.scale) {
+            (_, Err(reason)) => self.not_assessed(place, reason),
+            (Status::Registered, Ok(_)) => self.assess(place, &fit, measured),
+            (Status::Indeterminate(reason), Ok(_)) => {
+                self.not_assessed(place, &Reason::Registration(reason.clone()))
+            }
+        };
+        let fields = assessed
+            .wears
+            .iter()
+            .filter(|wear| wear.figures.is_some())
+            .map(|wear| Reference {
+                tooth: wear.tooth,
+                flank: wear.flank,
+                field: wear.field.clone(),
+            })
+            .collect();
+        laps.lap("wear");
+        let (maps, deviations_um) = self.draw(place.tooth, &closest);
+        laps.lap("maps");
+        let points = cold.points.len();
+        ViewOutcome {
+            flanks: assessed.flanks,
+            registration: vec![ViewRegistration {
+                leakage: assessed.leakage,
+                inconsistent_ratio,
+                ..summary(place, points, &fit.registration, laps.elapsed_ms)
+            }],
+            fields,
+            pose: assessed.pose,
+            maps,
+            deviations_um,
+            phasors: Vec::new(),
+            tooth: place.tooth,
+            captures: vec![assessed.wears],
+            criteria: Arc::clone(&self.criteria),
+        }
+    }
+
+    /// The points that do not stand alone, as they are when the die is cold: a warm die is laid on its CAD as it is then,
+    /// everything shrinks towards axis and seat, poses included.
+    fn cold(&self, decoded: &Decoded) -> ColdPoints {
+        let cloud = &decoded.cloud;
+        let kept = outlier::statistical(&cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+        let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
+        let (chosen, dropped): (Vec<usize>, Vec<usize>) = (0..cloud.len()).partition(of_kept);
+        let scale = self.scale_or_one();
+        let cold = |&i: &usize| cloud.points_mm[i].map(|x| x / scale);
+        ColdPoints {
+            points: chosen.iter().map(cold).collect(),
+            sigma: chosen.iter().map(|&i| cloud.sigma_z_mm[i]).collect(),
+            dropped,
+        }
+    }
+
+    fn scale_or_one(&self) -> f64 {
+        self.scale.as_ref().copied().unwrap_or(1.0)
+    }
+
+    /// Lays the points on the CAD, from where the stages say they are.
+    fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
+        let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
         let used: Vec<bool> = points
             .iter()
             .map(|&p| self.is_datum(place, tool_from_camera.apply(p)))
@@ -317,99 +380,71 @@ impl Evaluator {
             .filter(|(_, used)| **used)
             .map(|(p, _)| *p)
             .collect();
-        let prior = stage_prior(tool_from_camera);
+        let prior = stage_prior(tool_from_camera, &self.stages);
         let options = Options {
             initial: prior.tool_from_cloud,
             prior: Some(prior.clone()),
             teeth: Some(self.gear.teeth),
             ..Options::default()
         };
-        let registration = register(&place.surface, &datum, None, &options);
-        lap("registration", &mut elapsed_ms);
-        let located: Vec<[f64; 3]> = points
-            .iter()
-            .map(|&p| registration.tool_from_cloud.apply(p))
-            .collect();
-        let closest = place.surface.closest_many(&located);
-        lap("deviation", &mut elapsed_ms);
-        let mut leakage = BTreeMap::new();
-        let mut wears: Vec<FlankWear> = Vec::new();
-        let mut pose = None;
-        let unmeasured = |why: &str| super::verdict::unmeasured(place.tooth, &self.judge.tool, why);
-        let flanks = match (&registration.status, &self.scale) {
-            (_, Err(reason)) => unmeasured(&reason.to_string()),
-            (Status::Registered, Ok(_)) => {
-                let (gear, settings) = (&self.gear, &self.judge.settings);
-                let places = wear::places(gear, &closest);
-                let fitted = Fitted {
-                    gear: &self.gear,
-                    zone: &self.zone,
-                    registration: &registration,
-                    prior: &prior,
-                    approach: approach_covariance(),
-                    options: &options,
-                    closest: &closest,
-                    used: &used,
-                    places: &places,
-                    temperature: self.judge.tool.temperature.as_ref(),
-                    form_in_doubt: self.judge.settings.as_built_mm > 0.0,
-                };
-                let measured = Measured {
-                    points: &located,
-                    closest: &closest,
-                    sigma_mm: Some(&sigma),
-                };
-                let (influences, measured) = rayon::join(
-                    || fitted.on(place.tooth),
-                    || {
-                        let (zone, teeth) = (&self.zone, &[place.tooth]);
-                        let of = Some(&registration);
-                        wear::evaluate_placed(gear, zone, teeth, measured, &places, of, settings)
-                    },
-                );
-                leakage.insert("left", influences[0].leakage);
-                leakage.insert("right", influences[1].leakage);
-                pose = Some(PoseEvidence::clone(&influences[0].evidence));
-                wears = measured
-                    .into_iter()
-                    .zip(influences)
-                    .map(|(wear, influence)| wear.with(influence, settings))
-                    .collect();
-                let captures = std::slice::from_ref(&wears);
-                let judged = |flank| self.judge.flank(place.tooth, flank, captures);
-                Flank::BOTH.into_iter().filter_map(judged).collect()
-            }
-            (Status::Indeterminate(reason), Ok(_)) => {
-                unmeasured(&Reason::Registration(reason.clone()).to_string())
-            }
+        Fit {
+            registration: register(&place.surface, &datum, None, &options),
+            used,
+            prior,
+            options,
+        }
+    }
+
+    /// Wear and decision of both flanks of the middle tooth.
+    fn assess(&self, place: &Place, fit: &Fit, measured: Measured<'_>) -> Assessed {
+        let (gear, settings) = (&self.gear, &self.criteria.settings);
+        let places = wear::places(gear, measured.closest);
+        let fitted = Fitted {
+            gear: &self.gear,
+            zone: &self.zone,
+            registration: &fit.registration,
+            prior: &fit.prior,
+            approach: approach_covariance(&self.stages),
+            options: &fit.options,
+            closest: measured.closest,
+            used: &fit.used,
+            places: &places,
+            temperature: self.criteria.tool.temperature.as_ref(),
+            form_in_doubt: settings.as_built_mm > 0.0,
         };
-        let fields = wears
-            .iter()
-            .filter(|wear| wear.figures.is_some())
-            .map(|wear| Reference {
-                tooth: wear.tooth,
-                flank: wear.flank,
-                field: wear.field.clone(),
-            })
+        let (sensitivities, measured) = rayon::join(
+            || fitted.on(place.tooth),
+            || {
+                let (zone, teeth) = (&self.zone, &[place.tooth]);
+                let of = Some(&fit.registration);
+                wear::evaluate_placed(gear, zone, teeth, measured, &places, of, settings)
+            },
+        );
+        let [left, right] = &sensitivities;
+        let leakage = BTreeMap::from([("left", left.leakage), ("right", right.leakage)]);
+        let pose = Some(PoseEvidence::clone(&left.evidence));
+        let wears: Vec<FlankWear> = measured
+            .into_iter()
+            .zip(sensitivities)
+            .map(|(wear, sensitivity)| wear.with(sensitivity, settings))
             .collect();
-        lap("wear", &mut elapsed_ms);
-        let (maps, deviations_um) = self.draw(place.tooth, &closest);
-        lap("maps", &mut elapsed_ms);
-        ViewOutcome {
-            flanks,
-            registration: vec![ViewRegistration {
-                leakage,
-                inconsistent_ratio,
-                ..summary(place, points.len(), &registration, elapsed_ms)
-            }],
-            fields,
+        let captures = std::slice::from_ref(&wears);
+        let judged = |flank| self.criteria.flank(place.tooth, flank, captures);
+        Assessed {
+            flanks: Flank::BOTH.into_iter().filter_map(judged).collect(),
+            leakage,
             pose,
-            maps,
-            deviations_um,
-            phasors: Vec::new(),
-            tooth: place.tooth,
-            captures: vec![wears],
-            judge: Arc::clone(&self.judge),
+            wears,
+        }
+    }
+
+    /// Why there is neither.
+    fn not_assessed(&self, place: &Place, why: &Reason) -> Assessed {
+        Assessed {
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
+            leakage: BTreeMap::new(),
+            pose: None,
+            wears: Vec::new(),
         }
     }
 
@@ -480,17 +515,18 @@ impl Evaluator {
     fn unmeasured(
         &self,
         place: &Place,
-        why: &str,
+        why: &Reason,
+        inconsistent_ratio: f64,
         elapsed_ms: BTreeMap<&'static str, f64>,
     ) -> ViewOutcome {
         ViewOutcome {
-            flanks: super::verdict::unmeasured(place.tooth, &self.judge.tool, why),
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
-                reason: Some(why.into()),
+                reason: Some(why.to_string()),
                 points: 0,
-                inconsistent_ratio: 0.0,
+                inconsistent_ratio,
                 inliers: 0,
                 rms_mm: 0.0,
                 iterations: 0,
@@ -507,9 +543,77 @@ impl Evaluator {
             phasors: Vec::new(),
             tooth: place.tooth,
             captures: vec![Vec::new()],
-            judge: Arc::clone(&self.judge),
+            criteria: Arc::clone(&self.criteria),
         }
     }
+}
+
+/// Points of a view on a cold die, camera frame (mm), each with its standard uncertainty (mm).
+struct ColdPoints {
+    points: Vec<[f64; 3]>,
+    sigma: Vec<f32>,
+    /// Points of the cloud that stand alone.
+    dropped: Vec<usize>,
+}
+
+/// A view laid on the CAD.
+struct Fit {
+    registration: Registration,
+    /// Of every point, whether the fit used it.
+    used: Vec<bool>,
+    prior: Prior,
+    options: Options,
+}
+
+/// What is said of both flanks of a view's middle tooth.
+struct Assessed {
+    flanks: Vec<Judged>,
+    leakage: BTreeMap<&'static str, Leakage>,
+    pose: Option<PoseEvidence>,
+    wears: Vec<FlankWear>,
+}
+
+/// How long each part took.
+struct Laps {
+    clock: Instant,
+    elapsed_ms: BTreeMap<&'static str, f64>,
+}
+
+impl Laps {
+    fn begin() -> Self {
+        Self {
+            clock: Instant::now(),
+            elapsed_ms: BTreeMap::new(),
+        }
+    }
+
+    fn lap(&mut self, what: &'static str) {
+        let elapsed_ms = self.clock.elapsed().as_secs_f64() * 1e3;
+        self.elapsed_ms.insert(what, elapsed_ms);
+        self.clock = Instant::now();
+    }
+}
+
+/// Why nothing is made of a view in which too many cells' frames contradict each other.
+fn shaken(inconsistent_ratio: f64) -> Option<Reason> {
+    let why = format_args!(
+        "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press vibrates, \
+         or the light flickers",
+        100.0 * inconsistent_ratio,
+        100.0 * MOST_INCONSISTENT
+    );
+    (inconsistent_ratio > MOST_INCONSISTENT).then(|| Reason::instrument(Code::Inconsistent, why))
+}
+
+/// Where the cells without a point look, and those whose point was `dropped`: camera frame, at any length.
+pub(crate) fn rays_without_point<'a>(
+    decoder: &'a Decoder,
+    decoded: &'a Decoded,
+    dropped: &'a [usize],
+) -> impl Iterator<Item = [f64; 3]> + 'a {
+    let cells = decoded.without_point.iter();
+    let directions = cells.filter_map(|&cell| decoder.direction(cell).map(|[x, y]| [x, y, 1.0]));
+    directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
 }
 
 /// Part of the cells with a fringe and an order whose frames contradict each other.
@@ -556,16 +660,6 @@ fn summary(
             .collect(),
         elapsed_ms,
     }
-}
-
-/// Half the field's width per distance, from the camera's image circle or its sensor.
-pub(crate) fn field_slope(head: &flankscope_profilometry::HeadModel) -> f64 {
-    let camera = &head.camera;
-    let radius_px = head.image_circle.map_or(
-        0.5 * f64::from(camera.width_px.max(camera.height_px)),
-        |circle| circle.radius_px,
-    );
-    radius_px / camera.focal_px[0].min(camera.focal_px[1])
 }
 
 /// The die turns by the commanded angle; seen from the die, the stage turns the other way.

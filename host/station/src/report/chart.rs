@@ -2,35 +2,30 @@
 
 use std::fmt::Write as _;
 
-/// A bar of a timeline lane, in ms from the start of the check.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
-    /// Start, ms.
-    pub start_ms: f64,
-    /// End, ms.
-    pub end_ms: f64,
+use super::svg::{open, ticks};
+use crate::acquisition::{Activity, Device};
+
+/// How a device's lane is called and filled.
+fn lane(device: Device) -> (&'static str, &'static str) {
+    match device {
+        Device::Stages => ("stages move", "#7a8794"),
+        Device::Settling => ("settle", "#b9c2cb"),
+        Device::Led => ("LED", "#2f9e5b"),
+        Device::Dmd => ("DMD", "#c77d0a"),
+        Device::Camera => ("camera", "#2b6cb0"),
+    }
 }
 
-/// One lane of the timeline.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lane {
-    /// What it shows.
-    pub name: &'static str,
-    /// Fill colour, CSS.
-    pub colour: &'static str,
-    /// When it was active.
-    pub spans: Vec<Span>,
-}
-
-/// Lanes over a common time axis.
+/// A lane per device over a common time axis.
 #[must_use]
-pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
+pub fn timeline(activities: &[Activity]) -> String {
     const LEFT: f64 = 90.0;
     const WIDTH: f64 = 900.0;
     const LANE: f64 = 26.0;
-    let end_ms = end_ms.max(1.0);
+    let spans = activities.iter().flat_map(|activity| &activity.spans);
+    let end_ms = spans.map(|span| span.end_ms).fold(1.0, f64::max);
     let x = |ms: f64| LEFT + ms / end_ms * (WIDTH - LEFT - 10.0);
-    let height = LANE * lanes.len() as f64 + 34.0;
+    let height = LANE * activities.len() as f64 + 34.0;
     let mut svg = open(WIDTH, height, "Timeline of LED, DMD, camera and stages");
     for tick in ticks(0.0, end_ms) {
         let at = x(tick);
@@ -51,16 +46,17 @@ pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
         r#"<text x="{:.1}" y="{height:.1}" text-anchor="end">time / s</text>"#,
         WIDTH - 10.0
     );
-    for (i, lane) in lanes.iter().enumerate() {
+    for (i, activity) in activities.iter().enumerate() {
+        let (name, colour) = lane(activity.device);
         let top = LANE * i as f64 + 4.0;
         let _ = write!(
             svg,
             r#"<text x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
             LEFT - 8.0,
             top + 13.0,
-            lane.name
+            name
         );
-        for span in &lane.spans {
+        for span in &activity.spans {
             // A trigger of a millisecond still shows.
             let width = (x(span.end_ms) - x(span.start_ms)).max(0.6);
             let _ = write!(
@@ -68,7 +64,7 @@ pub fn timeline(lanes: &[Lane], end_ms: f64) -> String {
                 r#"<rect x="{:.2}" y="{top:.1}" width="{width:.2}" height="{:.1}" fill="{}"/>"#,
                 x(span.start_ms),
                 LANE - 8.0,
-                lane.colour
+                colour
             );
         }
     }
@@ -175,43 +171,9 @@ pub fn colour_bar(full_um: f64) -> String {
     svg
 }
 
-/// The beginning of a picture.
-pub(super) fn open(width: f64, height: f64, title: &str) -> String {
-    format!(
-        r#"<svg viewBox="0 0 {width} {height}" role="img" aria-label="{title}"><title>{title}</title>"#
-    )
-}
-
-/// About eight round numbers between two ends.
-pub(super) fn ticks(from: f64, to: f64) -> Vec<f64> {
-    let raw = (to - from) / 8.0;
-    let magnitude = 10_f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0]
-        .into_iter()
-        .map(|m| m * magnitude)
-        .find(|&s| s >= raw)
-        .unwrap_or(raw);
-    let first = (from / step).ceil() as i64;
-    let last = (to / step).floor() as i64;
-    (first..=last)
-        .map(|i| (i as f64 * step * 1e6).round() / 1e6)
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_round_and_inside() {
-        assert_eq!(
-            ticks(0.0, 4000.0),
-            [
-                0.0, 500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 3500.0, 4000.0
-            ]
-        );
-        assert_eq!(ticks(-100.0, 100.0), [-100.0, -50.0, 0.0, 50.0, 100.0]);
-    }
 
     #[test]
     fn every_point_is_drawn_or_counted_as_beyond_the_axis() {

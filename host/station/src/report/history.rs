@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use askama::Template;
 
-use super::chart::{open, ticks};
-use crate::history::{Acknowledgement, Check, Outlook};
+use super::svg::{open, ticks};
+use crate::history::{Acknowledgement, Check, Forecast};
 
 /// Checks that the page lists, the last ones.
 const LISTED: usize = 20;
@@ -25,7 +25,7 @@ struct Page<'a> {
 }
 
 struct Flank<'a> {
-    outlook: &'a Outlook,
+    forecast: &'a Forecast,
     chart: String,
     rate: String,
     remaining: String,
@@ -39,13 +39,13 @@ pub fn history_html(
     tool: &str,
     checks: &[Check],
     acknowledgements: &[Acknowledgement],
-    outlooks: &[Outlook],
+    forecasts: &[Forecast],
 ) -> Result<String, askama::Error> {
-    let flanks = outlooks.iter().map(|outlook| Flank {
-        outlook,
-        chart: wear(outlook),
-        rate: rate(outlook),
-        remaining: remaining(outlook),
+    let flanks = forecasts.iter().map(|forecast| Flank {
+        forecast,
+        chart: wear(forecast),
+        rate: rate(forecast),
+        remaining: remaining(forecast),
     });
     let page = Page {
         tool,
@@ -66,8 +66,8 @@ pub fn history_html(
 
 /// Rate of wear with its interval, µm per thousand cycles.
 #[must_use]
-pub fn rate(outlook: &Outlook) -> String {
-    outlook.trend.map_or_else(
+pub fn rate(forecast: &Forecast) -> String {
+    forecast.trend.map_or_else(
         || "–".into(),
         |trend| {
             let [low, high] = trend.rate_um_95;
@@ -83,12 +83,12 @@ pub fn rate(outlook: &Outlook) -> String {
 
 /// Remaining cycles: those that 95 of 100 such flanks do, and those that half of them do.
 #[must_use]
-pub fn remaining(outlook: &Outlook) -> String {
-    match (outlook.trend, outlook.remaining_cycles.q05) {
+pub fn remaining(forecast: &Forecast) -> String {
+    match (forecast.trend, forecast.remaining_cycles.q05) {
         (None, _) => "–".into(),
         (Some(_), None) => "no end in sight".into(),
         (Some(_), Some(q05)) => {
-            let q50 = outlook.remaining_cycles.q50;
+            let q50 = forecast.remaining_cycles.q50;
             format!(
                 "{:.0} (half: {})",
                 q05.floor(),
@@ -102,11 +102,11 @@ pub fn remaining(outlook: &Outlook) -> String {
 }
 
 /// Wear against cycles: figures with their expanded uncertainty, limits, changes, and the trend.
-fn wear(outlook: &Outlook) -> String {
+fn wear(forecast: &Forecast) -> String {
     const WIDTH: f64 = 900.0;
     const HEIGHT: f64 = 260.0;
     let (left, right, top, bottom) = (46.0, WIDTH - 60.0, 14.0, HEIGHT - 36.0);
-    let points = &outlook.points;
+    let points = &forecast.points;
     let cycles = |f: fn(f64, f64) -> f64, from: f64| points.iter().map(|p| p.cycles).fold(from, f);
     let (first, last) = (
         cycles(f64::min, f64::INFINITY),
@@ -125,13 +125,13 @@ fn wear(outlook: &Outlook) -> String {
             .fold(from, f)
     };
     let low = wear_um(f64::min, 0.0, -1.0);
-    let high = wear_um(f64::max, 1.1 * outlook.limit_um, 1.0);
+    let high = wear_um(f64::max, 1.1 * forecast.limit_um, 1.0);
     let height = (high - low).max(1.0);
     let x = |cycles: f64| left + (cycles - first) / span * (right - left);
     let y = |um: f64| bottom - (um - low) / height * (bottom - top);
     let title = format!(
         "Wear of tooth {} {} against cycles",
-        outlook.tooth, outlook.flank
+        forecast.tooth, forecast.flank
     );
     let mut svg = open(WIDTH, HEIGHT, &title);
     for tick in ticks(low, low + height) {
@@ -151,7 +151,7 @@ fn wear(outlook: &Outlook) -> String {
             bottom + 16.0
         );
     }
-    for (um, name) in [(outlook.warn_um, "warn"), (outlook.limit_um, "stop")] {
+    for (um, name) in [(forecast.warn_um, "warn"), (forecast.limit_um, "stop")] {
         let at = y(um);
         let _ = write!(
             svg,
@@ -160,7 +160,10 @@ fn wear(outlook: &Outlook) -> String {
             at + 4.0
         );
     }
-    for point in points.iter().filter(|p| outlook.changes.contains(&p.check)) {
+    for point in points
+        .iter()
+        .filter(|p| forecast.changes.contains(&p.check))
+    {
         let at = x(point.cycles);
         let _ = write!(
             svg,
@@ -168,7 +171,7 @@ fn wear(outlook: &Outlook) -> String {
             top - 3.0
         );
     }
-    if let Some(trend) = outlook.trend {
+    if let Some(trend) = forecast.trend {
         // From the first point of the line to the edge of the picture.
         let begin = points
             .len()

@@ -2,14 +2,19 @@
 
 mod chart;
 mod colour;
+mod folder;
 mod history;
 mod plot;
 mod scan;
 mod scan_files;
+mod svg;
+
+use std::collections::BTreeSet;
 
 use askama::Template;
+use flankscope_metrology::verdict::{Code, Word};
 
-pub use chart::{Lane, Span};
+pub use folder::{LatestPage, ReportFolder};
 pub use history::{history_html, rate, remaining};
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
@@ -33,6 +38,8 @@ struct Page<'a> {
     origin: &'a Origin,
     date: &'a str,
     check: String,
+    /// What to do about what could not be decided.
+    remedies: BTreeSet<Code>,
     maps: Vec<Map<'a>>,
     colour_bar: String,
     histogram: String,
@@ -44,7 +51,7 @@ struct Page<'a> {
 /// A deviation map as a picture.
 struct Map<'a> {
     map: &'a FlankMap,
-    verdict: &'a str,
+    verdict: Word,
     picture: String,
     width_px: f64,
     height_px: f64,
@@ -72,12 +79,6 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         .iter()
         .map(|map| draw(map, inspection, full_um))
         .collect();
-    let end_ms = pictures
-        .lanes
-        .iter()
-        .flat_map(|lane| &lane.spans)
-        .map(|s| s.end_ms)
-        .fold(0.0, f64::max);
     let marks = inspection
         .features
         .first()
@@ -87,6 +88,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         origin: &inspection.origin,
         date: &inspection.date,
         check: numbered(inspection.id),
+        remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
         maps,
         colour_bar: chart::colour_bar(full_um),
         histogram: chart::histogram(
@@ -94,7 +96,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
             full_um,
             marks.as_ref().map_or(&[], |m| m),
         ),
-        timeline: chart::timeline(&pictures.lanes, end_ms),
+        timeline: chart::timeline(&pictures.activities),
         frame: pictures
             .frame
             .as_ref()
@@ -128,7 +130,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         .features
         .iter()
         .find(|f| f.tooth == map.tooth && f.flank == map.flank)
-        .map_or("indeterminate", |f| f.verdict.as_str());
+        .map_or(Word::Indeterminate, |f| f.verdict);
     const PX_PER_MM: f64 = 48.0;
     Map {
         map,
@@ -158,6 +160,16 @@ mod tests {
         let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         let formats = words(include_str!("../../../../docs/formats.md"));
         assert!(formats.contains(&words(DEFINITIONS)));
+    }
+
+    #[test]
+    fn documentation_lists_every_reason_with_its_remedy() {
+        let formats = include_str!("../../../../docs/formats.md");
+        for code in Code::ALL {
+            let (begins, ends) = (format!("| `{code}` | "), format!(" | {} |", code.remedy()));
+            let of_code = |row: &str| row.starts_with(&begins) && row.ends_with(&ends);
+            assert!(formats.lines().any(of_code), "{code}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::chart::{open, ticks};
+use super::svg::{open, ticks};
 
 const LEFT: f64 = 58.0;
 const RIGHT: f64 = 12.0;

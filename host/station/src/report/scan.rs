@@ -319,7 +319,7 @@ fn histogram(
 
 /// The rotation axis in the die, from its lower to its upper end, seen from above.
 fn axis(scan: &Scan) -> String {
-    let ends = scan.joint.found.axis_mm;
+    let ends = scan.adjustment.found.axis_mm;
     let reach = ends.iter().flatten().fold(0.05_f64, |r, c| r.max(c.abs())) * 1.25;
     let line: OverAngle = ends.iter().map(|[x, y]| (*x, Some(*y))).collect();
     let point = |[x, y]: [f64; 2]| [(x, y)];
@@ -340,7 +340,7 @@ fn axis(scan: &Scan) -> String {
 
 /// The encoder's error over a turn: its harmonics as a line, and every view.
 fn harmonics(scan: &Scan) -> String {
-    let pairs = scan.joint.found.harmonics_mdeg;
+    let pairs = scan.adjustment.found.harmonics_mdeg;
     let error_mdeg = |deg: f64| -> f64 {
         (1_u8..)
             .zip(pairs)
@@ -359,7 +359,7 @@ fn harmonics(scan: &Scan) -> String {
         .iter()
         .filter_map(|r| {
             let at = r.rotation_deg;
-            Some((at, error_mdeg(at) + r.stray_turn_mdeg?))
+            Some((at, error_mdeg(at) + r.residual_turn_mdeg?))
         })
         .collect();
     let most = views

@@ -10,8 +10,8 @@ use flankscope_metrology::tool::Tool;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
+use super::hinz2019::{Hinz2019Settings, Hinz2019Stitched};
 use super::job::ScanError;
-use super::paper::{PaperSettings, PaperStitched};
 use super::result::Form;
 use super::session::Session;
 use super::stitch::Stitched;
@@ -21,11 +21,11 @@ use crate::inspection::PlannedView;
 /// Which way the result is made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// All views on the surface, in one joint solve.
+    /// All views on the surface, in one adjustment.
     #[default]
     Surface,
     /// The article's; ours beside it.
-    Paper,
+    Hinz2019,
     /// Ours; the article's beside it.
     Both,
 }
@@ -213,15 +213,17 @@ pub(super) fn of_surface(
 ) -> Result<MethodResult, ScanError> {
     let mut figures = vec![None; planned.len()];
     let about_form = &stitched.rms_about_form_mm;
-    let strays = stitched.joint.strays.iter().zip(about_form);
-    for ((view, info), (stray, rms_mm)) in stitched.views.iter().zip(strays) {
-        let off_mm = stray.fixed_rows::<3>(3).into_owned();
+    let pose_residuals = stitched.adjustment.pose_residuals.iter().zip(about_form);
+    for ((view, info), (residual, rms_mm)) in stitched.views.iter().zip(pose_residuals) {
+        let off_mm = residual.fixed_rows::<3>(3).into_owned();
         let rms_mm = rms_mm.unwrap_or(info.rms_mm);
         figures[*view] = Some(ViewFigures::new(rms_mm, info.centre_mm.into(), off_mm));
     }
     let mut one_view = None;
-    if let (Some((view, _)), Some(pose)) = (stitched.views.first(), stitched.joint.poses.first()) {
-        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?, SAMPLE)
+    if let (Some((view, _)), Some(pose)) =
+        (stitched.views.first(), stitched.adjustment.poses.first())
+    {
+        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?.points, SAMPLE)
             .into_iter()
             .map(|p| (pose * Point3::from(p)).into())
             .collect();
@@ -243,11 +245,11 @@ pub(super) fn of_surface(
     })
 }
 
-/// The article's in figures; `shared` is what our joint solve found of die, head and stages.
-pub(super) fn of_paper(
-    stitched: &PaperStitched,
+/// The article's in figures; `shared` is what our adjustment found of die, head and stages.
+pub(super) fn of_hinz2019(
+    stitched: &Hinz2019Stitched,
     shared: &Stages,
-    settings: &PaperSettings,
+    settings: &Hinz2019Settings,
     planned: &[PlannedView],
     took: Duration,
 ) -> MethodResult {

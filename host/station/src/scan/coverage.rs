@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout};
+use flankscope_metrology::verdict::{Code, Reason};
 use serde::Serialize;
 
 use crate::inspection::PlannedView;
@@ -11,8 +12,8 @@ use crate::inspection::PlannedView;
 /// A field of which less than this share was seen is a hole. Some five cells lie across a judged flank, of which a die that
 /// stands askew hides one or two at an edge.
 pub(super) const LEAST_COVERAGE: f64 = 0.6;
-/// A view answers for at most so much of its tooth above and below its middle, mm: its field is 10 mm wide and round.
-const HALF_FIELD_MM: f64 = 4.0;
+/// A view answers for at most so much of its tooth above and below its middle, of the width of its field, which is round.
+const ASKED_PER_FIELD: f64 = 0.4;
 
 /// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height. A scan is for the teeth
 /// and heights that it looked at and says nothing of the others.
@@ -61,8 +62,9 @@ impl Coverage {
         gear: &GearData,
         radius_mm: [f64; 2],
         planned: &[PlannedView],
-        least_ratio: f64,
+        (field_mm, least_ratio): (f64, f64),
     ) -> Self {
+        let asked_mm = ASKED_PER_FIELD * field_mm;
         let layout = map.layout();
         // Cells of every flank by row of the map.
         let mut seen: BTreeMap<(u32, Flank), Vec<usize>> = BTreeMap::new();
@@ -83,7 +85,7 @@ impl Coverage {
         let across = cells_across(gear, &layout, radius_mm);
         let ratio = |tooth: u32, flank: Flank, vertical_mm: f64| {
             let row = |z: f64| ((z - low) / row_mm).clamp(0.0, layout.rows as f64) as usize;
-            let rows = row(vertical_mm - HALF_FIELD_MM)..row(vertical_mm + HALF_FIELD_MM);
+            let rows = row(vertical_mm - asked_mm)..row(vertical_mm + asked_mm);
             let all = rows.len().max(1) as f64 * across;
             let cells = seen.get(&(tooth, flank)).and_then(|of| of.get(rows));
             let cells = cells.map_or(0, |cells| cells.iter().sum::<usize>());
@@ -122,23 +124,25 @@ impl Coverage {
         }
     }
 
-    /// What a verdict is for, in words; `bore_ratio` is the share of the bore that was seen.
+    /// What a verdict is for, in words; `height_ratio` is the share of these teeth's height that was judged, `bore_ratio` the
+    /// share of the bore that was seen.
     #[must_use]
-    pub fn looked_at(&self, bore_ratio: f64) -> String {
+    pub fn looked_at(&self, height_ratio: f64, bore_ratio: f64) -> String {
         format!(
-            "{} of {} teeth at {} height{}, {} % of the bore",
+            "{} of {} teeth at {} height{} ({} % of their face width), {} % of the bore",
             self.teeth,
             self.of_teeth,
             self.heights,
             if self.heights == 1 { "" } else { "s" },
+            percent(height_ratio),
             percent(bore_ratio)
         )
     }
 
     /// Why the scan cannot be a go, if it cannot: less was seen than was asked for.
-    pub(super) fn objection(&self) -> Option<String> {
+    pub(super) fn objection(&self) -> Option<Reason> {
         let first = self.holes.first()?;
-        Some(format!(
+        let why = format!(
             "{} of {} planned flank fields were seen to less than {:.0} %; the first is tooth {} {} at {:.1} mm with {:.0} %",
             self.holes.len(),
             self.fields,
@@ -147,7 +151,8 @@ impl Coverage {
             first.flank,
             first.vertical_mm,
             100.0 * first.seen_ratio,
-        ))
+        );
+        Some(Reason::instrument(Code::Unseen, why))
     }
 }
 
@@ -244,7 +249,7 @@ mod tests {
             &gear(),
             gear().active_flank_mm(),
             &plan(),
-            LEAST_COVERAGE,
+            (10.0, LEAST_COVERAGE),
         )
     }
 
@@ -254,8 +259,11 @@ mod tests {
         assert_eq!((whole.fields, whole.holes.len()), (2 * 588, 0));
         assert_eq!(whole.objection(), None);
         assert_eq!((whole.teeth, whole.heights), (84, 7));
-        let said = whole.looked_at(0.1234);
-        assert_eq!(said, "84 of 84 teeth at 7 heights, 12.3 % of the bore");
+        let said = whole.looked_at(0.8485, 0.1234);
+        assert_eq!(
+            said,
+            "84 of 84 teeth at 7 heights (84.9 % of their face width), 12.3 % of the bore"
+        );
         let nothing = of(&map(|_, _| true));
         assert_eq!((nothing.holes.len(), nothing.teeth), (2 * 588, 0));
         assert_eq!(nothing.worst_ratio, 0.0);
@@ -268,7 +276,7 @@ mod tests {
         let one = of(&map(|tooth, z| tooth == 20 && (18.9..28.3).contains(&z)));
         assert_eq!((one.holes.len(), one.teeth), (2, 83));
         assert_eq!((one.holes[0].tooth, one.holes[0].seen_ratio), (20, 0.0));
-        let why = one.objection().expect("a hole");
+        let why = one.objection().expect("a hole").to_string();
         assert!(
             why.contains("2 of 1176") && why.contains("tooth 20"),
             "{why}"

@@ -1,7 +1,7 @@
 //! What a scan says of the wear of every flank: the same measurand, judged by the same rules as in a check between strokes.
 //!
 //! ```text
-//!  points of every view by flank (patches) ─► moved to the joint solve's poses ─► zone by zone: wear ─┐
+//!  points of every view by flank (patches) ─► moved to the adjustment's poses ─► zone by zone: wear ─┐
 //!  what each view may hide or leave open (pose) ──────────────────────────────────────────────────────┤
 //!  medians of all flanks: what a turn of the die may hide ────────────────────────────────────────────┴─► judge
 //! ```
@@ -20,11 +20,11 @@ use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::Verdict;
 use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
 use flankscope_metrology::wear::{
-    Figure, FlankWear, Gathered, Influence, PoseEvidence, SeenFlank, Settings, Zone, places,
+    Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
 };
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
@@ -33,17 +33,15 @@ use super::job::{ScanError, Scanner};
 use super::session::SessionError;
 use super::stitch::Stitched;
 use super::view::{SAMPLE, coordinates};
-use super::workshop::Store;
+use super::view_pipeline::Store;
 use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
 
-/// Where every tooth is in the middle of a view, layers that are no farther apart than twice this are asked for everything
-/// between them, mm: a field is 10 mm wide, and what its round rim lacks there the views beside it show.
-const JOINED_MM: f64 = 5.0;
-/// Else a view is asked for at most so much above and below its middle, mm ...
-const ASKED_MM: f64 = 4.0;
+/// A view is asked for at most so much above and below its middle, of the field's width: where every tooth is in the middle of
+/// one, layers no farther apart than twice this are asked for everything between them. Beyond, the round rims of the fields
+/// leave slivers of flanks unseen that no view beside them shows ...
+const ASKED_PER_FIELD: f64 = 0.4;
 /// ... and for no more than its round field shows of a flank that lies off its middle, even where die and head stand off by so
 /// much (mm) together.
-const FIELD_RADIUS_MM: f64 = 5.0;
 const PUT_DOWN_MM: f64 = 1.0;
 /// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
 const END_PER_MODULE: f64 = 0.1;
@@ -59,7 +57,7 @@ const QUARTILE_ERROR: f64 = 1.362_6;
 /// Median of |x| to standard deviation for a normal distribution.
 const SIGMA_PER_MAD: f64 = 1.4826;
 /// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
-/// the joint solve counts them.
+/// the adjustment counts them.
 const PATCHES: f64 = 80.0;
 const FORM_MM: f64 = 10e-3;
 /// A flank with fewer of a view's sample lies at its rim.
@@ -74,6 +72,8 @@ pub(super) struct JudgedFlanks {
     pub verdicts: Vec<Verdict>,
     /// Mean deviation of every flank that was seen, asked for or not.
     pub means: Vec<FlankMean>,
+    /// Share of the heights of those that were asked for.
+    pub height_ratio: f64,
 }
 
 /// What one view's pose may do to the flanks of its middle tooth.
@@ -90,22 +90,23 @@ struct Held {
 }
 
 /// How far above and below its middle a view is asked for its middle tooth, mm.
-fn reach_mm(gear: &GearData, view: &PlannedView) -> f64 {
+fn reach_mm(gear: &GearData, view: &PlannedView, field_mm: f64) -> f64 {
+    let radius_mm = 0.5 * field_mm;
     let off_rad = gear.tooth_centre_rad(view.tooth) + view.rotation_rad;
     let off_rad = off_rad - TAU * (off_rad / TAU).round();
     let half_rad =
         gear.half_tooth_rad(gear.pitch_radius_mm()).unwrap_or(0.0) + 0.25 * gear.pitch_rad();
     let across_mm = (off_rad.abs() + half_rad) * gear.pitch_radius_mm() + PUT_DOWN_MM;
-    let squared = FIELD_RADIUS_MM * FIELD_RADIUS_MM - across_mm * across_mm;
-    squared.max(0.0).sqrt().min(ASKED_MM)
+    let squared = radius_mm * radius_mm - across_mm * across_mm;
+    squared.max(0.0).sqrt().min(ASKED_PER_FIELD * field_mm)
 }
 
 /// The heights that a plan asks for, tooth by tooth: around every view's middle; of a scan of all teeth, joined where layers
 /// are near each other or the end of the toothing is.
-fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]>> {
+fn asked(planned: &[PlannedView], gear: &GearData, field_mm: f64) -> BTreeMap<u32, Vec<[f64; 2]>> {
     let mut views: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
     for view in planned {
-        let of = [view.vertical_mm, reach_mm(gear, view)];
+        let of = [view.vertical_mm, reach_mm(gear, view, field_mm)];
         views.entry(view.tooth).or_default().push(of);
     }
     let [bottom, top] = gear.height_mm;
@@ -115,7 +116,7 @@ fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]
         let mut zones: Vec<[f64; 2]> = Vec::new();
         for (i, &[middle, reach]) in at.iter().enumerate() {
             let reach = |to_edge_mm: f64| {
-                if all && to_edge_mm <= JOINED_MM {
+                if all && to_edge_mm <= ASKED_PER_FIELD * field_mm {
                     to_edge_mm
                 } else {
                     reach
@@ -133,6 +134,15 @@ fn asked(planned: &[PlannedView], gear: &GearData) -> BTreeMap<u32, Vec<[f64; 2]
         (tooth, zones)
     };
     views.into_iter().map(of_tooth).collect()
+}
+
+/// Share of the judged heights of the teeth that were asked for.
+fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -> f64 {
+    let zones = asked.values().flatten();
+    let judged: f64 = zones
+        .map(|&[low, high]| (high.min(top) - low.max(bottom)).max(0.0))
+        .sum();
+    judged / ((top - bottom) * asked.len().max(1) as f64)
 }
 
 /// The middle one of the finite values; none without any.
@@ -201,6 +211,8 @@ struct Judging<'a> {
     planned: &'a [PlannedView],
     store: &'a Store,
     nominal: &'a Stages,
+    single: Local,
+    field_mm: f64,
     /// Standard uncertainty of a flank's deviation by the head's calibration, mm.
     calibration_mm: f64,
 }
@@ -208,13 +220,15 @@ struct Judging<'a> {
 impl Scanner {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
-        let subject = &self.station.subject;
+        let subject = &self.subject;
         let judging = Judging {
             gear: &self.gear,
             tool: &subject.tool,
-            planned: &self.station.itinerary.views,
+            planned: &self.plan.views,
             store: &self.store,
             nominal: &self.nominal,
+            single: subject.station.stages.of_single_view(),
+            field_mm: self.field.width_mm,
             calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
         };
         judging.flanks(stitched)
@@ -225,15 +239,16 @@ impl Judging<'_> {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     fn flanks(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
         let (tool, planned) = (self.tool, self.planned);
-        let asked = asked(planned, self.gear);
+        let asked = asked(planned, self.gear, self.field_mm);
         let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
             let why = "[inspect] is missing in the tool file: there are no limits to judge by";
-            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, why));
+            let why = Reason::instrument(Code::NoLimits, why);
+            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, &why));
             let judged = asked.keys().flat_map(none).collect::<Vec<_>>();
             return Ok(JudgedFlanks {
                 verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
                 features: judged.into_iter().map(Feature::from).collect(),
-                means: Vec::new(),
+                ..JudgedFlanks::default()
             });
         };
         let settings = Settings {
@@ -270,7 +285,7 @@ impl Judging<'_> {
         let views: Vec<(usize, &Isometry3<f64>)> = stitched
             .views
             .iter()
-            .zip(&stitched.joint.poses)
+            .zip(&stitched.adjustment.poses)
             .map(|((view, _), pose)| (*view, pose))
             .collect();
         let steps = [stitched.steps.around, stitched.steps.up]
@@ -317,27 +332,34 @@ impl Judging<'_> {
         let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
         let evidence = Arc::new(evidence);
         let judged = measured.into_par_iter().map(|(zone, wear)| {
-            let influence = self.influence(&held, &zone, &wear, &evidence, form_scatter_mm);
-            let wear = match influence {
-                Some(influence) => wear.with(influence, &settings),
+            let sensitivity = self.sensitivity(&held, &zone, &wear, &evidence, form_scatter_mm);
+            let wear = match sensitivity {
+                Some(sensitivity) => wear.with(sensitivity, &settings),
                 None => wear,
             };
             judge(wear, &zone, &limits)
         });
         let judged: Vec<OfZone> = judged.collect();
-        Ok(of_flanks(&judged, |tooth| asked.contains_key(&tooth)))
+        Ok(JudgedFlanks {
+            height_ratio: height_ratio(&asked, [bottom + end_mm, top - end_mm]),
+            ..of_flanks(&judged, |tooth| asked.contains_key(&tooth))
+        })
     }
 
     /// What the poses of the views do to the flanks that they were asked for.
     fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
-        let nominal = Solution::prior(self.nominal.clone(), Local::default());
-        let views: Vec<_> = stitched.views.iter().zip(&stitched.joint.poses).collect();
+        let nominal = Solution::prior(self.nominal.clone(), self.single);
+        let views: Vec<_> = stitched
+            .views
+            .iter()
+            .zip(&stitched.adjustment.poses)
+            .collect();
         let held: Result<Vec<Option<Held>>, SessionError> = views
             .into_par_iter()
             .map(|((view, info), pose)| {
                 let sample = coordinates(&self.store.session.sample(*view, SAMPLE)?, SAMPLE);
                 let planned = &self.planned[*view];
-                let covariance = stitched.joint.pose_covariance(info);
+                let covariance = stitched.adjustment.pose_covariance(info);
                 // Nothing is taken as known of die and head but what the files say: the views could have been moved by the
                 // wear of all of them.
                 let prior = nominal.predict(info.at);
@@ -390,7 +412,8 @@ impl Judging<'_> {
         let response = Response::of_points(&contacts, at, Some(&prior), &options);
         let heights = Zone {
             radius_mm: zone.radius_mm,
-            height_mm: [-ASKED_MM, ASKED_MM].map(|mm| planned.vertical_mm + mm),
+            height_mm: [-ASKED_PER_FIELD, ASKED_PER_FIELD]
+                .map(|share| planned.vertical_mm + share * self.field_mm),
         };
         let mut seen: BTreeMap<Key, usize> = BTreeMap::new();
         for place in places.iter().flatten() {
@@ -422,14 +445,14 @@ impl Judging<'_> {
     }
 
     /// What acts on a flank beside its points: the worst of the views that were asked for it.
-    fn influence(
+    fn sensitivity(
         &self,
         held: &[Held],
         zone: &Zone,
         wear: &FlankWear,
         evidence: &Arc<PoseEvidence>,
         form_scatter_mm: f64,
-    ) -> Option<Influence> {
+    ) -> Option<PoseSensitivity> {
         let (worst, side) = of_zone(held, (wear.tooth, wear.flank), zone).reduce(|a, b| {
             let leaks = |(of, side): (&Held, usize)| of.leakage[side].worst();
             if leaks(b) > leaks(a) || leaks(b).is_nan() {
@@ -446,7 +469,7 @@ impl Judging<'_> {
             let cos = (self.gear.base_radius_mm() / radius_mm).min(1.0);
             t.expansion_per_k * t.u_k * radius_mm * (1.0 - cos * cos).sqrt()
         });
-        Some(Influence {
+        Some(PoseSensitivity {
             leakage,
             evidence: Arc::clone(evidence),
             form_scatter_mm,
@@ -525,13 +548,13 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
             });
         }
         let worst = of_flank.iter().max_by(|a, b| {
-            let rank = |z: &OfZone| severity(z.judged.verdict());
+            let rank = |z: &OfZone| z.judged.verdict().word();
             let wear = |z: &OfZone| z.judged.wear_um().unwrap_or(f64::NEG_INFINITY);
             rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
         });
         let Some(worst) = worst else { continue };
         // Nobody asked for it: what is missing of it is no fault, what it shows is one.
-        let shows = matches!(worst.judged.verdict(), Verdict::NoGo | Verdict::Warn);
+        let shows = matches!(worst.judged.verdict().word(), Word::NoGo | Word::Warn);
         if !is_asked(key.0) && !shows {
             continue;
         }
@@ -542,16 +565,6 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
         all.features.push(feature);
     }
     all
-}
-
-/// Rank of a verdict where several are joined: as [`flankscope_metrology::verdict::combine`] does.
-fn severity(verdict: &Verdict) -> u8 {
-    match verdict {
-        Verdict::Go => 0,
-        Verdict::Warn => 1,
-        Verdict::Indeterminate { .. } => 2,
-        Verdict::NoGo => 3,
-    }
 }
 
 #[cfg(test)]
@@ -583,15 +596,20 @@ mod tests {
                 vertical_mm: 66.0 * (f64::from(layer) + 0.5) / f64::from(layers),
             }));
         }
-        asked(&plan, &gear)[&7].clone()
+        asked(&plan, &gear, 10.0)[&7].clone()
     }
 
     #[test]
     fn near_layers_of_all_teeth_are_asked_for_whole_flanks_and_others_for_their_fields() {
-        let whole = zones(84, 7, 0.0);
+        let whole = zones(84, 9, 0.0);
         assert_eq!(whole.len(), 1);
         assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
-        assert_eq!(zones(12, 7, 0.0).len(), 7);
+        assert_eq!(zones(12, 9, 0.0).len(), 9);
+        // Layers 9.43 mm apart: seven bands of 8 mm, 56 of 66 mm.
+        let bands = zones(84, 7, 0.0);
+        assert_eq!(bands.len(), 7);
+        let share = height_ratio(&BTreeMap::from([(7, bands)]), [0.0, 66.0]);
+        assert!((share - 56.0 / 66.0).abs() < 1e-9, "{share}");
         assert_eq!(zones(84, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
         assert_eq!(zones(12, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
         // Beside the middle, the round field shows less of the height.

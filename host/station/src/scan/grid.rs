@@ -3,7 +3,7 @@
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{HeadModel, PatternSet};
 
-use crate::inspection::{Itinerary, PlannedView, PlanningError};
+use crate::inspection::{PlannedView, PlanningError, ViewPlan};
 
 /// Views around by layers over the height.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,9 +52,9 @@ impl Grid {
     ///
     /// # Errors
     /// The tool has no gear, or the head no patterns, exposures or hand-eye.
-    pub fn itinerary(&self, tool: &Tool, head: &HeadModel) -> Result<Itinerary, PlanningError> {
+    pub fn plan(&self, tool: &Tool, head: &HeadModel) -> Result<ViewPlan, PlanningError> {
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
-        let retract_mm = Itinerary::new(tool, head, Some(&[1]))?.retract_mm;
+        let top_mm = ViewPlan::new(tool, head, Some(&[1]))?.top_mm;
         let [low, high] = gear.height_mm;
         let turn = std::f64::consts::TAU;
         let mut views = Vec::new();
@@ -77,11 +77,11 @@ impl Grid {
         }
         let lacks = |what| PlanningError::HeadLacks { what };
         let patterns = head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?;
-        Ok(Itinerary {
+        Ok(ViewPlan {
             views,
             patterns: PatternSet::named(patterns)?,
             exposures_us: head.exposures_us.clone(),
-            retract_mm,
+            top_mm,
         })
     }
 }

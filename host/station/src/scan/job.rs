@@ -7,31 +7,36 @@ use std::time::{Duration, Instant};
 
 use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
-use flankscope_metrology::multiview::adjustment::{JointError, Stages};
+use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_profilometry::Accumulator;
 use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::cell_observations::layout;
 use super::comparison::{self, Method};
+use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::grid::Grid;
-use super::lay::layout;
+use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
-use super::paper::{self, PaperSettings};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
 use super::session::SessionError;
-use super::stitch::stitch;
-use super::stranger::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
+use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
-use super::workshop::{Store, Workshop};
-use crate::capture::{Frame, SharedRoot, monotonic_ns};
+use super::view_pipeline::{Kept, Store, ViewPipeline};
+use crate::acquisition::{
+    Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
+};
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
-    EvaluatorError, FrameCount, Handover, InspectError, Progress as CheckProgress, Run, Station,
-    Subject, Timing, field_slope, hand_eye, peak_memory_mb,
+    self, EvaluatorError, FieldOfView, FrameCount, InspectError, Subject, Timing, ViewPlan,
+    hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
+use flankscope_frames::{SharedRoot, monotonic_ns};
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
@@ -40,12 +45,15 @@ pub enum ScanError {
     /// The instrument does not work.
     #[error(transparent)]
     Instrument(#[from] InspectError),
+    /// Controller or camera cannot be worked with.
+    #[error(transparent)]
+    Acquisition(#[from] AcquisitionError),
     /// The session folder is unusable.
     #[error(transparent)]
     Session(#[from] SessionError),
     /// No common solution.
     #[error(transparent)]
-    Joint(#[from] JointError),
+    Adjustment(#[from] AdjustmentError),
     /// Somebody stopped it.
     #[error(
         "interrupted after {done} of {of} views; they are in {folder}: scan into it again to go on"
@@ -84,14 +92,18 @@ pub enum Progress {
 /// The instrument's host side for scans, with its session folder open.
 #[derive(Debug)]
 pub struct Scanner {
-    pub(super) station: Station<ScannedView>,
+    pub(super) subject: Subject,
+    pub(super) setting: Setting,
+    pub(super) plan: Arc<ViewPlan>,
+    acquisition: Acquisition<ScannedView>,
     pub(super) store: Store,
     pub(super) grid: Grid,
     pub(super) gear: GearData,
     pub(super) nominal: Stages,
+    pub(super) field: FieldOfView,
     pub(super) resumed: usize,
     method: Method,
-    paper: PaperSettings,
+    hinz2019: Hinz2019Settings,
     reference: Option<Reference>,
 }
 
@@ -115,26 +127,29 @@ impl Scanner {
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
-        let Workshop {
-            itinerary,
+        let field = FieldOfView::of(&subject.head).map_err(unfit)?;
+        let ViewPipeline {
+            plan,
             decoder,
             mut views,
             store,
-        } = Workshop::open(&subject, grid, folder, of)?;
+        } = ViewPipeline::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
-        let mut station = Station::start(subject, itinerary, decoder, root, move |view, sums| {
-            views.scan(view, sums)
-        })?;
-        station.setting = Some(setting);
+        let scan = move |view, sums: &Accumulator| views.scan(view, sums);
+        let acquisition = Acquisition::start(plan.program(&subject.station), &decoder, root, scan)?;
         Ok(Self {
-            station,
+            subject,
+            setting,
+            plan,
+            acquisition,
             store,
             grid,
             gear,
             nominal,
+            field,
             resumed,
             method: Method::default(),
-            paper: PaperSettings::default(),
+            hinz2019: Hinz2019Settings::default(),
             reference: None,
         })
     }
@@ -144,9 +159,8 @@ impl Scanner {
     /// # Errors
     /// The earlier result cannot be used.
     pub fn against(mut self, earlier: Option<&Path>) -> Result<Self, ReferenceError> {
-        let cad = self.station.subject.hashes.get("cad").map(String::as_str);
-        let setting = self.station.setting.as_ref();
-        let simulated = setting.map(|setting| setting.link.is_simulated());
+        let cad = self.subject.hashes.get("cad").map(String::as_str);
+        let simulated = Some(self.setting.link.is_simulated());
         let load = |path: &Path| Reference::load(path, cad, simulated);
         self.reference = earlier.map(load).transpose()?;
         Ok(self)
@@ -156,9 +170,13 @@ impl Scanner {
     ///
     /// # Errors
     /// The voxel size is none.
-    pub fn by_method(mut self, method: Method, paper: PaperSettings) -> Result<Self, ScanError> {
-        check_voxel_size(paper.voxel_mm)?;
-        (self.method, self.paper) = (method, paper);
+    pub fn by_method(
+        mut self,
+        method: Method,
+        hinz2019: Hinz2019Settings,
+    ) -> Result<Self, ScanError> {
+        check_voxel_size(hinz2019.voxel_mm)?;
+        (self.method, self.hinz2019) = (method, hinz2019);
         Ok(self)
     }
 
@@ -176,14 +194,16 @@ impl Scanner {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
-        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
         let begun_ns = monotonic_ns();
         // What a head that must not judge would measure is not worth hours.
-        let unfit = self.station.subject.head.fit_on(Date::today()).err();
-        let (mut run, lost, firmware) = runtime.block_on(async {
+        let unfit = self.subject.head.fit_on(Date::today()).err();
+        let (run, lost, firmware) = runtime.block_on(async {
             let client = Client::connect(port, settings).await;
-            let mut client = client.map_err(InspectError::from)?;
-            self.station.make_ready(&mut client, &mut |_| {}).await?;
+            let mut client = client.map_err(AcquisitionError::from)?;
+            self.acquisition
+                .make_ready(&mut client, &mut |_| {})
+                .await?;
             let (run, lost) = match &unfit {
                 Some(_) => (Run::new(Vec::new(), None), BTreeMap::new()),
                 None => self.capture_all(&mut client, &mut watch).await?,
@@ -191,7 +211,7 @@ impl Scanner {
             Ok::<_, ScanError>((run, lost, client.identity().firmware))
         })?;
         let mut scan = match unfit {
-            Some(unfit) => self.nothing(unfit.to_string())?,
+            Some(why) => self.nothing(&inspection::unfit(&why))?,
             None => {
                 watch(Progress::Stitching);
                 self.stitch_all(&lost)?
@@ -202,20 +222,14 @@ impl Scanner {
             total: since(begun_ns),
             positioning: run.timeline.positioning_ms(),
             exposure: run.timeline.exposure_ms(),
-            last_exposure_to_verdict: if run.last_exposure_ns > 0 {
-                since(run.last_exposure_ns)
+            last_exposure_to_verdict: if run.counts.last_exposure_ns > 0 {
+                since(run.counts.last_exposure_ns)
             } else {
                 0.0
             },
         };
         scan.last_view_to_result_ms = scan.timing_ms.last_exposure_to_verdict;
-        scan.frames = FrameCount {
-            triggered: run.triggered,
-            received: run.received,
-            bytes_copied: Frame::bytes_copied(),
-            recaptured_views: run.recaptured,
-            handover_us: Handover::of(&mut run.handover_ns),
-        };
+        scan.frames = FrameCount::of(run.counts);
         let [major, minor, patch] = firmware;
         scan.versions
             .insert("firmware", format!("{major}.{minor}.{patch}"));
@@ -228,73 +242,56 @@ impl Scanner {
     /// # Errors
     /// The CAD has no surface where the gear is, or the session folder cannot be read.
     pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
-        let tool = &self.station.subject.tool;
+        let tool = &self.subject.tool;
         scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
         Ok(())
     }
 
-    /// Captures every view that the session does not hold, a lost one once more; returns why views stayed lost.
+    /// Captures every view that the session folder lacks, some at a time; returns why views stayed lost.
     async fn capture_all(
         &mut self,
         client: &mut Client,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<(Run<ScannedView>, BTreeMap<usize, String>), ScanError> {
-        let limits = client.identity().limits;
-        let of = self.station.itinerary.views.len();
+    ) -> Result<(Run<ScannedView>, BTreeMap<usize, Reason>), ScanError> {
+        let of = self.plan.views.len();
         let held: Vec<usize> = self.store.session.views().map(|(view, _)| view).collect();
         let wanted: Vec<usize> = (0..of).filter(|view| !held.contains(view)).collect();
         let mut run = Run::new(wanted.clone(), None);
         let mut lost = BTreeMap::new();
         let begun = Instant::now();
-        let interrupt = |kind| signal(kind).map_err(|_| InspectError::Thread { thread: "I/O" });
-        let mut stop_key = interrupt(SignalKind::interrupt())?;
-        let mut stop_order = interrupt(SignalKind::terminate())?;
+        let signalled = |kind| signal(kind).map_err(|_| AcquisitionError::Thread { thread: "I/O" });
+        let mut stop_key = signalled(SignalKind::interrupt())?;
+        let mut stop_order = signalled(SignalKind::terminate())?;
+        let mut interrupted = std::pin::pin!(async {
+            tokio::select! {
+                _ = stop_key.recv() => {}
+                _ = stop_order.recv() => {}
+            }
+        });
         for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
-            let mut open = views.to_vec();
-            for attempt in 0..2 {
-                if attempt > 0 {
-                    open.iter()
-                        .for_each(|&view| watch(Progress::Recapture(view)));
-                    run.recaptured += open.len() as u32;
+            let store = &mut self.store;
+            let keep = |run: &mut Run<ScannedView>, views: &[usize], stopped: Option<&Stop>| {
+                keep(store, &mut lost, run, views, stopped)
+            };
+            let mut again = |progress: CheckProgress| {
+                if let CheckProgress::Recapture(number) = progress
+                    && let Some(&view) = wanted.get(number)
+                {
+                    watch(Progress::Recapture(view));
                 }
-                let (mut interrupted, mut nobody) = (false, |_: CheckProgress| {});
-                let stopped = tokio::select! {
-                    stopped = self.station.capture(
-                        client, &mut run, &open, &limits, &mut nobody,
-                    ) => stopped?,
-                    _ = stop_key.recv() => { interrupted = true; None }
-                    _ = stop_order.recv() => { interrupted = true; None }
-                };
-                for &view in &open {
-                    let why = match run.outcomes.remove(&view) {
-                        Some(scanned) => match self.store.keep(view, scanned)? {
-                            Ok(()) => {
-                                lost.remove(&view);
-                                continue;
-                            }
-                            Err(why) => Some(why),
-                        },
-                        None => run.problems.get(&view).cloned().or_else(|| stopped.clone()),
-                    };
-                    lost.insert(
-                        view,
-                        why.unwrap_or_else(|| "the view was not captured".into()),
-                    );
-                }
-                self.store.session.commit()?;
-                if interrupted {
-                    // The head comes out; a link that is gone has already seen to that.
-                    let _ = client.order(&Command::Abort).await;
-                    return Err(ScanError::Interrupted {
-                        done: self.store.session.views().count(),
-                        of,
-                        folder: self.store.session.folder().to_path_buf(),
-                    });
-                }
-                open.retain(|view| lost.contains_key(view));
-                if open.is_empty() {
-                    break;
-                }
+            };
+            let policy = (AfterStop::GoOn, &mut interrupted);
+            let captured = self
+                .acquisition
+                .capture_settled(client, &mut run, views, policy, keep, &mut again);
+            if let Some(Stop::Interrupted) = captured.await? {
+                // The head comes out; a link that is gone has already seen to that.
+                let _ = client.order(&Command::Abort).await;
+                return Err(ScanError::Interrupted {
+                    done: self.store.session.views().count(),
+                    of,
+                    folder: self.store.session.folder().to_path_buf(),
+                });
             }
             let done = self.store.session.views().count() + lost.len();
             let new = done.saturating_sub(self.resumed).max(1);
@@ -308,46 +305,58 @@ impl Scanner {
         Ok((run, lost))
     }
 
+    /// What the views are laid on each other in.
+    fn frame(&self) -> Frame {
+        Frame {
+            layout: layout(&self.gear),
+            field: self.field,
+            single: self.subject.station.stages.of_single_view(),
+        }
+    }
+
     /// A scan without a view, and why.
-    fn nothing(&mut self, why: String) -> Result<Scan, ScanError> {
-        let Scanner { station, store, .. } = self;
-        let tool = &station.subject.tool;
-        let over = (layout(&self.gear), field_slope(&station.subject.head));
+    fn nothing(&mut self, why: &Reason) -> Result<Scan, ScanError> {
+        let frame = self.frame();
         let none = BTreeMap::new();
         let empty = stitch(
-            &store.session,
-            &mut store.patches,
+            &self.store.session,
+            &mut self.store.patches,
             none,
-            tool,
+            &self.subject.tool,
             &self.nominal,
-            over,
+            &frame,
         )?;
         let mut scan = self.describe(empty, &BTreeMap::new())?;
-        scan.disown(why);
+        scan.invalidate(why);
         Ok(scan)
     }
 
     /// Stitches by our method, and by the article's if it was asked for.
-    fn stitch_all(&mut self, lost: &BTreeMap<usize, String>) -> Result<Scan, ScanError> {
+    fn stitch_all(&mut self, lost: &BTreeMap<usize, Reason>) -> Result<Scan, ScanError> {
         let first = std::mem::take(&mut self.store.known);
-        let subject = &self.station.subject;
-        let (tool, itinerary) = (&subject.tool, &self.station.itinerary);
-        let (session, nominal, planned) = (&self.store.session, &self.nominal, &itinerary.views);
-        let layout = layout(&self.gear);
-        let over = (layout, field_slope(&subject.head));
+        let (tool, plan) = (&self.subject.tool, &self.plan);
+        let (session, nominal, planned) = (&self.store.session, &self.nominal, &plan.views);
+        let frame = self.frame();
         let begun = Instant::now();
-        let ours = stitch(session, &mut self.store.patches, first, tool, nominal, over)?;
+        let ours = stitch(
+            session,
+            &mut self.store.patches,
+            first,
+            tool,
+            nominal,
+            &frame,
+        )?;
         let took = begun.elapsed();
         let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
-        let shared = ours.joint.stages.clone();
+        let shared = ours.adjustment.stages.clone();
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
-        let turned = turned_rad(&shared, nominal, planned);
+        let turned = turned_rad(&shared, nominal, planned, self.field.reach_mm);
         scan.teeth_turned_deg = turned.to_degrees();
-        let stranger = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
-        if let Some(why) = stranger.or_else(|| ambiguous_teeth(turned, &self.gear)) {
-            scan.disown(why);
+        let other_die = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
+        if let Some(why) = other_die.or_else(|| ambiguous_teeth(turned, &self.gear)) {
+            scan.invalidate(&why);
             return Ok(scan);
         }
         if let Some(reference) = &self.reference {
@@ -355,7 +364,7 @@ impl Scanner {
             let objection = placement.objection();
             scan.placement = Some(placement);
             if let Some(why) = objection {
-                scan.disown(why);
+                scan.invalidate(&why);
                 return Ok(scan);
             }
         }
@@ -364,14 +373,45 @@ impl Scanner {
             return Ok(scan);
         }
         let begun = Instant::now();
-        let map = CylinderMap::new(layout);
-        let laid = paper::stitch(session, tool, itinerary, nominal, map, &self.paper)?;
+        let map = CylinderMap::new(frame.layout);
+        let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
         let took = begun.elapsed();
-        let figures = comparison::of_paper(&laid, &shared, &self.paper, planned, took);
-        if self.method == Method::Paper {
+        let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
+        if self.method == Method::Hinz2019 {
             scan.show_instead(laid, &figures);
         }
         scan.methods.push(figures);
         Ok(scan)
     }
+}
+
+/// Keeps what came of these views; returns those that are lost so far, and says why.
+fn keep(
+    store: &mut Store,
+    lost: &mut BTreeMap<usize, Reason>,
+    run: &mut Run<ScannedView>,
+    views: &[usize],
+    stopped: Option<&Stop>,
+) -> Result<Vec<usize>, ScanError> {
+    let mut open = Vec::new();
+    for &view in views {
+        let why = match run.outcomes.remove(&view) {
+            Some(scanned) => match store.keep(view, scanned)? {
+                Kept::Kept => {
+                    lost.remove(&view);
+                    continue;
+                }
+                Kept::Refused(why) => why,
+            },
+            None => match (run.problems.get(&view), stopped) {
+                (Some(problem), _) => problem.into(),
+                (None, Some(stopped)) => stopped.into(),
+                (None, None) => Reason::instrument(Code::NotCaptured, "the view was not captured"),
+            },
+        };
+        lost.insert(view, why);
+        open.push(view);
+    }
+    store.session.commit()?;
+    Ok(open)
 }

@@ -12,7 +12,7 @@ use flankscope_metrology::surface::sampling::{Region, SampleError, centre_of_mas
 use flankscope_metrology::tool::Tool;
 use serde::Serialize;
 
-use super::lay::Laid;
+use super::cell_observations::Laid;
 use super::result::Scan;
 use super::session::{Session, SessionError};
 
@@ -24,7 +24,7 @@ const BORE_SAMPLES_PER_MM2: f64 = 50.0;
 const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
 /// Points of an end face lie within this of it, mm.
 const END_MM: f64 = 1e-6;
-/// Points farther off are strangers in any metric, mm.
+/// Points farther off belong to nothing in any metric, mm.
 const STRANGER_MM: f64 = 0.5;
 
 /// Why nothing was compared.
@@ -93,7 +93,8 @@ pub(super) fn compare(
     let Ok(pose) = Rigid::<ToolFrame, Camera>::from_rows(&rows) else {
         return Ok(None);
     };
-    let laid = Laid::new(&tool.surface, *pose.isometry(), &session.points(view)?);
+    let kept = session.points(view)?;
+    let laid = Laid::new(&tool.surface, *pose.isometry(), &kept);
     let (points, exact_mm) = laid.near(STRANGER_MM);
     let centre = centre_of_mass(&points).unwrap_or_default();
     let region = Region {

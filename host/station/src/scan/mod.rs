@@ -2,61 +2,61 @@
 //!
 //! ```text
 //!  grid ──► captures of up to 16 views ──► view: points, pose, information, cells ──► session folder, patches
-//!                                            ▲ joint solve so far                         │
+//!                                            ▲ adjustment so far                          │
 //!                                            └────────────────────────────────────────────┤
-//!                scan document ◄── map ◄── patches, moved ◄── joint solve, re-associated ◄┘
+//!                scan document ◄── map ◄── patches, moved ◄── adjustment, re-associated ◄─┘
 //! ```
 //!
 //! | file | holds |
 //! |---|---|
 //! | `grid` | which views, in which order |
 //! | `view` | one view's sums to points and a first pose |
-//! | `lay` | a view's points on the CAD, gathered by cells of the unrolled bore |
+//! | `cell_observations` | a view's points on the CAD, gathered by cells of the unrolled bore |
 //! | `patches` | those cells of every view, kept on the disk until all poses are known |
 //! | `session` | what is kept of a scan that is killed |
 //! | `stitch` | all views to one map |
 //! | `overlaps` | what neighbours say of each other |
 //! | `reference` | whether the die sits as in an earlier scan |
-//! | `stranger` | whether it is the CAD's die at all |
-//! | `paper` | all views to one map the article's way |
+//! | `die_identity` | whether it is the CAD's die at all |
+//! | `hinz2019` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
 //! | `coverage` | what should have been seen and was not |
 //! | `metrics` | what the article's ways of measuring a distance would have said |
-//! | `workshop` | what is done with a view once its frames are there |
+//! | `view_pipeline` | what is done with a view once its frames are there |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 
+mod cell_observations;
 mod comparison;
 mod coverage;
 mod describe;
+mod die_identity;
 mod flanks;
 mod grid;
+mod hinz2019;
 mod job;
-mod lay;
 mod metrics;
 mod overlaps;
-mod paper;
 mod patches;
 mod reference;
 mod result;
 mod session;
 mod stitch;
-mod stranger;
 mod view;
-mod workshop;
+mod view_pipeline;
 
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};
 pub use grid::{Grid, GridError};
+pub use hinz2019::Hinz2019Settings;
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
-pub use paper::PaperSettings;
 pub use reference::{Placement, ReferenceError};
 pub use result::{
-    FlankSeen, Form, Joint, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 pub use session::SessionError;
-pub use workshop::{Processing, ProcessingError};
+pub use view_pipeline::{Kept, Processing, ProcessingError};

@@ -14,8 +14,8 @@ use serde::Serialize;
 use super::patches::Patches;
 use super::session::SessionError;
 
-/// Views whose centres are farther apart than this have nothing in common, mm: a field of 10 mm, and its rim.
-const FIELD_MM: f64 = 10.5;
+/// Views whose centres are farther apart than so many fields of view have nothing in common: a field, and its rim.
+const APART_PER_FIELD: f64 = 1.05;
 
 /// Views closer together around the bore are above each other, rad.
 const LEVEL_RAD: f64 = 1e-4;
@@ -30,14 +30,16 @@ pub(super) fn overlaps(
     layout: &Layout,
     views: &[Laid],
     alone: &BTreeMap<usize, Isometry3<f64>>,
+    field_mm: f64,
 ) -> Result<Vec<Overlap>, SessionError> {
+    let apart_mm = APART_PER_FIELD * field_mm;
     let there = |at: usize| -> Result<Vec<CellObservation>, SessionError> {
         let (view, info) = &views[at];
         patches.moved_to(*view, &info.tool_from_camera, layout)
     };
     let centre = |at: usize| Point3::from(views[at].1.centre_mm);
     let of_view = |first: usize| -> Result<Vec<Overlap>, SessionError> {
-        let near = |&second: &usize| (centre(first) - centre(second)).norm() < FIELD_MM;
+        let near = |&second: &usize| (centre(first) - centre(second)).norm() < apart_mm;
         let neighbours: Vec<usize> = (first + 1..views.len()).filter(near).collect();
         if neighbours.is_empty() {
             return Ok(Vec::new());
@@ -105,10 +107,10 @@ impl Steps {
         overlaps: &[Overlap],
         views: &[Laid],
         before: &BTreeMap<usize, Isometry3<f64>>,
-        joint: &Solution,
+        adjustment: &Solution,
     ) -> Self {
         let after: Vec<Vector6<f64>> = (views.iter().enumerate())
-            .map(|(at, (_, info))| info.motion_to(&joint.poses[at]))
+            .map(|(at, (_, info))| info.motion_to(&adjustment.poses[at]))
             .collect();
         let before: Vec<Vector6<f64>> = (views.iter().zip(&after))
             .map(|((view, info), after)| before.get(view).map_or(*after, |p| info.motion_to(p)))

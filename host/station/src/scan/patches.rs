@@ -23,12 +23,14 @@ struct Place {
     tool_from_camera: Isometry3<f64>,
 }
 
-/// Where the points of one flank lie in the file: first those on it, then those under its edge.
+/// Where the points of one flank lie in the file: first those on it, then those under its edge, then where rays meet it.
 #[derive(Clone, Copy, Debug)]
 struct FlankPlace {
     offset: u64,
     on: usize,
     under: usize,
+    rays: usize,
+    slant: f64,
 }
 
 /// A file without a name in the session folder: it goes with the process, since all of it follows from the views' points.
@@ -73,8 +75,11 @@ impl Patches {
                 offset: self.write(bytemuck::cast_slice(&seen.on))?,
                 on: seen.on.len(),
                 under: seen.under.len(),
+                rays: seen.rays.len(),
+                slant: seen.slant,
             };
             self.write(bytemuck::cast_slice(&seen.under))?;
+            self.write(bytemuck::cast_slice(&seen.rays))?;
             kept.insert(key, place);
         }
         let place = Place {
@@ -116,14 +121,21 @@ impl Patches {
         let Some(of) = place.flanks.get(&key) else {
             return Ok(None);
         };
-        let mut points = vec![FlankPoint::zeroed(); of.on + of.under];
+        let mut points = vec![FlankPoint::zeroed(); of.on + of.under + of.rays];
         let read = self
             .file
             .read_exact_at(bytemuck::cast_slice_mut(&mut points), of.offset);
         read.map_err(|error| self.trouble(error))?;
-        let under = points.split_off(of.on);
+        let mut under = points.split_off(of.on);
+        let rays = under.split_off(of.under);
         let motion = tool_from_camera * place.tool_from_camera.inverse();
-        Ok(Some((FlankView { on: points, under }, motion)))
+        let seen = FlankView {
+            on: points,
+            under,
+            rays,
+            slant: of.slant,
+        };
+        Ok(Some((seen, motion)))
     }
 
     /// Pose at which a view was laid on the CAD, if it was.

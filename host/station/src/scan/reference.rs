@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::multiview::tooth_identity::{Comparison, FlankMean, compare};
+use flankscope_metrology::verdict::{Code, Reason};
 use serde::{Deserialize, Serialize};
 
 use super::result::FlankSeen;
@@ -215,8 +216,8 @@ impl Placement {
     }
 
     /// Why the scan is no go, if it is not: its teeth are other ones than they seem.
-    pub(super) fn objection(&self) -> Option<String> {
+    pub(super) fn objection(&self) -> Option<Reason> {
         let turned = self.turned_teeth.is_some_and(|teeth| teeth != 0);
-        turned.then(|| self.reason.clone())
+        turned.then(|| Reason::instrument(Code::TurnedDie, &self.reason))
     }
 }

@@ -7,12 +7,13 @@ use serde::Serialize;
 use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
+use flankscope_metrology::verdict::{Code, Reason, Word};
 
 use super::comparison::MethodResult;
 use super::coverage::Coverage;
+use super::hinz2019::Hinz2019Stitched;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
-use super::paper::PaperStitched;
 use super::reference::Placement;
 use crate::inspection::{Feature, FrameCount, Timing};
 use crate::origin::Origin;
@@ -25,8 +26,8 @@ pub struct Scan {
     pub origin: Origin,
     /// When it ended: ISO 8601, UTC, by the host's clock.
     pub date: String,
-    /// `go`, `warn`, `no-go` or `indeterminate`.
-    pub verdict: String,
+    /// The verdict.
+    pub verdict: Word,
     /// Why, in one sentence.
     pub reason: String,
     /// One entry per flank that was asked for, and per other flank that shows damage: judged as in a check.
@@ -60,7 +61,8 @@ pub struct Scan {
     /// How the views became one map.
     pub stitching: Stitching,
     /// What all views share.
-    pub joint: Joint,
+    #[serde(rename = "joint")]
+    pub adjustment: Adjustment,
     /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
     pub teeth_stretch_ratio: Option<f64>,
     /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
@@ -74,6 +76,9 @@ pub struct Scan {
     /// The article's metrics on the same points; absent unless a report or the raster was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
+    /// From the simulated bench alone: what was true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<serde_json::Value>,
     /// Tool name.
     pub tool: String,
     /// Host, protocol, firmware.
@@ -89,10 +94,16 @@ pub struct Scan {
 }
 
 impl Scan {
-    /// It is not the CAD's die: nothing that was measured against the CAD means anything.
-    pub(super) fn disown(&mut self, why: String) {
-        self.verdict = "indeterminate".into();
-        self.reason = why;
+    /// The verdict and its reason.
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        format!("{}: {}", self.verdict, self.reason)
+    }
+
+    /// It is not the CAD's die: nothing that was measured against the CAD means anything, damage that was found included.
+    pub(super) fn invalidate(&mut self, why: &Reason) {
+        self.verdict = Word::Indeterminate;
+        self.reason = why.to_string();
         self.features.clear();
         self.flank_means.clear();
         self.spacing.clear();
@@ -101,17 +112,15 @@ impl Scan {
 
     /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
     /// verdict and no flank is judged.
-    pub(super) fn show_instead(&mut self, laid: PaperStitched, figures: &MethodResult) {
-        self.verdict = "indeterminate".into();
-        self.reason = "the article's method claims no uncertainty, so it gives no verdict; --method surface does".into();
-        self.features.clear();
-        self.flank_means.clear();
-        self.spacing.clear();
+    pub(super) fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {
+        let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
+        self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
-        let mut refused: BTreeMap<usize, String> = laid.refused.into_iter().collect();
+        let mut refused: BTreeMap<usize, Reason> = laid.refused.into_iter().collect();
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
-            let why = refused.remove(&entry.view).or(entry.reason.take());
-            (entry.rms_um, entry.stray_um) = (*rms_um, None);
+            let why = refused.remove(&entry.view).map(|why| why.to_string());
+            let why = why.or(entry.reason.take());
+            (entry.rms_um, entry.residual_um) = (*rms_um, None);
             entry.rms_about_form_um = None;
             (entry.status, entry.reason) = match rms_um {
                 Some(_) => ("registered", None),
@@ -235,10 +244,12 @@ pub struct ScanRegistration {
     pub rms_um: Option<f64>,
     /// The same of its cells about size, place, ovality and taper of the whole bore.
     pub rms_about_form_um: Option<f64>,
-    /// How far it strays from what all views share, µm.
-    pub stray_um: Option<f64>,
-    /// How far its rotary stage strays from what all views share, millidegrees.
-    pub stray_turn_mdeg: Option<f64>,
+    /// Pose residual: how far it is from what all views share, µm.
+    #[serde(rename = "stray_um")]
+    pub residual_um: Option<f64>,
+    /// The same of the angle of its rotary stage, millidegrees.
+    #[serde(rename = "stray_turn_mdeg")]
+    pub residual_turn_mdeg: Option<f64>,
     /// Its final pose, row by row: tool frame from camera frame, mm.
     pub tool_from_camera: Option<[[f64; 4]; 4]>,
 }
@@ -248,18 +259,18 @@ pub struct ScanRegistration {
 pub struct Stitching {
     /// Views that were laid on the CAD once more, because they ended up elsewhere.
     pub relaid_views: usize,
-    /// Time of the joint solve, of laying views on once more, and of the merge, ms.
+    /// Time of the adjustment, of laying views on once more, and of the merge, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
 /// What all views share.
 #[derive(Clone, Debug, Serialize)]
-pub struct Joint {
+pub struct Adjustment {
     /// Solves until nothing moved.
     pub rounds: usize,
     /// Whether it did settle.
     pub settled: bool,
-    /// Condition number of the joint information, in units of what was known before.
+    /// Condition number of the information of all views together, in units of what was known before.
     pub condition: f64,
     /// Combinations of parameters of which the views say less than was known before, and the share of that.
     pub weak: Vec<(&'static str, f64)>,

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 use flankscope_metrology::space::frames::{Camera, Rigid, Tool};
 use serde::{Deserialize, Serialize};
 
-use super::view::Kept;
+use super::view::{Kept, KeptView};
 use crate::files::{hash, write_whole};
 
 const MANIFEST: &str = "manifest.json";
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Why a session folder cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -78,7 +78,7 @@ pub enum SessionError {
 pub(super) struct Entry {
     /// Of the points' file.
     blake3: String,
-    /// Points in it.
+    /// Points in it, before the rays without a point.
     pub points: usize,
     /// First pose, rows of tool frame from camera frame.
     tool_from_camera: [[f64; 4]; 4],
@@ -191,16 +191,17 @@ impl Session {
     pub fn keep(
         &mut self,
         view: usize,
-        points: &[Kept],
+        kept: &KeptView,
         tool_from_camera: nalgebra::Isometry3<f64>,
     ) -> Result<(), SessionError> {
-        let bytes: &[u8] = bytemuck::cast_slice(points);
+        let points: &[u8] = bytemuck::cast_slice(&kept.points);
+        let bytes = [points, bytemuck::cast_slice(&kept.without_point)].concat();
         let path = self.file(view);
-        write_whole(&path, bytes).map_err(|error| SessionError::Io { path, error })?;
+        write_whole(&path, &bytes).map_err(|error| SessionError::Io { path, error })?;
         let pose = Rigid::<Tool, Camera>::from_isometry(tool_from_camera);
         let entry = Entry {
-            blake3: hash(bytes),
-            points: points.len(),
+            blake3: hash(&bytes),
+            points: kept.points.len(),
             tool_from_camera: pose.to_rows(),
         };
         self.manifest.views.insert(view, entry);
@@ -226,27 +227,30 @@ impl Session {
     /// opened or the view was kept.
     pub fn sample(&self, view: usize, most: usize) -> Result<Vec<Kept>, SessionError> {
         let path = self.file(view);
+        let points = self
+            .manifest
+            .views
+            .get(&view)
+            .map_or(0, |entry| entry.points);
+        let most = most.min(points);
         let mut bytes = Vec::with_capacity(most * size_of::<Kept>());
         let read = std::fs::File::open(&path).and_then(|file| {
             file.take((most * size_of::<Kept>()) as u64)
                 .read_to_end(&mut bytes)
         });
         read.map_err(|error| SessionError::Io { path, error })?;
-        Ok(points_of(&bytes))
+        Ok(read_all(&bytes))
     }
 
     /// The points of a view that is done, checked against their hash.
-    pub fn points(&self, view: usize) -> Result<Vec<Kept>, SessionError> {
+    pub fn points(&self, view: usize) -> Result<KeptView, SessionError> {
         let path = self.file(view);
         let bytes = std::fs::read(&path).map_err(|error| {
             let path = path.clone();
             SessionError::Io { path, error }
         })?;
-        let expected = self
-            .manifest
-            .views
-            .get(&view)
-            .map_or("", |entry| entry.blake3.as_str());
+        let entry = self.manifest.views.get(&view);
+        let expected = entry.map_or("", |entry| entry.blake3.as_str());
         let got = hash(&bytes);
         if got != expected {
             return Err(SessionError::Damaged {
@@ -255,11 +259,16 @@ impl Session {
                 expected: expected.into(),
             });
         }
-        Ok(points_of(&bytes))
+        let points = entry.map_or(0, |entry| entry.points) * size_of::<Kept>();
+        let (points, rays) = bytes.split_at(points.min(bytes.len()));
+        Ok(KeptView {
+            points: read_all(points),
+            without_point: read_all(rays),
+        })
     }
 }
 
-fn points_of(bytes: &[u8]) -> Vec<Kept> {
-    let kept = bytes.chunks_exact(size_of::<Kept>());
-    kept.map(bytemuck::pod_read_unaligned).collect()
+fn read_all<T: bytemuck::AnyBitPattern>(bytes: &[u8]) -> Vec<T> {
+    let each = bytes.chunks_exact(size_of::<T>());
+    each.map(bytemuck::pod_read_unaligned).collect()
 }

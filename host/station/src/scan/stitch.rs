@@ -1,6 +1,6 @@
-//! All views of a session to one map: joint solve, laid on the CAD anew until nothing moves, merged by quality.
+//! All views of a session to one map: adjustment, laid on the CAD anew until nothing moves, merged by quality.
 //!
-//! What needs all points of a view was done when it was captured. Here the joint solve works on the views' 6x6 information and
+//! What needs all points of a view was done when it was captured. Here the adjustment works on the views' 6x6 information and
 //! a sample of their points, and the cells of each view are moved with it to where it ends; only a view that moved far is
 //! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
 
@@ -14,16 +14,17 @@ use flankscope_metrology::multiview::cylinder::{
     CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3};
 use rayon::prelude::*;
 
+use super::cell_observations::Laid;
 use super::job::ScanError;
-use super::lay::Laid;
 use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
-use super::view::{SAMPLE, coordinates, place, unlike_cad};
-use crate::inspection::Itinerary;
+use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
+use crate::inspection::{FieldOfView, ViewPlan};
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -31,16 +32,23 @@ const MOST_ROUNDS: usize = 6;
 const SETTLED_MM: f64 = 1e-3;
 /// A view that moved across the axis by more is laid on the CAD again with all its points, mm.
 const RELAY_MM: f64 = 10e-3;
-/// From the middle of a view to its edge, about, mm.
-const FIELD_MM: f64 = 5.0;
+
+/// What views are laid on each other in, and with what.
+pub(super) struct Frame {
+    /// Cells of the unrolled bore.
+    pub layout: Layout,
+    pub field: FieldOfView,
+    /// How a single view may lie from what all share.
+    pub single: Local,
+}
 
 /// Views that were laid on the CAD together.
 pub(super) struct Stitched {
     /// Views that took part, with how they lie.
     pub views: Vec<(usize, ViewInformation)>,
     /// Views that do not fit the others.
-    pub refused: Vec<(usize, String)>,
-    pub joint: Solution,
+    pub refused: Vec<(usize, Reason)>,
+    pub adjustment: Solution,
     pub rounds: usize,
     pub settled: bool,
     /// How far apart neighbours lie, before and after that counts.
@@ -60,15 +68,15 @@ pub(super) struct Stitched {
 pub(super) fn first_information(
     session: &Session,
     tool: &Tool,
-    itinerary: &Itinerary,
+    plan: &ViewPlan,
 ) -> Result<BTreeMap<usize, ViewInformation>, ScanError> {
     let done: Vec<usize> = session.views().map(|(view, _)| view).collect();
     let found = done.into_par_iter().map(|view| {
-        let Some(pose) = session.pose(view).filter(|_| view < itinerary.views.len()) else {
+        let Some(pose) = session.pose(view).filter(|_| view < plan.views.len()) else {
             return Ok(None);
         };
         let sample = coordinates(&session.sample(view, SAMPLE)?, SAMPLE);
-        let at = place(itinerary, view);
+        let at = place(plan, view);
         Ok(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)))
     });
     let found: Result<Vec<_>, ScanError> = found.collect();
@@ -82,39 +90,41 @@ pub(super) fn stitch(
     first: BTreeMap<usize, ViewInformation>,
     tool: &Tool,
     nominal: &Stages,
-    (layout, field_slope): (Layout, f64),
+    frame: &Frame,
 ) -> Result<Stitched, ScanError> {
+    let layout = frame.layout;
     let mut elapsed_ms = BTreeMap::new();
     let mut clock = Instant::now();
     let mut lap = |what| {
         elapsed_ms.insert(what, clock.elapsed().as_secs_f64() * 1e3);
         clock = Instant::now();
     };
-    let mut common = Common::new(session, tool, first, nominal)?;
+    let mut common = Common::new(session, tool, first, nominal, frame)?;
     common.settle(|_| Ok(Vec::new()))?;
     lap("solve");
     let relaid = common.lay(patches, &layout)?;
     lap("lay");
-    let (alone, sure) = (common.poses(), common.joint.clone());
-    let pairs = common.settle(|views| overlaps(patches, &layout, views, &alone))?;
+    let (alone, sure) = (common.poses(), common.adjustment.clone());
+    let pairs =
+        common.settle(|views| overlaps(patches, &layout, views, &alone, frame.field.width_mm))?;
     let Common {
         views,
-        joint,
+        adjustment,
         refused,
         rounds,
         settled,
         ..
     } = common;
-    let steps = Steps::of(&pairs, &views, &alone, &joint);
-    let joint = joint.no_surer_than(&sure);
+    let steps = Steps::of(&pairs, &views, &alone, &adjustment);
+    let adjustment = adjustment.no_surer_than(&sure);
     lap("overlaps");
     let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
-        for ((view, _), pose) in views.iter().zip(&joint.poses) {
+        for ((view, _), pose) in views.iter().zip(&adjustment.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
         Ok::<_, SessionError>(())
     };
-    let (map, quality) = merge(layout, field_slope, of_views)?;
+    let (map, quality) = merge(layout, frame.field.slope, of_views)?;
     let form = map.form();
     let mut rms_about_form_mm = Vec::with_capacity(views.len());
     of_views(&mut |_, view| {
@@ -132,7 +142,7 @@ pub(super) fn stitch(
     Ok(Stitched {
         views,
         refused,
-        joint,
+        adjustment,
         rounds,
         settled,
         steps,
@@ -148,9 +158,10 @@ pub(super) fn stitch(
 struct Common<'a> {
     session: &'a Session,
     tool: &'a Tool,
+    frame: &'a Frame,
     views: Vec<(usize, ViewInformation)>,
-    joint: Solution,
-    refused: Vec<(usize, String)>,
+    adjustment: Solution,
+    refused: Vec<(usize, Reason)>,
     rounds: usize,
     settled: bool,
 }
@@ -161,12 +172,14 @@ impl<'a> Common<'a> {
         tool: &'a Tool,
         first: BTreeMap<usize, ViewInformation>,
         nominal: &Stages,
+        frame: &'a Frame,
     ) -> Result<Self, ScanError> {
         let views: Vec<(usize, ViewInformation)> = first.into_iter().collect();
         Ok(Self {
             session,
             tool,
-            joint: solved(&views, &[], nominal)?,
+            frame,
+            adjustment: solved(&views, &[], nominal, frame)?,
             views,
             refused: Vec::new(),
             rounds: 1,
@@ -183,22 +196,22 @@ impl<'a> Common<'a> {
         let mut pairs = Vec::new();
         self.settled = false;
         for _ in 0..MOST_ROUNDS {
-            let (laid, dropped) = laid_anew(self.session, self.tool, &self.views, &self.joint)?;
+            let (laid, dropped) = laid_anew(self, &self.views, &self.adjustment)?;
             // A view that drops out moves the others: another round then.
             let whole = dropped.is_empty();
             self.refused.extend(dropped);
             pairs = overlaps(&laid)?;
-            self.joint = solved(&laid, &pairs, &self.joint.stages)?;
+            self.adjustment = solved(&laid, &pairs, &self.adjustment.stages, self.frame)?;
             self.views = laid;
             self.rounds += 1;
             let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
-                moved_mm(info, &info.tool_from_camera, pose)
+                self.moved_mm(info, &info.tool_from_camera, pose)
             };
             self.settled = whole
                 && self
                     .views
                     .iter()
-                    .zip(&self.joint.poses)
+                    .zip(&self.adjustment.poses)
                     .map(moved)
                     .all(|mm| mm < SETTLED_MM);
             if self.settled {
@@ -211,30 +224,36 @@ impl<'a> Common<'a> {
     /// Lays views that moved far on the CAD again with all their points; returns how many.
     fn lay(&self, patches: &mut Patches, layout: &Layout) -> Result<usize, SessionError> {
         let mut relaid = 0;
-        for ((view, info), pose) in self.views.iter().zip(&self.joint.poses) {
-            let moved = patches.pose(*view).map(|was| moved_mm(info, was, pose));
+        for ((view, info), pose) in self.views.iter().zip(&self.adjustment.poses) {
+            let moved = patches
+                .pose(*view)
+                .map(|was| self.moved_mm(info, was, pose));
             if moved.is_none_or(|mm| mm > RELAY_MM) {
-                let points = self.session.points(*view)?;
-                let laid = Laid::new(&self.tool.surface, *pose, &points);
+                let kept = self.session.points(*view)?;
+                let laid = Laid::new(&self.tool.surface, *pose, &kept);
                 let flanks = match &self.tool.gear {
-                    Some(gear) => laid.flanks(gear, &points),
+                    Some(gear) => laid.flanks(gear, self.frame.field.range_mm),
                     None => BTreeMap::new(),
                 };
-                patches.keep(
-                    *view,
-                    *pose,
-                    &laid.cell_observations(layout, &points),
-                    &flanks,
-                )?;
+                patches.keep(*view, *pose, &laid.cell_observations(layout), &flanks)?;
                 relaid += 1;
             }
         }
         Ok(relaid)
     }
 
+    /// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the
+    /// teeth are straight.
+    fn moved_mm(&self, info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
+        let to_edge_mm = 0.5 * self.frame.field.width_mm;
+        let centre = Point3::from(info.centre_mm);
+        let motion = to * from.inverse();
+        (motion * centre - centre).xy().norm() + motion.rotation.angle() * to_edge_mm
+    }
+
     /// Where every view is, by its number.
     fn poses(&self) -> BTreeMap<usize, Isometry3<f64>> {
-        let views = self.views.iter().zip(&self.joint.poses);
+        let views = self.views.iter().zip(&self.adjustment.poses);
         views.map(|((view, _), pose)| (*view, *pose)).collect()
     }
 }
@@ -265,31 +284,31 @@ fn solved(
     views: &[(usize, ViewInformation)],
     overlaps: &[Overlap],
     start: &Stages,
+    frame: &Frame,
 ) -> Result<Solution, ScanError> {
     let views: Vec<ViewInformation> = views.iter().map(|(_, info)| info.clone()).collect();
-    Ok(solve(start, &views, overlaps, Local::default())?)
+    Ok(solve(start, &views, overlaps, frame.single)?)
 }
 
-type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, String)>);
+type LaidAnew = (Vec<(usize, ViewInformation)>, Vec<(usize, Reason)>);
 
 /// Every view that moved, its sample laid on the surface where the solution puts it; and those that do not fit there, with
 /// why.
 fn laid_anew(
-    session: &Session,
-    tool: &Tool,
+    common: &Common<'_>,
     views: &[(usize, ViewInformation)],
-    joint: &Solution,
+    adjustment: &Solution,
 ) -> Result<LaidAnew, SessionError> {
     let fits: Result<Vec<_>, SessionError> = views
         .par_iter()
-        .zip(&joint.poses)
+        .zip(&adjustment.poses)
         .map(|((view, info), pose)| {
-            if moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
+            if common.moved_mm(info, &info.tool_from_camera, pose) < SETTLED_MM {
                 return Ok((*view, Ok(info.clone())));
             }
-            let sample = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE);
-            let laid = match compress(&tool.surface, &sample, info.at, *pose) {
-                None => Err("no point lies on the CAD".to_string()),
+            let sample = coordinates(&common.session.sample(*view, SAMPLE)?, SAMPLE);
+            let laid = match compress(&common.tool.surface, &sample, info.at, *pose) {
+                None => Err(off_cad("no point lies on the CAD")),
                 Some(info) => unlike_cad(&info).map_or(Ok(info), Err),
             };
             Ok((*view, laid))
@@ -303,12 +322,4 @@ fn laid_anew(
         }
     }
     Ok((laid, refused))
-}
-
-/// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the teeth
-/// are straight.
-fn moved_mm(info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
-    let centre = Point3::from(info.centre_mm);
-    let motion = to * from.inverse();
-    (motion * centre - centre).xy().norm() + motion.rotation.angle() * FIELD_MM
 }

@@ -9,16 +9,18 @@ use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
-use flankscope_metrology::registration::{Options, Reason, Status, register, search_phase};
+use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
 use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
 use nalgebra::{Isometry3, Matrix6, Vector6};
 
-use super::lay::{Laid, layout};
+use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, Itinerary, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, hand_eye,
+    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
+    rays_without_point,
 };
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
@@ -30,15 +32,13 @@ const BEND_MM: f64 = 30e-3;
 const BEND_RAD: f64 = 2e-3;
 /// A place known worse than this share of the pitch is searched for.
 const SEARCH_PITCH: f64 = 0.1;
-/// From the pinhole to the surface, about, mm: a turn of the head moves the surface by that much.
-const REACH_MM: f64 = 22.0;
 /// A first pose is good enough when its last step was shorter, mm.
 const NEARLY_MM: f64 = 10e-3;
 /// A view whose points lie farther from the CAD than this looks at another part, mm.
 const MOST_RMS_MM: f64 = 0.05;
 /// And so does one with fewer of its points on the CAD.
 const LEAST_SHARE: f64 = 0.6;
-/// Up to so many views each one renews the joint solve, then every so many.
+/// Up to so many views each one renews the adjustment, then every so many.
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
@@ -46,15 +46,24 @@ const LAZY_VIEWS: usize = 12;
 /// (smoothed standard deviation, counts), which the article's mask goes by.
 pub(super) type Kept = [f32; 5];
 
+/// What is kept of a view.
+#[derive(Clone, Debug, Default)]
+pub(super) struct KeptView {
+    /// Its points, in shuffled order.
+    pub points: Vec<Kept>,
+    /// Where the rays without a point look: x and y at z = 1, camera frame.
+    pub without_point: Vec<[f32; 2]>,
+}
+
 /// What became of one view.
 #[derive(Debug)]
-pub(crate) struct ScannedView {
-    /// Points in shuffled order.
-    pub points: Vec<Kept>,
+pub(super) struct ScannedView {
+    /// Its points.
+    pub kept: KeptView,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: Isometry3<f64>,
     /// What became of it on the CAD, or why it must not be used.
-    pub laid: Result<LaidView, String>,
+    pub laid: Result<LaidView, Reason>,
 }
 
 /// A view on the CAD.
@@ -74,8 +83,11 @@ pub(super) struct ViewScanner {
     gear: GearData,
     layout: Layout,
     decoder: Arc<Decoder>,
-    itinerary: Arc<Itinerary>,
-    joint: Solution,
+    plan: Arc<ViewPlan>,
+    adjustment: Solution,
+    /// How a view may lie from what all share.
+    single: Local,
+    field: FieldOfView,
     known: BTreeMap<usize, ViewInformation>,
 }
 
@@ -84,20 +96,23 @@ impl ViewScanner {
     pub fn new(
         subject: &Subject,
         decoder: Arc<Decoder>,
-        itinerary: Arc<Itinerary>,
+        plan: Arc<ViewPlan>,
         known: BTreeMap<usize, ViewInformation>,
     ) -> Result<Self, EvaluatorError> {
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.as_ref();
         let gear = gear.ok_or(EvaluatorError::Missing { what })?;
         let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
+        let single = subject.station.stages.of_single_view();
         let mut scanner = Self {
             tool: Arc::clone(&subject.tool),
             layout: layout(gear),
             gear: gear.clone(),
             decoder,
-            itinerary,
-            joint: Solution::prior(nominal, Local::default()),
+            plan,
+            adjustment: Solution::prior(nominal, single),
+            single,
+            field: FieldOfView::of(&subject.head)?,
             known,
         };
         scanner.solve();
@@ -106,41 +121,48 @@ impl ViewScanner {
 
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
-        let at = place(&self.itinerary, view);
-        let mut prior = self.joint.predict(at);
+        let at = place(&self.plan, view);
+        let mut prior = self.adjustment.predict(at);
         let expected = *prior.tool_from_cloud.isometry();
-        let decoded = match self.decoder.finish(sums) {
-            Ok(decoded) => decoded.cloud,
+        let decoded_view = match self.decoder.finish(sums) {
+            Ok(decoded) => decoded,
             Err(error) => {
                 return ScannedView {
-                    points: Vec::new(),
+                    kept: KeptView::default(),
                     tool_from_camera: expected,
-                    laid: Err(error.to_string()),
+                    laid: Err(Reason::instrument(Code::Decoding, error)),
                 };
             }
         };
+        let decoded = &decoded_view.cloud;
         let kept = outlier::statistical(&decoded.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
-        let mut order: Vec<u32> = (0..decoded.len() as u32)
-            .filter(|&i| kept.get(i as usize).copied().unwrap_or(false))
+        let (mut order, dropped): (Vec<usize>, Vec<usize>) =
+            (0..decoded.len()).partition(|&i| kept.get(i).copied().unwrap_or(false));
+        let without_point = rays_without_point(&self.decoder, &decoded_view, &dropped)
+            .map(|[x, y, z]| [(x / z) as f32, (y / z) as f32])
             .collect();
         // Shuffled the same way every time: the first thousand points are a fair sample of all.
-        order.sort_unstable_by_key(|i| i.wrapping_mul(0x9E37_79B9));
+        order.sort_unstable_by_key(|&i| (i as u32).wrapping_mul(0x9E37_79B9));
         let points: Vec<Kept> = order
             .iter()
-            .map(|&i| {
-                let at = i as usize;
+            .map(|&at| {
                 let [x, y, z] = decoded.points_mm[at].map(|c| c as f32);
                 [x, y, z, decoded.sigma_z_mm[at], decoded.fringes_dn[at]]
             })
             .collect();
-        let first = coordinates(&points, FIRST_POSE);
+        let kept = KeptView {
+            points,
+            without_point,
+        };
+        let first = coordinates(&kept.points, FIRST_POSE);
         let surface = &self.tool.surface;
         let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
-        let start = if place_sigma_mm(&prior.covariance) > SEARCH_PITCH * pitch_mm {
-            search_phase(surface, &first, &expected, self.gear.teeth)
-        } else {
-            expected
-        };
+        let start =
+            if place_sigma_mm(&prior.covariance, self.field.reach_mm) > SEARCH_PITCH * pitch_mm {
+                search_phase(surface, &first, &expected, self.gear.teeth)
+            } else {
+                expected
+            };
         let bend = [BEND_RAD, BEND_RAD, BEND_RAD, BEND_MM, BEND_MM, BEND_MM].map(|s| s * s);
         prior.covariance += Matrix6::from_diagonal(&Vector6::from(bend));
         let options = Options {
@@ -151,39 +173,39 @@ impl ViewScanner {
         };
         let registration = register(surface, &first, None, &options);
         let tool_from_camera = *registration.tool_from_cloud.isometry();
-        let sample = coordinates(&points, SAMPLE);
+        let sample = coordinates(&kept.points, SAMPLE);
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
             (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
-                Err(reason.to_string())
+                Err(Reason::instrument(reason.into(), reason))
             }
-            (_, None) => Err("no point lies on the CAD".into()),
+            (_, None) => Err(off_cad("no point lies on the CAD")),
             (_, Some(information)) => match unlike_cad(&information) {
                 Some(why) => Err(why),
-                None => Ok(self.lay(view, information, &points)),
+                None => Ok(self.lay(view, information, &kept)),
             },
         };
         ScannedView {
-            points,
+            kept,
             tool_from_camera,
             laid,
         }
     }
 
     /// Adds a view to what is known of all, and lays its points where it then is.
-    fn lay(&mut self, view: usize, information: ViewInformation, points: &[Kept]) -> LaidView {
+    fn lay(&mut self, view: usize, information: ViewInformation, kept: &KeptView) -> LaidView {
         self.known.insert(view, information.clone());
         if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
             self.solve();
         }
-        let settled = self.joint.settle(&information);
+        let settled = self.adjustment.settle(&information);
         let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
-        let laid = Laid::new(&self.tool.surface, tool_from_camera, points);
+        let laid = Laid::new(&self.tool.surface, tool_from_camera, kept);
         let information = laid.information(information.at).unwrap_or(information);
         self.known.insert(view, information.clone());
         LaidView {
-            cell_observations: laid.cell_observations(&self.layout, points),
-            flanks: laid.flanks(&self.gear, points),
+            cell_observations: laid.cell_observations(&self.layout),
+            flanks: laid.flanks(&self.gear, self.field.range_mm),
             information,
         }
     }
@@ -191,34 +213,39 @@ impl ViewScanner {
     fn solve(&mut self) {
         let views: Vec<ViewInformation> = self.known.values().cloned().collect();
         // A solve that breaks down leaves the prediction as it was; the final one reports it.
-        if let Ok(joint) = solve(&self.joint.stages, &views, &[], Local::default()) {
-            self.joint = joint;
+        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], self.single) {
+            self.adjustment = adjustment;
         }
     }
 }
 
-/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The joint solve goes on from
+/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
 /// there.
-fn nearly_settled(reason: &Reason) -> bool {
-    matches!(reason, Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+fn nearly_settled(reason: &registration::Reason) -> bool {
+    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+}
+
+/// A view that lies elsewhere.
+pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
+    Reason::instrument(Code::OffCad, sentence)
 }
 
 /// Why a view cannot show the part of the CAD.
-pub(super) fn unlike_cad(view: &ViewInformation) -> Option<String> {
+pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
     (view.rms_mm > MOST_RMS_MM || view.share < LEAST_SHARE).then(|| {
-        format!(
+        off_cad(format_args!(
             "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
             100.0 * view.share,
             1e3 * view.rms_mm,
             100.0 * LEAST_SHARE,
             1e3 * MOST_RMS_MM,
-        )
+        ))
     })
 }
 
 /// What the stages are told for a view.
-pub(super) fn place(itinerary: &Itinerary, view: usize) -> Pose {
-    let planned = &itinerary.views[view];
+pub(super) fn place(plan: &ViewPlan, view: usize) -> Pose {
+    let planned = &plan.views[view];
     Pose {
         rotation_rad: planned.rotation_rad,
         vertical_mm: planned.vertical_mm,
@@ -235,8 +262,8 @@ pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
 }
 
 /// How well it is known where the head looks, mm.
-fn place_sigma_mm(covariance: &Matrix6<f64>) -> f64 {
+fn place_sigma_mm(covariance: &Matrix6<f64>, reach_mm: f64) -> f64 {
     let turn: f64 = (0..3).map(|i| covariance[(i, i)]).sum();
     let shift: f64 = (3..6).map(|i| covariance[(i, i)]).sum();
-    (turn * REACH_MM * REACH_MM + shift).sqrt()
+    (turn * reach_mm * reach_mm + shift).sqrt()
 }

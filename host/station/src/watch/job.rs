@@ -1,16 +1,21 @@
 //! Cycles in, checks at the right moment, verdicts out.
 
+use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use flankscope_protocol::{Command, Event, FaultCode, Refusal};
 use tokio::time::Instant;
 
-use super::latch::{Latch, Shown};
+use flankscope_metrology::verdict::{Latch, Shown};
+use serde::Serialize;
+
+use crate::acquisition::AcquisitionError;
 use crate::controller::{Client, ClientError, ClientSettings};
-use crate::history::HistoryError;
+use crate::history::{HistoryError, HistoryWriter};
 use crate::inspection::{InspectError, Inspection, Station};
+use crate::sink::ResultSink;
 
 /// When to check.
 #[derive(Clone, Copy, Debug)]
@@ -23,17 +28,24 @@ pub struct WatchSettings {
     pub hold_limit: Duration,
 }
 
-/// One check of the watch.
-#[derive(Debug)]
+/// One check of the watch; serialised as its line.
+#[derive(Debug, Serialize)]
 pub struct Checked {
     /// Press cycles when it began.
     pub cycle: u32,
     /// What it found.
     pub inspection: Inspection,
     /// What the press is shown since.
+    #[serde(serialize_with = "word")]
     pub shown: Shown,
     /// Several checks in a row found nothing.
+    #[serde(skip)]
     pub needs_maintenance: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn word<S: serde::Serializer>(shown: &Shown, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(shown.word())
 }
 
 /// What the watch tells.
@@ -57,7 +69,8 @@ pub enum Told {
 
 impl Station {
     /// Watches the press until `settings.cycles` have passed or `tell` says stop (false); a message on `acknowledged`
-    /// clears a latched no-go, whoever sent it: a name, or nothing. Returns what the press was shown last.
+    /// clears a latched no-go, whoever sent it: a name, or nothing. Every check waits for `writer`, where there is one.
+    /// Returns what the press was shown last.
     ///
     /// # Errors
     /// The watch cannot begin, or the link to the controller is gone.
@@ -66,132 +79,205 @@ impl Station {
         port: &Path,
         client: ClientSettings,
         settings: &WatchSettings,
+        writer: Option<&mut HistoryWriter>,
         acknowledged: &Receiver<String>,
         tell: impl FnMut(Told) -> bool,
-    ) -> Result<Shown, InspectError> {
+    ) -> Result<Shown, WatchError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build();
-        let runtime = runtime.map_err(|_| InspectError::Thread { thread: "I/O" })?;
-        runtime.block_on(self.keep_watch(port, client, settings, acknowledged, tell))
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
+        runtime.block_on(async {
+            let mut client = Client::connect(port, client).await?;
+            self.acquisition
+                .make_ready(&mut client, &mut |_| {})
+                .await?;
+            let mut watch = Watch::begin(self, client, settings, writer, tell).await?;
+            let before = watch.latch.shown();
+            if before != Shown::Unchecked && watch.tell(Told::Resumed(before)).is_break() {
+                return Ok(before);
+            }
+            while watch.step(acknowledged).await?.is_continue() {}
+            Ok(watch.latch.shown())
+        })
     }
+}
 
-    async fn keep_watch(
-        &mut self,
-        port: &Path,
-        client: ClientSettings,
-        settings: &WatchSettings,
-        acknowledged: &Receiver<String>,
-        mut tell: impl FnMut(Told) -> bool,
-    ) -> Result<Shown, InspectError> {
-        let mut client = Client::connect(port, client).await?;
-        self.make_ready(&mut client, &mut |_| {}).await?;
-        let tool = self.subject.tool.name.clone();
-        let mut latch = match &self.keeper {
-            Some(keeper) => keeper.latch(&tool)?,
+/// Why there is no watch, or none any more.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WatchError {
+    /// Controller or camera cannot be worked with.
+    #[error(transparent)]
+    Acquisition(#[from] AcquisitionError),
+    /// A check could not begin.
+    #[error(transparent)]
+    Check(#[from] InspectError),
+    /// What stood at the press before is not known.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+}
+
+impl From<ClientError> for WatchError {
+    fn from(error: ClientError) -> Self {
+        AcquisitionError::from(error).into()
+    }
+}
+
+/// A watch between two events.
+struct Watch<'a, T> {
+    station: &'a mut Station,
+    client: Client,
+    settings: &'a WatchSettings,
+    writer: Option<&'a mut HistoryWriter>,
+    /// Says stop by false.
+    tell: T,
+    latch: Latch,
+    /// Press cycles by the controller's counter: when it began, now, and at the last check.
+    first: u32,
+    cycle: u32,
+    checked_at: u32,
+    /// A verdict that is not repeated goes stale, and a stale verdict is a no-go.
+    refresh: Duration,
+    next_refresh: Instant,
+}
+
+impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
+    async fn begin(
+        station: &'a mut Station,
+        mut client: Client,
+        settings: &'a WatchSettings,
+        writer: Option<&'a mut HistoryWriter>,
+        tell: T,
+    ) -> Result<Self, WatchError> {
+        let latch = match &writer {
+            Some(writer) => writer.latch(station.tool())?,
             None => Latch::default(),
         };
-        if latch.shown() != Shown::Unchecked && !tell(Told::Resumed(latch.shown())) {
-            return Ok(latch.shown());
+        let cycle = client.status().await?.press.cycles;
+        Ok(Self {
+            station,
+            settings,
+            writer,
+            tell,
+            latch,
+            first: cycle,
+            cycle,
+            checked_at: cycle,
+            refresh: Duration::from_micros(u64::from(client.identity().verdict_life.get())) / 4,
+            next_refresh: Instant::now(),
+            client,
+        })
+    }
+
+    /// Tells something; breaks when that is the last thing.
+    fn tell(&mut self, told: Told) -> ControlFlow<()> {
+        if (self.tell)(told) {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
         }
-        let refresh = Duration::from_micros(u64::from(client.identity().verdict_life.get())) / 4;
-        let mut cycle = client.status().await?.press.cycles;
-        let first = cycle;
-        let mut checked_at = cycle;
-        let mut next_refresh = Instant::now();
-        loop {
-            match acknowledged.try_recv() {
-                Ok(name) => {
-                    let noted = self
-                        .keeper
-                        .as_mut()
-                        .map_or(Ok(()), |keeper| keeper.acknowledge(&tool, &name));
-                    let told = match noted {
-                        Ok(()) => {
-                            latch.acknowledge();
-                            checked_at = cycle.wrapping_sub(settings.every); // check again at the next opening
-                            Told::Acknowledged
-                        }
-                        Err(error) => Told::NotAcknowledged(error),
-                    };
-                    if !tell(told) {
-                        return Ok(latch.shown());
-                    }
-                }
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
-            }
-            if Instant::now() >= next_refresh {
-                // A verdict that is not repeated goes stale, and a stale verdict is a no-go.
-                client
-                    .order(&Command::ShowVerdict {
-                        go: latch.shown().is_go(),
-                    })
-                    .await?;
-                next_refresh = Instant::now() + refresh;
-            }
-            let patience = next_refresh
-                .saturating_duration_since(Instant::now())
-                .max(Duration::from_millis(1));
-            let mut opened = false;
-            match client.event(patience).await {
-                Ok(Event::Cycle { count, .. }) => {
-                    cycle = count;
-                    if !tell(Told::Cycle(count))
-                        || settings
-                            .cycles
-                            .is_some_and(|most| count.wrapping_sub(first) >= most)
-                    {
-                        return Ok(latch.shown());
-                    }
-                }
-                Ok(Event::PressOpen { open, .. }) => opened = open,
-                Ok(_) | Err(ClientError::NoEvent { .. }) => {}
-                Err(error) => return Err(error.into()),
-            }
-            if cycle.wrapping_sub(checked_at) >= settings.every.saturating_mul(2)
-                && latch.shown().is_go()
-            {
-                latch.take("overdue"); // a go that nobody has confirmed for so long is none
-                next_refresh = Instant::now();
-            }
-            let due = cycle.wrapping_sub(checked_at) >= settings.every
-                || latch.shown() == Shown::Unchecked;
-            if opened && due {
-                if !tell(Told::Checking(cycle)) {
-                    return Ok(latch.shown());
-                }
-                let check = self
-                    .check(&mut client, Some(settings.hold_limit), &mut |_| {})
-                    .await;
-                let inspection = match check {
-                    // The press was faster than the order: the next opening will do.
-                    Err(InspectError::Client(ClientError::Refused(Refusal::Interlock {
-                        fault,
-                    }))) => {
-                        if !tell(Told::Missed(cycle, fault)) {
-                            return Ok(latch.shown());
-                        }
-                        continue;
-                    }
-                    check => check?,
-                };
-                cycle = cycle.max(inspection.press_cycles);
-                checked_at = inspection.press_cycles;
-                let shown = latch.take(&inspection.verdict);
-                client
-                    .order(&Command::ShowVerdict { go: shown.is_go() })
-                    .await?;
-                next_refresh = Instant::now() + refresh;
-                let needs_maintenance = latch.needs_maintenance();
-                if !tell(Told::Checked(Box::new(Checked {
-                    cycle: checked_at,
-                    inspection,
-                    shown,
-                    needs_maintenance,
-                }))) {
-                    return Ok(latch.shown());
-                }
-            }
+    }
+
+    /// From one event to the next.
+    async fn step(
+        &mut self,
+        acknowledged: &Receiver<String>,
+    ) -> Result<ControlFlow<()>, WatchError> {
+        if let Ok(name) = acknowledged.try_recv()
+            && self.acknowledge(&name).is_break()
+        {
+            return Ok(ControlFlow::Break(()));
         }
+        if Instant::now() >= self.next_refresh {
+            self.show().await?;
+        }
+        let patience = self
+            .next_refresh
+            .saturating_duration_since(Instant::now())
+            .max(Duration::from_millis(1));
+        let mut opened = false;
+        match self.client.event(patience).await {
+            Ok(Event::Cycle { count, .. }) => {
+                self.cycle = count;
+                let most = self.settings.cycles;
+                let over = most.is_some_and(|most| count.wrapping_sub(self.first) >= most);
+                if self.tell(Told::Cycle(count)).is_break() || over {
+                    return Ok(ControlFlow::Break(()));
+                }
+            }
+            Ok(Event::PressOpen { open, .. }) => opened = open,
+            Ok(_) | Err(ClientError::NoEvent { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let since = self.cycle.wrapping_sub(self.checked_at);
+        if since >= self.settings.every.saturating_mul(2) && self.latch.shown().is_go() {
+            self.latch.expire();
+            self.next_refresh = Instant::now();
+        }
+        let due = since >= self.settings.every || self.latch.shown() == Shown::Unchecked;
+        if opened && due {
+            return self.check().await;
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Somebody has looked; that counts once it is noted.
+    fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
+        let noted = match &mut self.writer {
+            Some(writer) => writer.acknowledge(self.station.tool(), name),
+            None => Ok(()),
+        };
+        let told = match noted {
+            Ok(()) => {
+                self.latch.acknowledge();
+                // Check again at the next opening.
+                self.checked_at = self.cycle.wrapping_sub(self.settings.every);
+                Told::Acknowledged
+            }
+            Err(error) => Told::NotAcknowledged(error),
+        };
+        self.tell(told)
+    }
+
+    /// Shows the press what stands.
+    async fn show(&mut self) -> Result<(), WatchError> {
+        let go = self.latch.shown().is_go();
+        self.client.order(&Command::ShowVerdict { go }).await?;
+        self.next_refresh = Instant::now() + self.refresh;
+        Ok(())
+    }
+
+    /// Checks now, stores, latches and shows what was found.
+    async fn check(&mut self) -> Result<ControlFlow<()>, WatchError> {
+        if self.tell(Told::Checking(self.cycle)).is_break() {
+            return Ok(ControlFlow::Break(()));
+        }
+        let hold_limit = Some(self.settings.hold_limit);
+        let check = self
+            .station
+            .check(&mut self.client, hold_limit, &mut |_| {})
+            .await;
+        let mut inspection = match check {
+            // The press was faster than the order: the next opening will do.
+            Err(InspectError::Acquisition(AcquisitionError::Client(ClientError::Refused(
+                Refusal::Interlock { fault },
+            )))) => return Ok(self.tell(Told::Missed(self.cycle, fault))),
+            check => check?,
+        };
+        self.writer
+            .put(&mut inspection)
+            .map_err(InspectError::from)?;
+        self.cycle = self.cycle.max(inspection.press_cycles);
+        self.checked_at = inspection.press_cycles;
+        let shown = self.latch.take(inspection.verdict);
+        self.show().await?;
+        let checked = Checked {
+            cycle: self.checked_at,
+            inspection,
+            shown,
+            needs_maintenance: self.latch.needs_maintenance(),
+        };
+        Ok(self.tell(Told::Checked(Box::new(checked))))
     }
 }

@@ -7,7 +7,5 @@
 //! ```
 
 mod job;
-mod latch;
 
-pub use job::{Checked, Told, WatchSettings};
-pub use latch::{Latch, Shown};
+pub use job::{Checked, Told, WatchError, WatchSettings};

@@ -1,12 +1,13 @@
 //! Results of checks that nobody made.
 
+use flankscope_metrology::verdict::Word;
 use flankscope_station::inspection::{
     Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };
 use flankscope_station::origin::Origin;
 
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
-pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection {
+pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
     let feature = |tooth, flank: &str| Feature {
         tooth,
         flank: flank.into(),
@@ -19,7 +20,7 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         conformity: Some(1.0),
         detail: None,
         measurements: Vec::new(),
-        verdict: verdict.into(),
+        verdict,
         reason: None,
         code: None,
     };
@@ -34,7 +35,7 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
         id: None,
         origin: Origin::default(),
         date: "2026-01-31T12:00:00Z".into(),
-        verdict: verdict.into(),
+        verdict,
         reason: reason.into(),
         features: [12, 40, 68]
             .into_iter()
@@ -56,6 +57,8 @@ pub fn inspection(press_cycles: u32, verdict: &str, reason: &str) -> Inspection 
             problem: None,
         }],
         stopped: None,
+        stopped_code: None,
+        truth: None,
         phasors: vec![phasors],
         fields: Vec::new(),
         poses: Vec::new(),

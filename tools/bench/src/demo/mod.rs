@@ -1,19 +1,13 @@
-//! The built-in demo: an 84-tooth die and the 20 mm head that looks at it.
+//! What the built-in demo is made of: an 84-tooth die, a calibration target, a white tile.
 
-mod captures;
-mod files;
 mod other;
 mod target;
-mod tile;
 
-pub use captures::{AROUND, TargetView, target_views, write_captures};
-pub use files::{head, world_of, write_tool};
 pub use other::{OtherDie, OtherDieError};
-pub use target::{drawn_head, target, target_world, write_target};
-pub use tile::{core_map, flat_field, tile};
+pub use target::{Carrier, StageErrors, carrier, target_world};
 
 use crate::world::WorldConfig;
-use flankscope_gear_cad::{GearKind, GearSpec, MeshError, Meshing};
+use flankscope_gear_cad::{GearKind, GearSpec, Mesh, MeshError, Meshing};
 
 /// Radius of the demo die's pitch circle, mm.
 const PITCH_RADIUS_MM: f64 = 41.45;
@@ -47,4 +41,24 @@ pub fn world_config() -> Result<WorldConfig, MeshError> {
         ..Meshing::default()
     })?;
     Ok(WorldConfig::new(cad, gear))
+}
+
+/// The tile reaches this far from its middle, mm: well beyond the field.
+const TILE_HALF_MM: f64 = 20.0;
+
+/// A plane tile across the view, `radius_mm` from the stage's axis, facing the head; `tilt` is how much x changes
+/// along y and z.
+#[must_use]
+pub fn tile(radius_mm: f64, tilt: [f64; 2]) -> Mesh {
+    let corner = |y: f64, z: f64| [radius_mm + tilt[0] * y + tilt[1] * z, y, z];
+    let half = TILE_HALF_MM;
+    Mesh {
+        vertices: vec![
+            corner(-half, -half),
+            corner(half, -half),
+            corner(half, half),
+            corner(-half, half),
+        ],
+        triangles: vec![[0, 2, 1], [0, 3, 2]],
+    }
 }

@@ -1,17 +1,12 @@
 //! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
-//! does, and the head as its drawing shows it.
-
-use std::path::Path;
+//! does.
 
 use flankscope_gear_cad::Mesh;
-use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, KEYS, Plate, Sphere, Target};
-use flankscope_profilometry::head::Limits;
-use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use rand_pcg::Pcg64;
 
-use super::files::{transform_file, transform_of};
-use super::{HEIGHT_MM, gear, head};
+use super::{HEIGHT_MM, gear};
+use crate::files::{KEYS, Plate, TargetFile};
 use crate::world::random::{Normals, Purpose, stream};
 use crate::world::{Print, Surface, WorldConfig};
 
@@ -30,13 +25,9 @@ const PRINTED: [([f64; 2], f64); 6] = [
 ];
 /// The blank plate stands in best focus.
 const BLANK_RADIUS_MM: f64 = 41.5;
-/// The white of the plates comes to two thirds of the full well.
-const EXPOSURE_US: u32 = 12_000;
-/// Where the head clears the target: as far up as above the die.
-const RETRACT_MM: f64 = 86.0;
 /// The sphere: its front stands half a millimetre before best focus.
-const SPHERE_DIAMETER_MM: f64 = 3.0;
 const SPHERE_CENTRE_RADIUS_MM: f64 = 42.5;
+const SPHERE_STATION: usize = PRINTED.len() + 1;
 /// It is sunk into a matt ground, which keeps the picture lit.
 const SPHERE_GROUND_RADIUS_MM: f64 = 43.0;
 /// Reflectance of the print relative to the plate.
@@ -53,10 +44,33 @@ fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     turned * Isometry3::from_parts(place, facing)
 }
 
-/// A place on the carrier at mid-height.
-fn station(number: usize, radius_mm: f64) -> Vector3<f64> {
-    let (sin, cos) = (STATION_RAD * number as f64).sin_cos();
-    Vector3::new(radius_mm * cos, radius_mm * sin, HEIGHT_MM)
+/// Where plates and sphere stand on the carrier, by its drawing.
+#[derive(Clone, Debug)]
+pub struct Carrier {
+    /// The printed plates.
+    pub printed: Vec<Isometry3<f64>>,
+    /// The plate without print.
+    pub blank: Isometry3<f64>,
+    /// The sphere's centre, mm.
+    pub sphere_centre_mm: [f64; 3],
+}
+
+/// The demo's carrier.
+#[must_use]
+pub fn carrier() -> Carrier {
+    let (sin, cos) = (STATION_RAD * SPHERE_STATION as f64).sin_cos();
+    let printed = PRINTED.iter().enumerate();
+    Carrier {
+        printed: printed
+            .map(|(station, &(tilt, radius_mm))| plate(station, tilt, radius_mm))
+            .collect(),
+        blank: plate(PRINTED.len(), [0.0; 2], BLANK_RADIUS_MM),
+        sphere_centre_mm: [
+            SPHERE_CENTRE_RADIUS_MM * cos,
+            SPHERE_CENTRE_RADIUS_MM * sin,
+            HEIGHT_MM,
+        ],
+    }
 }
 
 /// A sphere's facets, rows of latitude about z: chords of 0.1 um on a radius of 1.5 mm.
@@ -82,52 +96,15 @@ fn sphere(centre: Vector3<f64>, radius_mm: f64, mesh: &mut Mesh) {
     }
 }
 
-/// The target as its certificate describes it.
-#[must_use]
-pub fn target() -> Target {
-    let file = |pose: Isometry3<f64>| Plate {
-        tool_from_plate: transform_file(&pose),
-    };
-    let printed = PRINTED.iter().enumerate();
-    Target {
-        name: "six dot plates, a blank one and a sphere".into(),
-        exposure_us: EXPOSURE_US,
-        retract_mm: RETRACT_MM,
-        pose_sigma_mm: 2e-3,
-        pose_sigma_rad: 50e-6,
-        dots: Dots {
-            pitch_mm: 0.5,
-            diameter_mm: 0.25,
-            key_diameter_mm: 0.35,
-        },
-        blank: file(plate(PRINTED.len(), [0.0; 2], BLANK_RADIUS_MM)),
-        plate: printed
-            .map(|(station, &(tilt, radius_mm))| file(plate(station, tilt, radius_mm)))
-            .collect(),
-        sphere: Some(Sphere {
-            centre_mm: station(PRINTED.len() + 1, SPHERE_CENTRE_RADIUS_MM).into(),
-            diameter_mm: SPHERE_DIAMETER_MM,
-        }),
-        limits: Some(Limits {
-            flatness_um: 45.0,
-            probing_form_um: 45.0,
-            probing_size_um: 8.0,
-            flatness_cells_um: Some(8.0),
-            probing_form_cells_um: Some(8.0),
-            every_days: 7,
-        }),
-    }
-}
-
 /// The target before the demo head: its plates lie as well as the certificate says, drawn from `seed`.
 #[must_use]
-pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
+pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
     let mut random = Normals::new(stream(seed, Purpose::Target));
     let mut as_built = |plate: &Plate| {
         let mut draw = |sigma: f64| Vector3::from_fn(|_, _| sigma * random.next());
         let turn = UnitQuaternion::from_scaled_axis(draw(target.pose_sigma_rad));
         let shift = draw(target.pose_sigma_mm);
-        let mut pose = transform_of(&plate.tool_from_plate);
+        let mut pose = Isometry3::from(&plate.tool_from_plate);
         pose.rotation = turn * pose.rotation;
         pose.translation.vector += shift;
         pose
@@ -138,7 +115,7 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         vertices: Vec::new(),
         triangles: Vec::new(),
     };
-    let ground = plate(PRINTED.len() + 1, [0.0; 2], SPHERE_GROUND_RADIUS_MM);
+    let ground = plate(SPHERE_STATION, [0.0; 2], SPHERE_GROUND_RADIUS_MM);
     for pose in printed.iter().chain([&blank, &ground]) {
         let first = mesh.vertices.len() as u32;
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
@@ -172,48 +149,18 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
     config
 }
 
-/// The demo head as its drawing shows it: no distortion, lenses and poses off by what assembly leaves.
-#[must_use]
-pub fn drawn_head() -> HeadModel {
-    let mut head = head();
-    head.name = "prism head 20 mm, drawing values".into();
-    for (lens, stretch, shift_px) in [
-        (&mut head.camera, 1.006, [3.0, -2.0]),
-        (&mut head.projector, 0.995, [-2.0, 0.0]),
-    ] {
-        lens.distortion = [0.0; 5];
-        lens.focal_px = lens.focal_px.map(|focal| stretch * focal);
-        lens.principal_px = [0, 1].map(|k| lens.principal_px[k] + shift_px[k]);
-    }
-    let moved = |pose: &Isometry3<f64>, turn: Vector3<f64>, shift: Vector3<f64>| {
-        let rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
-        Isometry3::from_parts(
-            Translation3::from(pose.translation.vector + shift),
-            rotation,
-        )
-    };
-    let projector = transform_of(&head.projector_from_camera);
-    let turn = Vector3::new(1.5e-3, -2e-3, 1e-3);
-    let shift = Vector3::new(0.04, 0.03, -0.05);
-    head.projector_from_camera = transform_file(&moved(&projector, turn, shift));
-    head.stage_from_camera = head.stage_from_camera.map(|hand_eye| {
-        let turn = Vector3::new(5e-3, -4e-3, 6e-3);
-        let shift = Vector3::new(0.25, -0.3, 0.2);
-        transform_file(&moved(&transform_of(&hand_eye), turn, shift))
-    });
-    head
-}
+/// Draws how far the stages stand from where they were told, while the target is photographed.
+pub struct StageErrors(Normals<Pcg64>);
 
-/// Writes `target.toml` and the drawing's `head.toml` into a folder, which is made if it is not there.
-///
-/// # Errors
-/// The files cannot be written.
-pub fn write_target(folder: &Path) -> anyhow::Result<()> {
-    std::fs::create_dir_all(folder)?;
-    write_whole(&folder.join("target.toml"), target().to_toml()?.as_bytes())?;
-    write_whole(
-        &folder.join("head.toml"),
-        drawn_head().to_toml()?.as_bytes(),
-    )?;
-    Ok(())
+impl StageErrors {
+    /// Drawn from `seed`.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        Self(Normals::new(stream(seed, Purpose::Stages)))
+    }
+
+    /// The next error, evenly from `-half_width` to `half_width`.
+    pub fn draw(&mut self, half_width: f64) -> f64 {
+        half_width * (2.0 * self.0.uniform() - 1.0)
+    }
 }

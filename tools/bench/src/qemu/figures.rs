@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::pin_wire::{PinMessage, Subject};
+use flankscope_pin_wire::{PinMessage, Subject};
 
 /// Smallest and largest of a kind of interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -11,12 +11,12 @@ use embassy_sync::channel::Channel;
 use embedded_hal_async::digital::Wait;
 use embedded_io_async::Read;
 use flankscope_controller::devices::{CurrentSetting, PatternPort};
-use flankscope_controller::vitals::Task;
+use flankscope_controller::liveness::Task;
 use flankscope_protocol::Milliamps;
 use flankscope_sim::{Board, Line, Port, Remote, Sim, Wiring};
 
 use super::machine::Machine;
-use super::pin_wire::{PinDecoder, PinMessage, Subject, input_bytes};
+use flankscope_pin_wire::{PinDecoder, PinMessage, Subject, injection, input_bytes};
 
 /// Every message that came from the image, in order.
 type Trace = Rc<RefCell<Vec<PinMessage>>>;
@@ -35,14 +35,15 @@ impl Emulated {
     }
 
     /// Orders the image to go wrong; only one that was built for it obeys.
-    pub fn drill(&self, order: Drill) {
-        self.pins.send(&input_bytes(Subject::Drill, order.number()));
+    pub fn inject(&self, fault: FaultInjection) {
+        self.pins
+            .send(&input_bytes(Subject::InjectFault, fault.number()));
     }
 }
 
-/// How the image shall go wrong. The numbers are those of `firmware/mps2-an386/src/drill.rs`.
+/// How the image shall go wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Drill {
+pub enum FaultInjection {
     /// This task is never polled again.
     Hang(Task),
     /// This task loops without end.
@@ -53,13 +54,13 @@ pub enum Drill {
     Fault,
 }
 
-impl Drill {
+impl FaultInjection {
     fn number(self) -> u8 {
         match self {
-            Self::Hang(task) => 0x10 | task as u8,
-            Self::Spin(task) => 0x20 | task as u8,
-            Self::Panic => 0x30,
-            Self::Fault => 0x31,
+            Self::Hang(task) => injection::HANG | task as u8,
+            Self::Spin(task) => injection::SPIN | task as u8,
+            Self::Panic => injection::PANIC,
+            Self::Fault => injection::FAULT,
         }
     }
 }
@@ -188,7 +189,7 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         | Subject::StackUsed
         | Subject::AlarmLatency
         | Subject::Tick
-        | Subject::Drill => {}
+        | Subject::InjectFault => {}
     }
 }
 

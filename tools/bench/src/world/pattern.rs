@@ -27,6 +27,16 @@ impl PatternSpec {
             .collect()
     }
 
+    /// A set by the name that head files and plans give it.
+    pub fn named(name: &str) -> Option<Vec<Self>> {
+        match name {
+            "article8" => Some(Self::sequence(&[(4.0, 4), (48.0, 4)])),
+            "insitu12" => Some(Self::insitu12()),
+            "scan16" => Some(Self::scan16()),
+            _ => None,
+        }
+    }
+
     /// In-situ set: 4 periods in 4 steps, 48 periods in 8 steps.
     pub fn insitu12() -> Vec<Self> {
         Self::sequence(&[(4.0, 4), (48.0, 8)])

@@ -2,10 +2,10 @@
 
 use std::f64::consts::TAU;
 
-use flankscope_profilometry::head::residual::ResidualField;
 use nalgebra::Vector2;
 
 use super::random::{Normals, Purpose, stream};
+use crate::files::{Remainder, SIDE};
 
 /// Waves that one lens is made of.
 const WAVES: usize = 6;
@@ -21,7 +21,7 @@ enum Kind {
     /// A sum of plane waves.
     Waves(Vec<Wave>),
     /// What a head's file says, in pixels of these focal lengths.
-    Stated(Box<ResidualField>, [f64; 2]),
+    Stated(Box<Remainder>, [f64; 2]),
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl Unevenness {
     }
 
     /// The remainder that a head's file states, for a world that is as the file says.
-    pub(crate) fn stated(field: &ResidualField, focal_px: [f64; 2]) -> Self {
+    pub(crate) fn stated(field: &Remainder, focal_px: [f64; 2]) -> Self {
         Self(Kind::Stated(Box::new(field.clone()), focal_px))
     }
 
@@ -67,16 +67,76 @@ impl Unevenness {
                 .map(|wave| wave.shift * (wave.number.dot(&place) + wave.phase_rad).sin())
                 .sum(),
             Kind::Stated(field, focal_px) => {
-                let shift_px = field.shift_px([place.x, place.y]);
+                let shift_px = shift_px(field, place);
                 Vector2::from([0, 1].map(|axis| shift_px[axis] / focal_px[axis]))
             }
         }
     }
 }
 
+/// What a head's file says of a place, along columns and rows. Outside of its square, it is what it is at the border.
+fn shift_px(field: &Remainder, place: Vector2<f64>) -> [f64; 2] {
+    let pieces = (SIDE - 3) as f64;
+    // How much of each coefficient counts: the cardinal cubic B-spline about its knot, the first of which lies one piece
+    // before the square.
+    let counts: [[f64; SIDE]; 2] = [0, 1].map(|axis| {
+        let along = (place[axis] - field.centre[axis]) / field.half_side;
+        let at = (0.5 * (along + 1.0) * pieces).clamp(0.0, pieces);
+        std::array::from_fn(|knot| cubic(at + 1.0 - knot as f64))
+    });
+    let summed = |coefficients: &[[f64; SIDE]; SIDE]| -> f64 {
+        let rows = coefficients.iter().zip(counts[1]);
+        rows.map(|(row, y)| {
+            let row = row.iter().zip(counts[0]);
+            y * row.map(|(coefficient, x)| coefficient * x).sum::<f64>()
+        })
+        .sum()
+    };
+    [
+        summed(&field.columns_px),
+        field.rows_px.as_ref().map_or(0.0, summed),
+    ]
+}
+
+/// The cubic B-spline on whole knots, centred on 0.
+fn cubic(from_centre: f64) -> f64 {
+    let d = from_centre.abs();
+    match d {
+        0.0..1.0 => (4.0 - 6.0 * d * d + 3.0 * d * d * d) / 6.0,
+        1.0..2.0 => (2.0 - d).powi(3) / 6.0,
+        _ => 0.0,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Coefficients that are a linear function of their knots give it back, and a single one its spline.
+    #[test]
+    fn a_stated_shift_is_a_cubic_spline() {
+        let mut field = Remainder {
+            centre: [0.1, -0.2],
+            half_side: 0.35,
+            columns_px: std::array::from_fn(|j| {
+                std::array::from_fn(|i| 0.3 * i as f64 - 0.2 * j as f64)
+            }),
+            rows_px: None,
+        };
+        // Ten pieces per unit; knot 1 stands on the border of the square.
+        for [x, y] in [[0.1, -0.2], [-0.2, 0.1], [0.33, -0.51]] {
+            let [i, j] = [(x + 0.25) * 10.0 + 1.0, (y + 0.55) * 10.0 + 1.0];
+            let [columns, rows] = shift_px(&field, Vector2::new(x, y));
+            assert!((columns - (0.3 * i - 0.2 * j)).abs() < 1e-12, "{x} {y}");
+            assert_eq!(rows, 0.0);
+        }
+        let border = shift_px(&field, Vector2::new(0.45, 0.0));
+        assert_eq!(shift_px(&field, Vector2::new(3.0, 0.0)), border);
+        field.columns_px = [[0.0; SIDE]; SIDE];
+        field.columns_px[5][4] = 1.0;
+        let [peak, _] = shift_px(&field, Vector2::new(0.05, -0.15));
+        assert!((peak - 4.0 / 9.0).abs() < 1e-12, "{peak}");
+    }
 
     /// Over many lenses the mean square is the one asked for: 200 lenses of six waves each, known to 5 %.
     #[test]

@@ -1,9 +1,9 @@
 //! What the host makes of the frames of a run, by the product's own pairing of triggers and frames.
 
 use flankscope_bench::devices::Exposure;
+use flankscope_frames::{Arm, FrameHeader, FrameLabel};
 use flankscope_protocol::{CapturePlan, Event, Trigger};
-use flankscope_station::capture::{Arm, FrameHeader, FrameLabel};
-use flankscope_station::inspection::pair;
+use flankscope_station::acquisition::pair;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 
@@ -49,14 +49,7 @@ pub fn receive(
     mut spoil: Option<(FrameFault, u64)>,
     random: &mut Pcg64Mcg,
 ) -> Vec<Received> {
-    let steps = plan.fringes.iter().map(|set| u16::from(set.steps));
-    let arm = Arm {
-        session: plan.session,
-        first_view: 0,
-        views: plan.views.len() as u16,
-        exposures: plan.exposures.len() as u16,
-        patterns: steps.sum(),
-    };
+    let arm = Arm::of(plan);
     let mut received = Vec::new();
     for (triggers, until_us) in completed(events) {
         let Some(from_us) = triggers.first().map(|first| first.dmd_at.get()) else {
@@ -77,7 +70,7 @@ pub fn receive(
         {
             spoil = None;
             // Late means after the next of its view: the last of a view cannot be.
-            let last = u32::from(frames[nth].header.label.in_view) + 1 == arm.frames_per_view();
+            let last = frames[nth].header.label.in_view + 1 == arm.order().frames();
             let nth = nth - usize::from(last);
             struck = Some(frames[nth].header.label.view);
             strike(&mut frames, fault, nth, random);
@@ -102,15 +95,11 @@ pub fn receive(
 }
 
 fn sent(arm: &Arm, nth: u32, exposure: &Exposure) -> Sent {
-    let beyond = FrameLabel {
-        view: u16::MAX,
-        ..FrameLabel::default()
-    };
     Sent {
         header: FrameHeader {
             session: arm.session,
             counter: exposure.counter,
-            label: arm.label(nth).unwrap_or(beyond),
+            label: arm.label(nth).unwrap_or(FrameLabel::BEYOND),
             exposure_start_us: exposure.start_us,
             exposure_end_us: exposure.end_us,
             ..FrameHeader::default()

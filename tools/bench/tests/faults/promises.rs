@@ -3,7 +3,7 @@
 use crate::CAPTURE_MS;
 use crate::frames::FrameFault;
 use flankscope_bench::devices::DeviceFault;
-use flankscope_controller::vitals::Task;
+use flankscope_controller::liveness::Task;
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{Fault, Microseconds, Timeouts};
 

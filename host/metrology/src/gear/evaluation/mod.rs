@@ -77,12 +77,17 @@ impl Settings {
     /// How far a figure must keep from its tolerance to be within or beyond it with a probability: the same guard as for wear
     /// ([`crate::verdict`]), um.
     pub fn guard_um(&self, probability: f64) -> f64 {
-        guard_factor(probability) * standard_of_u95(self.u95_um)
+        guard_factor(probability) * self.u_um()
     }
 
-    /// Standard uncertainty of a deviation, mm.
+    /// Standard uncertainty of a deviation, um.
+    pub fn u_um(&self) -> f64 {
+        standard_of_u95(self.u95_um)
+    }
+
+    /// The same, mm.
     fn u_mm(&self) -> f64 {
-        1e-3 * standard_of_u95(self.u95_um)
+        1e-3 * self.u_um()
     }
 }
 
@@ -221,6 +226,14 @@ pub struct Rating {
     pub best_stateable_class: Option<u32>,
     /// Set when there is a value but no class, or a class better than what can be stated: why.
     pub note: Option<String>,
+}
+
+impl Rating {
+    /// Why there is no value, and what to do next; empty where there is one.
+    pub fn why_not_told(&self) -> String {
+        let told = self.not_told.as_ref();
+        told.map_or_else(String::new, |why| format!("{why}; {}", why.next_step()))
+    }
 }
 
 /// The whole evaluation.

@@ -4,7 +4,7 @@ use nalgebra::{Matrix6, SMatrix, Vector3, Vector6};
 
 use super::view::ViewInformation;
 
-/// How far a single view may stray from what all share, and how far the piece's form may make it look astray: standard
+/// How far a single view may lie from what all share, and how far the form of the piece may make it seem to: standard
 /// deviations.
 #[derive(Debug, Clone, Copy)]
 pub struct Local {
@@ -40,7 +40,7 @@ impl Default for Local {
 }
 
 impl Local {
-    /// Covariance of the stray motion (rotation about `centre`, translation), tool frame.
+    /// Covariance of the pose residual (rotation about `centre`, translation), tool frame.
     pub(super) fn covariance(&self, centre: Vector3<f64>) -> Matrix6<f64> {
         let mut covariance = Matrix6::from_diagonal(&Vector6::new(
             self.wobble_rad.powi(2),

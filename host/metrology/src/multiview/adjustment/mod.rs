@@ -2,7 +2,7 @@
 //!
 //! Each view, laid on the surface, is compressed to its 6x6 information ([`ViewInformation`]), and each pair of views that
 //! saw the same cells to a 12x12 one ([`Overlap`]). One solve then finds what all views share (die on its table, hand-eye,
-//! directions of the vertical axis, encoder harmonics: [`Stages`]) and how far each view strays from it within what its stages
+//! directions of the vertical axis, encoder harmonics: [`Stages`]) and how far each view lies from it (pose residual) within what its stages
 //! can be off. A view may not bend to the form of the piece where it looks: ovality and taper of the whole and a form of its
 //! own under every view are eliminated, which keeps them in the deviations. Overlaps know nothing of the CAD: in the
 //! difference of two views the form cancels.
@@ -28,5 +28,5 @@ mod view;
 pub use local::Local;
 pub use model::{PARAMETERS, Pose, Stages};
 pub use overlap::{Overlap, take_off_common};
-pub use solve::{JointError, Solution, Weak, solve};
+pub use solve::{AdjustmentError, Solution, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};

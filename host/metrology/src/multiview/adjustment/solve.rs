@@ -1,9 +1,9 @@
-//! Gauss–Newton over what the views share, with each view's own stray motion and the form of the piece under it eliminated
+//! Gauss–Newton over what the views share, with each view's own pose residual and the form of the piece under it eliminated
 //! (Schur complement).
 //!
 //! ```text
-//!  CAD      each view:  where it lies = what all share + its stray + form of the piece (of the whole, and under it)
-//!  overlap  each pair:  how it lies against the other = what all share + both strays
+//!  CAD      each view:  where it lies = what all share + its residual + form of the piece (of the whole, and under it)
+//!  overlap  each pair:  how it lies against the other = what all share + both pose residuals
 //! ```
 
 use nalgebra::{
@@ -41,10 +41,10 @@ pub struct Weak {
     pub prior_share: f64,
 }
 
-/// Why there is no joint solution.
+/// Why there is no common solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum JointError {
+pub enum AdjustmentError {
     /// The normal equations have no solution.
     #[error("the joint solve of {views} views broke down: a view's information is not positive")]
     NotPositive {
@@ -58,10 +58,10 @@ pub enum JointError {
 pub struct Solution {
     /// What they share.
     pub stages: Stages,
-    /// Pose of every view, its stray motion included.
+    /// Pose of every view, its pose residual included.
     pub poses: Vec<Isometry3<f64>>,
     /// Stray motion of every view: rotation (rad) about its centre, translation (mm).
-    pub strays: Vec<Vector6<f64>>,
+    pub pose_residuals: Vec<Vector6<f64>>,
     /// Combinations that stay where they were, weakest first.
     pub weak: Vec<Weak>,
     /// Ratio of the largest to the smallest eigenvalue of the information, prior included, in units of the prior.
@@ -77,7 +77,7 @@ impl Solution {
         Self {
             stages,
             poses: Vec::new(),
-            strays: Vec::new(),
+            pose_residuals: Vec::new(),
             weak: Vec::new(),
             condition: 1.0,
             covariance: Square::identity(),
@@ -86,7 +86,7 @@ impl Solution {
         }
     }
 
-    /// Pose of one more view in its best place: what all share, and its own stray motion as far as its stages can be off.
+    /// Pose of one more view in its best place: what all share, and its own pose residual as far as its stages can be off.
     /// `None` when its information is not positive.
     pub fn settle(&self, view: &ViewInformation) -> Option<Isometry3<f64>> {
         let centre = Vector3::from(view.centre_mm);
@@ -99,8 +99,8 @@ impl Solution {
         } = self.local.without_form(view)?;
         let prior = self.local.covariance(centre).cholesky()?.inverse();
         let held = (information + prior).cholesky()?;
-        let stray = -held.solve(&(information * away + gradient));
-        Some(moved(&pose, &stray, centre))
+        let residual = -held.solve(&(information * away + gradient));
+        Some(moved(&pose, &residual, centre))
     }
 
     /// Where another view should be, and how well that is known.
@@ -117,7 +117,7 @@ impl Solution {
     }
 
     /// What is not known of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
-    /// left of the shared parameters and of its own stray motion. `None` when its information is not positive.
+    /// left of the shared parameters and of its own pose residual. `None` when its information is not positive.
     pub fn pose_covariance(&self, view: &ViewInformation) -> Option<Matrix6<f64>> {
         let centre = Vector3::from(view.centre_mm);
         let pose = self.stages.tool_from_camera(view.at);
@@ -171,7 +171,7 @@ impl Solution {
     }
 }
 
-/// Solves for what all views share and for each view's own stray motion, from where `start` stands. Overlaps tie the views
+/// Solves for what all views share and for each view's own pose residual, from where `start` stands. Overlaps tie the views
 /// to each other; without them each is held by the CAD alone.
 ///
 /// # Errors
@@ -181,8 +181,8 @@ pub fn solve(
     views: &[ViewInformation],
     overlaps: &[Overlap],
     local: Local,
-) -> Result<Solution, JointError> {
-    let broken = || JointError::NotPositive { views: views.len() };
+) -> Result<Solution, AdjustmentError> {
+    let broken = || AdjustmentError::NotPositive { views: views.len() };
     let system = System::new(views, overlaps, local).ok_or_else(broken)?;
     let height_mm = views.iter().map(|v| v.centre_mm[2]).sum::<f64>() / views.len().max(1) as f64;
     let (mut stages, mut form) = (start.clone(), SharedForm::none(height_mm));
@@ -199,14 +199,14 @@ pub fn solve(
         stages.parameters -= step.fixed_rows::<PARAMETERS>(0);
         form.parameters -= step.fixed_rows::<FORMS>(PARAMETERS);
     }
-    let strays = system.strays(&stages, &form);
+    let pose_residuals = system.pose_residuals(&stages, &form);
     let poses = views
         .iter()
-        .zip(&strays)
-        .map(|(view, stray)| {
+        .zip(&pose_residuals)
+        .map(|(view, residual)| {
             moved(
                 &stages.tool_from_camera(view.at),
-                stray,
+                residual,
                 view.centre_mm.into(),
             )
         })
@@ -227,7 +227,7 @@ pub fn solve(
     Ok(Solution {
         stages,
         poses,
-        strays,
+        pose_residuals,
         weak,
         condition: eigen.eigenvalues.max() / eigen.eigenvalues.min(),
         covariance: information.try_inverse().ok_or_else(broken)?,
@@ -242,7 +242,7 @@ struct System<'a> {
     overlaps: &'a [Overlap],
     /// What each view says of where it lies on the CAD, the form under it eliminated.
     believed: Vec<Believed>,
-    /// Of what all of them, overlaps and stage tolerances say of the strays.
+    /// Of what all of them, overlaps and stage tolerances say of the pose residuals.
     factor: BlockCholesky,
 }
 
@@ -294,7 +294,7 @@ impl<'a> System<'a> {
     }
 
     /// The views' own rows of the normal equations: what CAD and overlaps make of everything shared and of where the views
-    /// are, before any stray.
+    /// are, before any pose residual.
     fn rows(
         &self,
         away: &[(Vector6<f64>, StageSlope)],
@@ -342,7 +342,7 @@ impl<'a> System<'a> {
         (by_cad, by_overlap)
     }
 
-    /// Information and gradient (last column) of everything shared, the strays eliminated.
+    /// Information and gradient (last column) of everything shared, the pose residuals eliminated.
     fn normal(&self, stages: &Stages, form: &SharedForm) -> SMatrix<f64, SHARED, { SHARED + 1 }> {
         let away = self.away(stages);
         let (by_cad, by_overlap) = self.rows(&away, form);
@@ -369,14 +369,15 @@ impl<'a> System<'a> {
     }
 
     /// What every view adds to the pose that all share.
-    fn strays(&self, stages: &Stages, form: &SharedForm) -> Vec<Vector6<f64>> {
+    fn pose_residuals(&self, stages: &Stages, form: &SharedForm) -> Vec<Vector6<f64>> {
         let (by_cad, by_overlap) = self.rows(&self.away(stages), form);
         let right = |(cad, overlap): (&Rows, &Rows)| -> Vector6<f64> {
             -(cad.column(SHARED) + overlap.column(SHARED))
         };
-        let mut strays: Vec<Vector6<f64>> = by_cad.iter().zip(&by_overlap).map(right).collect();
-        self.factor.solve(&mut strays);
-        strays
+        let mut pose_residuals: Vec<Vector6<f64>> =
+            by_cad.iter().zip(&by_overlap).map(right).collect();
+        self.factor.solve(&mut pose_residuals);
+        pose_residuals
     }
 }
 

@@ -1,4 +1,4 @@
-//! One view, compressed to what a joint solve needs of it.
+//! One view, compressed to what an adjustment needs of it.
 
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 

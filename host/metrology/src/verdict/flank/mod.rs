@@ -280,7 +280,7 @@ mod tests {
     use crate::gear::Flank;
     use crate::verdict::Rule;
     use crate::wear::leakage::Leakage;
-    use crate::wear::{Figure, Influence, PoseEvidence, Settings};
+    use crate::wear::{Figure, PoseEvidence, PoseSensitivity, Settings};
 
     /// Does something to a flank.
     type Spoil = fn(&mut FlankWear);
@@ -323,8 +323,8 @@ mod tests {
         }
     }
 
-    fn leaking(uniform: f64) -> Option<Influence> {
-        Some(Influence {
+    fn leaking(uniform: f64) -> Option<PoseSensitivity> {
+        Some(PoseSensitivity {
             leakage: Leakage {
                 uniform,
                 slope: 0.0,
@@ -406,7 +406,7 @@ mod tests {
             let Verdict::Indeterminate { reason } = judge(&wear, &limits()).verdict else {
                 panic!("{code} is not refused");
             };
-            assert_eq!(reason.code(), code);
+            assert_eq!(reason.code().word(), code);
             assert_eq!(
                 judge_with(&wear, &limits(), off).verdict,
                 Verdict::Go,

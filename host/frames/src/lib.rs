@@ -1,0 +1,43 @@
+//! The frame contract: what a camera process and the host agree on, and nothing else.
+//!
+//! ```text
+//!  camera process                      shared memory                       host
+//!  FrameSender ── loan ─► [ slot | slot | slot | … ] ◄─ borrow ── FrameReceiver ── pixels ─► decoder
+//!       ▲   written once                                     read in place, then released        │
+//!       └──────────────────────────── Arm (session, order of the plan) ◄─────────────────────────┘
+//! ```
+//! Both processes open the same services below one private [`SharedRoot`]; the host owns it and removes what a killed
+//! predecessor left.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`header`] | what travels with a frame, its checksum and its clock |
+//! | [`arm`] | what the host tells the camera before it triggers, and how the camera labels by it |
+//! | [`link`] | [`FrameSource`] and [`FrameSink`]: either end, whatever carries the frames |
+//! | [`conformance`] | the checks that every camera process must pass |
+//!
+//! A camera process links this crate alone; `examples/camera.rs` is a whole one. What it owes the host:
+//!
+//! * It is started with the folder of the host's root and ends when its standard input does.
+//! * It looks for an [`Arm`] before it labels an exposure, and counts by [`Labels`].
+//! * Every exposure has the next counter value, from 0, whether its frame is delivered or not: a gap is a lost frame.
+//! * Every frame has the same size; nothing is allocated after the first.
+
+pub mod arm;
+pub mod conformance;
+pub mod header;
+pub mod link;
+mod receiver;
+mod root;
+mod sender;
+mod services;
+
+pub use arm::{Arm, Labels};
+pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monotonic_ns};
+pub use link::{
+    BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
+};
+pub use receiver::{Frame, FrameReceiver};
+pub use root::{RootError, SharedRoot};
+pub use sender::{FrameSender, LoanedFrame, Overflow};
+pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, ServiceError};

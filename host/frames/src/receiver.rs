@@ -1,0 +1,151 @@
+//! The host's end: borrows frames where the camera process wrote them.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+
+use crate::arm::Arm;
+use crate::header::{FrameHeader, monotonic_ns};
+use crate::link::{BorrowedFrame, FrameSource, ReceiveError};
+use crate::root::SharedRoot;
+use crate::services::{ServiceError, Services, refused};
+
+/// A frame that still lies in the shared memory; dropping it gives the slot back to the camera process.
+#[derive(Debug)]
+pub struct Frame {
+    sample: Sample<ipc::Service, [u16], FrameHeader>,
+    received_monotonic_ns: u64,
+}
+
+/// Bytes of frames that this process copied out of the shared memory; the only way to copy one is [`Frame::copy_pixels`].
+static BYTES_COPIED: AtomicU64 = AtomicU64::new(0);
+
+impl BorrowedFrame for Frame {
+    fn header(&self) -> &FrameHeader {
+        self.sample.user_header()
+    }
+
+    fn pixels(&self) -> &[u16] {
+        self.sample.payload()
+    }
+
+    fn received_monotonic_ns(&self) -> u64 {
+        self.received_monotonic_ns
+    }
+}
+
+impl Frame {
+    /// The pixels copied out of the shared memory; counted in [`Frame::bytes_copied`].
+    #[must_use]
+    pub fn copy_pixels(&self) -> Vec<u16> {
+        BYTES_COPIED.fetch_add(
+            std::mem::size_of_val(self.pixels()) as u64,
+            Ordering::Relaxed,
+        );
+        self.pixels().to_vec()
+    }
+
+    /// Bytes of frames copied by this process so far.
+    #[must_use]
+    pub fn bytes_copied() -> u64 {
+        BYTES_COPIED.load(Ordering::Relaxed)
+    }
+}
+
+/// The host's port for frames. It stays on the thread that made it.
+#[derive(Debug)]
+pub struct FrameReceiver {
+    subscriber: Subscriber<ipc::Service, [u16], FrameHeader>,
+    listener: Listener<ipc::Service>,
+    arm: Publisher<ipc::Service, Arm, ()>,
+    services: Services,
+}
+
+impl FrameReceiver {
+    /// Makes the services below `root` and connects to them.
+    ///
+    /// # Errors
+    /// iceoryx2 refuses: see [`ServiceError`].
+    pub fn create(root: &SharedRoot) -> Result<Self, ServiceError> {
+        let services = Services::open(root)?;
+        let subscriber = services
+            .frames
+            .subscriber_builder()
+            .create()
+            .map_err(refused("subscribe to frames", root))?;
+        let listener = services
+            .ready
+            .listener_builder()
+            .create()
+            .map_err(refused("listen for frames", root))?;
+        let arm = services
+            .arm
+            .publisher_builder()
+            .create()
+            .map_err(refused("publish the arming", root))?;
+        Ok(Self {
+            subscriber,
+            listener,
+            arm,
+            services,
+        })
+    }
+
+    /// Whether a camera process has opened its end.
+    #[must_use]
+    pub fn camera_connected(&self) -> bool {
+        self.services.arm.dynamic_config().number_of_subscribers() > 0
+    }
+
+    fn take(&self) -> Result<Option<Frame>, ReceiveError> {
+        let Some(sample) = self.subscriber.receive().map_err(port_failed)? else {
+            return Ok(None);
+        };
+        let frame = Frame {
+            sample,
+            received_monotonic_ns: monotonic_ns(),
+        };
+        ReceiveError::check(frame.header(), frame.pixels())?;
+        Ok(Some(frame))
+    }
+}
+
+impl FrameSource for FrameReceiver {
+    type Frame = Frame;
+
+    fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
+        self.arm.send_copy(arm).map(drop).map_err(port_failed)
+    }
+
+    /// Its pixels stay where they are.
+    fn receive(&mut self, timeout: Duration) -> Result<Option<Frame>, ReceiveError> {
+        let end = Instant::now() + timeout;
+        loop {
+            if let Some(frame) = self.take()? {
+                return Ok(Some(frame));
+            }
+            // A camera process that came after the arming gets it only when this port looks for new peers.
+            self.arm.update_connections().map_err(port_failed)?;
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            // Woken by the camera process; the event may tell of a frame that was already taken, hence the loop.
+            self.listener
+                .timed_wait(|_| {}, left)
+                .map_err(port_failed)?;
+        }
+    }
+}
+
+fn port_failed<E: std::fmt::Debug>(error: E) -> ReceiveError {
+    ReceiveError::Port {
+        reason: format!("{error:?}"),
+    }
+}

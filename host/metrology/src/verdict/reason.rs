@@ -1,0 +1,410 @@
+//! Why nothing can be said: every reason with its figures, and the closed list of their words.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::registration;
+
+/// One row per word: what it stands for, its name here, the word in files, and what to do about it.
+macro_rules! codes {
+    ($($(#[$about:meta])* $name:ident = $word:literal, $remedy:literal;)*) => {
+        /// What kind of reason: a closed list, so that reasons can be counted. A word in a file keeps its meaning for good;
+        /// new ones are added.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Code {
+            $($(#[$about])* $name,)*
+        }
+
+        impl Code {
+            /// All of them.
+            pub const ALL: &'static [Self] = &[$(Self::$name),*];
+
+            /// The word for files, always the same for the same kind of reason.
+            pub const fn word(self) -> &'static str {
+                match self {
+                    $(Self::$name => $word,)*
+                }
+            }
+
+            /// What to do about it, in the imperative.
+            pub const fn remedy(self) -> &'static str {
+                match self {
+                    $(Self::$name => $remedy,)*
+                }
+            }
+        }
+    };
+}
+
+codes! {
+    /// No feature was evaluated.
+    NoFeatures = "no_features", "name the teeth to inspect, in the tool file (inspect.teeth) or with --teeth";
+    /// A figure, a coordinate or a probability that is no usable number.
+    NotFinite = "not_finite", "look for values that are no numbers in the tool file, the head file and the cloud";
+    /// Limits that contradict each other.
+    Limits = "limits", "put the limits of the tool file in order: 0 < warn <= stop";
+    /// A figure too near to a limit for its uncertainty.
+    Undecidable = "undecidable", "measure again (inspect.remeasure), or look at the flank";
+    /// Too little of the zone was measured.
+    Coverage = "coverage", "clean flank and head, or look from another height";
+    /// No disc fits into what was measured of the zone.
+    NoDisc = "no_disc", "judge a larger zone, or smaller discs (inspect.wear_area_mm2)";
+    /// What was not seen may hide more than a limit.
+    Hidden = "hidden", "clean the flank, look from another height, or look at it by eye";
+    /// Damage at the warning limit would not be seen.
+    Detection = "detection_limit", "lower the largest part of the uncertainty, which the reason names";
+    /// The estimate is not what was read.
+    Disagreement = "disagreement", "measure again; if it stays so, look at the flank";
+    /// The tip edge was not seen whole.
+    TipUnseen = "tip_unseen", "clean the tip, or look from another height";
+    /// The pose hides too much of the wear.
+    Leakage = "leakage", "fit the pose to other surfaces (inspect.datum), or bring in a better stage";
+    /// The tool's temperature is needed and not known.
+    TemperatureMissing = "temperature_missing", "give --tool-temperature";
+    /// The tool is too warm or too cold.
+    TemperatureRange = "temperature_range", "let the tool come to a temperature within its range";
+    /// Too few points to lay on the CAD.
+    TooFewPoints = "too_few_points", "clean the head, and check the exposures";
+    /// Not one uncertainty per point.
+    SigmaCount = "sigma_count", "give one standard uncertainty per point, or none";
+    /// The cloud begins too far from the CAD.
+    Disjoint = "disjoint", "check unit and pose of the cloud; give a start pose";
+    /// Too few of the points lie on the CAD.
+    TooFewInliers = "too_few_inliers", "check that the die is the CAD's and the head file the head's";
+    /// The pose did not settle.
+    NotConverged = "not_converged", "give a nearer start pose, or look at a part with more shape";
+    /// The surface leaves the pose open.
+    Unconstrained = "unconstrained", "look at a part with more shape, or say what the stages know of the pose";
+    /// A tooth further, the cloud would fit as well.
+    AmbiguousTooth = "ambiguous_tooth", "check how the die was put down, and the hand-eye of the head";
+    /// The pose is not where the stages say.
+    PriorViolated = "prior_violated", "reference the stages; check how die and head are mounted";
+    /// What is known of the pose is no covariance.
+    BadPrior = "bad_prior", "check the standard uncertainties of the stages";
+    /// Frames are missing, or not one per trigger.
+    FramesMissing = "frames_missing", "check the link to the camera, and the load of this host";
+    /// A frame of the wrong size, order or brightness.
+    FrameContent = "frame_content", "check LED, pattern projector and the exposures of the head file";
+    /// A frame that nobody triggered, or of another session.
+    FrameForeign = "frame_foreign", "see that one camera process alone sends frames here";
+    /// A frame could not be read from the shared memory.
+    FrameUnreadable = "frame_unreadable", "start the camera process anew; its release must be this one";
+    /// A frame does not show what its trigger asked for.
+    TriggerMismatch = "trigger_mismatch", "check the trigger line, and the camera's exposure mode";
+    /// The view was not captured.
+    NotCaptured = "not_captured", "see why the capture ended early";
+    /// The controller stopped.
+    ControllerFault = "controller_fault", "clear the cause, and acknowledge the fault";
+    /// Events of the controller are missing.
+    EventsLost = "events_lost", "check the link to the controller";
+    /// The link to the controller broke.
+    LinkLost = "link_lost", "check cable, port and power of the controller";
+    /// The check did not fit into the time for which the press may be held.
+    HoldTime = "hold_time", "inspect fewer teeth, or allow more time (--hold-limit-s)";
+    /// A thread of the capture did not answer.
+    CaptureStalled = "capture_stalled", "start the instrument anew";
+    /// The head's calibration does not count today.
+    HeadUnfit = "head_unfit", "run flankscope calibrate, or its self-test with --check";
+    /// The sums of a view cannot be decoded.
+    Decoding = "decoding", "check that head file and pattern set are those of the head";
+    /// The frames of too many points do not follow one fringe.
+    Inconsistent = "inconsistent", "keep press and head still while it looks; check the light";
+    /// The baseline does not know the flank.
+    BaselineLacks = "baseline_lacks", "record the baseline again with this tooth";
+    /// The baseline was measured on another grid.
+    BaselineMismatch = "baseline_mismatch", "record the baseline again with these files";
+    /// The result could not be stored.
+    NotStored = "not_stored", "make room on the disk, or name another history";
+    /// A view does not fit the CAD.
+    OffCad = "off_cad", "check that the die is the CAD's and the head file the head's";
+    /// Too few views of a scan could be laid on the CAD.
+    FewViews = "few_views", "see why the first of them was lost";
+    /// The views of a scan still moved against each other.
+    Unsettled = "unsettled", "scan again; see that the die stands firmly";
+    /// Less was seen of the die than was asked for.
+    Unseen = "unseen", "clean the flanks that are named, and scan into the same session";
+    /// It is not the CAD's die.
+    OtherDie = "other_die", "check tool file and head file";
+    /// Which tooth is which cannot be told, or is not as in the earlier scan.
+    TurnedDie = "turned_die", "put the die down as it was";
+    /// The method claims no uncertainty.
+    NoUncertainty = "no_uncertainty", "stitch by --method surface";
+    /// There are no limits to judge by.
+    NoLimits = "no_limits", "give the tool file an [inspect] section";
+    /// The uncertainty is too large for the class that is asked for.
+    NotCapable = "not_capable", "measure with less uncertainty, or ask for a wider class";
+    /// A figure of the gear could not be told.
+    NotTold = "not_told", "see its next step in the table";
+    /// Not measured; an earlier release did not say which of the above.
+    NotMeasured = "not_measured", "see the sentence beside it";
+}
+
+/// Not the word of a reason.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{got:?} is no word for a reason that this release knows; a later release may have written it"
+)]
+pub struct UnknownCode {
+    got: String,
+}
+
+impl FromStr for Code {
+    type Err = UnknownCode;
+
+    fn from_str(text: &str) -> Result<Self, UnknownCode> {
+        let known = Self::ALL.iter().find(|code| code.word() == text);
+        known
+            .copied()
+            .ok_or_else(|| UnknownCode { got: text.into() })
+    }
+}
+
+impl fmt::Display for Code {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.word())
+    }
+}
+
+impl Serialize for Code {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.word())
+    }
+}
+
+impl<'de> Deserialize<'de> for Code {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let word = String::deserialize(deserializer)?;
+        word.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+/// Why nothing can be said.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Reason {
+    /// No feature was evaluated.
+    #[error("no feature was evaluated")]
+    NoFeatures,
+    /// A figure that is no number.
+    #[error("the {what} is {value}, not a finite number")]
+    NotFinite {
+        /// Which figure.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Limits that contradict each other.
+    #[error(
+        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop"
+    )]
+    Limits {
+        /// Warning limit.
+        warn_um: f64,
+        /// Stop limit.
+        limit_um: f64,
+    },
+    /// The figure is too near to the limit for its uncertainty.
+    #[error(
+        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side"
+    )]
+    Undecidable {
+        /// Which figure.
+        what: &'static str,
+        /// Its value.
+        value_um: f64,
+        /// How far it must keep from a limit.
+        guard_um: f64,
+        /// Stop limit.
+        limit_um: f64,
+    },
+    /// Too little of the zone was measured.
+    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", 100.0 * coverage, 100.0 * least)]
+    Coverage {
+        /// Measured share of the zone.
+        coverage: f64,
+        /// Least share.
+        least: f64,
+    },
+    /// Nothing fits the zone over which the largest mean loss could be sought, or nothing was measured.
+    #[error(
+        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed"
+    )]
+    NoDisc {
+        /// Area of the disc.
+        area_mm2: f64,
+    },
+    /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
+    /// look into.
+    #[error(
+        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye"
+    )]
+    Hidden {
+        /// The largest mean loss that a disc may have.
+        hidden_um: f64,
+        /// What is supposed to be lost wherever nothing was measured.
+        supposed_um: f64,
+        /// The limit that it may exceed.
+        limit_um: f64,
+    },
+    /// Damage at the warning limit would not be seen.
+    #[error(
+        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}"
+    )]
+    Detection {
+        /// Least wear that is told from none.
+        detects_um: f64,
+        /// Warning limit.
+        warn_um: f64,
+        /// Where most of the uncertainty comes from.
+        largest: &'static str,
+    },
+    /// The estimate is not what was read.
+    #[error(
+        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)"
+    )]
+    Disagreement {
+        /// Estimate.
+        wear_um: f64,
+        /// As read.
+        raw_um: f64,
+        /// Allowed difference.
+        guard_um: f64,
+    },
+    /// The tip edge was not seen.
+    #[error("the tip edge was not seen whole, so that its rounding cannot be told")]
+    TipUnseen,
+    /// The pose hides too much of the wear.
+    #[error(
+        "the pose hides {:.0} % of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
+        100.0 * leakage, 100.0 * limit
+    )]
+    Leakage {
+        /// Worst leakage of the flank.
+        leakage: f64,
+        /// Largest that leaves enough to see.
+        limit: f64,
+    },
+    /// The tool's temperature is needed and not known.
+    #[error(
+        "the tool's temperature is not known, but its file asks for it; give --tool-temperature"
+    )]
+    TemperatureMissing,
+    /// The tool's temperature is outside its range.
+    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}")]
+    TemperatureRange {
+        /// Temperature.
+        degc: f64,
+        /// Lowest.
+        low: f64,
+        /// Highest.
+        high: f64,
+    },
+    /// The cloud could not be laid on CAD.
+    #[error("registration: {0}")]
+    Registration(crate::registration::Reason),
+    /// What another part of the instrument found: frames, controller, head, baseline, history.
+    #[error("{sentence}")]
+    Instrument {
+        /// What kind of failure.
+        code: Code,
+        /// What exactly, in the words of the part that found it.
+        sentence: String,
+    },
+}
+
+impl Reason {
+    /// A reason that another part of the instrument found, in its words.
+    pub fn instrument(code: Code, sentence: impl fmt::Display) -> Self {
+        Self::Instrument {
+            code,
+            sentence: sentence.to_string(),
+        }
+    }
+
+    /// What kind of reason it is.
+    pub fn code(&self) -> Code {
+        match self {
+            Self::NoFeatures => Code::NoFeatures,
+            Self::NotFinite { .. } => Code::NotFinite,
+            Self::Limits { .. } => Code::Limits,
+            Self::Undecidable { .. } => Code::Undecidable,
+            Self::Coverage { .. } => Code::Coverage,
+            Self::NoDisc { .. } => Code::NoDisc,
+            Self::Hidden { .. } => Code::Hidden,
+            Self::Detection { .. } => Code::Detection,
+            Self::Disagreement { .. } => Code::Disagreement,
+            Self::TipUnseen => Code::TipUnseen,
+            Self::Leakage { .. } => Code::Leakage,
+            Self::TemperatureMissing => Code::TemperatureMissing,
+            Self::TemperatureRange { .. } => Code::TemperatureRange,
+            Self::Registration(reason) => reason.into(),
+            Self::Instrument { code, .. } => *code,
+        }
+    }
+}
+
+impl From<&registration::Reason> for Code {
+    fn from(reason: &registration::Reason) -> Self {
+        use registration::Reason;
+        match reason {
+            Reason::TooFewPoints { .. } => Self::TooFewPoints,
+            Reason::NotFinite { .. } => Self::NotFinite,
+            Reason::SigmaCount { .. } => Self::SigmaCount,
+            Reason::Disjoint { .. } => Self::Disjoint,
+            Reason::TooFewInliers { .. } => Self::TooFewInliers,
+            Reason::NotConverged { .. } => Self::NotConverged,
+            Reason::Unconstrained { .. } => Self::Unconstrained,
+            Reason::AmbiguousTooth { .. } => Self::AmbiguousTooth,
+            Reason::PriorViolated { .. } => Self::PriorViolated,
+            Reason::BadPrior => Self::BadPrior,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_reason_has_a_word_of_its_own_and_says_what_to_do() {
+        let words: BTreeSet<&str> = Code::ALL.iter().map(|code| code.word()).collect();
+        assert_eq!(words.len(), Code::ALL.len());
+        for &code in Code::ALL {
+            let word = code.word();
+            let plain = word.chars().all(|c| c.is_ascii_lowercase() || c == '_');
+            assert!(plain && !word.is_empty(), "{word}");
+            assert!(code.remedy().len() > 10, "{word}");
+            assert_eq!(word.parse(), Ok(code));
+            let json = serde_json::to_string(&code).unwrap();
+            assert_eq!(json, format!("\"{word}\""));
+            assert_eq!(serde_json::from_str::<Code>(&json).unwrap(), code);
+        }
+    }
+
+    /// Files of earlier releases hold these words.
+    #[test]
+    fn words_that_were_once_written_keep_their_meaning() {
+        for (word, code) in [
+            ("undecidable", Code::Undecidable),
+            ("detection_limit", Code::Detection),
+            ("not_measured", Code::NotMeasured),
+            ("prior_violated", Code::PriorViolated),
+        ] {
+            assert_eq!(word.parse(), Ok(code));
+        }
+    }
+
+    #[test]
+    fn an_unknown_word_is_refused_by_name() {
+        for text in ["", "go", "Undecidable", "undecidable "] {
+            let error = text.parse::<Code>().unwrap_err().to_string();
+            assert!(
+                error.starts_with(&format!("{text:?} is no word")),
+                "{error}"
+            );
+        }
+    }
+}

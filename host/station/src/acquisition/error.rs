@@ -1,0 +1,121 @@
+//! What can go wrong on the way from a position to the sums of its frames, and how far it is.
+
+use flankscope_profilometry::FrameError;
+use flankscope_protocol::{FaultCode, PlanError};
+
+use super::pairing::PairingError;
+use super::program::ProgramError;
+use crate::controller::ClientError;
+use flankscope_frames::{ReceiveError, ServiceError};
+
+/// Why nothing could be captured at all. What goes wrong once a capture runs ends in a [`Stop`] or a [`ViewError`].
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AcquisitionError {
+    /// No frames.
+    #[error(transparent)]
+    Services(#[from] ServiceError),
+    /// No controller.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// More than a plan holds.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
+    /// The plan breaks the controller's limits.
+    #[error("the controller's limits do not allow the plan: {0}")]
+    Plan(#[from] PlanError),
+    /// A thread ended early.
+    #[error("the {thread} thread ended early")]
+    Thread {
+        /// Which.
+        thread: &'static str,
+    },
+    /// The controller waits for somebody.
+    #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
+    Faulted {
+        /// Its fault.
+        fault: FaultCode,
+    },
+}
+
+/// Why a capture that had begun ended before its last view.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Stop {
+    /// The controller stopped.
+    #[error("{0}")]
+    Fault(FaultCode),
+    /// What happened is not known whole.
+    #[error("{count} events were lost in the controller")]
+    EventsLost {
+        /// How many.
+        count: u32,
+    },
+    /// The link to the controller, or a thread, broke on the way.
+    #[error(transparent)]
+    Broken(#[from] AcquisitionError),
+    /// The press must go on.
+    #[error("the check did not fit into the time for which the press may be held")]
+    HoldLimit,
+    /// Frames do not come to an end.
+    #[error("the capture thread does not answer")]
+    Stalled,
+    /// Somebody asked for it.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// Why a view's frames cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ViewError {
+    /// A frame did not fit the plan, or showed the wrong thing.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// A frame could not be read.
+    #[error(transparent)]
+    Receive(#[from] ReceiveError),
+    /// Triggers and frames do not pair.
+    #[error(transparent)]
+    Pairing(#[from] PairingError),
+    /// The camera process is labelling another session.
+    #[error("a frame of session {got} came during session {expected}")]
+    Session {
+        /// Session of the frame.
+        got: u32,
+        /// Session armed.
+        expected: u32,
+    },
+    /// Frames are missing at the end.
+    #[error("only {got} of {planned} frames came")]
+    Incomplete {
+        /// Frames that came.
+        got: usize,
+        /// Frames planned.
+        planned: usize,
+    },
+    /// One more than was triggered, and nobody knows before which of the others.
+    #[error("the camera sent a frame beyond the plan")]
+    BeyondPlan,
+}
+
+/// How far a run is; for somebody who watches. Views are numbered from 0 in the order in which they were asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// The controller answered.
+    Connected,
+    /// The stages reference.
+    Homing,
+    /// The head moves to a view (its number, of how many).
+    Moving(usize, usize),
+    /// A frame was exposed (frame of the view, of how many).
+    Exposed(u16, u16),
+    /// A view is being captured again.
+    Recapture(usize),
+    /// A view's figures are too near to a limit: it is measured again.
+    Repeat(usize),
+    /// The stages retract.
+    Retracting,
+    /// A view is evaluated.
+    Evaluated(usize),
+}

@@ -1,0 +1,43 @@
+//! From a list of stage positions to the summed frames of each, through controller and camera; what is made of the sums, and
+//! what for, is somebody else's.
+//!
+//! ```text
+//!  I/O runtime           capture thread            compute thread
+//!  ───────────           ──────────────            ──────────────
+//!  hello, home, plan ──► armed
+//!  start ──────────────► frame, frame, … summed
+//!  triggers collected    view ───────────► pair ─► what `evaluate` makes of the sums
+//!  retracting                                      └► outcome
+//! ```
+//!
+//! | file | holds |
+//! |---|---|
+//! | `program` | positions, patterns and exposures: to a capture plan |
+//! | `session` | the threads that frames and sums pass through |
+//! | `capture` | one capture followed from its plan to its last view |
+//! | `recapture` | what is captured once more |
+//! | `run` | what all captures of a run have gathered |
+//! | `recorder` | the capture thread: frames summed where they lie |
+//! | `pairing` | triggers against frames |
+//! | `timeline` | what the devices did when |
+//! | `error` | what can go wrong |
+
+mod capture;
+mod error;
+mod pairing;
+mod program;
+mod recapture;
+mod recorder;
+mod run;
+mod session;
+mod timeline;
+
+pub(crate) use capture::RETRACT_RESERVE;
+pub use error::{AcquisitionError, Progress, Stop, ViewError};
+pub use pairing::{PairingError, pair};
+pub use program::{Program, ProgramError, StagePosition};
+pub(crate) use recapture::{AfterStop, never};
+pub use recorder::Picture;
+pub(crate) use run::{Counts, Run};
+pub use session::Acquisition;
+pub use timeline::{Activity, Device, Span};

@@ -1,0 +1,386 @@
+//! The capture thread: takes each frame where it lies, adds it to its view's phasors, gives the slot back.
+//!
+//! Frames are summed while the next ones are exposed, so that after a view's last exposure only the solving is left.
+
+use std::sync::mpsc::{Receiver, Sender, TryRecvError};
+use std::time::Duration;
+
+use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
+
+use super::error::ViewError;
+use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource};
+
+/// How long the thread sleeps for a frame before it looks for orders.
+const PATIENCE: Duration = Duration::from_millis(5);
+
+/// A frame that does not come for so long after the last trigger is lost: its readout takes 13 ms, a busy camera process
+/// some tens more.
+const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
+
+/// A frame that nobody triggered follows the last one within two readouts, or is not this capture's.
+const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
+
+/// What the job tells the recorder.
+#[derive(Debug)]
+pub enum Order {
+    /// Frames of this plan follow.
+    Arm(Arm),
+    /// All triggers of the armed plan were fired: whatever is still open is incomplete.
+    Close,
+    /// An accumulator that may be used again.
+    Recycle(Accumulator),
+}
+
+/// All frames of one view, summed.
+#[derive(Debug)]
+pub struct CapturedView {
+    /// View number in the session.
+    pub view: u16,
+    /// The sums.
+    pub accumulator: Accumulator,
+    /// Headers of the frames, in order of arrival.
+    pub frames: Vec<FrameHeader>,
+    /// From hand-over by the camera process to sight by the host, per frame, ns.
+    pub handover_ns: Vec<u64>,
+    /// Why it cannot be used.
+    pub problem: Option<ViewError>,
+}
+
+/// What the recorder tells the job.
+#[derive(Debug)]
+pub enum Recorded {
+    /// A view's last frame was added, or the view was given up.
+    View(Box<CapturedView>),
+    /// After [`Order::Arm`]: frames are labelled for its plan from here on.
+    Armed,
+    /// After [`Order::Close`]: nothing is open any more.
+    Closed,
+    /// A frame for the report.
+    Picture(Picture),
+}
+
+/// Which frame to keep for the report.
+#[derive(Clone, Copy, Debug)]
+pub struct Keepsake {
+    /// Exposure step.
+    pub exposure: u16,
+    /// Pattern, 1.. .
+    pub pattern: u16,
+}
+
+/// How frames are judged and kept.
+#[derive(Clone, Copy, Debug)]
+pub struct RecorderSettings {
+    /// A dark frame's mean must stay below this, every fringe frame's above, DN.
+    pub dark_limit_dn: f64,
+    /// The frame that the report shows.
+    pub keepsake: Keepsake,
+    /// Full scale of the sensor, DN.
+    pub full_scale_dn: u16,
+}
+
+/// The thread's state.
+pub struct Recorder<'a, S: FrameSource> {
+    source: S,
+    settings: RecorderSettings,
+    kinds: Vec<FrameKind>,
+    orders: Receiver<Order>,
+    events: tokio::sync::mpsc::UnboundedSender<Recorded>,
+    fresh: Box<dyn Fn() -> Accumulator + 'a>,
+    spare: Vec<Accumulator>,
+    arm: Option<Arm>,
+    /// Frames since arming.
+    arrived: u32,
+    open: Option<CapturedView>,
+    kept: Option<S::Frame>,
+}
+
+impl<'a, S: FrameSource> Recorder<'a, S> {
+    /// A recorder of frames from `source`; `kinds` is the order of a view's frames, `fresh` makes empty sums.
+    pub fn new(
+        source: S,
+        settings: RecorderSettings,
+        kinds: Vec<FrameKind>,
+        orders: Receiver<Order>,
+        events: tokio::sync::mpsc::UnboundedSender<Recorded>,
+        fresh: impl Fn() -> Accumulator + 'a,
+    ) -> Self {
+        let spare = vec![fresh(), fresh()];
+        Self {
+            source,
+            settings,
+            kinds,
+            orders,
+            events,
+            fresh: Box::new(fresh),
+            spare,
+            arm: None,
+            arrived: 0,
+            open: None,
+            kept: None,
+        }
+    }
+
+    /// Runs until the job hangs up.
+    pub fn run(mut self) {
+        loop {
+            match self.orders.try_recv() {
+                Ok(Order::Arm(arm)) => self.start(arm),
+                Ok(Order::Close) => {
+                    self.drain();
+                    self.close();
+                    self.show();
+                    let _ = self.events.send(Recorded::Closed);
+                }
+                Ok(Order::Recycle(mut accumulator)) => {
+                    accumulator.reset();
+                    self.spare.push(accumulator);
+                }
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return,
+            }
+            match self.source.receive(PATIENCE) {
+                Ok(Some(frame)) => self.add(frame),
+                Ok(None) => {}
+                Err(error) => self.fail(error.into()),
+            }
+        }
+    }
+
+    fn start(&mut self, arm: Arm) {
+        self.close();
+        self.arm = Some(arm);
+        self.arrived = 0;
+        if let Err(error) = self.source.arm(arm) {
+            self.fail(error.into());
+        }
+        let _ = self.events.send(Recorded::Armed);
+    }
+
+    fn add(&mut self, frame: S::Frame) {
+        let header = *frame.header();
+        let Some(arm) = self.arm else { return }; // nobody asked for this frame
+        self.arrived += 1;
+        if self
+            .open
+            .as_ref()
+            .is_some_and(|open| open.view != header.label.view)
+        {
+            self.close();
+        }
+        if self.open.is_none() {
+            let accumulator = self.spare.pop().unwrap_or_else(|| (self.fresh)());
+            self.open = Some(CapturedView {
+                view: header.label.view,
+                accumulator,
+                frames: Vec::with_capacity(self.kinds.len()),
+                handover_ns: Vec::with_capacity(self.kinds.len()),
+                problem: None,
+            });
+        }
+        let settings = self.settings;
+        let Some(open) = self.open.as_mut() else {
+            return;
+        };
+        open.frames.push(header);
+        open.handover_ns.push(
+            frame
+                .received_monotonic_ns()
+                .saturating_sub(header.published_monotonic_ns),
+        );
+        if open.problem.is_none() {
+            open.problem = match self.kinds.get(usize::from(header.label.in_view)) {
+                _ if header.session != arm.session => Some(ViewError::Session {
+                    got: header.session,
+                    expected: arm.session,
+                }),
+                None => Some(ViewError::Incomplete {
+                    got: open.frames.len(),
+                    planned: self.kinds.len(),
+                }),
+                Some(&kind) => open
+                    .accumulator
+                    .add(view_of(&frame), kind)
+                    .and_then(|level| level.check_content(kind, settings.dark_limit_dn))
+                    .err()
+                    .map(ViewError::from),
+            };
+        }
+        if (header.label.exposure, header.label.pattern)
+            == (settings.keepsake.exposure, settings.keepsake.pattern)
+            && self.kept.is_none()
+        {
+            self.kept = Some(frame);
+        }
+        if open.frames.len() == self.kinds.len() && open.problem.is_none() {
+            self.close();
+        }
+    }
+
+    /// Takes the frames that are still on their way, and looks whether more come than were triggered.
+    fn drain(&mut self) {
+        let planned = self.arm.map_or(0, |arm| arm.frames());
+        loop {
+            let patience = if self.arrived < planned {
+                LAST_FRAME_PATIENCE
+            } else {
+                EXTRA_FRAME_PATIENCE
+            };
+            match self.source.receive(patience) {
+                Ok(Some(frame)) => self.add(frame),
+                Ok(None) => return,
+                Err(error) => self.fail(error.into()),
+            }
+        }
+    }
+
+    /// Hands the open view to the job.
+    fn close(&mut self) {
+        let Some(mut view) = self.open.take() else {
+            return;
+        };
+        if view.problem.is_none() && view.frames.len() < self.kinds.len() {
+            view.problem = Some(ViewError::Incomplete {
+                got: view.frames.len(),
+                planned: self.kinds.len(),
+            });
+        }
+        let _ = self.events.send(Recorded::View(Box::new(view)));
+    }
+
+    fn fail(&mut self, error: ViewError) {
+        match self.open.as_mut() {
+            Some(open) => drop(open.problem.get_or_insert(error)),
+            None => tracing::warn!(%error, "a frame outside any view"),
+        }
+    }
+
+    /// Draws the kept frame's bright part out of the shared memory, as 8-bit grey, and releases it.
+    fn show(&mut self) {
+        let Some(frame) = self.kept.take() else {
+            return;
+        };
+        let _ = self
+            .events
+            .send(Recorded::Picture(picture(view_of(&frame), self.settings)));
+    }
+}
+
+/// A frame as an image, where it lies.
+fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
+    let header = frame.header();
+    FrameView {
+        pixels: frame.pixels(),
+        width: header.width_px as usize,
+        height: header.height_px as usize,
+        stride: header.stride_px as usize,
+    }
+}
+
+/// The lit part of a frame as a grey picture.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Row by row.
+    pub grey: Vec<u8>,
+}
+
+/// Crops a frame to where it is lit and spreads its counts over 8 bits; reads the frame where it lies.
+fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
+    let row = |y: usize| {
+        view.pixels
+            .get(y * view.stride..)
+            .and_then(|rest| rest.get(..view.width))
+            .unwrap_or_default()
+    };
+    let lit = |dn: u16| f64::from(dn) > settings.dark_limit_dn;
+    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    let mut histogram = vec![0_usize; usize::from(settings.full_scale_dn) + 1];
+    for y in 0..view.height {
+        for (x, &dn) in row(y).iter().enumerate().filter(|&(_, &dn)| lit(dn)) {
+            low = [low[0].min(x), low[1].min(y)];
+            high = [high[0].max(x + 1), high[1].max(y + 1)];
+            histogram[usize::from(dn.min(settings.full_scale_dn))] += 1;
+        }
+    }
+    if low[0] > high[0] {
+        return Picture {
+            width: 1,
+            height: 1,
+            grey: vec![0],
+        };
+    }
+    // White is the count that one pixel in a thousand exceeds: highlights and hot pixels do not darken the rest.
+    let mut brighter = histogram.iter().sum::<usize>() / 1000;
+    let white = histogram.iter().rposition(|&count| {
+        let here = brighter < count;
+        brighter = brighter.saturating_sub(count);
+        here
+    });
+    let black = settings
+        .dark_limit_dn
+        .min(f64::from(settings.full_scale_dn));
+    let span = (white.unwrap_or(0) as f64 - black).max(1.0);
+    let grey = |dn: u16| ((f64::from(dn) - black) / span * 255.0).clamp(0.0, 255.0) as u8;
+    let grey = (low[1]..high[1])
+        .flat_map(|y| row(y)[low[0]..high[0]].iter().map(|&dn| grey(dn)))
+        .collect();
+    Picture {
+        width: high[0] - low[0],
+        height: high[1] - low[1],
+        grey,
+    }
+}
+
+/// The sending ends that the job keeps.
+pub type Orders = Sender<Order>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_picture_shows_the_lit_part_in_full_contrast() {
+        // 8 x 6 px with padding; a lit patch of 3 x 2 at (2, 1), one glaring pixel in it.
+        let (width, height, stride) = (8, 6, 10);
+        let mut pixels = vec![100_u16; stride * height];
+        for (x, y, dn) in [
+            (2, 1, 1000),
+            (3, 1, 2000),
+            (4, 1, 3000),
+            (2, 2, 1000),
+            (3, 2, 4095),
+            (4, 2, 1000),
+        ] {
+            pixels[y * stride + x] = dn;
+        }
+        let keepsake = Keepsake {
+            exposure: 0,
+            pattern: 1,
+        };
+        let settings = RecorderSettings {
+            dark_limit_dn: 140.0,
+            keepsake,
+            full_scale_dn: 4095,
+        };
+        let picture = picture(
+            FrameView {
+                pixels: &pixels,
+                width,
+                height,
+                stride,
+            },
+            settings,
+        );
+        assert_eq!((picture.width, picture.height), (3, 2));
+        assert_eq!(picture.grey[4], 255, "the brightest is white");
+        let expected = |dn: f64| ((dn - 140.0) / (4095.0 - 140.0) * 255.0) as u8;
+        assert_eq!(
+            picture.grey[..3],
+            [expected(1000.0), expected(2000.0), expected(3000.0)]
+        );
+    }
+}

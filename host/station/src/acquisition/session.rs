@@ -1,0 +1,125 @@
+//! The instrument's host side: the threads that frames and sums pass through, whatever is measured.
+
+use std::sync::Arc;
+use std::sync::mpsc;
+use std::thread::JoinHandle;
+
+use flankscope_frames::{FrameReceiver, SharedRoot};
+use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
+use tokio::sync::mpsc as channel;
+
+use super::error::AcquisitionError;
+use super::program::Program;
+use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
+
+/// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
+///
+/// Made before the camera process starts, so that the services are there when it comes.
+#[derive(Debug)]
+pub struct Acquisition<O> {
+    pub(super) program: Program,
+    orders: Option<Orders>,
+    pub(super) recorded: channel::UnboundedReceiver<Recorded>,
+    capture: Option<JoinHandle<()>>,
+    pub(super) work: Option<mpsc::Sender<(usize, Accumulator)>>,
+    pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
+    compute: Option<JoinHandle<()>>,
+}
+
+impl<O: Send + 'static> Acquisition<O> {
+    /// Starts the capture thread, and the compute thread with what it makes of a view's sums.
+    ///
+    /// # Errors
+    /// Shared memory or a thread is refused.
+    pub(crate) fn start(
+        program: Program,
+        decoder: &Arc<Decoder>,
+        root: Arc<SharedRoot>,
+        mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, AcquisitionError> {
+        let settings = RecorderSettings {
+            dark_limit_dn: decoder.dark_limit_dn(),
+            keepsake: Keepsake {
+                exposure: program.exposures_us.len() as u16 / 2,
+                pattern: program.patterns.frames_per_exposure() as u16,
+            },
+            full_scale_dn: decoder.full_scale_dn(),
+        };
+        let (order_sender, order_receiver) = mpsc::channel();
+        let (recorded_sender, recorded) = channel::unbounded_channel();
+        let (ready_sender, ready) = mpsc::channel();
+        let capture_decoder = Arc::clone(decoder);
+        // Ports stay on the thread that made them.
+        let capture = std::thread::Builder::new()
+            .name("capture".into())
+            .spawn(move || {
+                let receiver = match FrameReceiver::create(&root) {
+                    Ok(receiver) => receiver,
+                    Err(error) => return drop(ready_sender.send(Err(error))),
+                };
+                let _ = ready_sender.send(Ok(()));
+                let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
+                let fresh = || capture_decoder.begin();
+                Recorder::new(
+                    receiver,
+                    settings,
+                    kinds,
+                    order_receiver,
+                    recorded_sender,
+                    fresh,
+                )
+                .run();
+            });
+        let capture = capture.map_err(|_| AcquisitionError::Thread { thread: "capture" })?;
+        ready
+            .recv()
+            .map_err(|_| AcquisitionError::Thread { thread: "capture" })??;
+        let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
+        let (outcome_sender, outcomes) = channel::unbounded_channel();
+        let recycle = order_sender.clone();
+        let compute = std::thread::Builder::new()
+            .name("compute".into())
+            .spawn(move || {
+                while let Ok((view, accumulator)) = to_do.recv() {
+                    let outcome = evaluate(view, &accumulator);
+                    let _ = recycle.send(Order::Recycle(accumulator));
+                    if outcome_sender.send((view, Box::new(outcome))).is_err() {
+                        return;
+                    }
+                }
+            });
+        let compute = compute.map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
+        Ok(Self {
+            program,
+            orders: Some(order_sender),
+            recorded,
+            capture: Some(capture),
+            work: Some(work),
+            outcomes,
+            compute: Some(compute),
+        })
+    }
+
+    pub(super) fn order(&self, order: Order) -> Result<(), AcquisitionError> {
+        let gone = AcquisitionError::Thread { thread: "capture" };
+        self.orders.as_ref().ok_or(gone).and_then(|orders| {
+            orders
+                .send(order)
+                .map_err(|_| AcquisitionError::Thread { thread: "capture" })
+        })
+    }
+}
+
+impl<O> Drop for Acquisition<O> {
+    fn drop(&mut self) {
+        // The threads end when their orders end.
+        self.orders = None;
+        self.work = None;
+        for thread in [self.compute.take(), self.capture.take()]
+            .into_iter()
+            .flatten()
+        {
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! What the devices did when, from the controller's events.
+
+use std::time::Duration;
+
+use flankscope_protocol::{Event, State, Timestamp, Trigger};
+
+/// A time in which a device was active, in ms from the first event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Start, ms.
+    pub start_ms: f64,
+    /// End, ms.
+    pub end_ms: f64,
+}
+
+/// What was active.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Device {
+    /// The stages moved.
+    Stages,
+    /// Everything waited for them to stand still.
+    Settling,
+    /// The LED was on.
+    Led,
+    /// The DMD showed a pattern before its exposure.
+    Dmd,
+    /// The camera exposed.
+    Camera,
+}
+
+/// When a device was active.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Activity {
+    /// Which.
+    pub device: Device,
+    /// When.
+    pub spans: Vec<Span>,
+}
+
+/// Collects a capture's events.
+#[derive(Debug, Default)]
+pub struct Timeline {
+    start: Option<Timestamp>,
+    moving: Vec<Span>,
+    settling: Vec<Span>,
+    led: Vec<Span>,
+    dmd: Vec<Span>,
+    camera: Vec<Span>,
+    state_since: Timestamp,
+    latest: Timestamp,
+    led_since: Option<Timestamp>,
+    /// Time between two captures of one check, in which the press was free.
+    free_ms: f64,
+}
+
+impl Timeline {
+    /// Takes one event.
+    pub fn note(&mut self, event: &Event) {
+        match *event {
+            Event::StateChanged { prev, at, .. } => {
+                let since = self.state_since.max(*self.start.get_or_insert(at));
+                let span = self.span(since, at);
+                match prev {
+                    State::Moving | State::Retracting => self.moving.push(span),
+                    State::Settling => self.settling.push(span),
+                    State::Ready => self.free_ms += length(&span),
+                    _ => {}
+                }
+                self.state_since = at;
+                self.latest = at;
+            }
+            Event::Led { on: true, at } => self.led_since = Some(at),
+            Event::Led { on: false, at } => {
+                if let Some(since) = self.led_since.take() {
+                    let span = self.span(since, at);
+                    self.led.push(span);
+                }
+            }
+            Event::Triggered(Trigger {
+                dmd_at,
+                camera_at,
+                end_at,
+                ..
+            }) => {
+                let (dmd, camera) = (self.span(dmd_at, camera_at), self.span(camera_at, end_at));
+                self.latest = end_at;
+                self.dmd.push(dmd);
+                self.camera.push(camera);
+            }
+            _ => {}
+        }
+    }
+
+    fn span(&mut self, from: Timestamp, to: Timestamp) -> Span {
+        let start = *self.start.get_or_insert(from);
+        let ms = |at: Timestamp| at.since_us(start) as f64 / 1000.0;
+        Span {
+            start_ms: ms(from),
+            end_ms: ms(to),
+        }
+    }
+
+    /// From the first event to the latest by the controller's clock, without the time in which the press was free.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        let all = Duration::from_micros(self.start.map_or(0, |start| self.latest.since_us(start)));
+        all.saturating_sub(Duration::from_secs_f64(self.free_ms / 1e3))
+    }
+
+    /// Time spent moving and settling, ms.
+    #[must_use]
+    pub fn positioning_ms(&self) -> f64 {
+        self.moving.iter().chain(&self.settling).map(length).sum()
+    }
+
+    /// Sum of the exposures, ms.
+    #[must_use]
+    pub fn exposure_ms(&self) -> f64 {
+        self.camera.iter().map(length).sum()
+    }
+
+    /// When each device was active.
+    #[must_use]
+    pub fn activities(self) -> Vec<Activity> {
+        let of = |device, spans| Activity { device, spans };
+        vec![
+            of(Device::Stages, self.moving),
+            of(Device::Settling, self.settling),
+            of(Device::Led, self.led),
+            of(Device::Dmd, self.dmd),
+            of(Device::Camera, self.camera),
+        ]
+    }
+}
+
+fn length(span: &Span) -> f64 {
+    span.end_ms - span.start_ms
+}

@@ -1,0 +1,85 @@
+//! What went wrong on the way to a view's sums, as a reason of the verdict.
+
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_profilometry::head::Unfit;
+
+use crate::acquisition::{AcquisitionError, PairingError, Stop, ViewError};
+use crate::controller::ClientError;
+
+impl From<&ViewError> for Reason {
+    fn from(error: &ViewError) -> Self {
+        let code = match error {
+            ViewError::Frame(_) => Code::FrameContent,
+            ViewError::Receive(_) => Code::FrameUnreadable,
+            ViewError::Pairing(PairingError::Count { .. } | PairingError::Counter { .. })
+            | ViewError::Incomplete { .. } => Code::FramesMissing,
+            ViewError::Pairing(
+                PairingError::Pattern { .. }
+                | PairingError::Exposure { .. }
+                | PairingError::Interval { .. },
+            ) => Code::TriggerMismatch,
+            ViewError::Session { .. } | ViewError::BeyondPlan => Code::FrameForeign,
+        };
+        Self::instrument(code, error)
+    }
+}
+
+impl From<&Stop> for Reason {
+    fn from(stop: &Stop) -> Self {
+        let code = match stop {
+            Stop::Fault(_) => Code::ControllerFault,
+            Stop::EventsLost { .. } => Code::EventsLost,
+            Stop::Broken(AcquisitionError::Client(ClientError::EventsMissing { .. })) => {
+                Code::EventsLost
+            }
+            Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
+            Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
+            Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
+            Stop::HoldLimit => Code::HoldTime,
+            Stop::Interrupted => Code::NotCaptured,
+        };
+        Self::instrument(code, stop)
+    }
+}
+
+/// Why a head must not judge.
+pub(crate) fn unfit(why: &Unfit) -> Reason {
+    Reason::instrument(Code::HeadUnfit, why)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flankscope_protocol::{Fault, FaultCode};
+
+    #[test]
+    fn what_went_wrong_keeps_its_words_and_gets_a_kind() {
+        let late = ViewError::from(PairingError::Interval {
+            frame: 3,
+            got_us: 9,
+            fired_us: 5,
+        });
+        let link = Stop::Broken(ClientError::NoEvent { timeout_ms: 15_000 }.into());
+        let fault = Stop::Fault(FaultCode::from(Fault::ALL[0]));
+        for (reason, sentence, code) in [
+            (Reason::from(&late), late.to_string(), Code::TriggerMismatch),
+            (Reason::from(&link), link.to_string(), Code::LinkLost),
+            (
+                Reason::from(&fault),
+                fault.to_string(),
+                Code::ControllerFault,
+            ),
+        ] {
+            assert_eq!((reason.to_string(), reason.code()), (sentence, code));
+        }
+        let short = ViewError::Incomplete {
+            got: 3,
+            planned: 25,
+        };
+        assert_eq!(Reason::from(&short).code(), Code::FramesMissing);
+        assert_eq!(
+            Reason::from(&ViewError::BeyondPlan).code(),
+            Code::FrameForeign
+        );
+    }
+}

@@ -1,0 +1,92 @@
+//! What a head sees: how wide and how far away, by its own file.
+
+use flankscope_profilometry::HeadModel;
+
+use super::views::EvaluatorError;
+
+/// Field of view in the middle of a head's measuring volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FieldOfView {
+    /// Its diameter, mm, to a tenth: what is asked of a view must not hang on the last digits of a calibration.
+    pub width_mm: f64,
+    /// From the camera's pinhole to the middle of the volume, mm: a turn of the head moves the surface by that much.
+    pub reach_mm: f64,
+    /// Half its width per distance.
+    pub slope: f64,
+    /// Nearest and farthest distance from the pinhole at which a point can be measured, mm: the volume's depths, the farthest
+    /// at a corner of the field.
+    pub range_mm: [f64; 2],
+}
+
+impl FieldOfView {
+    /// Of a head; no head gets another one's.
+    ///
+    /// # Errors
+    /// The head file does not say where it measures.
+    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
+        let what = "[volume] in the head file";
+        let volume = head.volume.ok_or(EvaluatorError::Missing { what })?;
+        let reach_mm = 0.5 * (volume.near_mm + volume.far_mm);
+        let slope = slope(head);
+        let width_mm = 2.0 * reach_mm * slope;
+        Ok(Self {
+            width_mm: (10.0 * width_mm).round() / 10.0,
+            reach_mm,
+            slope,
+            range_mm: [
+                volume.near_mm,
+                volume.far_mm * 1f64.hypot(2f64.sqrt() * slope),
+            ],
+        })
+    }
+}
+
+/// Half the field's width per distance, from the camera's image circle or its sensor.
+fn slope(head: &HeadModel) -> f64 {
+    let camera = &head.camera;
+    let radius_px = head.image_circle.map_or(
+        0.5 * f64::from(camera.width_px.max(camera.height_px)),
+        |circle| circle.radius_px,
+    );
+    radius_px / camera.focal_px[0].min(camera.focal_px[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEAD: &str = r#"
+        name = "drawn"
+        [camera]
+        width_px = 1920
+        height_px = 1200
+        focal_px = [2530.0, 2531.5]
+        principal_px = [959.5, 599.5]
+        [projector]
+        width_px = 1024
+        height_px = 768
+        focal_px = [2252.8, 2252.8]
+        principal_px = [511.5, 383.5]
+        [projector_from_camera]
+        rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        translation_mm = [11.0, 0.0, 0.0]
+        [image_circle]
+        centre_px = [959.5, 599.5]
+        radius_px = 575.0
+    "#;
+
+    fn of(volume: &str) -> Result<FieldOfView, EvaluatorError> {
+        let head: HeadModel = toml::from_str(&format!("{HEAD}{volume}")).unwrap();
+        FieldOfView::of(&head)
+    }
+
+    #[test]
+    fn every_head_has_the_field_of_its_own_volume() {
+        let far = of("[volume]\nnear_mm = 20.3\nfar_mm = 23.7").unwrap();
+        assert_eq!((far.width_mm, far.reach_mm), (10.0, 22.0));
+        let near = of("[volume]\nnear_mm = 11.7\nfar_mm = 14.7").unwrap();
+        assert_eq!((near.width_mm, near.reach_mm), (6.0, 13.2));
+        let unsaid = of("").unwrap_err().to_string();
+        assert!(unsaid.contains("[volume]"), "{unsaid}");
+    }
+}

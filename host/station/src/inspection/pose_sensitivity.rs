@@ -1,0 +1,205 @@
+//! What the pose and the temperature do to a flank's figures.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
+use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
+use flankscope_metrology::surface::Closest;
+use flankscope_metrology::tool::Temperature;
+use flankscope_metrology::wear::leakage;
+use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone};
+use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+
+/// A flank with fewer points says nothing of the pose.
+const LEAST_POINTS: usize = 100;
+
+/// A view after its fit.
+pub(super) struct Fitted<'a> {
+    pub gear: &'a GearData,
+    pub zone: &'a Zone,
+    pub registration: &'a Registration,
+    pub prior: &'a Prior,
+    /// The part of the prior's covariance that is drawn anew with every approach of the stages.
+    pub approach: Matrix6<f64>,
+    pub options: &'a Options,
+    /// Every point on the surface, and whether the fit used it.
+    pub closest: &'a [Closest],
+    pub used: &'a [bool],
+    /// Where every point lies on the gear.
+    pub places: &'a [Option<FlankPlace>],
+    pub temperature: Option<&'a Temperature>,
+    /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on.
+    pub form_in_doubt: bool,
+}
+
+/// The points of one flank in the judged radii and heights.
+#[derive(Default)]
+struct OnFlank {
+    wear_mm: Vec<f64>,
+    /// Sum of what a small motion (rotation, translation about the cloud's centre) adds to their deviation.
+    motion: Vector6<f64>,
+}
+
+impl OnFlank {
+    fn motion(&self) -> Vector6<f64> {
+        self.motion / self.wear_mm.len() as f64
+    }
+}
+
+impl Fitted<'_> {
+    /// The influences on both flanks of `tooth`.
+    pub fn on(&self, tooth: u32) -> [PoseSensitivity; 2] {
+        let contacts: Vec<Contact> = self
+            .closest
+            .iter()
+            .zip(self.used)
+            .map(|(closest, &used)| Contact::of(closest, self.registration, used))
+            .collect();
+        let response = Response::new(&contacts, self.registration, Some(self.prior), self.options);
+        // One kelvin more than thought: every point farther from axis and seat by the expansion, less what the pose takes.
+        let grown = |contact: &Contact| {
+            let along: f64 = (0..3).map(|k| contact.point[k] * contact.normal[k]).sum();
+            self.temperature.map_or(0.0, |t| t.expansion_per_k * along)
+        };
+        let answer = response.answer(|i| grown(&contacts[i]));
+        let places = self.places;
+        let seen = self.seen(places);
+        let evidence = Arc::new(self.evidence(tooth, &seen));
+        // How much of a unit error in the form of each other flank the pose passes on.
+        let answers: Vec<_> = seen
+            .keys()
+            .filter(|(other, _)| self.form_in_doubt && *other != tooth)
+            .map(|&key| {
+                let on = |i: usize| {
+                    let here = places[i].map(|place| (place.tooth, place.flank));
+                    f64::from(here == Some(key))
+                };
+                response.answer(on)
+            })
+            .collect();
+        let leakage = leakage::of_tooth(self.gear, self.zone, tooth, &response, &contacts, places);
+        Flank::BOTH.map(|flank| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            let mut passed_on = vec![0.0; answers.len()];
+            for (contact, place) in contacts.iter().zip(places) {
+                if place.is_some_and(|p| {
+                    (p.tooth, p.flank) == (tooth, flank)
+                        && self.zone.holds(p.radius_mm, p.height_mm)
+                }) {
+                    sum += grown(contact) + answer.at(contact);
+                    count += 1.0;
+                    for (passed_on, answer) in passed_on.iter_mut().zip(&answers) {
+                        *passed_on += answer.at(contact);
+                    }
+                }
+            }
+            let mean = |sum: f64| if count > 0.0 { sum / count } else { 0.0 };
+            let squares: f64 = passed_on.iter().map(|&sum| mean(sum).powi(2)).sum();
+            PoseSensitivity {
+                leakage: leakage[usize::from(flank == Flank::Right)],
+                evidence: Arc::clone(&evidence),
+                form_scatter_mm: 0.0,
+                others_form: squares.sqrt(),
+                temperature_mm: self.temperature.map_or(0.0, |t| mean(sum).abs() * t.u_k),
+            }
+        })
+    }
+
+    /// What was seen of each flank in view.
+    fn seen(&self, places: &[Option<FlankPlace>]) -> BTreeMap<(u32, Flank), OnFlank> {
+        let centre = Vector3::from(self.registration.centre_mm);
+        let mut flanks: BTreeMap<(u32, Flank), OnFlank> = BTreeMap::new();
+        for (closest, place) in self.closest.iter().zip(places) {
+            let Some(place) = place else { continue };
+            if !self.zone.holds(place.radius_mm, place.height_mm)
+                || !closest.signed_distance_mm.is_finite()
+            {
+                continue;
+            }
+            let normal = Vector3::from(closest.normal);
+            let turn = (Vector3::from(closest.point) - centre).cross(&normal);
+            let on = flanks.entry((place.tooth, place.flank)).or_default();
+            on.wear_mm.push(-closest.signed_distance_mm);
+            on.motion += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        }
+        flanks.retain(|_, on| on.wear_mm.len() >= LEAST_POINTS);
+        flanks
+    }
+
+    /// What the view says of its own pose about the axis.
+    fn evidence(&self, tooth: u32, seen: &BTreeMap<(u32, Flank), OnFlank>) -> PoseEvidence {
+        let centre = Vector3::from(self.registration.centre_mm);
+        // A turn about the die's axis, as it moves the cloud's centre.
+        let across = Vector3::z().cross(&centre);
+        let about_axis = Vector6::new(0.0, 0.0, 1.0, across.x, across.y, across.z);
+        let own = |flank| seen.get(&(tooth, flank)).map(OnFlank::motion);
+        // Change of the left flank's wear less that of the right one, halved; a flank that is not seen is the other's mirror
+        // image as far as a turn goes.
+        let difference = match (own(Flank::Left), own(Flank::Right)) {
+            (Some(left), Some(right)) => 0.5 * (right - left),
+            (Some(left), None) => -left,
+            (None, Some(right)) => right,
+            (None, None) => Vector6::zeros(),
+        };
+        let unit = difference.dot(&about_axis);
+        let median = |values: &[f64]| {
+            let mut values = values.to_vec();
+            let middle = values.len() / 2;
+            *values.select_nth_unstable_by(middle, f64::total_cmp).1
+        };
+        let flanks = seen
+            .iter()
+            .map(|(&(tooth, flank), on)| SeenFlank {
+                tooth,
+                flank,
+                median_mm: median(&on.wear_mm),
+                per_turn: -on.motion().dot(&about_axis) / unit,
+            })
+            .collect();
+        // The motion from the fitted pose to that of the stages, about the cloud's centre.
+        let expected = self.prior.tool_from_cloud.isometry();
+        let motion = expected * self.registration.tool_from_cloud.isometry().inverse();
+        let turn = motion.rotation.scaled_axis();
+        let shift = motion * Point3::from(centre) - Point3::from(centre);
+        let back = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+        let away = centre - Vector3::from(self.prior.pivot_mm);
+        let sigma = |of: Vector6<f64>, covariance: &Matrix6<f64>| {
+            of.dot(&(about(away, covariance) * of)).max(0.0).sqrt()
+        };
+        let all = &self.prior.covariance;
+        // Of both sides alike: the mean of the two flanks' motions.
+        let both = match (own(Flank::Left), own(Flank::Right)) {
+            (Some(left), Some(right)) => -0.5 * (left + right),
+            (Some(one), None) | (None, Some(one)) => -one,
+            (None, None) => Vector6::zeros(),
+        };
+        let towards_axis = -Vector3::new(centre.x, centre.y, 0.0).normalize();
+        let half_height = 0.5 * (self.zone.height_mm[1] - self.zone.height_mm[0]);
+        PoseEvidence {
+            tooth,
+            flanks,
+            stages_mm: difference.dot(&back),
+            approach_sigma_mm: sigma(difference, &self.approach),
+            mount_sigma_mm: sigma(difference, &(all - self.approach)),
+            stages_both_mm: both.dot(&back),
+            both_sigma_mm: sigma(both, all),
+            mount_mm: [
+                towards_axis.dot(&shift),
+                half_height * turn.x,
+                half_height * turn.y,
+            ],
+        }
+    }
+}
+
+/// A motion's covariance (rotation, translation) about a point that lies `away` from where it is stated.
+fn about(away: Vector3<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    // A rotation w moves that point by w x away = -[away]x w.
+    let cross = Matrix3::new(
+        0.0, -away.z, away.y, away.z, 0.0, -away.x, -away.y, away.x, 0.0,
+    );
+    let mut moved = Matrix6::identity();
+    moved.fixed_view_mut::<3, 3>(3, 0).copy_from(&-cross);
+    moved * covariance * moved.transpose()
+}

@@ -1,0 +1,106 @@
+//! A view's points on the CAD, gathered by the cells of the unrolled bore.
+
+use std::collections::BTreeMap;
+
+use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::multiview::adjustment::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, cell_observations};
+use flankscope_metrology::surface::{Closest, Surface};
+use flankscope_metrology::wear::{FlankView, Measured, Sight};
+use nalgebra::{Isometry3, Point3, Vector3};
+
+use super::view::KeptView;
+
+/// Cells around per tooth, and their height, mm.
+const COLUMNS_PER_TOOTH: usize = 24;
+const ROW_MM: f64 = 0.25;
+
+/// The grid over a gear's bore.
+pub(super) fn layout(gear: &GearData) -> Layout {
+    let [low, high] = gear.height_mm;
+    Layout {
+        columns: COLUMNS_PER_TOOTH * gear.teeth as usize,
+        rows: ((high - low) / ROW_MM).ceil().clamp(1.0, 1e4) as usize,
+        height_mm: gear.height_mm,
+    }
+}
+
+/// A view's points on the surface.
+pub(super) struct Laid<'a> {
+    surface: &'a Surface,
+    kept: &'a KeptView,
+    tool_from_camera: Isometry3<f64>,
+    /// Where the points lie, tool frame, mm.
+    located: Vec<[f64; 3]>,
+    closest: Vec<Closest>,
+}
+
+impl<'a> Laid<'a> {
+    /// Lays points on the surface.
+    pub fn new(surface: &'a Surface, tool_from_camera: Isometry3<f64>, kept: &'a KeptView) -> Self {
+        let located: Vec<[f64; 3]> = kept
+            .points
+            .iter()
+            .map(|&[x, y, z, ..]| {
+                let point = Point3::new(f64::from(x), f64::from(y), f64::from(z));
+                (tool_from_camera * point).into()
+            })
+            .collect();
+        Self {
+            surface,
+            kept,
+            tool_from_camera,
+            closest: surface.closest_many(&located),
+            located,
+        }
+    }
+
+    /// What the view says of the cells.
+    pub fn cell_observations(&self, layout: &Layout) -> Vec<CellObservation> {
+        let sigma_mm = self.sigma_mm();
+        cell_observations(layout, &self.closest, &sigma_mm)
+    }
+
+    fn sigma_mm(&self) -> Vec<f32> {
+        self.kept.points.iter().map(|point| point[3]).collect()
+    }
+
+    /// What the view saw of every flank; the head measures at distances of `reach_mm`.
+    pub fn flanks(&self, gear: &GearData, reach_mm: [f64; 2]) -> BTreeMap<(u32, Flank), FlankView> {
+        let sigma_mm = self.sigma_mm();
+        let directions = self.kept.without_point.iter();
+        let without_point: Vec<[f64; 3]> = directions
+            .map(|&[x, y]| {
+                let direction = Vector3::new(f64::from(x), f64::from(y), 1.0).normalize();
+                (self.tool_from_camera * direction).into()
+            })
+            .collect();
+        let measured = Measured {
+            points: &self.located,
+            closest: &self.closest,
+            sigma_mm: Some(&sigma_mm),
+            sight: Some(Sight {
+                surface: self.surface,
+                camera_mm: self.tool_from_camera.translation.vector.into(),
+                without_point: &without_point,
+                reach_mm,
+            }),
+        };
+        FlankView::of(gear, measured)
+    }
+
+    /// What the view says of its pose.
+    pub fn information(&self, at: Pose) -> Option<ViewInformation> {
+        compress_laid(&self.located, &self.closest, at, self.tool_from_camera)
+    }
+
+    /// The points within `reach_mm` of the surface, tool frame, and their signed distances, mm.
+    pub fn near(&self, reach_mm: f64) -> (Vec<[f64; 3]>, Vec<f64>) {
+        self.located
+            .iter()
+            .zip(&self.closest)
+            .filter(|(_, hit)| hit.signed_distance_mm.abs() <= reach_mm)
+            .map(|(point, hit)| (*point, hit.signed_distance_mm))
+            .unzip()
+    }
+}

@@ -1,0 +1,107 @@
+//! `head.toml`: lenses, where they are, and which patterns they show.
+
+use std::path::Path;
+
+use nalgebra::Isometry3;
+use serde::Deserialize;
+
+use super::{FileError, Placement, read};
+use crate::world::{HeadOptics, Pinhole, Unevenness};
+
+/// Coefficients of a [`Remainder`] along a side.
+pub const SIDE: usize = 10;
+
+/// The bench's part of a head file.
+#[derive(Clone, Debug, Deserialize)]
+pub struct HeadFile {
+    /// Name of the pattern set; without it `insitu12`.
+    pub pattern_set: Option<String>,
+    /// Objective and sensor.
+    pub camera: Lens,
+    /// Objective and DMD.
+    pub projector: Lens,
+    /// Projector against camera.
+    pub projector_from_camera: Placement,
+    /// Camera on the stages; without it, where the demo head has it.
+    pub stage_from_camera: Option<Placement>,
+}
+
+/// Pinhole with Brown's distortion, in OpenCV's order.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Lens {
+    /// Focal length along columns and rows.
+    pub focal_px: [f64; 2],
+    /// Principal point: column, row.
+    pub principal_px: [f64; 2],
+    /// k1, k2, p1, p2, k3.
+    #[serde(default)]
+    pub distortion: [f64; 5],
+    /// What the lens does beyond that.
+    pub residual: Option<Box<Remainder>>,
+}
+
+/// A shift of the image over a square of the plane `z = 1`: uniform cubic B-splines along both axes.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Remainder {
+    /// Middle of the square.
+    pub centre: [f64; 2],
+    /// Half its side.
+    pub half_side: f64,
+    /// Shift along the columns; coefficients of the least y first.
+    pub columns_px: [[f64; SIDE]; SIDE],
+    /// Shift along the rows.
+    pub rows_px: Option<[[f64; SIDE]; SIDE]>,
+}
+
+impl HeadFile {
+    /// Reads `head.toml`.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        read(path)
+    }
+
+    /// The demo head as a file would state it.
+    #[must_use]
+    pub fn demo() -> Self {
+        let optics = HeadOptics::prism_20mm();
+        let lens = |of: &Pinhole| Lens {
+            focal_px: of.focal_px,
+            principal_px: of.centre_px,
+            distortion: of.distortion,
+            residual: None,
+        };
+        Self {
+            pattern_set: None,
+            camera: lens(&optics.camera),
+            projector: lens(&optics.projector),
+            projector_from_camera: (&optics.projector_from_camera).into(),
+            stage_from_camera: Some((&optics.stage_from_camera).into()),
+        }
+    }
+
+    /// Puts the head into the optics of a world.
+    pub fn impose(&self, optics: &mut HeadOptics) {
+        optics.camera = self.camera.pinhole();
+        optics.projector = self.projector.pinhole();
+        optics.projector_from_camera = (&self.projector_from_camera).into();
+        if let Some(hand_eye) = &self.stage_from_camera {
+            optics.stage_from_camera = Isometry3::from(hand_eye);
+        }
+    }
+}
+
+impl Lens {
+    fn pinhole(&self) -> Pinhole {
+        Pinhole {
+            focal_px: self.focal_px,
+            centre_px: self.principal_px,
+            distortion: self.distortion,
+            uneven: self
+                .residual
+                .as_deref()
+                .map(|field| Unevenness::stated(field, self.focal_px)),
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! Meshes from PLY, STL and OBJ files, told by content. Nothing is allocated for a count that the file cannot hold.
+
+mod ply;
+mod text;
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use flankscope_gear_cad::Mesh;
+
+/// Bytes before the first triangle of a binary STL, and bytes of each.
+const STL_HEADER: usize = 84;
+const STL_RECORD: usize = 50;
+
+/// Why a file is no mesh.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MeshFileError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(std::io::Error),
+    /// Zero bytes.
+    #[error("the file is empty; a mesh is PLY, STL or OBJ")]
+    Empty,
+    /// None of the formats.
+    #[error(
+        "not a mesh: neither PLY (starts with `ply`), STL (starts with `solid`, or 84 + 50 n bytes) nor OBJ (`v` and `f` lines)"
+    )]
+    Foreign,
+    /// A line that is not of its format.
+    #[error("line {line}: {text:?} not understood; right would be {expected}")]
+    Line {
+        /// Number, from 1.
+        line: usize,
+        /// The line, shortened.
+        text: String,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// A PLY header without what a mesh needs.
+    #[error("the PLY header has no {missing}")]
+    Lacks {
+        /// What is missing.
+        missing: &'static str,
+    },
+    /// A PLY body that is shorter than its header says.
+    #[error(
+        "the PLY header promises {count} of element {element}, at least {need_bytes} bytes, but {have_bytes} bytes are left for it"
+    )]
+    Short {
+        /// Element.
+        element: String,
+        /// How many the header promises.
+        count: u64,
+        /// What they take at least.
+        need_bytes: u64,
+        /// What is there.
+        have_bytes: u64,
+    },
+    /// The body ends in the middle of an element, or has a word that is no number.
+    #[error(
+        "element {element} number {index} of the PLY body is no row of numbers, or the file ends there"
+    )]
+    Row {
+        /// Element.
+        element: String,
+        /// Which, from 0.
+        index: u64,
+    },
+    /// A face of fewer than three corners.
+    #[error("face {face} has {corners} corners; at least 3 are needed")]
+    Corners {
+        /// Face, from 0.
+        face: u64,
+        /// Its corners.
+        corners: f64,
+    },
+    /// A face that names a vertex which is not there.
+    #[error("face {face} names vertex {index}, but there are vertices 0..{vertices}")]
+    Index {
+        /// Face or triangle, from 0.
+        face: u64,
+        /// The number it names.
+        index: f64,
+        /// Vertices.
+        vertices: usize,
+    },
+    /// A vertex with NaN or infinity.
+    #[error("vertex {vertex}: coordinate {axis} is {value}; every coordinate must be finite")]
+    NotFinite {
+        /// Vertex, from 0.
+        vertex: usize,
+        /// `x`, `y` or `z`.
+        axis: char,
+        /// The value.
+        value: f64,
+    },
+    /// A binary STL of another length than its count says.
+    #[error(
+        "binary STL declares {declared} triangles, which are {need_bytes} bytes, but the file has {have_bytes}; it is truncated, padded or not STL"
+    )]
+    StlSize {
+        /// Declared triangles.
+        declared: u32,
+        /// What they take.
+        need_bytes: u64,
+        /// What is there.
+        have_bytes: u64,
+    },
+    /// A text STL that stops before `endsolid`.
+    #[error("the STL text ends at line {line} before `endsolid`; the file is truncated")]
+    StlOpen {
+        /// Last line.
+        line: usize,
+    },
+    /// Vertices alone.
+    #[error("the mesh has {vertices} vertices but no triangles")]
+    NoTriangles {
+        /// Vertices.
+        vertices: usize,
+    },
+}
+
+/// Reads a mesh whose unit is `unit_mm` millimetres.
+///
+/// # Errors
+/// [`MeshFileError`].
+pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, MeshFileError> {
+    let bytes = std::fs::read(path).map_err(MeshFileError::Read)?;
+    let mut mesh = parse(&bytes)?;
+    if unit_mm != 1.0 {
+        for vertex in &mut mesh.vertices {
+            *vertex = vertex.map(|x| x * unit_mm);
+        }
+    }
+    Ok(mesh)
+}
+
+fn parse(bytes: &[u8]) -> Result<Mesh, MeshFileError> {
+    if bytes.is_empty() {
+        return Err(MeshFileError::Empty);
+    }
+    let declared = bytes
+        .get(80..STL_HEADER)
+        .map(|n| u32::from_le_bytes([n[0], n[1], n[2], n[3]]));
+    let stl_bytes = |count: u32| STL_HEADER as u64 + STL_RECORD as u64 * u64::from(count);
+    let mesh = if bytes.starts_with(b"ply") {
+        ply::parse(bytes)?
+    } else if declared.is_some_and(|count| stl_bytes(count) == bytes.len() as u64) {
+        // By its size alone: many start with `solid` too.
+        binary_stl(bytes)
+    } else if bytes.trim_ascii_start().starts_with(b"solid") {
+        text::stl(bytes)?
+    } else if text::looks_like_obj(bytes) {
+        text::obj(bytes)?
+    } else {
+        // A truncated binary STL still has a readable or empty title; a picture or an archive does not.
+        let readable = |b: &u8| *b == 0 || b.is_ascii_graphic() || b.is_ascii_whitespace();
+        return Err(match declared {
+            Some(declared) if bytes[..80].iter().all(readable) => MeshFileError::StlSize {
+                declared,
+                need_bytes: stl_bytes(declared),
+                have_bytes: bytes.len() as u64,
+            },
+            _ => MeshFileError::Foreign,
+        });
+    };
+    check(mesh)
+}
+
+/// Finite vertices, triangles, and none that names a vertex which is not there.
+fn check(mesh: Mesh) -> Result<Mesh, MeshFileError> {
+    let vertices = mesh.vertices.len();
+    if mesh.triangles.is_empty() {
+        return Err(MeshFileError::NoTriangles { vertices });
+    }
+    for (vertex, position) in mesh.vertices.iter().enumerate() {
+        for (axis, &value) in ['x', 'y', 'z'].into_iter().zip(position) {
+            if !value.is_finite() {
+                return Err(MeshFileError::NotFinite {
+                    vertex,
+                    axis,
+                    value,
+                });
+            }
+        }
+    }
+    for (face, corners) in (0..).zip(&mesh.triangles) {
+        if let Some(&index) = corners.iter().find(|&&index| index as usize >= vertices) {
+            return Err(MeshFileError::Index {
+                face,
+                index: f64::from(index),
+                vertices,
+            });
+        }
+    }
+    Ok(mesh)
+}
+
+/// A file of exactly the length that its count says.
+fn binary_stl(bytes: &[u8]) -> Mesh {
+    let records = bytes[STL_HEADER..].chunks_exact(STL_RECORD);
+    joined(records.map(|record| {
+        // The facet's normal comes first; the corners' order says as much.
+        let mut numbers = record[12..48]
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|&number| f64::from(f32::from_le_bytes(number)));
+        std::array::from_fn(|_| std::array::from_fn(|_| numbers.next().unwrap_or_default()))
+    }))
+}
+
+/// Triangles by their corners' positions; equal ones become one vertex, numbered by first use, minus zero as zero.
+fn joined(facets: impl Iterator<Item = [[f64; 3]; 3]>) -> Mesh {
+    let mut numbers: HashMap<[u64; 3], u32> = HashMap::new();
+    let mut mesh = Mesh {
+        vertices: Vec::new(),
+        triangles: Vec::with_capacity(facets.size_hint().0),
+    };
+    for facet in facets {
+        mesh.triangles.push(facet.map(|corner| {
+            let corner = corner.map(|x| x + 0.0);
+            *numbers.entry(corner.map(f64::to_bits)).or_insert_with(|| {
+                mesh.vertices.push(corner);
+                mesh.vertices.len() as u32 - 1
+            })
+        }));
+    }
+    mesh
+}
+
+/// Cuts a face into a fan about its first corner.
+fn fan(polygon: &[u32], triangles: &mut Vec<[u32; 3]>) {
+    if let Some((&first, rest)) = polygon.split_first() {
+        triangles.extend(rest.windows(2).map(|pair| [first, pair[0], pair[1]]));
+    }
+}

@@ -1,0 +1,127 @@
+//! What stands before which head, by the files of a tool or a target.
+
+use std::path::Path;
+
+use anyhow::Context;
+use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
+
+use crate::demo;
+use crate::files::{Gear, HeadFile, Kind, TargetFile, ToolFile, mesh};
+use crate::world::{FlankId, PatternSpec, WorldConfig};
+use crate::zones::Judged;
+
+/// What stands before which head.
+pub struct Specimen {
+    /// The world: geometry by the files, with the demo head's light, blur and noise.
+    pub config: WorldConfig,
+    /// What the DMD shows after black.
+    pub patterns: Vec<PatternSpec>,
+    /// How high it reaches, mm.
+    pub top_mm: Option<f64>,
+    /// What is judged of it.
+    pub judged: Option<Judged>,
+}
+
+impl Specimen {
+    /// The target of a folder before the demo head, whatever the folder says of one; `seed` draws how its plates lie.
+    ///
+    /// # Errors
+    /// The target's file cannot be read.
+    pub fn target(folder: &Path, seed: u64) -> anyhow::Result<Self> {
+        let target = TargetFile::load(&folder.join("target.toml"))?;
+        Ok(Self {
+            config: demo::target_world(&target, seed),
+            patterns: PatternSpec::insitu12(),
+            top_mm: None,
+            judged: None,
+        })
+    }
+
+    /// The die of a tool file or its folder before the head beside it, else before the demo head; judged are `teeth` instead
+    /// of the file's.
+    ///
+    /// # Errors
+    /// The files cannot be read, or describe what cannot stand on the bench.
+    pub fn tool(path: &Path, teeth: Option<&[u32]>) -> anyhow::Result<Self> {
+        let (tool, path) = ToolFile::load(path)?;
+        let beside = path.with_file_name("head.toml");
+        let head = if beside.exists() {
+            HeadFile::load(&beside)?
+        } else {
+            HeadFile::demo()
+        };
+        let Some(gear) = &tool.gear else {
+            anyhow::bail!("the tool has no [gear]: the bench cannot tell its flanks")
+        };
+        let cad = path.with_file_name("").join(&tool.cad.file);
+        let cad = mesh::load(&cad, tool.cad.unit.mm())
+            .with_context(|| format!("cannot use CAD file {}", cad.display()))?;
+        let gear_spec = gear_of(gear, &cad)?;
+        let mut config = WorldConfig::new(cad, gear_spec);
+        head.impose(&mut config.optics);
+        let patterns = head.pattern_set.as_deref().unwrap_or("insitu12");
+        Ok(Self {
+            judged: judged(&tool, gear, &config, teeth),
+            config,
+            patterns: PatternSpec::named(patterns)
+                .with_context(|| format!("the bench's DMD has no pattern set {patterns:?}"))?,
+            top_mm: Some(gear.height_mm[1]),
+        })
+    }
+}
+
+fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {
+    // The bench's gear has its first tooth half a pitch behind +x.
+    let half_pitch_deg = 180.0 / f64::from(gear.teeth);
+    let off_deg = (gear.first_tooth_centre_deg - half_pitch_deg).rem_euclid(2.0 * half_pitch_deg);
+    anyhow::ensure!(
+        off_deg.min(2.0 * half_pitch_deg - off_deg) < 1e-6
+            && gear.first_tooth_centre_deg < 2.0 * half_pitch_deg,
+        "first_tooth_centre_deg = {} cannot be put on the bench; {half_pitch_deg} (a tooth space on +x) can",
+        gear.first_tooth_centre_deg,
+    );
+    Ok(GearSpec {
+        kind: match gear.kind {
+            Kind::Internal => GearKind::Internal,
+            Kind::External => GearKind::External,
+        },
+        teeth: gear.teeth,
+        module_mm: gear.module_mm,
+        pressure_angle_rad: gear.pressure_angle_deg.to_radians(),
+        tip_radius_mm: gear.tip_radius_mm,
+        root_radius_mm: gear.root_radius_mm,
+        root_fillet_radius_mm: 0.0,
+        body_radius_mm: cad
+            .vertices
+            .iter()
+            .map(|vertex| vertex[0])
+            .fold(0.0, f64::max),
+        height_mm: gear.height_mm,
+    })
+}
+
+/// The zones that a check of the tool judges, on its drawing; teeth that it does not have are left out.
+fn judged(
+    tool: &ToolFile,
+    gear: &Gear,
+    config: &WorldConfig,
+    teeth: Option<&[u32]>,
+) -> Option<Judged> {
+    let inspect = tool.inspect.as_ref()?;
+    let mut teeth = teeth.unwrap_or(&inspect.teeth).to_vec();
+    teeth.sort_unstable();
+    teeth.dedup();
+    let flanks = teeth
+        .into_iter()
+        .filter(|tooth| (1..=config.gear.teeth).contains(tooth))
+        .flat_map(|tooth| [Flank::Left, Flank::Right].map(|flank| FlankId { tooth, flank }))
+        .collect();
+    Some(Judged {
+        cad: config.cad.clone(),
+        gear: config.gear.clone(),
+        flanks,
+        radius_mm: inspect.zone_radius_mm.unwrap_or_else(|| gear.working_mm()),
+        height_mm: inspect.zone_height_mm.map(|to| inspect.height_mm + to),
+        disc_area_mm2: inspect.wear_area_mm2,
+    })
+}

@@ -1,0 +1,150 @@
+//! The demo target photographed to files, as a head on somebody else's bench would be.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use flankscope_profilometry::calibrate::{CapturedView, Captures, Plate, StagePose, Target};
+use flankscope_station::files::write_whole;
+
+use crate::target::target;
+use flankscope_bench::demo::StageErrors;
+use flankscope_bench::world::{PatternSpec, World, WorldConfig};
+
+/// Where the stages stand beside facing each plate: rad, mm. The last view is kept aside.
+pub const AROUND: [[f64; 2]; 3] = [[0.05, 0.8], [-0.05, -0.8], [0.02, -0.4]];
+/// Half widths of the stages' errors: rad, mm.
+const STAGE_ERRORS: [f64; 2] = [15e-3 * std::f64::consts::PI / 180.0, 5e-3];
+const PLAN: &str = "\
+# The dark frame, then 4 periods in 4 steps and 48 periods in 8 steps, in the order of the images' names.
+pattern_set = \"insitu12\"
+dark_first = true
+";
+
+/// One view of the target.
+#[derive(Clone, Debug)]
+pub struct TargetView {
+    /// Its folder of images.
+    pub folder: PathBuf,
+    /// The printed plate, from 0; neither of blank plate and sphere.
+    pub plate: Option<usize>,
+    /// What the stages were told.
+    pub told: StagePose,
+    /// Where they stood: rotation (rad), height (mm).
+    pub true_pose: [f64; 2],
+    /// Number of its dark frame; it seeds the noise.
+    pub first_frame: u32,
+    /// Whether an adjustment shall leave it out.
+    pub kept_aside: bool,
+}
+
+/// The blank plate, every printed plate from each place of `around`, and the sphere.
+#[must_use]
+pub fn target_views(target: &Target, seed: u64, around: &[[f64; 2]]) -> Vec<TargetView> {
+    let mut errors = StageErrors::new(seed);
+    let mut views = Vec::new();
+    let mut add = |name: String, plate: Option<usize>, [x, y, z]: [f64; 3], beside: usize| {
+        let [turned, raised] = plate.map_or([0.0; 2], |_| around[beside]);
+        let told = StagePose {
+            rotation_rad: turned - y.atan2(x),
+            vertical_mm: z + raised,
+        };
+        views.push(TargetView {
+            folder: name.into(),
+            plate,
+            told,
+            true_pose: [
+                told.rotation_rad + errors.draw(STAGE_ERRORS[0]),
+                told.vertical_mm + errors.draw(STAGE_ERRORS[1]),
+            ],
+            first_frame: 100 * views.len() as u32,
+            kept_aside: beside + 1 == AROUND.len(),
+        });
+    };
+    let place = |plate: &Plate| plate.tool_from_plate.translation_mm;
+    add("blank".into(), None, place(&target.blank), 0);
+    for (number, plate) in target.plate.iter().enumerate() {
+        for beside in 0..around.len() {
+            let name = format!("plate-{}-{}", number + 1, beside + 1);
+            add(name, Some(number), place(plate), beside);
+        }
+    }
+    if let Some(sphere) = target.sphere {
+        add("sphere".into(), None, sphere.centre_mm, 0);
+    }
+    views
+}
+
+/// Writes `captures.toml`, `PLAN.toml`, the images of every view, and the target's own files beside them.
+///
+/// # Errors
+/// The bench refuses a view, or something cannot be written.
+pub fn write_captures(
+    out: &Path,
+    config: &WorldConfig,
+    views: &[TargetView],
+) -> anyhow::Result<()> {
+    let target = target();
+    let world = World::new(config)?;
+    let [width, height] = world.size_px();
+    let mut pixels = vec![0; width * height];
+    let patterns = PatternSpec::insitu12();
+    for view in views {
+        let folder = out.join(&view.folder);
+        std::fs::create_dir_all(&folder)?;
+        let [rotation_rad, vertical_mm] = view.true_pose;
+        let state = world.prepare(rotation_rad, vertical_mm, &patterns)?;
+        for index in 0..=patterns.len() as u16 {
+            let counter = view.first_frame + u32::from(index);
+            world.render(
+                &state,
+                index,
+                target.exposure_us,
+                true,
+                counter,
+                &mut pixels,
+            )?;
+            write_png(
+                &folder.join(format!("frame-{index:02}.png")),
+                &pixels,
+                [width, height],
+            )?;
+        }
+    }
+    let named = |name: &str| views.iter().find(|view| view.folder == Path::new(name));
+    let captures = Captures {
+        plan: "PLAN.toml".into(),
+        blank: "blank".into(),
+        sphere: named("sphere").map(|view| view.folder.clone()),
+        view: views
+            .iter()
+            .filter_map(|view| {
+                Some(CapturedView {
+                    folder: view.folder.clone(),
+                    plate: view.plate? + 1,
+                    rotation_rad: view.told.rotation_rad,
+                    vertical_mm: view.told.vertical_mm,
+                    kept_aside: view.kept_aside,
+                })
+            })
+            .collect(),
+    };
+    write_whole(&out.join("PLAN.toml"), PLAN.as_bytes())?;
+    write_whole(&out.join(Captures::FILE), captures.to_toml()?.as_bytes())?;
+    crate::write_target(out)
+}
+
+/// Counts as they are, in 16 bits.
+fn write_png(path: &Path, counts: &[u16], [width, height]: [usize; 2]) -> anyhow::Result<()> {
+    let mut encoder = png::Encoder::new(
+        BufWriter::new(File::create(path)?),
+        width as u32,
+        height as u32,
+    );
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    encoder.set_compression(png::Compression::Fast);
+    let bytes: Vec<u8> = counts.iter().flat_map(|dn| dn.to_be_bytes()).collect();
+    encoder.write_header()?.write_image_data(&bytes)?;
+    Ok(())
+}

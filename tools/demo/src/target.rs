@@ -1,0 +1,129 @@
+//! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
+//! does, and the head as its drawing shows it.
+
+use std::path::Path;
+
+use flankscope_bench::demo::carrier;
+use flankscope_bench::files::{self, Placement, TargetFile};
+use flankscope_bench::world::WorldConfig;
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::calibrate::{Dots, Plate, Sphere, Target};
+use flankscope_profilometry::head::Limits;
+use flankscope_station::files::write_whole;
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
+use crate::files::{head, transform_file, transform_of};
+
+/// The white of the plates comes to two thirds of the full well.
+const EXPOSURE_US: u32 = 12_000;
+/// Where the head clears the target: as far up as above the die.
+const RETRACT_MM: f64 = 86.0;
+const SPHERE_DIAMETER_MM: f64 = 3.0;
+
+/// The target as its certificate describes it.
+#[must_use]
+pub fn target() -> Target {
+    let file = |pose: Isometry3<f64>| Plate {
+        tool_from_plate: transform_file(&pose),
+    };
+    let carrier = carrier();
+    Target {
+        name: "six dot plates, a blank one and a sphere".into(),
+        exposure_us: EXPOSURE_US,
+        retract_mm: RETRACT_MM,
+        pose_sigma_mm: 2e-3,
+        pose_sigma_rad: 50e-6,
+        dots: Dots {
+            pitch_mm: 0.5,
+            diameter_mm: 0.25,
+            key_diameter_mm: 0.35,
+        },
+        blank: file(carrier.blank),
+        plate: carrier.printed.into_iter().map(file).collect(),
+        sphere: Some(Sphere {
+            centre_mm: carrier.sphere_centre_mm,
+            diameter_mm: SPHERE_DIAMETER_MM,
+        }),
+        limits: Some(Limits {
+            flatness_um: 45.0,
+            probing_form_um: 45.0,
+            probing_size_um: 8.0,
+            flatness_cells_um: Some(8.0),
+            probing_form_cells_um: Some(8.0),
+            every_days: 7,
+        }),
+    }
+}
+
+/// The target before the demo head: its plates lie as well as the certificate says, drawn from `seed`.
+#[must_use]
+pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
+    let placed = |plate: &Plate| files::Plate {
+        tool_from_plate: Placement {
+            rotation: plate.tool_from_plate.rotation,
+            translation_mm: plate.tool_from_plate.translation_mm,
+        },
+    };
+    let file = TargetFile {
+        pose_sigma_mm: target.pose_sigma_mm,
+        pose_sigma_rad: target.pose_sigma_rad,
+        dots: files::Dots {
+            pitch_mm: target.dots.pitch_mm,
+            diameter_mm: target.dots.diameter_mm,
+            key_diameter_mm: target.dots.key_diameter_mm,
+        },
+        blank: placed(&target.blank),
+        plate: target.plate.iter().map(placed).collect(),
+        sphere: target.sphere.map(|sphere| files::Sphere {
+            centre_mm: sphere.centre_mm,
+            diameter_mm: sphere.diameter_mm,
+        }),
+    };
+    flankscope_bench::demo::target_world(&file, seed)
+}
+
+/// The demo head as its drawing shows it: no distortion, lenses and poses off by what assembly leaves.
+#[must_use]
+pub fn drawn_head() -> HeadModel {
+    let mut head = head();
+    head.name = "prism head 20 mm, drawing values".into();
+    for (lens, stretch, shift_px) in [
+        (&mut head.camera, 1.006, [3.0, -2.0]),
+        (&mut head.projector, 0.995, [-2.0, 0.0]),
+    ] {
+        lens.distortion = [0.0; 5];
+        lens.focal_px = lens.focal_px.map(|focal| stretch * focal);
+        lens.principal_px = [0, 1].map(|k| lens.principal_px[k] + shift_px[k]);
+    }
+    let moved = |pose: &Isometry3<f64>, turn: Vector3<f64>, shift: Vector3<f64>| {
+        let rotation = UnitQuaternion::from_scaled_axis(turn) * pose.rotation;
+        Isometry3::from_parts(
+            Translation3::from(pose.translation.vector + shift),
+            rotation,
+        )
+    };
+    let projector = transform_of(&head.projector_from_camera);
+    let turn = Vector3::new(1.5e-3, -2e-3, 1e-3);
+    let shift = Vector3::new(0.04, 0.03, -0.05);
+    head.projector_from_camera = transform_file(&moved(&projector, turn, shift));
+    head.stage_from_camera = head.stage_from_camera.map(|hand_eye| {
+        let turn = Vector3::new(5e-3, -4e-3, 6e-3);
+        let shift = Vector3::new(0.25, -0.3, 0.2);
+        transform_file(&moved(&transform_of(&hand_eye), turn, shift))
+    });
+    head
+}
+
+/// Writes `target.toml` and the drawing's `head.toml` into a folder, which is made if it is not there.
+///
+/// # Errors
+/// The files cannot be written.
+pub fn write_target(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    write_whole(&folder.join("target.toml"), target().to_toml()?.as_bytes())?;
+    write_whole(
+        &folder.join("head.toml"),
+        drawn_head().to_toml()?.as_bytes(),
+    )?;
+    Ok(())
+}

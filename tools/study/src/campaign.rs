@@ -1,0 +1,97 @@
+//! Random damage through frames: shapes that nobody tuned anything to, against the exact distance of die and drawing.
+
+use flankscope_gear_cad::Flank;
+use flankscope_profilometry::decode::GridKind;
+use flankscope_station::inspection::Feature;
+
+use super::calibration::Calibrated;
+use super::capture::{Instrument, Trouble, judged};
+use super::setup::{Place, Setup, flank, on_all_cores};
+use super::truth;
+use flankscope_bench::damage::{Damage, Random, Workpiece};
+use flankscope_bench::world::{FlankId, World};
+use flankscope_bench::zones::{Judged, ZoneTruth, compare};
+
+/// Damages that one calibrated head looks at, two at a time: one on each flank of a tooth.
+const PER_HEAD: u32 = 76;
+/// True depths are drawn evenly up to this, µm.
+const DEEPEST_UM: f64 = 120.0;
+
+/// One damage, what is true of it, and what was found.
+#[derive(Clone, Debug)]
+pub struct Judgement {
+    /// Its shape.
+    pub shape: &'static str,
+    /// The zone by exact distances.
+    pub truth: ZoneTruth,
+    /// The instrument's word.
+    pub found: Feature,
+}
+
+/// Cuts `count` random damages into dies that are else as drawn, and judges each by frames. Heads are calibrated on the bench,
+/// one for every 76 damages, each at a place of its own.
+///
+/// # Errors
+/// The bench or the instrument refuses something.
+pub fn random_damages(
+    count: u32,
+    seed: u64,
+    tell: impl Fn(&str) + Sync,
+) -> anyhow::Result<Vec<Judgement>> {
+    let setup = Setup::load()?;
+    let of_heads = on_all_cores(count.div_ceil(PER_HEAD), |number| {
+        let views = PER_HEAD.min(count - PER_HEAD * number).div_ceil(2);
+        let found = of_head(&setup, number, views, seed)?;
+        tell(&format!("head {}: {} damages", number + 1, found.len()));
+        Ok(found)
+    })?;
+    Ok(of_heads.into_iter().flatten().collect())
+}
+
+fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<Vec<Judgement>> {
+    let own = (seed << 16) | u64::from(number);
+    let Calibrated { rig, head, .. } = Calibrated::first_of(own)?;
+    let place = Place::of_block(number);
+    let tool = setup.tool(place, false);
+    let instrument = Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?;
+    let config = setup.world(&rig, false, own);
+    let (rectangle, disc_area_mm2) = truth::judged(&tool)?;
+    let base = config.gear.base_radius_mm();
+    let flanks = [Flank::Left, Flank::Right].map(|flank| FlankId {
+        tooth: place.tooth,
+        flank,
+    });
+    let zone = Judged {
+        cad: config.cad.clone(),
+        gear: config.gear.clone(),
+        flanks: flanks.to_vec(),
+        radius_mm: rectangle
+            .profile_mm
+            .map(|profile| (base * base + 2.0 * base * profile).sqrt()),
+        height_mm: rectangle.height_mm,
+        disc_area_mm2,
+    };
+    let mut world = World::new(&config)?;
+    let workpiece = Workpiece::new(&config.cad, &config.gear, &flanks, rectangle)?;
+    let mut all = Vec::new();
+    for view in 0..views {
+        let draw = |what: u32| (own << 24) | u64::from(8 * view + what);
+        let damages = [0, 1].map(|side| {
+            let target_um = DEEPEST_UM * Random::new(draw(side), 5).uniform();
+            Damage::draw(draw(side), rectangle, disc_area_mm2, target_um)
+        });
+        let cut: Vec<(FlankId, Damage)> = flanks.into_iter().zip(damages.clone()).collect();
+        world.stand(Some(workpiece.cut(&cut)?))?;
+        let state = instrument.approach(&world, draw(2), Trouble::default())?;
+        let outcome = instrument.capture(&world, &state, view, Trouble::default())?;
+        let truths = compare(&world, &zone);
+        for (id, damage) in cut {
+            all.push(Judgement {
+                shape: damage.name(),
+                truth: truths.get(&id).copied().unwrap_or_default(),
+                found: judged(&outcome, flank(id.flank))?,
+            });
+        }
+    }
+    Ok(all)
+}

@@ -1,0 +1,142 @@
+//! One capture of one view, from the bench's light to a judged flank, without the processes in between.
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
+use flankscope_station::baseline::Baseline;
+use flankscope_station::inspection::{Evaluator, Feature, Subject, ViewOutcome, ViewPlan};
+
+use flankscope_bench::damage::Random;
+use flankscope_bench::world::{PatternSpec, ViewState, World};
+
+/// Half the range of the stages' errors: rotation, rad; vertical, mm.
+const ROTATION_ERROR_RAD: f64 = 15e-3 * std::f64::consts::PI / 180.0;
+const VERTICAL_ERROR_MM: f64 = 5e-3;
+/// What the host believes: a tool, a head, and the decoding and judging made from them.
+pub(super) struct Instrument {
+    decoder: Arc<Decoder>,
+    evaluator: Evaluator,
+    plan: Arc<ViewPlan>,
+}
+
+/// What is wrong with one capture, beside the stages' own errors.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Trouble {
+    /// The die stands turned by this angle against what the stage says, rad.
+    pub turned_rad: f64,
+    /// Part of the light that is missing.
+    pub dimmed: f64,
+}
+
+impl Instrument {
+    pub fn new(
+        tool: &Tool,
+        head: &HeadModel,
+        tooth: u32,
+        grid: GridKind,
+        degc: Option<f64>,
+        baseline: Option<Baseline>,
+    ) -> anyhow::Result<Self> {
+        let subject = Subject {
+            tool: Arc::new(tool.clone()),
+            head: Arc::new(head.clone()),
+            temperature_degc: degc,
+            station: Arc::default(),
+            baseline: baseline.map(Arc::new),
+            hashes: std::collections::BTreeMap::new(),
+        };
+        let plan = Arc::new(ViewPlan::new(tool, head, Some(&[tooth]))?);
+        let decoder = Arc::new(Decoder::new(
+            head,
+            &plan.patterns,
+            &plan.exposures_us,
+            DecodeOptions {
+                grid,
+                ..DecodeOptions::for_head(head)
+            },
+        )?);
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
+        Ok(Self {
+            decoder,
+            evaluator,
+            plan,
+        })
+    }
+
+    /// Puts die and head where the stages go; `draw` draws their errors.
+    pub fn approach(
+        &self,
+        world: &World,
+        draw: u64,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewState> {
+        let mut random = Random::new(draw, 1);
+        let view = &self.plan.views[0];
+        let rotation = view.rotation_rad
+            + ROTATION_ERROR_RAD * (2.0 * random.uniform() - 1.0)
+            + trouble.turned_rad;
+        let vertical = view.vertical_mm + VERTICAL_ERROR_MM * (2.0 * random.uniform() - 1.0);
+        Ok(world.prepare(rotation, vertical, &PatternSpec::sequence(&self.sets()))?)
+    }
+
+    /// Captures and judges one view; `number` draws the frames' noise.
+    pub fn capture(
+        &self,
+        world: &World,
+        state: &ViewState,
+        number: u32,
+        trouble: Trouble,
+    ) -> anyhow::Result<ViewOutcome> {
+        let sets = self.sets();
+        let [width, height] = world.size_px();
+        let mut pixels = vec![0_u16; width * height];
+        let mut accumulator = self.decoder.begin();
+        for (i, kind) in self.decoder.capture_order().enumerate() {
+            let (pattern, exposure) = match kind {
+                FrameKind::Dark => (0, 0),
+                FrameKind::Fringe {
+                    exposure,
+                    set,
+                    step,
+                } => {
+                    let before: u32 = sets[..set].iter().map(|s| s.1).sum();
+                    (1 + before + step, exposure)
+                }
+            };
+            let lit_us = f64::from(self.plan.exposures_us[exposure]) * (1.0 - trouble.dimmed);
+            let counter = number.wrapping_mul(64).wrapping_add(i as u32);
+            world.render(
+                state,
+                pattern as u16,
+                lit_us as u32,
+                true,
+                counter,
+                &mut pixels,
+            )?;
+            accumulator
+                .add(FrameView::packed(&pixels, width, height), kind)
+                .context("a rendered frame was refused")?;
+        }
+        Ok(self.evaluator.evaluate(0, &accumulator))
+    }
+
+    fn sets(&self) -> Vec<(f64, u32)> {
+        let sets = self.plan.patterns.sets.iter();
+        sets.map(|s| (s.periods, s.steps)).collect()
+    }
+}
+
+/// What was found of one flank of the tooth.
+pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feature> {
+    outcome
+        .flanks
+        .iter()
+        .cloned()
+        .map(Feature::from)
+        .find(|f| f.flank == flank.to_string())
+        .with_context(|| format!("the {flank} flank is missing"))
+}

@@ -1,0 +1,170 @@
+//! What is captured: states of die and instrument.
+
+use flankscope_metrology::tool::Datum;
+use flankscope_profilometry::decode::GridKind;
+
+use super::capture::Trouble;
+use flankscope_bench::world::WearKind;
+
+/// What was done to the die.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Damaged {
+    /// Nothing.
+    Nothing,
+    /// A built-in kind on the left flank (with some kinds, on others as well), and its largest depth in µm.
+    Wear(WearKind, f64),
+    /// On both flanks a round hole with a flat bottom somewhere in the zone.
+    Spot {
+        /// Its area, mm².
+        area_mm2: f64,
+        /// Its depth, µm.
+        depth_um: f64,
+    },
+    /// On both flanks a shape drawn at random, whose largest mean loss over a disc is this, µm.
+    Random(f64),
+}
+
+/// What the right flank's figure counts for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Right {
+    /// Nothing.
+    Ignored,
+    /// The same row.
+    Same,
+    /// A row of its own.
+    Row(String),
+}
+
+/// One cell of the study: a state of die and instrument.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Name in the tables.
+    pub name: String,
+    /// Group of cells that one table shows.
+    pub group: Group,
+    /// Damage.
+    pub damage: Damaged,
+    /// What the right flank counts for.
+    pub right: Right,
+    /// What the pose rests on.
+    pub datum: Datum,
+    /// Temperature of the die above that of its CAD, K, and whether the instrument knows it.
+    pub warm: Option<(f64, bool)>,
+    /// What a point is made of.
+    pub grid: GridKind,
+    /// Light missing or die turned.
+    pub(super) trouble: Trouble,
+    /// Its place among all cases: what is drawn for it does not depend on which others are looked at.
+    pub(super) number: u32,
+}
+
+/// What a cell is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Group {
+    /// Depth against CAD of a die that is as its drawing.
+    Drawn,
+    /// Depth against CAD of a die as built.
+    Built,
+    /// Depth since a baseline of the new die, as built.
+    Baseline,
+    /// Captures that deserve no verdict.
+    Spoiled,
+    /// One measure taken away; a die that is as its drawing.
+    Measure,
+}
+
+impl Group {
+    /// Whether the die has the form errors of its class.
+    pub(super) fn is_built(self) -> bool {
+        matches!(self, Self::Built | Self::Baseline)
+    }
+}
+
+/// All cells of the full study.
+#[must_use]
+pub fn cases() -> Vec<Case> {
+    let case = |group, name: &str, damage| Case {
+        name: name.into(),
+        group,
+        right: match damage {
+            Damaged::Nothing | Damaged::Spot { .. } | Damaged::Random(_) => Right::Same,
+            Damaged::Wear(WearKind::Ring, _) => Right::Same,
+            Damaged::Wear(WearKind::Side, um) => Right::Row(format!(
+                "{name}: the sound right flank ({um} µm on the left)"
+            )),
+            Damaged::Wear(..) => Right::Ignored,
+        },
+        damage,
+        datum: Datum::Neighbours,
+        warm: None,
+        grid: GridKind::Core,
+        trouble: Trouble::default(),
+        number: 0,
+    };
+    let mut cases = Vec::new();
+    let mut add = |group, name: &str, damage| cases.push(case(group, name, damage));
+    let even = |um| Damaged::Wear(WearKind::Uniform, um);
+    let spot = |area_mm2, depth_um| Damaged::Spot { area_mm2, depth_um };
+    add(Group::Drawn, "drawn, undamaged", Damaged::Nothing);
+    add(Group::Drawn, "drawn, uniform 20 µm", even(20.0));
+    add(Group::Drawn, "drawn, uniform 50 µm", even(50.0));
+    for (group, word) in [(Group::Built, "built"), (Group::Baseline, "since new")] {
+        let name = |what: &str| format!("{word}, {what}");
+        let mut add = |what: &str, damage| add(group, &name(what), damage);
+        add("undamaged", Damaged::Nothing);
+        add("uniform 20 µm", even(20.0));
+        add("uniform 50 µm", even(50.0));
+        add("random 20 µm", Damaged::Random(20.0));
+        add("random 50 µm", Damaged::Random(50.0));
+        add("spot of 0.25 mm², 40 µm", spot(0.25, 40.0));
+        add("spot of 0.25 mm², 60 µm", spot(0.25, 60.0));
+        let one_side = |um| Damaged::Wear(WearKind::Side, um);
+        add("one side of all teeth, 35 µm", one_side(35.0));
+        add("one side of all teeth, 55 µm", one_side(55.0));
+        add("whole ring, 55 µm", Damaged::Wear(WearKind::Ring, 55.0));
+        if group == Group::Built {
+            add("uniform 80 µm", even(80.0));
+            add("random 80 µm", Damaged::Random(80.0));
+            add("tip 80 µm", Damaged::Wear(WearKind::Tip, 80.0));
+            add("spot of 0.05 mm², 150 µm", spot(0.05, 150.0));
+        }
+    }
+    let spoiled = |name: &str, turned_pitches: f64, dimmed| Case {
+        trouble: Trouble {
+            turned_rad: turned_pitches * std::f64::consts::TAU / 84.0,
+            dimmed,
+        },
+        ..case(Group::Spoiled, name, Damaged::Nothing)
+    };
+    cases.push(spoiled("turned by half a pitch", 0.5, 0.0));
+    cases.push(spoiled("turned by a pitch and a quarter", 1.25, 0.0));
+    cases.push(spoiled("0.5 % of the light", 0.0, 0.995));
+    let measure = |name: &str| case(Group::Measure, name, even(20.0));
+    cases.push(Case {
+        grid: GridKind::Pixel,
+        ..measure("20 µm, pixels instead of cores")
+    });
+    for (datum, name) in [
+        (Datum::All, "20 µm, pose on everything"),
+        (Datum::Lands, "20 µm, pose on lands"),
+    ] {
+        cases.push(Case {
+            datum,
+            ..measure(name)
+        });
+    }
+    for (known, name) in [
+        (true, "20 µm, 40 K warmer, corrected"),
+        (false, "20 µm, 40 K warmer, not known"),
+    ] {
+        cases.push(Case {
+            warm: Some((40.0, known)),
+            ..measure(name)
+        });
+    }
+    for (number, case) in (0..).zip(&mut cases) {
+        case.number = number;
+    }
+    cases
+}

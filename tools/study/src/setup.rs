@@ -1,0 +1,131 @@
+//! Heads, dies and places of the study.
+
+use flankscope_gear_cad::Flank as CadFlank;
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+
+use super::calibration::Rig;
+use flankscope_bench::specimen::Specimen;
+use flankscope_bench::world::{Form, WorldConfig};
+
+/// Teeth and heights that blocks take in turn: numbers that share no divisor, so that they come together anew.
+const TEETH: [u32; 8] = [40, 12, 68, 5, 27, 55, 77, 84];
+const HEIGHTS_MM: [f64; 3] = [33.0, 24.0, 42.0];
+/// Single pitch tolerance of ISO 1328-1:2013, class 7, of module 0.987 mm on 82.9 mm, µm: twice what the class 5 formula
+/// 0.001 d + 0.4 m + 5 gives.
+const PITCH_TOLERANCE_UM: f64 = 10.96;
+/// A die whose every pitch, the difference of two flanks, keeps that tolerance with three standard deviations.
+pub(super) const FLANKS_UM: f64 = PITCH_TOLERANCE_UM / (3.0 * std::f64::consts::SQRT_2);
+
+/// The demo tool, and the head as it is drawn.
+pub(super) struct Setup {
+    tool: Tool,
+    head: HeadModel,
+    /// The die before the head.
+    die: WorldConfig,
+}
+
+/// Where a block looks.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub(super) struct Place {
+    pub tooth: u32,
+    pub height_mm: f64,
+}
+
+impl Place {
+    pub fn of_block(block: u32) -> Self {
+        let block = block as usize;
+        Self {
+            tooth: TEETH[block % TEETH.len()],
+            height_mm: HEIGHTS_MM[block % HEIGHTS_MM.len()],
+        }
+    }
+}
+
+impl Setup {
+    pub fn load() -> anyhow::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        flankscope_demo::write_tool(folder.path())?;
+        let mut tool = Tool::load(folder.path())?;
+        // The bench makes the die of the very facets of its CAD: no chord is off here.
+        tool.cad.chord_error_um = 0.0;
+        let head = HeadModel::load(&folder.path().join("head.toml"))?;
+        let die = Specimen::tool(folder.path(), None)?.config;
+        Ok(Self { tool, head, die })
+    }
+
+    /// The demo head with its cores.
+    pub fn head(&self) -> &HeadModel {
+        &self.head
+    }
+
+    /// The tool with its head at a place; it states the form of a die as built, or takes the CAD as true.
+    pub fn tool(&self, place: Place, built: bool) -> Tool {
+        let mut tool = self.tool.clone();
+        let pressure_angle_deg = tool.gear.as_ref().map_or(0.0, |g| g.pressure_angle_deg);
+        if let Some(inspect) = &mut tool.inspect {
+            inspect.height_mm = place.height_mm;
+        }
+        // What stands off along the pitch circle does so by its cosine along the normal.
+        let normal_um = FLANKS_UM * pressure_angle_deg.to_radians().cos();
+        tool.as_built_um = built.then_some(normal_um);
+        tool
+    }
+
+    /// The die before the head; `run` draws surface grain and noise, and a die as built.
+    pub fn world(&self, rig: &Rig, built: bool, run: u64) -> WorldConfig {
+        let mut config = self.die.clone();
+        config.optics = rig.optics.clone();
+        config.head_seed = rig.head_seed;
+        config.run_seed = run;
+        if built {
+            config.form = Form {
+                flanks_um: FLANKS_UM,
+                flanks_seed: run,
+                ..Form::default()
+            };
+        }
+        config
+    }
+}
+
+pub(super) fn flank(of_cad: CadFlank) -> Flank {
+    match of_cad {
+        CadFlank::Left => Flank::Left,
+        CadFlank::Right => Flank::Right,
+    }
+}
+
+/// Does `each` for all numbers below `count` on all cores, each wholly on one; results in order.
+pub(super) fn on_all_cores<T: Send>(
+    count: u32,
+    each: impl Fn(u32) -> anyhow::Result<T> + Sync,
+) -> anyhow::Result<Vec<T>> {
+    use std::sync::atomic::{AtomicU32, Ordering};
+    let next = AtomicU32::new(0);
+    let worker = || {
+        let mut done = Vec::new();
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= count {
+                return Ok(done);
+            }
+            done.push((number, each(number)?));
+        }
+    };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let found: Vec<anyhow::Result<Vec<(u32, T)>>> = std::thread::scope(|scope| {
+        let running: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        let joined = running.into_iter().map(|thread| thread.join());
+        joined
+            .map(|found| found.unwrap_or_else(|_| Err(anyhow::anyhow!("a block panicked"))))
+            .collect()
+    });
+    let mut all = Vec::new();
+    for found in found {
+        all.extend(found?);
+    }
+    all.sort_by_key(|(number, _)| *number);
+    Ok(all.into_iter().map(|(_, found)| found).collect())
+}

@@ -1,0 +1,234 @@
+//! What many captures of one row say together.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use super::Group;
+use super::block::Found;
+
+/// One flank in one capture.
+#[derive(Clone, Debug, Serialize)]
+pub struct Sample {
+    /// The block: its head, calibration, die and place.
+    pub block: u32,
+    /// True value of what is measured, µm.
+    pub truth_um: f64,
+    /// What was measured, where it was.
+    #[serde(flatten)]
+    pub figure: Option<Figure>,
+    /// `go`, `warn`, `no-go` or `indeterminate`.
+    pub verdict: String,
+    /// Why it is not go.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Short name of that reason, if it is indeterminate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub code: Option<&'static str>,
+}
+
+/// A measured depth.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Figure {
+    /// Wear, µm.
+    pub value_um: f64,
+    /// Expanded uncertainty, µm.
+    pub u95_um: f64,
+    /// Least depth that counts as detected, µm.
+    pub detection_limit_um: f64,
+}
+
+impl Sample {
+    /// Measured minus true, µm, with its expanded uncertainty.
+    fn error_um(&self) -> Option<[f64; 2]> {
+        let figure = self.figure?;
+        Some([figure.value_um - self.truth_um, figure.u95_um])
+    }
+
+    fn is(&self, verdicts: &[&str]) -> bool {
+        verdicts.contains(&self.verdict.as_str())
+    }
+
+    /// Whether it was let pass.
+    #[must_use]
+    pub fn passed(&self) -> bool {
+        self.is(&["go", "warn"])
+    }
+
+    /// Whether it raised an alarm.
+    #[must_use]
+    pub fn alarmed(&self) -> bool {
+        self.is(&["warn", "no-go"])
+    }
+}
+
+/// All samples of one row.
+#[derive(Clone, Debug, Serialize)]
+pub struct Cell {
+    /// Name of the row.
+    pub name: String,
+    /// What it is about.
+    pub group: Group,
+    /// Flanks in captures.
+    pub samples: Vec<Sample>,
+    /// Mean budget: source and standard uncertainty, µm.
+    pub budget_um: BTreeMap<&'static str, f64>,
+}
+
+/// How many of how many, and in how many blocks of how many at least once.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Share {
+    pub hits: usize,
+    pub of: usize,
+    pub blocks_hit: usize,
+    pub blocks: usize,
+}
+
+impl Share {
+    /// Counts the samples for which `hit` holds.
+    pub fn of<'a>(
+        samples: impl Iterator<Item = &'a Sample>,
+        hit: impl Fn(&Sample) -> bool,
+    ) -> Self {
+        let (mut all, mut hits) = (BTreeSet::new(), BTreeSet::new());
+        let mut share = Self::default();
+        for sample in samples {
+            share.of += 1;
+            all.insert(sample.block);
+            if hit(sample) {
+                share.hits += 1;
+                hits.insert(sample.block);
+            }
+        }
+        Self {
+            blocks_hit: hits.len(),
+            blocks: all.len(),
+            ..share
+        }
+    }
+}
+
+impl Cell {
+    pub(super) fn new(name: String, group: Group) -> Self {
+        Self {
+            name,
+            group,
+            samples: Vec::new(),
+            budget_um: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn add(&mut self, block: u32, found: Found) {
+        let feature = found.feature;
+        let figure = match (feature.wear_um, feature.u95_um, &feature.detail) {
+            (Some(value_um), Some(u95_um), Some(detail)) => {
+                let n = (self.figures().count() + 1) as f64;
+                for (name, um) in &detail.budget_um {
+                    let mean = self.budget_um.entry(name).or_default();
+                    *mean += (um - *mean) / n;
+                }
+                Some(Figure {
+                    value_um,
+                    u95_um,
+                    detection_limit_um: detail.detection_limit_um,
+                })
+            }
+            _ => None,
+        };
+        self.samples.push(Sample {
+            block,
+            truth_um: found.truth_um,
+            figure,
+            verdict: feature.verdict.to_string(),
+            reason: feature.reason,
+            code: feature.code.map(|code| code.word()),
+        });
+    }
+
+    fn figures(&self) -> impl Iterator<Item = &Figure> {
+        self.samples.iter().filter_map(|s| s.figure.as_ref())
+    }
+
+    fn mean(values: impl Iterator<Item = f64>) -> f64 {
+        let (sum, count) = values.fold((0.0, 0.0), |(sum, n), x| (sum + x, n + 1.0));
+        sum / count
+    }
+
+    fn errors_um(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        self.samples.iter().filter_map(Sample::error_um)
+    }
+
+    /// Mean of the truth, µm.
+    #[must_use]
+    pub fn truth_um(&self) -> f64 {
+        Self::mean(self.samples.iter().map(|s| s.truth_um))
+    }
+
+    /// Mean error, µm.
+    #[must_use]
+    pub fn bias_um(&self) -> f64 {
+        Self::mean(self.errors_um().map(|e| e[0]))
+    }
+
+    /// Standard deviation of the error, µm.
+    #[must_use]
+    pub fn spread_um(&self) -> f64 {
+        let mean = self.bias_um();
+        let n = self.errors_um().count() as f64;
+        let squares: f64 = self.errors_um().map(|e| (e[0] - mean).powi(2)).sum();
+        (squares / (n - 1.0).max(1.0)).sqrt()
+    }
+
+    /// Largest error, without its sign, µm.
+    #[must_use]
+    pub fn worst_um(&self) -> f64 {
+        self.errors_um().map(|e| e[0].abs()).fold(0.0, f64::max)
+    }
+
+    /// How many figures have their truth within their 95 % interval.
+    pub(super) fn held(&self) -> Share {
+        let measured = self.samples.iter().filter(|s| s.figure.is_some());
+        Share::of(measured, |s| {
+            s.error_um().is_some_and(|[error, u95]| error.abs() <= u95)
+        })
+    }
+
+    /// Share of figures with their truth within their 95 % interval.
+    #[must_use]
+    pub fn coverage(&self) -> f64 {
+        let held = self.held();
+        held.hits as f64 / held.of as f64
+    }
+
+    /// Mean limit of detection that the instrument states, µm.
+    #[must_use]
+    pub fn detection_limit_um(&self) -> f64 {
+        Self::mean(self.figures().map(|f| f.detection_limit_um))
+    }
+
+    /// Mean expanded uncertainty that the instrument states, µm.
+    #[must_use]
+    pub fn u95_um(&self) -> f64 {
+        Self::mean(self.figures().map(|f| f.u95_um))
+    }
+
+    /// Numbers of go, warn, no-go, indeterminate.
+    #[must_use]
+    pub fn verdicts(&self) -> [usize; 4] {
+        ["go", "warn", "no-go", "indeterminate"]
+            .map(|word| self.samples.iter().filter(|s| s.is(&[word])).count())
+    }
+
+    pub(super) fn line(&self) -> String {
+        let [go, warn, no_go, open] = self.verdicts();
+        format!(
+            "{:<60} true {:>6.2} bias {:>6.2} sd {:>5.2} U95 {:>5.2} coverage {:>3.0} %  go {go} warn {warn} no-go {no_go} open {open}",
+            self.name,
+            self.truth_um(),
+            self.bias_um(),
+            self.spread_um(),
+            self.u95_um(),
+            100.0 * self.coverage(),
+        )
+    }
+}

@@ -1,0 +1,36 @@
+//! What a capture should find, from the damage's closed form: nothing measured, and nothing of the die's form as built.
+
+use flankscope_gear_cad::{Flank, GearSpec};
+use flankscope_metrology::tool::Tool;
+
+use flankscope_bench::damage::{Rectangle, largest_mean_um};
+use flankscope_bench::world::{FlankId, Wear, WearField};
+
+/// The rectangle that is judged of a flank, and the disc's area, mm².
+pub(super) fn judged(tool: &Tool) -> anyhow::Result<(Rectangle, f64)> {
+    let (Some(data), Some(zone), Some(inspect)) = (&tool.gear, tool.zone(), &tool.inspect) else {
+        anyhow::bail!("the demo tool has no zone");
+    };
+    let rectangle = Rectangle {
+        profile_mm: zone.radius_mm.map(|radius| data.profile_mm(radius)),
+        height_mm: zone.height_mm,
+    };
+    Ok((rectangle, inspect.wear_area_mm2))
+}
+
+/// The measurand of built-in wear: the largest mean of the true depth over any disc of the tool's area in the zone, µm.
+pub(super) fn of_wear_um(
+    tool: &Tool,
+    gear: &GearSpec,
+    wear: &[Wear],
+    (tooth, flank): (u32, Flank),
+) -> anyhow::Result<f64> {
+    let (rectangle, area_mm2) = judged(tool)?;
+    let field = WearField::new(gear, wear)?;
+    let base = gear.base_radius_mm();
+    Ok(largest_mean_um(rectangle, area_mm2, |profile, height| {
+        // Profile length s from the base circle: r2 = rb2 + 2 rb s.
+        let radius = (base * base + 2.0 * base * profile).sqrt();
+        field.depth_mm(FlankId { tooth, flank }, radius, height)
+    }))
+}
