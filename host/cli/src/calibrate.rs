@@ -6,15 +6,15 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use flankscope_foundation::date::{self, Date};
 use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::Target;
-use flankscope_profilometry::date::Date;
 use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
-use flankscope_station::origin::{Link, Setting, now};
+use flankscope_station::origin::{Link, Setting};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
@@ -113,7 +113,7 @@ impl<'a> Made<'a> {
             simulated: link.map(Link::is_simulated),
             station: &setting.station,
             operator: setting.operator.as_deref(),
-            date: now(),
+            date: date::now(),
         }
     }
 }

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use flankscope_foundation::date;
 use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_station::inspection::Inspection;
-use flankscope_station::origin::now;
 use flankscope_station::report::{LatestPage, ReportFolder, figure};
 use flankscope_station::sink::LinesFile;
 use flankscope_station::watch::{Checked, Told, WatchSettings};
@@ -101,7 +101,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         "simulated": setting.link.is_simulated(),
         "station": setting.station,
         "operator": setting.operator,
-        "date": now(),
+        "date": date::now(),
         "shown": shown.word(),
         "checks": log.checks,
         "truth": truth,

@@ -1,8 +1,8 @@
 //! Points against CAD: meshes, registration, exact deviation, wear, verdict.
 //!
 //! ```text
-//!  io            other people's meshes and clouds, checked where they enter
 //!  space         frames of reference, boxes, order in space
+//!  io            other people's meshes and clouds, checked where they enter
 //!  cloud         points by themselves: neighbours, outliers, merging
 //!  surface       triangles: exact signed distance, random points
 //!  gear          teeth and flanks, ISO 1328 evaluation

@@ -4,6 +4,7 @@ mod support;
 
 use std::f64::consts::TAU;
 
+use flankscope_foundation::normal::guard_factor;
 use flankscope_gear_cad::GearSpec;
 use flankscope_metrology::gear::evaluation::{
     GearEvaluation, GearEvaluationError, NotTold, Quantity, Settings, evaluate,
@@ -11,7 +12,7 @@ use flankscope_metrology::gear::evaluation::{
 use flankscope_metrology::gear::{Flank, GearData, Kind};
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::surface::sampling;
-use flankscope_metrology::verdict::{PROBABILITY, guard_factor};
+use flankscope_metrology::verdict::PROBABILITY;
 use support::{mesh_of, on_every_ring84, ring84_spec};
 
 fn gear(kind: Kind) -> GearData {

@@ -46,7 +46,6 @@ pub mod accumulate;
 pub mod calibrate;
 pub mod cells;
 pub mod cloud;
-pub mod date;
 pub mod decode;
 pub mod frame;
 pub mod head;
@@ -54,7 +53,6 @@ pub mod io;
 pub mod pattern;
 pub mod phase;
 pub mod plan;
-pub mod textfile;
 pub mod triangulate;
 pub mod unwrap;
 

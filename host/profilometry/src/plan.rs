@@ -8,7 +8,7 @@ use crate::frame::FrameKind;
 use crate::head::Sensor;
 use crate::io::images::{GreyImage, ImageError, list_pngs, load_grey_png};
 use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
-use crate::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// A plan: patterns, exposures and, for every frame, its image.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bench_scene::{HEIGHT, Light, WIDTH, accumulate, capture, columns, head, plane};
-use flankscope_profilometry::date::Date;
+use flankscope_foundation::date::Date;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{DecodeError, GridKind};
 use flankscope_profilometry::head::{CoreMap, CoreMapError};

@@ -3,9 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-use flankscope_profilometry::date::Date;
 use serde::Serialize;
 
 /// What the instrument's controller is.
@@ -148,25 +146,6 @@ pub(crate) fn looked_at(simulated: bool) -> &'static str {
     }
 }
 
-/// This moment by the host's clock: ISO 8601, UTC, to the second.
-#[must_use]
-pub fn now() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    moment(since.map_or(0, |since| since.as_secs()))
-}
-
-fn moment(seconds: u64) -> String {
-    const DAY: u64 = 86_400;
-    let day = Date::of_days(seconds / DAY);
-    let of_day = seconds % DAY;
-    format!(
-        "{day}T{:02}:{:02}:{:02}Z",
-        of_day / 3600,
-        of_day / 60 % 60,
-        of_day % 60
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -181,13 +160,6 @@ mod tests {
             );
         }
         assert!("".parse::<Link>().is_err());
-    }
-
-    #[test]
-    fn moments_are_written_in_utc() {
-        assert_eq!(moment(0), "1970-01-01T00:00:00Z");
-        assert_eq!(moment(951_827_696), "2000-02-29T12:34:56Z");
-        assert_eq!(moment(4_102_444_799), "2099-12-31T23:59:59Z");
     }
 
     #[test]

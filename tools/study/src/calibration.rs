@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_foundation::date::Date;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::calibrate::{Sighting, adjust};
-use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_profilometry::{

@@ -13,6 +13,7 @@ const CONTROLLER: &str = "firmware/controller";
 const PIN_WIRE: &str = "firmware/pin-wire";
 const SIM: &str = "firmware/sim";
 const FRAMES: &str = "host/frames";
+const FOUNDATION: &str = "host/foundation";
 const PROFILOMETRY: &str = "host/profilometry";
 const METROLOGY: &str = "host/metrology";
 const STATION: &str = "host/station";
@@ -27,6 +28,7 @@ const EVERYTHING: &[&str] = &[
     PIN_WIRE,
     SIM,
     FRAMES,
+    FOUNDATION,
     PROFILOMETRY,
     METROLOGY,
     STATION,
@@ -45,13 +47,25 @@ const ROOMS: &[Room] = &[
     ("firmware/mps2-an386", &[PROTOCOL, CONTROLLER, PIN_WIRE]),
     ("firmware/nucleo-h743zi", &[PROTOCOL, CONTROLLER]),
     (FRAMES, &[PROTOCOL]),
-    (PROFILOMETRY, &[]),
-    (METROLOGY, &[]),
-    (STATION, &[PROTOCOL, FRAMES, PROFILOMETRY, METROLOGY]),
+    (FOUNDATION, &[]),
+    (PROFILOMETRY, &[FOUNDATION]),
+    (METROLOGY, &[FOUNDATION]),
+    (
+        STATION,
+        &[PROTOCOL, FRAMES, FOUNDATION, PROFILOMETRY, METROLOGY],
+    ),
     // The bench is a separate process; the command only embeds it, behind a feature.
     (
         CLI,
-        &[FRAMES, PROFILOMETRY, METROLOGY, STATION, BENCH, DEMO],
+        &[
+            FRAMES,
+            FOUNDATION,
+            PROFILOMETRY,
+            METROLOGY,
+            STATION,
+            BENCH,
+            DEMO,
+        ],
     ),
     // Nothing that decodes, registers or judges: a world that shares a formula with the instrument proves nothing.
     (
@@ -63,6 +77,7 @@ const ROOMS: &[Room] = &[
         &[
             PROTOCOL,
             FRAMES,
+            FOUNDATION,
             PROFILOMETRY,
             METROLOGY,
             STATION,

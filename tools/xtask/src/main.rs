@@ -17,6 +17,7 @@
 //! | `ci` | all of it, in the order of `.ci/run` |
 
 mod bench;
+mod circles;
 mod deps;
 mod elf;
 mod firmware;
@@ -32,7 +33,7 @@ fn main() -> ExitCode {
     let result = match words.as_slice() {
         ["test"] => test(false),
         ["test", "--all"] => test(true),
-        ["deps"] => deps::check(&root()),
+        ["deps"] => arrows(&root()),
         ["lint"] => lint(),
         ["doc"] => doc(),
         ["firmware"] => firmware::build(&root()),
@@ -87,7 +88,7 @@ fn test(all: bool) -> Result<(), String> {
         cargo.env("FLANKSCOPE_TEST_ALL", "1");
     }
     run(cargo)?;
-    deps::check(&root())?;
+    arrows(&root())?;
     match missing.len() {
         0 => eprintln!("every test ran"),
         count => eprintln!(
@@ -169,7 +170,7 @@ fn ci() -> Result<(), String> {
     test(true)?;
     lint()?;
     doc()?;
-    deps::check(&root())?;
+    arrows(&root())?;
     demo()?;
     firmware::qemu(&root())
 }
@@ -187,4 +188,10 @@ fn run(mut command: Command) -> Result<(), String> {
         Ok(status) => Err(format!("{command:?} ended with {status}")),
         Err(error) => Err(format!("{command:?} could not start: {error}")),
     }
+}
+
+/// The arrows between the crates, and within them.
+fn arrows(root: &Path) -> Result<(), String> {
+    deps::check(root)?;
+    circles::check(root)
 }

@@ -1,7 +1,9 @@
-//! Frames of reference, boxes, and an order in which neighbours in space follow each other.
+//! Frames of reference, boxes, the normal of a triangle, and an order in which neighbours in space follow each other.
 
 mod bounds;
 pub mod frames;
 pub(crate) mod morton;
+mod normal;
 
 pub use bounds::Aabb;
+pub(crate) use normal::unit_normal;

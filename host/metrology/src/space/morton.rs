@@ -17,7 +17,7 @@ const CHUNK: usize = 1 << 16;
 /// The same, for points that are in order.
 const PIECE: usize = 1 << 10;
 /// Neighbours are asked about together, so many at a time.
-const TOGETHER: usize = crate::surface::bvh::QUERIES;
+pub(crate) const TOGETHER: usize = 8;
 /// Points that fill a surface as large as the square of their box's diagonal are diagonal / sqrt(points) apart, and a patch
 /// of [`TOGETHER`] of them is some three of that wide. Up to four times as wide, an order is as good as it needs to be.
 const WIDE: f64 = 12.0;

@@ -19,9 +19,9 @@ use crate::io::mesh::{MeshError, TriMesh, weld};
 use crate::simd;
 use crate::space::Aabb;
 use crate::space::morton::map_along_curve;
+use crate::space::unit_normal;
 use bvh::{Bvh, Found, PacketScratch, QUERIES};
 pub use triangle::Feature;
-use triangle::unit_normal;
 
 /// Points per parallel task. Fixed, so that hints and sums, and with them every bit, do not depend on the thread count.
 pub const CHUNK: usize = 1024;

@@ -8,8 +8,8 @@
 use nalgebra::Vector3;
 use wide::f32x4;
 
+use crate::space::unit_normal;
 use crate::surface::bvh::{Each, QUERIES, larger, smaller};
-use crate::surface::triangle::unit_normal;
 
 /// Triangles per leaf.
 pub(crate) const LANES: usize = 4;

@@ -30,10 +30,7 @@ pub use class::holds_class;
 pub use latch::{Latch, Shown};
 pub use policy::{Undecided, combine};
 pub use reason::{Code, Reason, UnknownCode};
-pub use rule::{
-    PROBABILITY, Rule, decide, decide_parts, guard_factor, probability_below,
-    repeating_could_decide,
-};
+pub use rule::{PROBABILITY, Rule, decide, decide_parts, repeating_could_decide};
 pub use word::{UnknownWord, Word};
 
 /// What the instrument says.

@@ -6,11 +6,11 @@
 use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::dots::quantile;
 use super::least_squares::{Normal, Problem};
 use super::model::{FIELD, Look, OF_PLATE, OF_VIEW, SHARED, Scene, head_unknowns};
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
+use flankscope_foundation::order::quantile;
 
 /// What does not change.
 pub(crate) struct Setting<'a> {

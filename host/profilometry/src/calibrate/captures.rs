@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::adjust::LEAST_VIEWS;
 use super::target::Target;
-use crate::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// The manifest of a folder of captures. All folders named are relative to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

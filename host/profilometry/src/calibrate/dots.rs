@@ -3,6 +3,7 @@
 //! The cells of a fibre bundle are few and lie irregularly (a dot covers some fifty), so a centre of gravity would carry
 //! their pattern. Instead the image of a dot, an ellipse with a soft rim on evenly rising white, is fitted to them.
 
+use flankscope_foundation::order::quantile;
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -280,15 +281,6 @@ fn within<'a>(
         let [x, y] = places[index];
         (x - at[0]).hypot(y - at[1]) <= reach_px
     })
-}
-
-/// The value below which a part of the others lies; `None` of none.
-pub(crate) fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let place = (part * (values.len() - 1) as f64).round() as usize;
-    Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
 
 /// An ellipse with a soft rim on white that rises evenly. Offsets in radii of the blob.

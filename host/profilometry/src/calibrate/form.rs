@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vector4};
 
-use super::dots::quantile;
+use flankscope_foundation::order::quantile;
 
 /// What is left over after a fit.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,7 +4,9 @@
 use std::collections::{HashMap, VecDeque};
 
 use super::CalibrateError;
-use super::dots::{Dot, quantile};
+use flankscope_foundation::order::quantile;
+
+use super::dots::Dot;
 
 /// A dot is large if its radius exceeds the median by this; the target's large dots do by a quarter at least.
 const LARGE: f64 = 1.15;

@@ -176,8 +176,8 @@ pub enum CalibrateError {
     },
 }
 
-impl From<crate::textfile::BadValue> for CalibrateError {
-    fn from(bad: crate::textfile::BadValue) -> Self {
+impl From<flankscope_foundation::textfile::BadValue> for CalibrateError {
+    fn from(bad: flankscope_foundation::textfile::BadValue) -> Self {
         Self::Head {
             key: bad.key,
             got: bad.got,

@@ -1,8 +1,8 @@
 //! What an adjustment writes into the head's file.
 
 use super::adjust::Adjusted;
-use crate::date::Date;
 use crate::head::{CalibrationRecord, FRAMES, HeadModel, HoldOut, geometry_blake3};
+use flankscope_foundation::date::Date;
 
 impl CalibrationRecord {
     /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields.

@@ -7,9 +7,9 @@ use super::form;
 use super::model::isometry;
 use super::target::{Sphere, Target};
 use crate::cloud::CellColumn;
-use crate::date::Date;
 use crate::head::{HeadModel, RigidTransform, SelfTest};
 use crate::triangulate::HeadTriangulator;
+use flankscope_foundation::date::Date;
 
 /// Why a self-test says nothing.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::head::{Limits, RigidTransform};
-use crate::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// Plates and a sphere on a carrier that sits where the die does. Millimetres, radians.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::HeadModel;
-use crate::date::Date;
-use crate::textfile::BadValue;
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::BadValue;
 
 /// Where a head's geometry comes from, how good it is, and until when it counts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::residual::ResidualField;
-use crate::textfile::BadValue;
+use flankscope_foundation::textfile::BadValue;
 
 /// Pinhole with radial and tangential distortion: Brown's model in OpenCV's order and with OpenCV's conventions.
 ///

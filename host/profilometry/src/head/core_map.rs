@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::date::Date;
-use crate::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// Cores of a bundle in the camera's image.
 #[derive(Clone, Debug, PartialEq)]

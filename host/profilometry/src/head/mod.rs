@@ -17,9 +17,9 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::date::Date;
 use crate::io::opencv::is_file_storage;
-use crate::textfile::{self, BadValue};
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::{self, BadValue};
 
 pub use calibration::{CalibrationRecord, HoldOut, RecordError};
 pub(crate) use calibration::{FRAMES, geometry_blake3};

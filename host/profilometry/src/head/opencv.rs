@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::{HeadModel, Pinhole, RigidTransform};
 use crate::io::opencv::Storage;
-use crate::textfile::TextFileError;
+use flankscope_foundation::textfile::TextFileError;
 
 /// Camera, projector and their pose from a FileStorage text. The sensor, the volume and the stage stay unknown.
 pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadModel, TextFileError> {

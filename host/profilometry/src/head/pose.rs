@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::textfile::BadValue;
+use flankscope_foundation::textfile::BadValue;
 
 /// A rotation and a translation, named `<to>_from_<from>` where it is used.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::textfile::BadValue;
+use flankscope_foundation::textfile::BadValue;
 
 /// Coefficients along a side.
 pub const SIDE: usize = 10;

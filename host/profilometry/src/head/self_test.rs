@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::date::Date;
-use crate::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// Largest errors that a head may show, and how often that is to be asked.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

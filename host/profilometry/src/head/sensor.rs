@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::textfile::BadValue;
+use flankscope_foundation::textfile::BadValue;
 
 /// From counts to electrons: `electrons = (dn - offset_dn) gain_e_per_dn`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

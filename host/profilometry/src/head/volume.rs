@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::textfile::BadValue;
+use flankscope_foundation::textfile::BadValue;
 
 /// Depths that can be measured, along the camera's axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::textfile::{TextFileError, line_of_offset};
+use flankscope_foundation::textfile::{TextFileError, line_of_offset};
 
 /// One named node: its numbers, in row order, and the line it starts on.
 struct Node {

@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use flankscope_foundation::date::Date;
 use flankscope_profilometry::calibrate::{SelfTestError, Target};
 use flankscope_profilometry::cloud::CellColumn;
-use flankscope_profilometry::date::Date;
 use flankscope_profilometry::head::SelfTest;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
 

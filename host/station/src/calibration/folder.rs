@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::date::Date;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::calibrate::{Captures, StagePose, Target};
 use flankscope_profilometry::cloud::CellColumn;
-use flankscope_profilometry::date::Date;
 use flankscope_profilometry::head::CoreMap;
 use flankscope_profilometry::head::SelfTest;
 use flankscope_profilometry::plan::Plan;

@@ -113,7 +113,7 @@ fn back_again(distance_um: f64, rate_um: f64, wander_um: f64, cycles: f64) -> f6
 }
 
 fn normal(z: f64) -> f64 {
-    flankscope_metrology::verdict::probability_below(z, 0.0, 1.0)
+    flankscope_foundation::normal::probability_below(z, 0.0, 1.0)
 }
 
 /// Logarithm of the normal distribution, also where it is too small for a float.

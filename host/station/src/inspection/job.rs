@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use flankscope_foundation::date::{self, Date};
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::date::Date;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder};
 
 use super::evidence::{Phasors, Recipe};
@@ -18,7 +18,7 @@ use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::acquisition::{Acquisition, AcquisitionError, AfterStop, Progress, Run, Stop, never};
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
-use crate::origin::{self, HeadId, Origin, Setting};
+use crate::origin::{HeadId, Origin, Setting};
 use crate::settings::StationSettings;
 use crate::sink::{ResultSink, SinkError};
 use flankscope_frames::{SharedRoot, monotonic_ns};
@@ -241,7 +241,7 @@ impl Station {
             peak_memory_mb: peak_memory_mb(),
             registration: found.registration,
             origin: self.subject.origin(&self.setting),
-            date: origin::now(),
+            date: date::now(),
             tool: self.subject.tool.name.clone(),
             temperature_degc: self.subject.temperature_degc,
             versions,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
+use flankscope_foundation::date;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{Solution, ViewInformation};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
@@ -18,7 +19,6 @@ use super::result::{
 };
 use super::stitch::Stitched;
 use crate::inspection::{Feature, FrameCount, PlannedView, Timing, calibration_um};
-use crate::origin;
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -71,7 +71,7 @@ impl Scanner {
         );
         Ok(Scan {
             origin: self.subject.origin(&self.setting),
-            date: origin::now(),
+            date: date::now(),
             verdict,
             reason,
             features,

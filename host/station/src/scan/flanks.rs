@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
+use flankscope_foundation::order;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
@@ -148,8 +149,7 @@ fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -
 /// The middle one of the finite values; none without any.
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    order::median(&mut values)
 }
 
 /// How the form of a die's flanks scatters about the median of each side, mm.

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use flankscope_foundation::date::Date;
 use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
-use flankscope_profilometry::date::Date;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 

@@ -14,8 +14,8 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 use flankscope_metrology::multiview::adjustment::Local;
-use flankscope_profilometry::textfile::{self, BadValue, TextFileError};
 use serde::{Deserialize, Serialize};
 
 use crate::controller::ClientSettings;

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::{FlankPoint, Settings};
 use crate::gear::{Flank, GearData};
-use crate::verdict::guard_factor;
+use flankscope_foundation::normal::guard_factor;
 
 /// Of the roll length from control radius to tip form radius this much is evaluated, from the root end on: tips are rounded.
 const EVALUATED_SHARE: f64 = 0.95;

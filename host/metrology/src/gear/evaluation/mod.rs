@@ -37,7 +37,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::gear::{Flank, GearData};
-use crate::verdict::guard_factor;
+use flankscope_foundation::normal::guard_factor;
 use limits::{roll_mm, standard_of_u95};
 use not_told::{joined, split};
 use trace::{Course, Problem, Sample};

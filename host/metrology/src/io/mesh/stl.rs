@@ -136,7 +136,7 @@ pub fn write_stl(out: &mut dyn Write, mesh: &TriMesh) -> io::Result<()> {
     out.write_all(&count.to_le_bytes())?;
     for index in 0..mesh.triangles.len() {
         let corners = mesh.corners(index);
-        let normal = crate::surface::triangle::unit_normal(corners).unwrap_or([0.0; 3]);
+        let normal = crate::space::unit_normal(corners).unwrap_or([0.0; 3]);
         let mut record = [0u8; RECORD_BYTES];
         for (i, value) in normal.iter().chain(corners.as_flattened()).enumerate() {
             record[4 * i..4 * i + 4].copy_from_slice(&(*value as f32).to_le_bytes());

@@ -14,7 +14,7 @@ use super::{Bvh, Found, STACK, WIDTH, coarse};
 use crate::surface::triangle_packet::{ERROR_RATIO, LANES};
 
 /// Queries per packet.
-pub(crate) const QUERIES: usize = 8;
+pub(crate) const QUERIES: usize = crate::space::morton::TOGETHER;
 
 /// One number per query.
 pub(crate) type Each = [f32; QUERIES];

@@ -1,5 +1,6 @@
 //! Centres, brightness and the common width of all cores' images together, by least squares.
 
+use flankscope_foundation::order::median;
 use rayon::prelude::*;
 
 use super::FindError;
@@ -224,8 +225,7 @@ impl<'a> Fit<'a> {
 
     fn median_amplitude(&self) -> f64 {
         let mut amplitudes: Vec<f64> = self.spots.iter().map(|spot| spot.amplitude).collect();
-        let middle = amplitudes.len() / 2;
-        *amplitudes.select_nth_unstable_by(middle, f64::total_cmp).1
+        median(&mut amplitudes).unwrap_or(0.0)
     }
 
     /// The cores that stayed where their peaks were and do not share their place with a brighter one.

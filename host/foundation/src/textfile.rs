@@ -102,7 +102,10 @@ pub fn read(path: &Path) -> Result<String, TextFileError> {
 }
 
 /// Reads a text file of at most `limit_bytes`.
-pub(crate) fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFileError> {
+///
+/// # Errors
+/// As [`read`].
+pub fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFileError> {
     let failed = |source| TextFileError::Read {
         path: path.to_owned(),
         source,
@@ -142,7 +145,8 @@ pub fn parse_toml<T: serde::de::DeserializeOwned>(
     })
 }
 
-pub(crate) fn line_of_offset(text: &str, offset: usize) -> usize {
+/// The line, from 1, on which the byte at `offset` stands.
+pub fn line_of_offset(text: &str, offset: usize) -> usize {
     1 + text.as_bytes()[..offset.min(text.len())]
         .iter()
         .filter(|&&byte| byte == b'\n')

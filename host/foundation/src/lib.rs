@@ -1,0 +1,24 @@
+//! The ground floor of the host: what more than one library needs and none should write again.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`date`] | calendar days and moments, ISO 8601, UTC |
+//! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
+//! | [`order`] | quantiles and medians |
+//! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
+//!
+//! It depends on no room of this workspace; every library and program of the host may depend on it.
+//!
+//! ```
+//! use flankscope_foundation::{date::Date, normal::guard_factor, order::median};
+//! let calibrated: Date = "2026-01-31".parse()?;
+//! assert_eq!(calibrated.plus_days(30).to_string(), "2026-03-02");
+//! assert_eq!(median(&mut [3.0, 1.0, 2.0]), Some(2.0));
+//! assert!((guard_factor(0.975) - 1.96).abs() < 1e-4);
+//! # Ok::<(), flankscope_foundation::date::NoDate>(())
+//! ```
+
+pub mod date;
+pub mod normal;
+pub mod order;
+pub mod textfile;
