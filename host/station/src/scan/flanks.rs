@@ -601,7 +601,7 @@ mod tests {
         let whole = zones(84, 9, 0.0);
         assert_eq!(whole.len(), 1);
         assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
-        assert_eq!(zones(12, 9, 0.0).len(), 9);
+        assert_eq!(zones(12, 8, 0.0).len(), 8);
         // Layers 9.43 mm apart: seven bands of 8 mm, 56 of 66 mm.
         let bands = zones(84, 7, 0.0);
         assert_eq!(bands.len(), 7);
