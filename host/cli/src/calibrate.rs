@@ -8,8 +8,9 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{CalibrationRecord, SelfTest, Target};
+use flankscope_profilometry::calibrate::Target;
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use flankscope_profilometry::calibration::{HeadModel, Sensor};
-use flankscope_profilometry::consistency::ConsistencyOptions;
+use flankscope_profilometry::decode::ConsistencyOptions;
+use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
     Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
 };
-use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::head::{HeadModel, Sensor};
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
 

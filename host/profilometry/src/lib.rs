@@ -1,20 +1,31 @@
 //! Fringe images to points with a standard uncertainty each.
 //!
 //! ```text
-//!  frames (borrowed)            accumulate            phase         unwrap          triangulate        decode
-//!  dark, then exposure by  ->  one phasor per  ->  phase and  ->  absolute    ->  camera ray x    ->  Cloud: mm, camera frame,
-//!  exposure, set by set,       cell and set        sigma_phi      phase           sheet of light      sigma_z per point
-//!  step by step
+//!  frame        one camera frame, borrowed where it lies
+//!  pattern      the projected fringes: frequencies and their phase steps
+//!  io           other people's files: grey images, OpenCV calibrations
+//!  head         camera, projector, sensor, core map, calibration record (`head.toml`)
+//!  cells        which pixels make a cell: blocks of them, or the cores of a bundle
+//!  accumulate   frames to one phasor per cell and frequency, streaming
+//!  phase        phasor to wrapped phase, modulation and their standard uncertainty
+//!  unwrap       wrapped phases of several frequencies to one absolute phase
+//!  triangulate  camera ray and projector column to a depth
+//!  cloud        points, and why other cells gave none
+//!  decode       the whole way, made once per head: sums of a view to a cloud (mm, camera frame, sigma_z per point)
+//!  plan         somebody's capture: which image shows which frame
+//!  calibrate    captures of a target to a head, and the head's self-test
 //! ```
 //!
+//! A floor uses those above it in this list, never one below.
+//!
 //! No frame is ever copied or kept: each is read once, while it is added. What a *cell* is (a pixel, a block of pixels,
-//! or a core of the fibre bundle) is decided by [`grid::Grid`]; the instrument's geometry comes from [`calibration::HeadModel`], the
+//! or a core of the fibre bundle) is decided by [`cells::Grid`]; the instrument's geometry comes from [`head::HeadModel`], the
 //! projected patterns from [`pattern::PatternSet`]. [`decode::Decoder`] joins them and is made once per head.
 //!
 //! Depends on nothing of the instrument: `station` and `cli` use it, it uses neither, and it does not know `metrology`.
 //!
 //! ```
-//! use flankscope_profilometry::{decode::{DecodeOptions, Decoder}, calibration::HeadModel, frame::{FrameKind, FrameView}, pattern::PatternSet};
+//! use flankscope_profilometry::{decode::{DecodeOptions, Decoder}, head::HeadModel, frame::{FrameKind, FrameView}, pattern::PatternSet};
 //! # fn frames() -> Vec<(Vec<u16>, FrameKind)> { Vec::new() }
 //! # fn run(head: &HeadModel) -> Result<(), Box<dyn std::error::Error>> {
 //! let patterns = PatternSet::named("insitu12")?;
@@ -33,35 +44,22 @@
 
 pub mod accumulate;
 pub mod calibrate;
-pub mod calibration;
-pub mod camera;
-mod cell_row;
+pub mod cells;
 pub mod cloud;
-pub mod consistency;
-pub mod cores;
 pub mod date;
 pub mod decode;
 pub mod frame;
-pub mod grid;
-pub mod images;
-pub mod mask;
-mod neighbours;
-mod opencv;
-pub mod options;
+pub mod head;
+pub mod io;
 pub mod pattern;
 pub mod phase;
-pub mod phasors;
 pub mod plan;
-mod rays;
-pub mod residual;
-pub mod smoothing;
 pub mod textfile;
 pub mod triangulate;
 pub mod unwrap;
 
-pub use accumulate::Accumulator;
-pub use calibration::HeadModel;
+pub use accumulate::{Accumulator, PhasorsError};
 pub use decode::{Cloud, DecodeError, DecodeOptions, Decoded, Decoder};
 pub use frame::{FrameError, FrameKind, FrameLevel, FrameView};
+pub use head::HeadModel;
 pub use pattern::{FringeSet, PatternSet};
-pub use phasors::PhasorsError;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::calibration::Sensor;
 use crate::frame::FrameKind;
-use crate::images::{GreyImage, ImageError, list_pngs, load_grey_png};
+use crate::head::Sensor;
+use crate::io::images::{GreyImage, ImageError, list_pngs, load_grey_png};
 use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
 use crate::textfile::{self, BadValue, TextFileError};
 

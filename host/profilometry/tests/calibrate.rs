@@ -4,7 +4,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{
     CalibrateError, Dots, Mark, Plate, Sighting, StagePose, Target, adjust,
 };
-use flankscope_profilometry::calibration::{DepthRange, ImageCircle, Pinhole, RigidTransform};
+use flankscope_profilometry::head::{DepthRange, ImageCircle, Pinhole, RigidTransform};
 use flankscope_profilometry::triangulate::Triangulator;
 
 const STAGE_SIGMA: [f64; 2] = [151e-6, 2.9e-3];

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bench_scene::{HEIGHT, Light, WIDTH, accumulate, capture, columns, head, plane};
-use flankscope_profilometry::cores::{CoreMap, CoreMapError};
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{DecodeError, GridKind};
-use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::head::{CoreMap, CoreMapError};
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, HeadModel, PatternSet};
 
 /// A hexagonal lattice of 4 px pitch over the small test camera, with one core at the very edge.

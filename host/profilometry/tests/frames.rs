@@ -3,9 +3,9 @@
 mod bench_scene;
 
 use bench_scene::*;
-use flankscope_profilometry::calibration::ImageCircle;
+use flankscope_profilometry::cells::{CellGrid, Grid};
 use flankscope_profilometry::frame::{FrameError, FrameKind, FrameLevel, FrameView};
-use flankscope_profilometry::grid::{CellGrid, Grid};
+use flankscope_profilometry::head::ImageCircle;
 use flankscope_profilometry::pattern::PatternSet;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder};
 

@@ -3,8 +3,8 @@
 mod bench_scene;
 
 use bench_scene::*;
-use flankscope_profilometry::calibration::HeadModel;
-use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::decode::MaskOptions;
+use flankscope_profilometry::head::HeadModel;
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
 

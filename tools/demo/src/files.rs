@@ -7,7 +7,7 @@ use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
 use flankscope_bench::world::{HeadOptics, Pinhole, SensorSpec};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibration::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
+use flankscope_profilometry::head::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -121,8 +121,8 @@ pub fn head() -> HeadModel {
     }
 }
 
-fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> calibration::Pinhole {
-    calibration::Pinhole {
+fn pinhole_file(pinhole: &Pinhole, [width, height]: [usize; 2]) -> head::Pinhole {
+    head::Pinhole {
         width_px: width as u32,
         height_px: height as u32,
         focal_px: pinhole.focal_px,

@@ -7,7 +7,8 @@ use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, Placement, TargetFile};
 use flankscope_bench::world::WorldConfig;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, Limits, Plate, Sphere, Target};
+use flankscope_profilometry::calibrate::{Dots, Plate, Sphere, Target};
+use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use flankscope_bench::demo::{gear, tile};
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
-use flankscope_profilometry::cores::{self, CoreMap, CoreMapFile, FlatField};
+use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::head::{CoreMap, CoreMapFile};
 use flankscope_profilometry::{FrameView, HeadModel};
 use flankscope_station::files::{hash, write_whole};
 

@@ -8,13 +8,12 @@ use std::sync::Arc;
 use flankscope_bench::demo as die;
 use flankscope_bench::world::{HeadOptics, PatternSpec, ViewState, World, WorldConfig};
 use flankscope_demo::{self as demo, TargetView};
-use flankscope_profilometry::calibrate::{
-    CalibrationRecord, RecordError, SelfTest, Sighting, StagePose, Target, Unfit, adjust, hold_out,
-};
+use flankscope_profilometry::calibrate::cores::{self, FlatField};
+use flankscope_profilometry::calibrate::{Sighting, StagePose, Target, adjust, hold_out};
 use flankscope_profilometry::cloud::CellColumn;
-use flankscope_profilometry::cores::{self, FlatField};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::head::{CalibrationRecord, RecordError, SelfTest, Unfit};
 use flankscope_profilometry::triangulate::Triangulator;
 use flankscope_profilometry::{
     Accumulator, Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use flankscope_bench::demo as die;
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
 use flankscope_demo as demo;
-use flankscope_profilometry::consistency::ConsistencyOptions;
+use flankscope_profilometry::decode::ConsistencyOptions;
 use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };

@@ -6,8 +6,9 @@ use std::sync::{Arc, LazyLock};
 use flankscope_bench::demo as die;
 use flankscope_bench::world::{Bundle, PatternSpec, World, WorldConfig};
 use flankscope_demo as demo;
-use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
+use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
 use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::head::CoreMap;
 use flankscope_profilometry::{
     Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };

@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_profilometry::calibrate::{CalibrationRecord, Sighting, adjust};
-use flankscope_profilometry::cores::{self, FlatField};
+use flankscope_profilometry::calibrate::cores::{self, FlatField};
+use flankscope_profilometry::calibrate::{Sighting, adjust};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };

@@ -11,7 +11,7 @@ use super::model::{CAMERA_FOCAL, CAMERA_PRINCIPAL, PROJECTOR_FOCAL, SHARED, Scen
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
 use super::uncertainty::volume_sigma_mm;
-use crate::calibration::HeadModel;
+use crate::head::HeadModel;
 
 /// A head that explains its marks.
 #[derive(Clone, Debug)]

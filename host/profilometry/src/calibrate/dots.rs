@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 use super::least_squares::{Normal, Problem, SETTLED, minimise};
+use crate::cells::DisjointSets;
+use crate::cells::buckets::Buckets;
 use crate::cloud::CellColumn;
-use crate::cores::buckets::Buckets;
-use crate::neighbours::Patches;
 
 /// One dot in the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,7 +148,7 @@ impl Image {
         let places: Vec<[f64; 2]> = dark.iter().map(|&cell| self.places[cell]).collect();
         let step_px = 1.5 / self.per_px2.sqrt();
         let near = Buckets::new(&places, step_px);
-        let mut patches = Patches::new(places.len());
+        let mut patches = DisjointSets::new(places.len());
         for (index, &place) in places.iter().enumerate() {
             let neighbours: Vec<usize> = within(&near, &places, place, step_px)
                 .filter(|&other| other < index)

@@ -9,7 +9,7 @@
 //!              ▼                                        ▼
 //!            adjust: camera, projector, hand-eye, plates and stage errors together ──► head
 //!                                                       │
-//!  views kept aside ───────────────────────► holdout: form and scale by points that took no part
+//!  views kept aside ───────────────────────► hold_out: form and scale by points that took no part
 //! ```
 //!
 //! | file | holds |
@@ -27,16 +27,16 @@
 //! | `form` | planes and spheres through points |
 //! | `holdout` | plates measured with the result |
 //! | `eye` | triangulation with a head |
-//! | `self_test` | whether the head is fit today |
-//! | `record` | what a head file says of its calibration |
+//! | `self_test` | a plane and a sphere, measured |
+//! | `record` | what it writes into the head's file |
 
 mod adjust;
 mod bundle;
 mod captures;
+pub mod cores;
 mod dots;
-mod eye;
 mod form;
-mod holdout;
+mod hold_out;
 mod label;
 mod least_squares;
 mod model;
@@ -48,9 +48,8 @@ mod uncertainty;
 
 pub use adjust::{Adjusted, adjust};
 pub use captures::{CapturedView, Captures};
-pub use holdout::{HoldOut, hold_out};
-pub use record::{CalibrationRecord, RecordError};
-pub use self_test::{Limits, SelfTest, SelfTestError, Unfit};
+pub use hold_out::hold_out;
+pub use self_test::SelfTestError;
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Plate, Sphere, Target};
 

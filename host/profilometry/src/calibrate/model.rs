@@ -12,9 +12,9 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 
 use super::sighting::StagePose;
 use super::target::Target;
-use crate::calibration::{HeadModel, RigidTransform};
-use crate::camera::Pinhole;
-use crate::residual::{ResidualField, SIDE};
+use crate::head::Pinhole;
+use crate::head::residual::{ResidualField, SIDE};
+use crate::head::{HeadModel, RigidTransform};
 
 /// Unknowns shared by all views.
 pub(crate) const SHARED: usize = 26;

@@ -4,8 +4,8 @@ use super::CalibrateError;
 use super::dots::{self, Scale};
 use super::label::label;
 use super::target::Target;
-use crate::calibration::HeadModel;
 use crate::cloud::CellColumn;
+use crate::head::HeadModel;
 
 /// What the stages were told, rotary and vertical.
 #[derive(Clone, Copy, Debug, PartialEq)]

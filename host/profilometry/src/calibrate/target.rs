@@ -4,8 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::self_test::Limits;
-use crate::calibration::RigidTransform;
+use crate::head::{Limits, RigidTransform};
 use crate::textfile::{self, BadValue, TextFileError};
 
 /// Plates and a sphere on a carrier that sits where the die does. Millimetres, radians.

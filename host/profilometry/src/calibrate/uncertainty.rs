@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::model::{Scene, head_unknowns};
-use crate::calibration::HeadModel;
+use crate::head::HeadModel;
 use crate::triangulate::Triangulator;
 
 /// Where in the field, in parts of 0.7 of its radius.

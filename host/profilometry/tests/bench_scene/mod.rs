@@ -3,10 +3,8 @@
 
 use std::f64::consts::TAU;
 
-use flankscope_profilometry::calibration::{
-    DepthRange, HeadModel, Pinhole, RigidTransform, Sensor,
-};
 use flankscope_profilometry::frame::{FrameKind, FrameView};
+use flankscope_profilometry::head::{DepthRange, HeadModel, Pinhole, RigidTransform, Sensor};
 use flankscope_profilometry::pattern::PatternSet;
 use flankscope_profilometry::{Accumulator, Decoder};
 

@@ -3,9 +3,10 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use flankscope_profilometry::calibrate::{SelfTest, SelfTestError, Target};
+use flankscope_profilometry::calibrate::{SelfTestError, Target};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::head::SelfTest;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
 
 use super::job::{CalibrationError, SaveError, write};

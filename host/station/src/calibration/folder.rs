@@ -2,10 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use flankscope_profilometry::calibrate::{Captures, SelfTest, StagePose, Target};
+use flankscope_profilometry::calibrate::cores::{self, FlatField};
+use flankscope_profilometry::calibrate::{Captures, StagePose, Target};
 use flankscope_profilometry::cloud::CellColumn;
-use flankscope_profilometry::cores::{self, CoreMap, FlatField};
 use flankscope_profilometry::date::Date;
+use flankscope_profilometry::head::CoreMap;
+use flankscope_profilometry::head::SelfTest;
 use flankscope_profilometry::plan::Plan;
 use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, HeadModel};
 

@@ -3,15 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
 use flankscope_profilometry::calibrate::{
-    Adjusted, CalibrateError, CalibrationRecord, HoldOut, SelfTestError, Sighting, StagePose,
-    Target, adjust, hold_out,
+    Adjusted, CalibrateError, SelfTestError, Sighting, StagePose, Target, adjust, hold_out,
 };
 use flankscope_profilometry::cloud::CellColumn;
-use flankscope_profilometry::cores::{self, CoreMap, FindError, FlatField};
 use flankscope_profilometry::date::Date;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::images::ImageError;
+use flankscope_profilometry::head::CoreMap;
+use flankscope_profilometry::head::{CalibrationRecord, HoldOut};
+use flankscope_profilometry::io::images::ImageError;
 use flankscope_profilometry::textfile::TextFileError;
 use flankscope_profilometry::{
     Accumulator, DecodeError, DecodeOptions, Decoder, FrameError, HeadModel,

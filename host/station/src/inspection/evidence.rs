@@ -98,7 +98,7 @@ impl From<&Problem> for Reason {
 pub struct Phasors {
     /// BLAKE3 of the bytes.
     pub blake3: String,
-    /// See [`flankscope_profilometry::phasors`].
+    /// See [`flankscope_profilometry::Accumulator::to_bytes`].
     pub bytes: Vec<u8>,
 }
 

@@ -1,7 +1,7 @@
 //! What went wrong on the way to a view's sums, as a reason of the verdict.
 
 use flankscope_metrology::verdict::{Code, Reason};
-use flankscope_profilometry::calibrate::Unfit;
+use flankscope_profilometry::head::Unfit;
 
 use crate::acquisition::{AcquisitionError, PairingError, Stop, ViewError};
 use crate::controller::ClientError;

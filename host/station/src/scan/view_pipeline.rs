@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use flankscope_metrology::multiview::adjustment::ViewInformation;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::mask::MaskOptions;
+use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, FrameView};
 
 use super::grid::Grid;

@@ -2,9 +2,9 @@
 
 use rayon::prelude::*;
 
-use crate::calibration::HeadModel;
-use crate::decode::DecodeError;
-use crate::grid::Grid;
+use super::DecodeError;
+use crate::cells::Grid;
+use crate::head::HeadModel;
 use crate::pattern::PatternSet;
 use crate::triangulate::Triangulator;
 

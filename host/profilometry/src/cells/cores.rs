@@ -1,8 +1,12 @@
-//! One cell per core: a box of 3 x 3 pixels about its centre.
+//! One cell per core of a fibre bundle: a box of 3 x 3 pixels about its centre.
+//!
+//! A pixel inside a core sees that core's one phase, wherever in the core it lies: triangulated along the pixel's own
+//! ray it makes a staircase. So a flat-field capture is searched for the cores ([`crate::calibrate::cores::find`]), the
+//! result is kept beside the head's file ([`CoreMap`]), and views are summed core by core and triangulated along the
+//! cores' rays.
 
 use super::buckets::Buckets;
-use super::map::CoreMap;
-use crate::calibration::ImageCircle;
+use crate::head::{CoreMap, ImageCircle};
 
 /// Pixels along the side of a core's box: most of its own light, little of its neighbours'.
 pub const BOX_PX: usize = 3;

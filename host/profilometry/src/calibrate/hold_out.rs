@@ -1,27 +1,11 @@
 //! Plates that took no part in the adjustment, measured with its result.
 
-use serde::{Deserialize, Serialize};
-
-use super::eye::Eye;
 use super::form;
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
-use crate::calibration::HeadModel;
 use crate::cloud::CellColumn;
-
-/// What a head makes of plates that it was not fitted to.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct HoldOut {
-    /// Views.
-    pub views: u32,
-    /// Distances of all points from the planes fitted to each view, root mean square.
-    pub flatness_rms_um: f64,
-    /// Largest minus smallest of them, worst view, without the farthest 0.3 % of its points.
-    pub flatness_um: f64,
-    /// Distances of the triangulated dots from where they are printed, after a rigid motion, root mean square.
-    pub dots_rms_um: f64,
-}
+use crate::head::{HeadModel, HoldOut};
+use crate::triangulate::HeadTriangulator;
 
 /// Measures the plates of some views with a head. `None` if there is none, or one cannot be measured at all.
 pub fn hold_out(
@@ -29,18 +13,18 @@ pub fn hold_out(
     target: &Target,
     views: &[(Sighting, Vec<CellColumn>)],
 ) -> Option<HoldOut> {
-    let eye = Eye::new(head);
+    let triangulator = HeadTriangulator::new(head);
     let (mut points, mut squares, mut worst) = (0.0, 0.0, 0.0_f64);
     let (mut dots, mut dot_squares) = (0.0, 0.0);
     for (sighting, cells) in views {
-        let cloud = eye.points(cells);
+        let cloud = triangulator.points(cells);
         let off = form::plane(&cloud)?;
         points += cloud.len() as f64;
         squares += off.rms_mm().powi(2) * cloud.len() as f64;
         worst = worst.max(off.range_mm());
         let printed = |mark: &Mark| {
             let [x, y] = mark.place.map(|n| f64::from(n) * target.dots.pitch_mm);
-            Some((eye.point(mark.pixel, mark.column_px)?, [x, y, 0.0]))
+            Some((triangulator.point(mark.pixel, mark.column_px)?, [x, y, 0.0]))
         };
         let pairs: Vec<_> = sighting.marks.iter().filter_map(printed).collect();
         dots += pairs.len() as f64;

@@ -1,16 +1,16 @@
-//! What a head says of a pixel and the column that lights it.
+//! Triangulation with a whole head: from a pixel and the projector column that lights it to a point.
 
-use crate::calibration::HeadModel;
+use super::Triangulator;
 use crate::cloud::CellColumn;
-use crate::triangulate::Triangulator;
+use crate::head::HeadModel;
 
 /// A head, ready to triangulate.
-pub(crate) struct Eye<'a> {
+pub(crate) struct HeadTriangulator<'a> {
     head: &'a HeadModel,
     triangulator: Triangulator,
 }
 
-impl<'a> Eye<'a> {
+impl<'a> HeadTriangulator<'a> {
     pub fn new(head: &'a HeadModel) -> Self {
         Self {
             head,

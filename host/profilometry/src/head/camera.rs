@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::residual::ResidualField;
+use super::residual::ResidualField;
 use crate::textfile::BadValue;
 
 /// Pinhole with radial and tangential distortion: Brown's model in OpenCV's order and with OpenCV's conventions.

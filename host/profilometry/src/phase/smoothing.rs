@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::accumulate::{Accumulator, Band};
-use crate::grid::CellGrid;
+use crate::cells::CellGrid;
 
 /// Separable Gaussian on a dense row-major plane; outside counts as zero.
 pub(crate) struct Blur {

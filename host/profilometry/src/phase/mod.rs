@@ -3,18 +3,10 @@
 //! With `I_n = A + B cos(phase + TAU n / N)` the phasor `C = sum I_n exp(-j TAU n / N)` is `(N B / 2) exp(j phase)`.
 //! N steps let no harmonic through to the phase but those of order m N ± 1.
 
-/// Sums over all used frames of one cell and one frequency, in counts.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Phasor {
-    /// Real part of C.
-    pub re: f32,
-    /// Imaginary part of C.
-    pub im: f32,
-    /// Sum of all frames, offset included.
-    pub sum: f32,
-    /// How many exposures went in; 0 when all were saturated.
-    pub exposures: u8,
-}
+pub mod mask;
+pub(crate) mod smoothing;
+
+use crate::accumulate::Phasor;
 
 /// What turns counts of a cell into electrons.
 #[derive(Clone, Copy, Debug)]

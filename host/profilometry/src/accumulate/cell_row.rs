@@ -1,9 +1,9 @@
 //! Pixels to cells, one row of cells at a time.
 
 use crate::accumulate::Layout;
-use crate::cores::{BOX_PX, CoreGrid};
+use crate::cells::{BOX_PX, CoreGrid};
+use crate::cells::{CellGrid, Grid};
 use crate::frame::FrameView;
-use crate::grid::{CellGrid, Grid};
 
 /// One row of cells out of the frame's pixel rows.
 #[derive(Clone, Debug)]

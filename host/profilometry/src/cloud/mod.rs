@@ -1,6 +1,11 @@
 //! What comes out of a view: points, and why the other cells gave none.
 
+mod patches;
+
 use serde::Serialize;
+
+pub use patches::PatchOptions;
+pub(crate) use patches::{Depths, small_patches};
 
 /// Points of one view. All vectors have one entry per point, in row order of the cells.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -5,9 +5,9 @@
 //! what a mask should not react to; for three steps it is the very standard deviation.
 
 use crate::accumulate::{Accumulator, Band};
-use crate::cores::CoreGrid;
-use crate::grid::{CellGrid, Grid};
-use crate::smoothing::{Blur, dense};
+use crate::cells::CoreGrid;
+use crate::cells::{CellGrid, Grid};
+use crate::phase::smoothing::{Blur, dense};
 
 /// Mask parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]

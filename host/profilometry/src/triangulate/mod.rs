@@ -1,7 +1,10 @@
 //! A camera ray meets the sheet of light of one projector column.
 
-use crate::calibration::HeadModel;
-use crate::camera::Pinhole;
+mod head;
+
+use crate::head::{HeadModel, Pinhole};
+
+pub(crate) use head::HeadTriangulator;
 
 /// Where a ray meets a sheet of light.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! Image-space consistency: a surface continues from cell to cell, a wrong fringe order stands alone.
 
-use crate::grid::Grid;
+use crate::cells::{DisjointSets, Grid};
 
 /// Which cells belong to one surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +29,7 @@ pub(crate) fn small_patches(
     cell_by_depth: f64,
     options: &PatchOptions,
 ) -> Vec<usize> {
-    let mut patches = Patches::new(grid.len());
+    let mut patches = DisjointSets::new(grid.len());
     for row in 0..grid.rows() {
         for cell in grid.cells(row) {
             let depth = depths.depth_mm(cell);
@@ -56,53 +56,10 @@ pub(crate) fn small_patches(
         .collect()
 }
 
-/// Union-find; a root stores its size, negated.
-pub(crate) struct Patches {
-    links: Vec<i32>,
-}
-
-impl Patches {
-    pub fn new(cells: usize) -> Self {
-        Self {
-            links: vec![-1; cells],
-        }
-    }
-
-    pub fn root(&mut self, mut cell: usize) -> usize {
-        while self.links[cell] >= 0 {
-            let parent = self.links[cell] as usize;
-            if self.links[parent] >= 0 {
-                self.links[cell] = self.links[parent];
-            }
-            cell = parent;
-        }
-        cell
-    }
-
-    pub fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        if a == b {
-            return;
-        }
-        let (small, large) = if self.links[a] > self.links[b] {
-            (a, b)
-        } else {
-            (b, a)
-        };
-        self.links[large] += self.links[small];
-        self.links[small] = large as i32;
-    }
-
-    fn size_of(&mut self, cell: usize) -> usize {
-        let root = self.root(cell);
-        self.links[root].unsigned_abs() as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::CellGrid;
+    use crate::cells::CellGrid;
 
     struct Field(Vec<f64>);
 

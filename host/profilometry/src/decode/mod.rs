@@ -1,128 +1,31 @@
 //! The whole way: from the sums of a view to points in the camera frame.
 
+mod cell;
+mod error;
+mod options;
+mod rays;
+
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::accumulate::consistency::{self, FrameNoise};
 use crate::accumulate::{Accumulator, Band, Layout};
-use crate::calibration::{DepthRange, HeadModel, Sensor};
-pub use crate::cloud::{CellColumn, Cloud, Decoded, Rejected};
-use crate::consistency::{self, FrameNoise};
-use crate::cores::CoreGrid;
+use crate::cells::{CellGrid, CoreGrid, Grid};
+use crate::cloud::small_patches;
 use crate::frame::FrameKind;
-use crate::grid::{CellGrid, Grid};
-use crate::mask;
-use crate::neighbours::{Depths, small_patches};
-pub use crate::options::{DecodeOptions, GridKind, PatchOptions};
+use crate::head::{DepthRange, HeadModel, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
-use crate::phase::{self, CellNoise, PhaseEstimate};
-use crate::rays::{Ray, rays};
-use crate::smoothing;
-use crate::triangulate::{Triangulator, depth_sigma_mm};
-use crate::unwrap;
+use crate::phase::{mask, smoothing};
+use crate::triangulate::Triangulator;
 
-/// Why a head, a pattern set and exposures do not make a decoder, or a view no cloud.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum DecodeError {
-    /// No exposure, or more than a byte can count.
-    #[error("{got} exposures: 1 to 255 are possible")]
-    ExposureCount {
-        /// How many.
-        got: usize,
-    },
-    /// Not ascending, or zero.
-    #[error("exposures {got:?} us: must be positive and ascending")]
-    Exposures {
-        /// Which.
-        got: Vec<u32>,
-    },
-    /// Nothing known about the camera's counts.
-    #[error("the head says nothing about its sensor: give [sensor] in head.toml")]
-    NoSensor,
-    /// A head value beyond its limits.
-    #[error("{key} = {got}: {expected}")]
-    Head {
-        /// Which.
-        key: String,
-        /// Its value.
-        got: String,
-        /// What would be right.
-        expected: &'static str,
-    },
-    /// An option beyond its limits.
-    #[error("option {option} = {got}: {expected}")]
-    Option {
-        /// Which.
-        option: &'static str,
-        /// Its value.
-        got: f64,
-        /// What would be right.
-        expected: &'static str,
-    },
-    /// Binning or image circle leave nothing.
-    #[error(
-        "no cell lies inside the image circle (binning {binning}, camera {width_px} x {height_px}): check image_circle"
-    )]
-    NoCells {
-        /// Binning.
-        binning: usize,
-        /// Camera columns.
-        width_px: u32,
-        /// Camera rows.
-        height_px: u32,
-    },
-    /// No core map, or one that leaves nothing.
-    #[error(
-        "no core of the head's map lies in the image circle: check [cores] and image_circle, or use the pixel grid"
-    )]
-    NoCores,
-    /// The lowest frequency repeats and nothing says which repetition.
-    #[error(
-        "the lowest frequency has {periods} periods and the head no [volume]: give the volume's depth range, or a frequency with a single period"
-    )]
-    NeedsVolume {
-        /// Lowest periods.
-        periods: f64,
-    },
-    /// The lowest frequency repeats within the volume.
-    #[error(
-        "within the measuring volume the lowest frequency ({periods} periods) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
-    )]
-    VolumeTooDeep {
-        /// Lowest periods.
-        periods: f64,
-        /// Periods passed along the worst ray.
-        spanned: f64,
-        /// The limit.
-        limit: f64,
-        /// Periods that would do.
-        usable: f64,
-    },
-    /// The volume reaches behind the projector.
-    #[error(
-        "the measuring volume ({near_mm} to {far_mm} mm) reaches behind the projector: check projector_from_camera and volume"
-    )]
-    VolumeBehindProjector {
-        /// Near end.
-        near_mm: f64,
-        /// Far end.
-        far_mm: f64,
-    },
-    /// The accumulator belongs to another decoder.
-    #[error("the accumulator was begun by another decoder")]
-    ForeignAccumulator,
-    /// Frames are missing.
-    #[error("{received} of {planned} frames are there; next should be {expected}")]
-    Incomplete {
-        /// Frames added.
-        received: usize,
-        /// Frames of a view.
-        planned: usize,
-        /// First missing.
-        expected: FrameKind,
-    },
-}
+pub use crate::accumulate::consistency::ConsistencyOptions;
+pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
+pub use crate::phase::mask::MaskOptions;
+use cell::{CellResult, Fate};
+pub use error::DecodeError;
+pub use options::{DecodeOptions, GridKind};
+use rays::{Ray, rays};
 
 /// Everything about a head and its patterns that does not change from view to view.
 #[derive(Clone, Debug)]
@@ -139,60 +42,6 @@ pub struct Decoder {
     chi_square_limits: Vec<f32>,
     /// Lateral size of a cell per unit of depth.
     cell_by_depth: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fate {
-    Point,
-    Saturated,
-    LowContrast,
-    UncertainOrder,
-    OutsideProjector,
-    OutsideVolume,
-    UncertainDepth,
-    Inconsistent,
-    Masked,
-    Isolated,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct CellResult {
-    fate: Fate,
-    depth_mm: f64,
-    sigma_z_mm: f32,
-    modulation_e: f32,
-}
-
-/// The projector column of a cell and the uncertainty of its phase.
-struct Column {
-    column_px: f64,
-    sigma_rad: f64,
-    modulation_e: f64,
-}
-
-impl CellResult {
-    fn rejected(fate: Fate) -> Self {
-        Self {
-            fate,
-            depth_mm: f64::NAN,
-            sigma_z_mm: f32::NAN,
-            modulation_e: 0.0,
-        }
-    }
-
-    fn reject(&mut self, fate: Fate) {
-        *self = Self::rejected(fate);
-    }
-}
-
-impl Depths for Vec<CellResult> {
-    fn depth_mm(&self, cell: usize) -> f64 {
-        self[cell].depth_mm
-    }
-
-    fn sigma_mm(&self, cell: usize) -> f64 {
-        f64::from(self[cell].sigma_z_mm)
-    }
 }
 
 impl Decoder {
@@ -389,75 +238,6 @@ impl Decoder {
         results
     }
 
-    /// The projector column that lights a cell, before any geometry but the fringe order that the volume allows.
-    fn column(
-        &self,
-        band: &Band,
-        index: usize,
-        ray: &Ray,
-        sigma_ratios: &[f64],
-    ) -> Result<Column, Fate> {
-        let noise = self.noise(band, index);
-        // Absolute phase of the frequency just done, and its uncertainty; finest last.
-        let mut absolute_rad = 0.0;
-        let mut sigma_rad = 0.0;
-        let mut modulation_e = 0.0;
-        for (set, fringes) in self.patterns.sets.iter().enumerate() {
-            let estimate = self.estimate(band, index, set, &noise)?;
-            // Written so that a NaN fails.
-            if !(estimate.contrast() >= self.options.min_contrast) {
-                return Err(Fate::LowContrast);
-            }
-            let wrapped_rad = estimate.phase_rad;
-            let own_sigma_rad = estimate.sigma_rad * sigma_ratios[set];
-            absolute_rad = if set == 0 {
-                unwrap::nearest_turn(wrapped_rad, ray.expected_low_rad)
-            } else {
-                let ratio = fringes.periods / self.patterns.sets[set - 1].periods;
-                unwrap::refine(ratio, absolute_rad, sigma_rad, wrapped_rad, own_sigma_rad)
-                    .ok_or(Fate::UncertainOrder)?
-            };
-            sigma_rad = own_sigma_rad;
-            modulation_e = estimate.modulation_e;
-        }
-        if self.is_inconsistent(band, index) {
-            return Err(Fate::Inconsistent);
-        }
-        let periods = self.patterns.finest().periods;
-        let column_px = self
-            .patterns
-            .column_px(periods, absolute_rad, self.projector_width_px);
-        if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
-            return Err(Fate::OutsideProjector);
-        }
-        Ok(Column {
-            column_px,
-            sigma_rad,
-            modulation_e,
-        })
-    }
-
-    /// Whether noise alone hardly ever leaves so much over of a cell's frames.
-    fn is_inconsistent(&self, band: &Band, index: usize) -> bool {
-        let (chi_square, freedom) = self.chi_square(band, index);
-        self.chi_square_limits
-            .get(freedom)
-            .is_some_and(|&limit| chi_square > limit)
-    }
-
-    /// Chi-square of a cell over all frequencies and exposures used, and its degrees of freedom.
-    fn chi_square(&self, band: &Band, index: usize) -> (f32, usize) {
-        let (mut chi_square, mut freedom) = (0.0, 0);
-        for (merged, steps) in band.merged.iter().zip(&self.layout.steps) {
-            // Three steps follow any fringe.
-            if let Some(&own) = merged.chi_square.get(index).filter(|_| *steps > 3) {
-                chi_square += own;
-                freedom += (steps - 3) as usize * usize::from(merged.exposures[index]);
-            }
-        }
-        (chi_square, freedom)
-    }
-
     /// Chi-square and degrees of freedom of every cell of a complete view, in the grid's order; zeros where nothing is
     /// tested.
     ///
@@ -469,74 +249,6 @@ impl Decoder {
         Ok(bands
             .flat_map(|band| (0..band.cells).map(|index| self.chi_square(band, index)))
             .collect())
-    }
-
-    fn noise(&self, band: &Band, index: usize) -> CellNoise {
-        let pixels = self.layout.grid.pixels_per_cell() as f64;
-        CellNoise {
-            gain_e_per_dn: self.sensor.gain_e_per_dn,
-            offset_dn: band
-                .dark
-                .get(index)
-                .map_or(self.sensor.offset_dn, |&dark| f64::from(dark) / pixels),
-            dark_variance_e2: self.sensor.dark_variance_e2(),
-            pixels,
-        }
-    }
-
-    fn estimate(
-        &self,
-        band: &Band,
-        index: usize,
-        set: usize,
-        noise: &CellNoise,
-    ) -> Result<PhaseEstimate, Fate> {
-        let phasor = band.phasor(set, index);
-        if phasor.exposures == 0 {
-            return Err(Fate::Saturated);
-        }
-        let steps = self.patterns.sets[set].steps;
-        let sign = self.patterns.step_sign.factor();
-        Ok(phase::estimate(&phasor, steps, sign, noise))
-    }
-
-    fn cell(
-        &self,
-        band: &Band,
-        index: usize,
-        ray: &Ray,
-        sigma_ratios: &[f64],
-    ) -> Result<CellResult, Fate> {
-        let Column {
-            column_px,
-            sigma_rad,
-            modulation_e,
-        } = self.column(band, index, ray, sigma_ratios)?;
-        let hit = self
-            .triangulator
-            .intersect(ray.direction, column_px)
-            .ok_or(Fate::OutsideVolume)?;
-        if self
-            .volume
-            .is_some_and(|volume| !(volume.near_mm..=volume.far_mm).contains(&hit.depth_mm))
-        {
-            return Err(Fate::OutsideVolume);
-        }
-        let periods = self.patterns.finest().periods;
-        let sigma_z_mm = depth_sigma_mm(sigma_rad, periods, self.projector_width_px, &hit);
-        if self
-            .options
-            .max_sigma_z_mm
-            .is_some_and(|limit| !(sigma_z_mm <= limit))
-        {
-            return Err(Fate::UncertainDepth);
-        }
-        Ok(CellResult {
-            fate: Fate::Point,
-            depth_mm: hit.depth_mm,
-            sigma_z_mm: sigma_z_mm as f32,
-            modulation_e: modulation_e as f32,
-        })
     }
 
     /// What every cell of a complete view shows, without triangulation: for a calibration, which does not know the

@@ -1,10 +1,10 @@
 //! What a decoder keeps and smooths.
 
-use crate::calibration::HeadModel;
-use crate::consistency::ConsistencyOptions;
-use crate::decode::DecodeError;
-use crate::mask::MaskOptions;
-pub use crate::neighbours::PatchOptions;
+use super::DecodeError;
+use crate::accumulate::consistency::ConsistencyOptions;
+use crate::cloud::PatchOptions;
+use crate::head::HeadModel;
+use crate::phase::mask::MaskOptions;
 
 /// What a point is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,0 +1,185 @@
+//! What a head file says of its calibration: `[calibration]` in `head.toml`.
+
+use serde::{Deserialize, Serialize};
+
+use super::HeadModel;
+use crate::date::Date;
+use crate::textfile::BadValue;
+
+/// Where a head's geometry comes from, how good it is, and until when it counts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationRecord {
+    /// Day of the captures.
+    pub date: Date,
+    /// Last day on which the calibration counts.
+    pub expires: Date,
+    /// The artefact's name.
+    pub target: String,
+    /// Through which link they were made, `sim` or `qemu` for the simulated bench; absent for images from elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub link: Option<String>,
+    /// Whether they are of the simulated bench; absent where nobody knows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub simulated: Option<bool>,
+    /// Frames that the calibration ties together.
+    pub frames: Vec<String>,
+    /// Unit of its lengths: `mm`.
+    pub unit: String,
+    /// BLAKE3 of the geometry that it belongs to: camera, projector, their poses, core map.
+    pub blake3: String,
+    /// Views that took part.
+    pub views: u32,
+    /// Dots that took part.
+    pub dots: u32,
+    /// Dots left out.
+    pub dropped: u32,
+    /// What is left over of the dots' pixels, root mean square per axis.
+    pub camera_rms_px: f64,
+    /// What is left over of their projector columns.
+    pub projector_rms_px: f64,
+    /// Standard uncertainty of a point's depth by the calibration alone, over the measuring volume.
+    pub depth_sigma_um: f64,
+    /// The same across the view.
+    pub lateral_sigma_um: f64,
+    /// Plates that took no part, measured with the result.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hold_out: Option<HoldOut>,
+    /// The same plates without the residual fields of the lenses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without_field: Option<HoldOut>,
+}
+
+/// What a head makes of plates that it was not fitted to.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HoldOut {
+    /// Views.
+    pub views: u32,
+    /// Distances of all points from the planes fitted to each view, root mean square.
+    pub flatness_rms_um: f64,
+    /// Largest minus smallest of them, worst view, without the farthest 0.3 % of its points.
+    pub flatness_um: f64,
+    /// Distances of the triangulated dots from where they are printed, after a rigid motion, root mean square.
+    pub dots_rms_um: f64,
+}
+
+/// Why a calibration does not count today.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// Too old.
+    #[error(
+        "the head's calibration of {date} expired after {expires}, today is {today}: calibrate again"
+    )]
+    Expired {
+        /// Day of the captures.
+        date: Date,
+        /// Last day.
+        expires: Date,
+        /// Today.
+        today: Date,
+    },
+    /// From the future: one of the clocks is wrong.
+    #[error("the head's calibration is of {date}, but today is {today}: is the clock right?")]
+    NotYet {
+        /// Day of the captures.
+        date: Date,
+        /// Today.
+        today: Date,
+    },
+}
+
+/// Frames of a calibration, outermost last.
+pub(crate) const FRAMES: [&str; 3] = ["camera", "projector", "stage"];
+
+impl CalibrationRecord {
+    /// Whether the calibration counts on a day.
+    ///
+    /// # Errors
+    /// [`RecordError`].
+    pub fn counts_on(&self, today: Date) -> Result<(), RecordError> {
+        let Self { date, expires, .. } = *self;
+        if today > expires {
+            return Err(RecordError::Expired {
+                date,
+                expires,
+                today,
+            });
+        }
+        // Midnight passes at different times: a day ahead is no wrong clock.
+        if date > today.plus_days(1) {
+            return Err(RecordError::NotYet { date, today });
+        }
+        Ok(())
+    }
+
+    pub(super) fn check(&self, head: &HeadModel) -> Result<(), BadValue> {
+        if self.unit != "mm" {
+            return Err(BadValue::new(
+                "calibration.unit",
+                &self.unit,
+                "must be \"mm\"",
+            ));
+        }
+        if self.frames != FRAMES {
+            return Err(BadValue::new(
+                "calibration.frames",
+                &self.frames,
+                "must be [\"camera\", \"projector\", \"stage\"]",
+            ));
+        }
+        if self.expires < self.date {
+            return Err(BadValue::new(
+                "calibration.expires",
+                self.expires.to_string(),
+                "must not lie before calibration.date",
+            ));
+        }
+        if self.blake3 != geometry_blake3(head) {
+            return Err(BadValue::new(
+                "calibration.blake3",
+                &self.blake3,
+                "is not the hash of this file's geometry: it was changed after the calibration; calibrate again, or remove [calibration]",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// BLAKE3 of everything that a calibration determines, bit for bit.
+pub(crate) fn geometry_blake3(head: &HeadModel) -> String {
+    let mut hasher = blake3::Hasher::new();
+    let mut numbers = |values: &[f64]| {
+        for value in values {
+            hasher.update(&value.to_bits().to_le_bytes());
+        }
+    };
+    for lens in [&head.camera, &head.projector] {
+        numbers(&[f64::from(lens.width_px), f64::from(lens.height_px)]);
+        numbers(&lens.focal_px);
+        numbers(&lens.principal_px);
+        numbers(&lens.distortion);
+        if let Some(field) = &lens.residual {
+            numbers(&field.centre);
+            numbers(&[field.half_side]);
+            numbers(field.columns_px.as_flattened());
+            numbers(
+                field
+                    .rows_px
+                    .as_ref()
+                    .map_or(&[], |rows| rows.as_flattened()),
+            );
+        }
+    }
+    for pose in [Some(head.projector_from_camera), head.stage_from_camera] {
+        for row in pose.iter().flat_map(|pose| pose.rotation) {
+            numbers(&row);
+        }
+        numbers(&pose.map_or([f64::NAN; 3], |pose| pose.translation_mm));
+    }
+    if let Some(cores) = &head.cores {
+        hasher.update(cores.blake3.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}

@@ -1,0 +1,204 @@
+//! The head: camera, projector, their relative pose, the sensor and the measuring volume (`head.toml`).
+//!
+//! `docs/formats.md` describes the file; [`HeadModel::load`] also takes an OpenCV calibration (XML or YAML).
+
+mod calibration;
+mod camera;
+mod core_map;
+mod opencv;
+mod pose;
+pub mod residual;
+mod self_test;
+mod sensor;
+mod volume;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::date::Date;
+use crate::io::opencv::is_file_storage;
+use crate::textfile::{self, BadValue};
+
+pub use calibration::{CalibrationRecord, HoldOut, RecordError};
+pub(crate) use calibration::{FRAMES, geometry_blake3};
+pub use camera::Pinhole;
+pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
+pub use pose::RigidTransform;
+pub use self_test::{Limits, SelfTest, Unfit};
+pub use sensor::Sensor;
+pub use volume::{DepthRange, ImageCircle};
+
+/// One measuring head. Millimetres, radians, pixels (centres at integers), electrons, microseconds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HeadModel {
+    /// Free text.
+    pub name: String,
+    /// Distance from the front to the middle of the measuring volume.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub working_distance_mm: Option<f64>,
+    /// Default pattern set by name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pattern_set: Option<String>,
+    /// Default exposures, ascending; may be empty.
+    #[serde(default)]
+    pub exposures_us: Vec<u32>,
+    /// Pixels along the side of a measuring cell.
+    #[serde(default = "one")]
+    pub binning: u32,
+    /// The camera.
+    pub camera: Pinhole,
+    /// The projector, as an inverse camera.
+    pub projector: Pinhole,
+    /// `X_projector = rotation X_camera + translation_mm`.
+    pub projector_from_camera: RigidTransform,
+    /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage_from_camera: Option<RigidTransform>,
+    /// The camera's sensor. An OpenCV calibration says nothing about it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<Sensor>,
+    /// The measuring volume along the camera's axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub volume: Option<DepthRange>,
+    /// Where the optics show an image; everything outside is skipped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_circle: Option<ImageCircle>,
+    /// Where the map of the bundle's cores lies.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cores: Option<CoreMapFile>,
+    /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<CalibrationRecord>,
+    /// The last test of that calibration, `<head>.check.toml` beside the file; [`HeadModel::load`] reads it.
+    #[serde(skip)]
+    pub self_test: Option<SelfTest>,
+    /// The core map itself; [`HeadModel::load`] reads it.
+    #[serde(skip)]
+    pub core_map: Option<Arc<CoreMap>>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+impl HeadModel {
+    /// Reads `head.toml`, or an OpenCV calibration (XML, or YAML) with `Kc kc Kp kp Rp Tp`.
+    ///
+    /// # Errors
+    /// [`CoreMapError`] with file, line and what would be right; [`CoreMapError::File`] for the head's own file.
+    pub fn load(path: &Path) -> Result<Self, CoreMapError> {
+        let text = textfile::read(path)?;
+        let mut head = if is_file_storage(&text) {
+            opencv::head_from_file_storage(path, &text)?
+        } else {
+            textfile::parse_toml::<Self>(path, &text)?
+        };
+        head.check().map_err(|bad| bad.in_file(path, &text))?;
+        if let Some(cores) = &head.cores {
+            let map = cores.load(path, head.camera.width_px, head.camera.height_px)?;
+            head.core_map = Some(Arc::new(map));
+        }
+        if head.calibration.is_some() {
+            head.self_test = SelfTest::load(path)?;
+        }
+        Ok(head)
+    }
+
+    /// Whether a calibrated head may judge on a day: its calibration counts, and its last self-test was passed and is not
+    /// overdue. Of a head without `[calibration]` nothing was promised.
+    ///
+    /// # Errors
+    /// [`Unfit`]: why not.
+    pub fn fit_on(&self, today: Date) -> Result<(), Unfit> {
+        let Some(record) = &self.calibration else {
+            return Ok(());
+        };
+        record.counts_on(today)?;
+        let test = self.self_test.as_ref().ok_or(Unfit::Untested)?;
+        test.allows(&record.blake3, today)
+    }
+
+    /// The content of a `head.toml`.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    /// Checks every value against its limits; [`HeadModel::load`] has done so already.
+    ///
+    /// # Errors
+    /// The first value beyond its limits.
+    pub fn check(&self) -> Result<(), BadValue> {
+        self.camera.check("camera")?;
+        self.projector.check("projector")?;
+        self.projector_from_camera.check("projector_from_camera")?;
+        if let Some(hand_eye) = &self.stage_from_camera {
+            hand_eye.check("stage_from_camera")?;
+        }
+        if let Some(sensor) = &self.sensor {
+            sensor.check()?;
+        }
+        if let Some(volume) = &self.volume {
+            volume.check()?;
+        }
+        if let Some(cores) = &self.cores {
+            cores.check()?;
+        }
+        if let Some(record) = &self.calibration {
+            record.check(self)?;
+        }
+        if let Some(circle) = &self.image_circle {
+            if circle.centre_px.iter().any(|value| !value.is_finite()) {
+                return Err(BadValue::new(
+                    "image_circle.centre_px",
+                    circle.centre_px,
+                    "must be finite pixels",
+                ));
+            }
+            if !(circle.radius_px > 0.0 && circle.radius_px.is_finite()) {
+                return Err(BadValue::new(
+                    "image_circle.radius_px",
+                    circle.radius_px,
+                    "must be positive",
+                ));
+            }
+        }
+        if let Some(distance) = self.working_distance_mm
+            && !(distance > 0.0 && distance.is_finite())
+        {
+            return Err(BadValue::new(
+                "working_distance_mm",
+                distance,
+                "must be positive",
+            ));
+        }
+        if !(1..=64).contains(&self.binning) {
+            return Err(BadValue::new(
+                "binning",
+                self.binning,
+                "must be 1 to 64 pixels",
+            ));
+        }
+        if self.exposures_us.windows(2).any(|pair| pair[0] >= pair[1])
+            || self.exposures_us.first() == Some(&0)
+        {
+            return Err(BadValue::new(
+                "exposures_us",
+                &self.exposures_us,
+                "must be positive and ascending",
+            ));
+        }
+        if let Some(name) = &self.pattern_set
+            && crate::pattern::PatternSet::named(name).is_err()
+        {
+            return Err(BadValue::new(
+                "pattern_set",
+                name,
+                "must be article8, insitu12 or scan16",
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,105 @@
+//! OpenCV calibrations as heads: `Kc kc Kp kp Rp Tp`, millimetres.
+//!
+//! Kc, Kp: 3x3 camera matrices of camera and projector; kc, kp: distortion (4 or 5 values, OpenCV order); Rp, Tp:
+//! `X_projector = Rp X_camera + Tp`. Sizes: frameWidth, frameHeight, screenResX, screenResY.
+
+use std::path::Path;
+
+use super::{HeadModel, Pinhole, RigidTransform};
+use crate::io::opencv::Storage;
+use crate::textfile::TextFileError;
+
+/// Camera, projector and their pose from a FileStorage text. The sensor, the volume and the stage stay unknown.
+pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadModel, TextFileError> {
+    let storage = Storage::parse(path, text)?;
+    let pinhole = |matrix: &str,
+                   distortion: &str,
+                   width: &str,
+                   height: &str|
+     -> Result<Pinhole, TextFileError> {
+        let k = storage.matrix::<9>(matrix, "3 x 3 numbers [fx 0 cx; 0 fy cy; 0 0 1]")?;
+        if k[1] != 0.0 || k[3] != 0.0 || k[6] != 0.0 || k[7] != 0.0 || k[8] != 1.0 {
+            return Err(storage.wrong(
+                matrix,
+                format!("{k:?}"),
+                "[fx 0 cx; 0 fy cy; 0 0 1] without skew",
+            ));
+        }
+        Ok(Pinhole {
+            width_px: storage.pixels(width)?,
+            height_px: storage.pixels(height)?,
+            focal_px: [k[0], k[4]],
+            principal_px: [k[2], k[5]],
+            distortion: storage.distortion(distortion)?,
+            residual: None,
+        })
+    };
+    let camera = pinhole("Kc", "kc", "frameWidth", "frameHeight")?;
+    let projector = pinhole("Kp", "kp", "screenResX", "screenResY")?;
+    let r = storage.matrix::<9>("Rp", "a 3 x 3 rotation matrix")?;
+    let projector_from_camera = RigidTransform {
+        rotation: [[r[0], r[1], r[2]], [r[3], r[4], r[5]], [r[6], r[7], r[8]]],
+        translation_mm: storage.matrix::<3>("Tp", "3 numbers in mm")?,
+    };
+    Ok(HeadModel {
+        name: path
+            .file_stem()
+            .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned()),
+        working_distance_mm: None,
+        pattern_set: None,
+        exposures_us: Vec::new(),
+        binning: 1,
+        camera,
+        projector,
+        projector_from_camera,
+        stage_from_camera: None,
+        sensor: None,
+        volume: None,
+        image_circle: None,
+        cores: None,
+        calibration: None,
+        self_test: None,
+        core_map: None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const YAML: &str = "%YAML:1.0\n---\nKc: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: f\n   data: [ 2000., 0., 640., 0., 2001., 480., 0., 0., 1. ]\nkc: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ -1.0e-01, 2.0e-02, 0., 1.0e-03,\n       3.0e-03 ]\nKp: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: f\n   data: [ 1500., 0., 512., 0., 1500., 384., 0., 0., 1. ]\nkp: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: f\n   data: [ 0., 0., 0., 0., 0. ]\nRp: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: f\n   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\nTp: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: f\n   data: [ -100., 0., 0. ]\nframeWidth: 1280\nframeHeight: 960\nscreenResX: 1024\nscreenResY: 768\n";
+
+    #[test]
+    fn yaml_is_read() {
+        let head = head_from_file_storage(Path::new("calibration.yml"), YAML).unwrap();
+        assert_eq!(head.camera.focal_px, [2000.0, 2001.0]);
+        assert_eq!(head.camera.distortion, [-0.1, 0.02, 0.0, 1e-3, 3e-3]);
+        assert_eq!(head.projector.width_px, 1024);
+        assert_eq!(
+            head.projector_from_camera.translation_mm,
+            [-100.0, 0.0, 0.0]
+        );
+    }
+
+    #[test]
+    fn what_is_missing_or_misshapen_is_named_with_its_line() {
+        let missing = YAML.replace("Tp:", "Xp:");
+        let error = head_from_file_storage(Path::new("c.yml"), &missing)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("Tp = nothing"), "{error}");
+        let short = YAML.replace("data: [ -100., 0., 0. ]", "data: [ -100., 0. ]");
+        let error = head_from_file_storage(Path::new("c.yml"), &short)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("c.yml:29: Tp = 2 numbers for 3 rows x 1 columns"),
+            "{error}"
+        );
+        let text = YAML.replace("1500., 0., 512.", "1500., 0., .Nan");
+        let error = head_from_file_storage(Path::new("c.yml"), &text)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("Kp = "), "{error}");
+    }
+}

@@ -1,0 +1,88 @@
+//! The camera's sensor: counts, electrons, noise.
+
+use serde::{Deserialize, Serialize};
+
+use crate::textfile::BadValue;
+
+/// From counts to electrons: `electrons = (dn - offset_dn) gain_e_per_dn`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Electrons at saturation.
+    pub full_well_e: f64,
+    /// Electrons per count.
+    pub gain_e_per_dn: f64,
+    /// Standard deviation of the dark noise per pixel and frame.
+    pub read_noise_e: f64,
+    /// Counts without light.
+    pub offset_dn: f64,
+    /// Bits per pixel.
+    pub bits: u32,
+}
+
+impl Sensor {
+    /// For frames of unknown origin: a 10 000 electron sensor that fills its bits, 10 electrons of read noise, no offset.
+    ///
+    /// Sensible for an 8 or 10 bit industrial camera; predicted uncertainties are then indicative only.
+    pub fn assumed(bits: u32) -> Self {
+        let full_scale_dn = full_scale_dn(bits);
+        Self {
+            full_well_e: 10_000.0,
+            gain_e_per_dn: 10_000.0 / full_scale_dn,
+            read_noise_e: 10.0,
+            offset_dn: 0.0,
+            bits,
+        }
+    }
+
+    /// Above this count a pixel is taken as saturated: 95 % of where either the bits or the full well end.
+    pub fn saturation_limit_dn(&self) -> u16 {
+        let full_well_dn = self.offset_dn + self.full_well_e / self.gain_e_per_dn;
+        (0.95 * full_well_dn.min(full_scale_dn(self.bits))) as u16
+    }
+
+    /// Variance per pixel and frame that does not come from light: read noise and rounding, in electrons squared.
+    pub fn dark_variance_e2(&self) -> f64 {
+        self.read_noise_e * self.read_noise_e + self.gain_e_per_dn * self.gain_e_per_dn / 12.0
+    }
+
+    pub(super) fn check(&self) -> Result<(), BadValue> {
+        let positive = |value: f64| value > 0.0 && value < 1e9;
+        if !positive(self.full_well_e) {
+            return Err(BadValue::new(
+                "sensor.full_well_e",
+                self.full_well_e,
+                "must be positive electrons",
+            ));
+        }
+        if !positive(self.gain_e_per_dn) {
+            return Err(BadValue::new(
+                "sensor.gain_e_per_dn",
+                self.gain_e_per_dn,
+                "must be positive electrons per count",
+            ));
+        }
+        if !(self.read_noise_e >= 0.0 && self.read_noise_e < 1e6) {
+            return Err(BadValue::new(
+                "sensor.read_noise_e",
+                self.read_noise_e,
+                "must be zero or positive electrons",
+            ));
+        }
+        if !(8..=16).contains(&self.bits) {
+            return Err(BadValue::new("sensor.bits", self.bits, "must be 8 to 16"));
+        }
+        if !(self.offset_dn >= 0.0 && self.offset_dn < 0.5 * full_scale_dn(self.bits)) {
+            return Err(BadValue::new(
+                "sensor.offset_dn",
+                self.offset_dn,
+                "must be at least 0 and below half of full scale",
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn full_scale_dn(bits: u32) -> f64 {
+    2f64.powi(bits as i32) - 1.0
+}

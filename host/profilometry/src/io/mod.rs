@@ -1,0 +1,4 @@
+//! Other people's files: grey images, OpenCV's FileStorage.
+
+pub mod images;
+pub(crate) mod opencv;
