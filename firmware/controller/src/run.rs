@@ -42,8 +42,10 @@ pub enum Outgoing {
 pub struct Mailboxes {
     pub(crate) requests: Mailbox<Request, 2>,
     pub(crate) outgoing: Mailbox<Outgoing, EVENTS_QUEUED>,
-    pub(crate) stage_requests: Mailbox<StageRequest, 4>,
-    pub(crate) stage_reports: Mailbox<StageReport, 4>,
+    /// What the sequence asks of the stages: [`crate::stage::run`] takes it from here.
+    pub stage_requests: Mailbox<StageRequest, 4>,
+    /// What became of it.
+    pub stage_reports: Mailbox<StageReport, 4>,
     pub(crate) liveness: Liveness,
     pub(crate) session: AtomicU32,
     pub(crate) frames_dropped: AtomicU32,

@@ -12,8 +12,10 @@ use crate::inspection::PlannedView;
 /// A field of which less than this share was seen is a hole. Some five cells lie across a judged flank, of which a die that
 /// stands askew hides one or two at an edge.
 pub(super) const LEAST_COVERAGE: f64 = 0.6;
-/// A view answers for at most so much of its tooth above and below its middle, of the width of its field, which is round.
-const ASKED_PER_FIELD: f64 = 0.4;
+/// A view answers for at most so much of its tooth above and below its middle, of the width of its field: where every tooth is in
+/// the middle of one, layers no farther apart than twice this answer for everything between them. Beyond, the round rims of
+/// the fields leave slivers of flanks unseen that no view beside them shows.
+pub(super) const ASKED_PER_FIELD: f64 = 0.4;
 
 /// Fields that the plan promises: both flanks of every view's middle tooth, over the view's height. A scan is for the teeth
 /// and heights that it looked at and says nothing of the others.

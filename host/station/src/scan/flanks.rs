@@ -30,6 +30,7 @@ use flankscope_metrology::wear::{
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 
+use super::coverage::ASKED_PER_FIELD;
 use super::job::{ScanError, Scanner};
 use super::session::SessionError;
 use super::stitch::Stitched;
@@ -37,12 +38,8 @@ use super::view::{SAMPLE, coordinates};
 use super::view_pipeline::Store;
 use crate::inspection::{Feature, Judged, PlannedView, calibration_um, unmeasured_flank};
 
-/// A view is asked for at most so much above and below its middle, of the field's width: where every tooth is in the middle of
-/// one, layers no farther apart than twice this are asked for everything between them. Beyond, the round rims of the fields
-/// leave slivers of flanks unseen that no view beside them shows ...
-const ASKED_PER_FIELD: f64 = 0.4;
-/// ... and for no more than its round field shows of a flank that lies off its middle, even where die and head stand off by so
-/// much (mm) together.
+/// A view is asked for no more than its round field shows of a flank that lies off its middle, even where die and head stand
+/// off by so much (mm) together.
 const PUT_DOWN_MM: f64 = 1.0;
 /// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
 const END_PER_MODULE: f64 = 0.1;
@@ -604,7 +601,7 @@ mod tests {
         let whole = zones(84, 9, 0.0);
         assert_eq!(whole.len(), 1);
         assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
-        assert_eq!(zones(12, 9, 0.0).len(), 9);
+        assert_eq!(zones(12, 8, 0.0).len(), 8);
         // Layers 9.43 mm apart: seven bands of 8 mm, 56 of 66 mm.
         let bands = zones(84, 7, 0.0);
         assert_eq!(bands.len(), 7);

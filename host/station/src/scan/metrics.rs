@@ -25,7 +25,7 @@ const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
 /// Points of an end face lie within this of it, mm.
 const END_MM: f64 = 1e-6;
 /// Points farther off belong to nothing in any metric, mm.
-const STRANGER_MM: f64 = 0.5;
+const OUTLIER_MM: f64 = 0.5;
 
 /// Why nothing was compared.
 #[derive(Debug, thiserror::Error)]
@@ -95,7 +95,7 @@ pub(super) fn compare(
     };
     let kept = session.points(view)?;
     let laid = Laid::new(&tool.surface, *pose.isometry(), &kept);
-    let (points, exact_mm) = laid.near(STRANGER_MM);
+    let (points, exact_mm) = laid.near(OUTLIER_MM);
     let centre = centre_of_mass(&points).unwrap_or_default();
     let region = Region {
         radial_threshold_mm: gear.radial_threshold_mm,
