@@ -160,7 +160,7 @@ fn a_scan_is_judged_without_its_papers() {
     let (code, stdout, stderr) = output(&mut scan);
     assert_eq!(code, Some(0), "{stderr}");
     assert!(
-        stdout.contains("GO: go for 12 of 84 teeth at 1 height, "),
+        stdout.contains("GO: go for 12 of 84 teeth at 1 height (12.2 % of their face width), "),
         "{stdout}"
     );
     assert!(stdout.contains("SIMULATED BENCH"), "{stdout}");
