@@ -3,12 +3,12 @@
 use std::fmt::Write as _;
 
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::{
-    Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
-};
+use flankscope_profilometry::{Cloud, DecodeOptions, Decoder, FrameView, HeadModel, PatternSet};
 
 use flankscope_bench::demo;
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
+
+use super::capture::shown;
 
 /// The plane stands in best focus, mm from the stage's axis; the camera is this far from the axis.
 const PLANE_MM: f64 = 41.5;
@@ -54,17 +54,7 @@ fn capture(world: &World, head: &HeadModel, grid: GridKind) -> anyhow::Result<Cl
     let mut pixels = vec![0; width * height];
     let mut accumulator = decoder.begin();
     for (frame, kind) in (0..).zip(decoder.capture_order()) {
-        let (pattern, exposure) = match kind {
-            FrameKind::Dark => (0, 0),
-            FrameKind::Fringe {
-                exposure,
-                set,
-                step,
-            } => {
-                let before: u32 = sets[..set].iter().map(|s| s.1).sum();
-                (1 + before + step, exposure)
-            }
-        };
+        let (pattern, exposure) = shown(kind, &sets);
         let pattern = u16::try_from(pattern)?;
         world.render(
             &view,

@@ -224,7 +224,6 @@ pub struct PoseSensitivity {
 struct Grid {
     tooth: u32,
     flank: Flank,
-    profile_from_mm: f64,
     empty: Field,
     samples: Vec<Sample>,
     counts: Option<RayCounts>,
@@ -279,7 +278,6 @@ pub fn evaluate_placed(
         .map(|(tooth, flank)| Grid {
             tooth,
             flank,
-            profile_from_mm,
             empty: empty.clone(),
             samples: Vec::new(),
             counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
@@ -288,6 +286,13 @@ pub fn evaluate_placed(
         })
         .collect();
     let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
+    // From the zone's corner.
+    let in_zone = |place: &FlankPlace| {
+        [
+            place.profile_mm - profile_from_mm,
+            place.height_mm - zone.height_mm[0],
+        ]
+    };
 
     let points = measured.points.iter().zip(measured.closest);
     for (index, ((point, closest), place)) in points.zip(places).enumerate() {
@@ -306,10 +311,7 @@ pub fn evaluate_placed(
         let Some(grid) = grids.iter_mut().find(wanted) else {
             continue;
         };
-        let at_mm = [
-            place.profile_mm - grid.profile_from_mm,
-            place.height_mm - zone.height_mm[0],
-        ];
+        let at_mm = in_zone(place);
         if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite() {
             continue;
         }
@@ -344,10 +346,7 @@ pub fn evaluate_placed(
     for place in rays.iter().flatten() {
         let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
         if let Some(grid) = grids.iter_mut().find(wanted)
-            && let Some(cell) = grid.empty.cell_at([
-                place.profile_mm - grid.profile_from_mm,
-                place.height_mm - zone.height_mm[0],
-            ])
+            && let Some(cell) = grid.empty.cell_at(in_zone(place))
             && let Some(counts) = &mut grid.counts
         {
             counts.rays[cell] += 1;

@@ -305,7 +305,7 @@ impl Evaluator {
                 surface: &place.surface,
                 camera_mm: tool_from_cloud.translation.vector.into(),
                 without_point: &without_point,
-                reach_mm: self.field.range_mm,
+                range_mm: self.field.range_mm,
             }),
         };
         let assessed = match (&fit.registration.status, &self.scale) {
