@@ -2,11 +2,11 @@
 
 mod support;
 
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
     Options, Prior, Reason, Registration, Status, detect_teeth, register,
 };
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::surface::sampling;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};

@@ -7,10 +7,11 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_foundation::order::median_of;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
-use super::field::{Field, Sample, median};
+use super::field::{Field, Sample};
 use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, Settings, Zone, places};
 use crate::gear::{Flank, FlankPlace, GearData};
@@ -268,7 +269,7 @@ impl<'a> Gathered<'a> {
         wear.points = self.points;
         // All flanks of a die together would not fit into memory with them.
         wear.samples = Vec::new();
-        let level_mm = median(wear.field.wear_mm.iter().copied());
+        let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
         wear.tip = self.edge.loss(self.gear, level_mm, settings.calibration_mm);
         wear
     }

@@ -24,13 +24,14 @@ mod sight;
 
 use std::sync::Arc;
 
+use flankscope_foundation::{normal::COVERAGE_95, order::median_of};
 use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
+use field::Sample;
 pub use field::{Field, Mismatch};
-use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
@@ -200,9 +201,6 @@ impl FlankWear {
         DETECTION_FACTOR * self.budget.without_wear_mm()
     }
 }
-
-/// Coverage factor of 95 % for a normal distribution.
-pub const COVERAGE_95: f64 = 1.96;
 
 /// What acts on a flank beside the points: from the fit and the thermometer.
 #[derive(Debug, Clone, PartialEq)]
@@ -399,7 +397,7 @@ impl Grid {
             settings,
         );
         // Pose and temperature move edge and flank alike; calibration does not.
-        let level_mm = median(wear.field.wear_mm.iter().copied());
+        let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
         wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
         wear
     }
@@ -486,11 +484,12 @@ fn state_noise(cells: &Field, samples: &mut [Sample]) {
             ];
         }
     }
-    let scatter = median(
+    let scatter = median_of(
         sums.iter()
             .filter(|s| s[0] >= 3.0)
             .map(|[n, sum, squares]| ((squares - sum * sum / n).max(0.0) / (n - 1.0)).sqrt()),
-    );
+    )
+    .unwrap_or(f64::NAN);
     for sample in samples.iter_mut().filter(|s| !s.variance_mm2.is_finite()) {
         sample.variance_mm2 = scatter * scatter;
     }

@@ -10,7 +10,7 @@ use super::least_squares::{Normal, Problem};
 use super::model::{FIELD, Look, OF_PLATE, OF_VIEW, SHARED, Scene, head_unknowns};
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
-use flankscope_foundation::order::quantile;
+use flankscope_foundation::order::{SIGMA_PER_MAD, quantile};
 
 /// What does not change.
 pub(crate) struct Setting<'a> {
@@ -183,7 +183,8 @@ impl Bundle<'_> {
             fringes.push(off[2].abs());
         }
         // A thousandth of a pixel is nobody's noise, and keeps perfect data from being weighed infinitely.
-        [dots, fringes].map(|mut off| (1.483 * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
+        [dots, fringes]
+            .map(|mut off| (SIGMA_PER_MAD * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
     }
 
     /// Whether each kept mark, view by view, agrees with the others to `outlier` standard deviations.

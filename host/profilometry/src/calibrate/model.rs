@@ -8,7 +8,8 @@
 //! of the starting values, its principal row stays, and its shift along the rows is felt through distortion alone, hence the
 //! starting value as a weak prior.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use flankscope_foundation::rigid::nearest_rotation;
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::sighting::StagePose;
 use super::target::Target;
@@ -326,13 +327,11 @@ pub(crate) fn certified(target: &Target) -> Vec<Isometry3<f64>> {
         .collect()
 }
 
+/// Of a transform whose file has been checked.
 pub(crate) fn isometry(file: &RigidTransform) -> Isometry3<f64> {
-    let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
-    // A file's nine digits are not quite a rotation: the nearest one is.
-    let rotation = UnitQuaternion::from_matrix_eps(&matrix, 1e-15, 100, UnitQuaternion::identity());
     Isometry3::from_parts(
         Translation3::from(Vector3::from(file.translation_mm)),
-        rotation,
+        nearest_rotation(&file.matrix()),
     )
 }
 

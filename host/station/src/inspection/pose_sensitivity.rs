@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_foundation::order::median_of;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
@@ -143,17 +144,12 @@ impl Fitted<'_> {
             (None, None) => Vector6::zeros(),
         };
         let unit = difference.dot(&about_axis);
-        let median = |values: &[f64]| {
-            let mut values = values.to_vec();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
-        };
         let flanks = seen
             .iter()
             .map(|(&(tooth, flank), on)| SeenFlank {
                 tooth,
                 flank,
-                median_mm: median(&on.wear_mm),
+                median_mm: median_of(on.wear_mm.iter().copied()).unwrap_or(f64::NAN),
                 per_turn: -on.motion().dot(&about_axis) / unit,
             })
             .collect();

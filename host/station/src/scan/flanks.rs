@@ -14,12 +14,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use flankscope_foundation::order;
+use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::Limits;
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
@@ -52,8 +52,6 @@ const ANY_TURN_MM: f64 = 0.1;
 /// that of n values is this many over the root of n.
 const QUARTILE_SIGMAS: f64 = 0.674_5;
 const QUARTILE_ERROR: f64 = 1.362_6;
-/// Median of |x| to standard deviation for a normal distribution.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
 /// the adjustment counts them.
 const PATCHES: f64 = 80.0;
@@ -143,20 +141,14 @@ fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -
     judged / ((top - bottom) * asked.len().max(1) as f64)
 }
 
-/// The middle one of the finite values; none without any.
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    order::median(&mut values)
-}
-
 /// How the form of a die's flanks scatters about the median of each side, mm.
 fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
     let off = Flank::BOTH.into_iter().flat_map(|side| {
         let of_side = || flanks.iter().filter(move |flank| flank.flank == side);
-        let middle = median(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
+        let middle = median_of(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
         of_side().map(move |flank| (flank.median_mm - middle).abs())
     });
-    SIGMA_PER_MAD * median(off).unwrap_or(0.0)
+    SIGMA_PER_MAD * median_of(off).unwrap_or(0.0)
 }
 
 /// What all flanks say of a turn of the die, of which nothing else is known; and how well the form of a die whose flanks
@@ -321,7 +313,7 @@ impl Judging<'_> {
                 Some(SeenFlank {
                     tooth: wear.tooth,
                     flank: wear.flank,
-                    median_mm: median(wear.field.wear_mm.iter().copied())?,
+                    median_mm: median_of(wear.field.wear_mm.iter().copied())?,
                     per_turn: wear.flank.sign(),
                 })
             })
