@@ -21,8 +21,8 @@ use crate::gear::Flank;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SeenFlank {
-    /// Tooth, from 1.
-    pub tooth: u32,
+    /// Tooth, from 1; none of what stands for a side of all teeth.
+    pub tooth: Option<u32>,
     /// Side.
     pub flank: Flank,
     /// Median wear over what was seen of it in the judged radii and heights, mm.
@@ -35,8 +35,8 @@ pub struct SeenFlank {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseEvidence {
-    /// Tooth in the middle of the view.
-    pub tooth: u32,
+    /// Tooth that is judged, in the middle of the view; none where all are.
+    pub tooth: Option<u32>,
     /// All flanks in view.
     pub flanks: Vec<SeenFlank>,
     /// The t that would bring the pose to where the stages say it is, mm.
@@ -153,7 +153,7 @@ impl PoseEvidence {
         };
         let neighbours: Vec<SeenFlank> = flanks
             .iter()
-            .filter(|flank| flank.tooth != self.tooth)
+            .filter(|flank| flank.tooth.is_none() || flank.tooth != self.tooth)
             .copied()
             .collect();
         let found = [&flanks, &neighbours]
@@ -232,13 +232,13 @@ mod tests {
         stages_error_mm: f64,
     ) -> PoseEvidence {
         let flank = |tooth, flank: Flank, wear: f64| SeenFlank {
-            tooth,
+            tooth: Some(tooth),
             flank,
             median_mm: wear - flank.sign() * turned_mm,
             per_turn: flank.sign(),
         };
         PoseEvidence {
-            tooth: 40,
+            tooth: Some(40),
             flanks: vec![
                 flank(39, Flank::Left, left_mm[0]),
                 flank(40, Flank::Left, left_mm[1]),

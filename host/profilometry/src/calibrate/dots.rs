@@ -24,7 +24,7 @@ pub(crate) struct Dot {
     pub column_px: f64,
 }
 
-/// How large dots look, roughly.
+/// How large dots appear, roughly.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
     /// From dot to dot.

@@ -49,7 +49,7 @@ impl OnFlank {
 }
 
 impl Fitted<'_> {
-    /// The influences on both flanks of `tooth`.
+    /// The sensitivities of both flanks of `tooth`.
     pub fn on(&self, tooth: u32) -> [PoseSensitivity; 2] {
         let contacts: Vec<Contact> = self
             .closest
@@ -147,7 +147,7 @@ impl Fitted<'_> {
         let flanks = seen
             .iter()
             .map(|(&(tooth, flank), on)| SeenFlank {
-                tooth,
+                tooth: Some(tooth),
                 flank,
                 median_mm: median_of(on.wear_mm.iter().copied()).unwrap_or(f64::NAN),
                 per_turn: -on.motion().dot(&about_axis) / unit,
@@ -173,7 +173,7 @@ impl Fitted<'_> {
         let towards_axis = -Vector3::new(centre.x, centre.y, 0.0).normalize();
         let half_height = 0.5 * (self.zone.height_mm[1] - self.zone.height_mm[0]);
         PoseEvidence {
-            tooth,
+            tooth: Some(tooth),
             flanks,
             stages_mm: difference.dot(&back),
             approach_sigma_mm: sigma(difference, &self.approach),
