@@ -481,7 +481,7 @@ fn captures_in_a_folder_give_the_same_head() {
     std::fs::remove_file(&image).expect("removed");
     let why = refused();
     assert!(
-        why.contains("holds 12 PNG images, the plan has 13"),
+        why.contains("holds 12 images, the plan has 13"),
         "{why}"
     );
     // A manifest with a view too few, or with a plate that is not there.
