@@ -58,7 +58,9 @@ pub fn fits_recording(args: &BenchArgs) -> anyhow::Result<()> {
     ];
     for (option, given) in given {
         if given {
-            bail!("{option} beside --frames: the frames were recorded, no bench can change what they show");
+            bail!(
+                "{option} beside --frames: the frames were recorded, no bench can change what they show"
+            );
         }
     }
     Ok(())

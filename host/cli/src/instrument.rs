@@ -165,7 +165,9 @@ impl Place {
     /// The site of frames that were recorded: there is no controller, whatever the station's file says of one.
     pub fn of_recording(&self, recording: &Recording) -> anyhow::Result<Site> {
         if let Some(link) = &self.link {
-            anyhow::bail!("--link {link} beside --frames: recorded frames come from no controller; leave one of them out");
+            anyhow::bail!(
+                "--link {link} beside --frames: recorded frames come from no controller; leave one of them out"
+            );
         }
         let (_, settings, hash) = self.file()?;
         let link = Link::Recorded(RecordingId {
@@ -313,9 +315,8 @@ impl Instrument {
                 let teeth = source.teeth.as_deref();
                 let baseline = subject.baseline.clone();
                 let station = Station::open(subject, site.setting.clone(), teeth, root)?;
-                let open = |path: &PathBuf| {
-                    source.writer(path, site, station.tool(), baseline.as_deref())
-                };
+                let open =
+                    |path: &PathBuf| source.writer(path, site, station.tool(), baseline.as_deref());
                 writer = store.map(open).transpose()?;
                 Ok(station)
             },

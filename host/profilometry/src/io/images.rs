@@ -193,7 +193,7 @@ pub fn read_grey(path: &Path, content: &[u8], size_px: [u32; 2]) -> Result<GreyI
 
 /// An image whose header was read.
 enum Opened<R: BufRead + Seek> {
-    Png(png::Reader<R>, ImageHeader),
+    Png(Box<png::Reader<R>>, ImageHeader),
     Pgm(R, ImageHeader),
 }
 
@@ -238,7 +238,7 @@ impl<R: BufRead + Seek> Opened<R> {
             height: info.height,
             bits,
         };
-        Ok(Self::Png(reader, header))
+        Ok(Self::Png(Box::new(reader), header))
     }
 
     fn header(&self) -> ImageHeader {
@@ -418,10 +418,21 @@ mod tests {
     #[test]
     fn a_pgm_is_read_as_netpbm_writes_it() {
         let folder = tempfile::tempdir().unwrap();
-        let eight = file(folder.path(), "a.pgm", b"P5\n# by hand\n3 2\n255\n\x00\x01\x02\x03\x04\xff");
+        let eight = file(
+            folder.path(),
+            "a.pgm",
+            b"P5\n# by hand\n3 2\n255\n\x00\x01\x02\x03\x04\xff",
+        );
         let image = load_grey(&eight, [3, 2]).unwrap();
-        assert_eq!((image.bits, &image.pixels[..]), (8, &[0, 1, 2, 3, 4, 255][..]));
-        let sixteen = file(folder.path(), "b.pgm", b"P5 2#w\n1 # h\n4095\n\x0f\xff\x01\x02");
+        assert_eq!(
+            (image.bits, &image.pixels[..]),
+            (8, &[0, 1, 2, 3, 4, 255][..])
+        );
+        let sixteen = file(
+            folder.path(),
+            "b.pgm",
+            b"P5 2 #w\n1 # h\n4095\n\x0f\xff\x01\x02",
+        );
         let image = load_grey(&sixteen, [2, 1]).unwrap();
         assert_eq!((image.bits, &image.pixels[..]), (16, &[4095, 258][..]));
     }
@@ -430,7 +441,11 @@ mod tests {
     fn what_is_no_whole_image_of_the_camera_is_named() {
         let folder = tempfile::tempdir().unwrap();
         for (name, bytes, word) in [
-            ("short.pgm", &b"P5 2 1 4095\n\x0f\xff\x01"[..], "ends before"),
+            (
+                "short.pgm",
+                &b"P5 2 1 4095\n\x0f\xff\x01"[..],
+                "ends before",
+            ),
             ("long.pgm", b"P5 2 1 255\n\x0f\xff\x01", "goes on"),
             ("wide.pgm", b"P5 3 1 255\n\x0f\xff\x01", "3 x 1"),
             ("deep.pgm", b"P5 2 1 65536\n\x0f\xff\x01\x02", "65535"),
@@ -441,7 +456,10 @@ mod tests {
         ] {
             let path = file(folder.path(), name, bytes);
             let error = load_grey(&path, [2, 1]).unwrap_err().to_string();
-            assert!(error.contains(word) && error.contains(name), "{name}: {error}");
+            assert!(
+                error.contains(word) && error.contains(name),
+                "{name}: {error}"
+            );
         }
     }
 
@@ -449,7 +467,11 @@ mod tests {
     #[test]
     fn an_order_of_names_that_is_not_the_numbers_order_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["view2_frame_1.png", "view2_frame_2.png", "view2_frame_10.png"] {
+        for name in [
+            "view2_frame_1.png",
+            "view2_frame_2.png",
+            "view2_frame_10.png",
+        ] {
             file(folder.path(), name, b"");
         }
         let error = list_images(folder.path(), 3).unwrap_err();

@@ -88,7 +88,12 @@ impl<O: Send + 'static> Surveyor<O> {
         let views = program.positions.len();
         let own = Arc::clone(&decoder);
         let make = move |_, sums: &Accumulator| make(&own, sums);
-        let acquisition = Acquisition::start(program, &decoder, move || Ok(FrameReceiver::create(&root)?), make)?;
+        let acquisition = Acquisition::start(
+            program,
+            &decoder,
+            move || Ok(FrameReceiver::create(&root)?),
+            make,
+        )?;
         Ok(Self { acquisition, views })
     }
 

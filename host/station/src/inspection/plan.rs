@@ -6,8 +6,8 @@ use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 use serde::{Deserialize, Serialize};
 
-use crate::acquisition::{Program, StagePosition};
 use super::evidence::{Recipe, RecordedRecipe};
+use crate::acquisition::{Program, StagePosition};
 use crate::settings::StationSettings;
 
 /// One view: which tooth is in its middle, and where the stages must stand.

@@ -136,7 +136,12 @@ impl Scanner {
         } = ViewPipeline::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
-        let acquisition = Acquisition::start(plan.program(&subject.station), &decoder, move || Ok(FrameReceiver::create(&root)?), scan)?;
+        let acquisition = Acquisition::start(
+            plan.program(&subject.station),
+            &decoder,
+            move || Ok(FrameReceiver::create(&root)?),
+            scan,
+        )?;
         Ok(Self {
             subject,
             setting,

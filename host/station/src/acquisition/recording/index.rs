@@ -128,12 +128,12 @@ impl IndexedView {
             return bad("tooth", &"nothing", expected);
         }
         if let Some(angle) = self.rotation_rad
-            && !(angle.abs() < FARTHEST_RAD)
+            && !within(angle, FARTHEST_RAD)
         {
             return bad("rotation_rad", &angle, "must be radians");
         }
         if let Some(height) = self.vertical_mm
-            && !(height.abs() < LONGEST_MM)
+            && !within(height, LONGEST_MM)
         {
             return bad("vertical_mm", &height, "must be millimetres");
         }
@@ -157,12 +157,22 @@ impl IndexedView {
             let expected = "must have as many entries as triggered_us";
             return bad("exposed_us", &self.exposed_us.len(), expected);
         }
-        let is_hash = |text: &String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
+        let is_hash =
+            |text: &String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
         match self.blake3.iter().find(|text| !is_hash(text)) {
-            Some(text) => bad("blake3", text, "must be 64 hexadecimal digits for every frame"),
+            Some(text) => bad(
+                "blake3",
+                text,
+                "must be 64 hexadecimal digits for every frame",
+            ),
             None => Ok(()),
         }
     }
+}
+
+/// Whether a number is one, and not farther from zero.
+fn within(value: f64, most: f64) -> bool {
+    (-most..=most).contains(&value)
 }
 
 /// Whether a path stays in the folder that it is relative to.
@@ -187,7 +197,11 @@ mod tests {
         for (text, line, word) in [
             ("[[view]]\ntooth = 40\n".to_owned(), 1, "simulated"),
             ("simulated = true\n".to_owned(), 1, "[[view]]"),
-            ("simulated = true\n[[view]]\nvertical_mm = 33\n".to_owned(), 2, "rotation_rad"),
+            (
+                "simulated = true\n[[view]]\nvertical_mm = 33\n".to_owned(),
+                2,
+                "rotation_rad",
+            ),
             (format!("{view}rotation_rad = nan\n"), 4, "radians"),
             (format!("{view}vertical_mm = inf\n"), 4, "millimetres"),
             (format!("tool_temperature_degc = nan\n{view}"), 1, "Celsius"),
@@ -196,12 +210,19 @@ mod tests {
             (format!("{view}angle = 3\n"), 4, "rotation_rad"),
             (format!("{view}blake3 = [\"12\"]\n"), 4, "64 hexadecimal"),
             (format!("{view}exposed_us = [[5, 4]]\n"), 4, "go back"),
-            (format!("{view}exposed_us = [[1, 4], [3, 5]]\n"), 4, "go back"),
+            (
+                format!("{view}exposed_us = [[1, 4], [3, 5]]\n"),
+                4,
+                "go back",
+            ),
             (format!("{view}exposed_us = [[1, 4]]\n"), 4, "as many"),
             (format!("taken = \"yesterday\"\n{view}"), 1, "2026-01-31"),
         ] {
             let said = complaint(&text);
-            assert!(said.contains(&format!("frames.toml:{line}: ")) && said.contains(word), "{text}\n{said}");
+            assert!(
+                said.contains(&format!("frames.toml:{line}: ")) && said.contains(word),
+                "{text}\n{said}"
+            );
         }
     }
 
@@ -219,7 +240,7 @@ mod tests {
             view: vec![IndexedView {
                 folder: "view-0001".into(),
                 tooth: Some(40),
-                rotation_rad: Some(-2.954_592_863_472_398_7),
+                rotation_rad: Some(-2.954_592_863_472_399),
                 vertical_mm: Some(33.0),
                 triggered_us: vec![[1, 2], [3, 4]],
                 exposed_us: vec![[11, 12], [13, 14]],
@@ -227,7 +248,11 @@ mod tests {
             }],
         };
         let folder = tempfile::tempdir().unwrap();
-        std::fs::write(folder.path().join(FrameIndex::FILE), index.to_toml().unwrap()).unwrap();
+        std::fs::write(
+            folder.path().join(FrameIndex::FILE),
+            index.to_toml().unwrap(),
+        )
+        .unwrap();
         assert_eq!(FrameIndex::load(folder.path()).unwrap(), index);
     }
 }

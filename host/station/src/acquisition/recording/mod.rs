@@ -87,7 +87,9 @@ pub enum RecordingError {
         bits: u32,
     },
     /// Nothing known of the counts.
-    #[error("neither plan nor head says anything of the sensor: give [sensor] in one of them, a verdict needs its noise")]
+    #[error(
+        "neither plan nor head says anything of the sensor: give [sensor] in one of them, a verdict needs its noise"
+    )]
     NoSensor,
 }
 
@@ -149,7 +151,8 @@ impl Recording {
         let views = self.index.view.iter().enumerate();
         views
             .map(|(at, said)| {
-                let folder = root.join(&said.folder);
+                // Without a "." in the middle of every path that is named.
+                let folder: PathBuf = root.join(&said.folder).components().collect();
                 let images = self.plan.frames(&folder)?;
                 self.check_counts(at, said, images.len())?;
                 for (_, image) in &images {

@@ -5,8 +5,8 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use flankscope_frames::{Arm, monotonic_ns};
 use flankscope_protocol::Event;
 
-use super::source::{Camera, FolderSource, ImageProblem};
 use super::RecordedView;
+use super::source::{Camera, FolderSource, ImageProblem};
 use crate::acquisition::error::{AcquisitionError, Progress, ViewError};
 use crate::acquisition::recorder::{Order, Recorded};
 use crate::acquisition::run::Run;
