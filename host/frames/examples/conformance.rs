@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut rig = CommandRig::new(program, words);
     run(
         &mut rig,
-        &SharedRoot::default_base(),
+        &flankscope_frames::default_base()?,
         &Settings::default(),
         |check| println!("passed: {check}"),
     )?;
