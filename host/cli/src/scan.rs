@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
-use flankscope_station::report::ReportFolder;
+use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
     Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
 };
@@ -300,12 +300,12 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     write_origin(&mut out, &scan.origin, &scan.date)?;
     writeln!(
         out,
-        "scan {:.1} s, last view to result {:.1} s, {} of {} frames, {:.0} MB",
+        "scan {:.1} s, last view to result {:.1} s, {} of {} frames, {} MB",
         scan.timing_ms.total / 1e3,
         scan.last_view_to_result_ms / 1e3,
         scan.frames.received,
         scan.frames.triggered,
-        scan.peak_memory_mb.unwrap_or(f64::NAN),
+        figure(scan.peak_memory_mb),
     )?;
     Ok(())
 }
