@@ -2,7 +2,6 @@
 
 use std::error::Error;
 
-use flankscope_frames::SharedRoot;
 use flankscope_frames::conformance::{CommandRig, Settings, run};
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -310,7 +310,8 @@ fn lands(
         let point = [radius_mm * angle.cos(), radius_mm * angle.sin(), z];
         let off_mm = surface.closest(point).signed_distance_mm.abs();
         // What is no number is refused as well.
-        if !(off_mm <= AGREEMENT_MM) {
+        let agrees = off_mm <= AGREEMENT_MM;
+        if !agrees {
             return Err(ToolError::Land {
                 path: path.to_owned(),
                 key,
