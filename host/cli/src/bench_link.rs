@@ -102,9 +102,7 @@ pub struct Bench {
 /// Writes the demo tool's folder and returns it.
 pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("demo");
-    if !folder.join("tool.toml").exists() {
-        flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
-    }
+    flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
     Ok(folder)
 }
 

@@ -281,7 +281,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     }
     writeln!(
         out,
-        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",
+        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {} MB",
         timing.total / 1000.0,
         timing.positioning / 1000.0,
         timing.exposure / 1000.0,
@@ -289,7 +289,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         frames.received,
         frames.triggered,
         frames.bytes_copied,
-        inspection.peak_memory_mb.unwrap_or(f64::NAN),
+        figure(inspection.peak_memory_mb),
     )?;
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_frames::SharedRoot;
+use flankscope_frames::{RunFolder, SharedRoot, default_base};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::acquisition::Recording;
@@ -284,7 +284,7 @@ pub struct Instrument<S = Station> {
     pub settings: ClientSettings,
     bench: Option<Bench>,
     _root: Arc<SharedRoot>,
-    _scratch: Scratch,
+    _scratch: RunFolder,
 }
 
 impl Instrument {
@@ -375,15 +375,15 @@ impl<S> Instrument<S> {
         quiet: bool,
         station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
-        let scratch = Scratch::new()?;
+        let own = scratch()?;
         let folder = match tool {
             Some(folder) => folder.to_path_buf(),
-            None => demo_tool(scratch.path())?,
+            None => demo_tool(own.path())?,
         };
-        let mut subject = load(&folder, head, scratch.path())?;
+        let mut subject = load(&folder, head, own.path())?;
         site.stand_before(&mut subject);
         fits_link(&subject.head, site.link())?;
-        Self::before(&folder, site, bench, scene, quiet, scratch, |root| {
+        Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)
         })
     }
@@ -395,7 +395,7 @@ impl<S> Instrument<S> {
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
-        scratch: Scratch,
+        scratch: RunFolder,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
@@ -403,7 +403,7 @@ impl<S> Instrument<S> {
             fits_real_press(bench, link)?;
         }
         // The services must be there when the camera process comes.
-        let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
+        let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
         let Link::Port(port) = link else {
             let bench = Bench::start(bench, link, scene, folder, &root)?;
@@ -450,12 +450,12 @@ pub fn subject(
     head: Option<&Path>,
     station: Option<&Path>,
 ) -> anyhow::Result<Subject> {
-    let scratch = Scratch::new()?;
+    let own = scratch()?;
     let folder = match tool {
         Some(folder) => folder.to_path_buf(),
-        None => demo_tool(scratch.path())?,
+        None => demo_tool(own.path())?,
     };
-    let mut subject = load(&folder, head, scratch.path())?;
+    let mut subject = load(&folder, head, own.path())?;
     let (settings, hash) = station_file(station)?;
     subject.station = Arc::new(settings);
     subject.hashes.extend(hash.map(|hash| ("station", hash)));
@@ -513,26 +513,7 @@ fn user_name() -> String {
     name.unwrap_or_else(|| "unknown".into())
 }
 
-/// A folder of this run alone, gone afterwards.
-pub struct Scratch(PathBuf);
-
-impl Scratch {
-    /// Makes the folder.
-    pub fn new() -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("flankscope-run-{}", std::process::id()));
-        std::fs::create_dir_all(&path)
-            .with_context(|| format!("cannot make {}", path.display()))?;
-        Ok(Self(path))
-    }
-
-    /// Where it is.
-    pub fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+/// A folder of this run alone, gone afterwards, in which nobody else can have made anything.
+pub fn scratch() -> anyhow::Result<RunFolder> {
+    Ok(RunFolder::create(&default_base()?)?)
 }

@@ -5,6 +5,7 @@
 //! | [`date`] | calendar days and moments, ISO 8601, UTC |
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
 //! | [`order`] | quantiles and medians |
+//! | [`told`] | figures in sentences |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
 //!
 //! It depends on no room of this workspace; every library and program of the host may depend on it.
@@ -22,3 +23,4 @@ pub mod date;
 pub mod normal;
 pub mod order;
 pub mod textfile;
+pub mod told;
