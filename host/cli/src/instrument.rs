@@ -350,13 +350,13 @@ pub fn recorded_subject(
     recording: &Recording,
     site: &Site,
 ) -> anyhow::Result<Subject> {
-    let scratch = Scratch::new()?;
+    let own = scratch()?;
     let folder = match tool {
         Some(folder) => folder.clone(),
-        None => demo_tool(scratch.path())?,
+        None => demo_tool(own.path())?,
     };
     let head = head.clone().or_else(|| recording.head());
-    let mut subject = load(&folder, head.as_deref(), scratch.path())?;
+    let mut subject = load(&folder, head.as_deref(), own.path())?;
     subject.temperature_degc = recording.index.tool_temperature_degc;
     site.stand_before(&mut subject);
     fits_link(&subject.head, site.link())?;

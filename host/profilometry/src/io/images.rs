@@ -203,14 +203,16 @@ impl<R: BufRead + Seek> Opened<R> {
             path: path.to_owned(),
             source,
         })?;
-        if start.starts_with(b"P5") {
+        // What calls itself a PNG is told what it lacks as one.
+        let named_png = has_extension(path, "png");
+        if start.starts_with(b"P5") && !named_png {
             let header = pgm_header(&mut file).map_err(|reason| ImageError::Pgm {
                 path: path.to_owned(),
                 reason,
             })?;
             return Ok(Self::Pgm(file, header));
         }
-        if !start.starts_with(b"\x89PNG") {
+        if !start.starts_with(b"\x89PNG") && !named_png {
             return Err(ImageError::Format {
                 path: path.to_owned(),
             });
@@ -352,11 +354,7 @@ pub fn list_images(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, Image
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        let is = |wanted| {
-            path.extension()
-                .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
-        };
-        if is("png") || is("pgm") {
+        if has_extension(&path, "png") || has_extension(&path, "pgm") {
             paths.push(path);
         }
     }
@@ -379,6 +377,11 @@ pub fn list_images(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, Image
         }),
         _ => Ok(paths),
     }
+}
+
+fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
 }
 
 /// A file's name cut into its text and its numbers, so that 10 comes after 9.
@@ -452,7 +455,8 @@ mod tests {
             ("none.pgm", b"P5 2 one 255\n\x0f\xff", "header"),
             ("text.pgm", b"P2 2 1 255\n1 2\n", "neither"),
             ("cut.png", b"\x89PNG\r\n\x1a\n\x00\x00", "not a whole PNG"),
-            ("empty.png", b"", "neither"),
+            ("empty.png", b"", "not a whole PNG"),
+            ("renamed.png", b"P5 2 1 255\n\x0f\xff", "not a whole PNG"),
         ] {
             let path = file(folder.path(), name, bytes);
             let error = load_grey(&path, [2, 1]).unwrap_err().to_string();
