@@ -294,6 +294,95 @@ fn run_wrong_tool_files_are_named(cad: PathBuf) {
         ),
         "{error}"
     );
+    // No limit that no damage can reach, no zone beside the toothing, no verdict on what was not seen.
+    for (from, to, named) in [
+        (
+            "limit_um = 50.0",
+            "limit_um = 10000.0",
+            "inspect.limit_um = 10000",
+        ),
+        ("limit_um = 50.0", "limit_um = 800.0", "at most 785.3982"),
+        (
+            "limit_um = 50.0",
+            "limit_um = inf",
+            "inspect.limit_um = inf",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\ncell_limit_um = 2000.0",
+            "inspect.cell_limit_um",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nproud_limit_um = 2000.0",
+            "inspect.proud_limit_um",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\ntip_limit_mm = 2.0",
+            "inspect.tip_limit_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nhidden_depth_um = 0.0",
+            "inspect.hidden_depth_um = 0",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nleast_coverage = 0.0",
+            "0.5 to 1",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nleast_coverage = nan",
+            "0.5 to 1",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nzone_height_mm = [40.0, 60.0]",
+            "gear.height_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nzone_height_mm = [-40.0, 4.0]",
+            "gear.height_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nwear_area_mm2 = 60.0",
+            "fits into the judged zone",
+        ),
+        (
+            "height_mm = 33.0",
+            "height_mm = 64.0",
+            "zone_height_mm[1] = 4",
+        ),
+        (
+            "root_radius_mm = 43.25",
+            "root_radius_mm = 1024.0",
+            "gear.root_radius_mm = 1024",
+        ),
+        ("root_radius_mm = 43.25", "root_radius_mm = 43.55", "mm off"),
+        (
+            "tip_radius_mm = 41.0",
+            "tip_radius_mm = 40.88",
+            "gear.tip_radius_mm",
+        ),
+        (
+            "height_mm = [0.0, 66.0]",
+            "height_mm = [0.0, 90.0]",
+            "gear.height_mm[1] = 90",
+        ),
+        (
+            "height_mm = [0.0, 66.0]",
+            "height_mm = [-5.0, 66.0]",
+            "gear.height_mm[0] = -5",
+        ),
+    ] {
+        let error = refused(from, to).to_string();
+        assert!(error.contains(named), "{to}: {error}");
+        assert!(!error.contains("NaN, "), "{error}");
+    }
     let error = refused("\"CAD\"", "\"missing.stl\"");
     assert!(error.to_string().contains("missing.stl"), "{error}");
     let error = Tool::load(&folder.path().join("nowhere")).unwrap_err();

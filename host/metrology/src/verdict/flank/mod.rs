@@ -3,9 +3,14 @@
 //! A loss that is shown to exceed the stop limit is a no-go whatever else could not be seen. Everything short of that needs
 //! more: that no unmeasured patch, no blunt instrument and no pose may hide what would change the word.
 
+use flankscope_foundation::told::Told;
+
 use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
 use crate::wear::FlankWear;
 use crate::wear::leakage::RECOVERABLE;
+
+/// A flank of which less was seen is not judged, whatever a tool file says.
+pub const LEAST_COVERAGE: f64 = 0.5;
 
 /// Limits of one flank.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,7 +72,9 @@ impl Cause {
         };
         // Rounding of tenths of a millimetre would hide what is compared.
         let digits = if *unit == "mm" { 3 } else { 1 };
-        if value > limit {
+        let beyond = value > limit;
+        let [value, guard, limit] = [*value, *guard, *limit].map(Told);
+        if beyond {
             format!(
                 "{figure} {value:.digits$} {unit} is beyond the {name} of {limit:.digits$} {unit}"
             )
@@ -205,11 +212,12 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
 /// Why `verdict`, which is no no-go, cannot be given.
 fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
     // What is no number is refused as well: it is never enough.
-    let enough = wear.coverage >= limits.least_coverage;
+    let least = limits.least_coverage.max(LEAST_COVERAGE);
+    let enough = wear.coverage >= least && limits.least_coverage.is_finite();
     if !enough && on.coverage {
         return Some(Reason::Coverage {
             coverage: wear.coverage,
-            least: limits.least_coverage,
+            least,
         });
     }
     let Some(figures) = wear.figures else {
