@@ -6,9 +6,11 @@
 //! | `index` | `frames.toml` |
 //! | `source` | a folder as a source of frames |
 //! | `playback` | an acquisition that is fed from it |
+//! | `saver` | frames written into such a folder while they come |
 
 mod index;
 mod playback;
+mod saver;
 mod source;
 
 use std::path::{Path, PathBuf};
@@ -23,6 +25,7 @@ use flankscope_protocol::{Microseconds, Timestamp, Trigger};
 
 pub use index::{FrameIndex, IndexedView};
 pub(crate) use playback::Playback;
+pub(crate) use saver::{SavedCapture, SavedView, Saver};
 pub use source::ImageProblem;
 
 use crate::files;
