@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use flankscope_tests::{Run, flankscope, inspect, outside_frames, run};
+use flankscope_test_requisites::shared;
+use flankscope_tests::{Run, flankscope, inspect, run};
 use serde_json::Value;
 
 /// What the outside renderer's head is off the place that its file says, µm.
@@ -40,7 +41,7 @@ fn number(value: &Value) -> f64 {
 
 #[test]
 fn a_sprayed_die_of_an_outside_renderer_is_go_and_where_the_head_was() {
-    let Some(outside) = outside_frames("sprayed-new") else {
+    let Some(outside) = shared("outside/sprayed-new") else {
         return;
     };
     for (plan, frames) in [("plan-insitu12.toml", 12), ("plan-scan16.toml", 16)] {
@@ -82,7 +83,7 @@ fn a_sprayed_die_of_an_outside_renderer_is_go_and_where_the_head_was() {
 /// missing.
 #[test]
 fn half_a_flank_of_bare_steel_that_lost_80_um_is_never_go() {
-    let Some(outside) = outside_frames("steel-half80") else {
+    let Some(outside) = shared("outside/steel-half80") else {
         return;
     };
     for plan in ["plan-insitu12.toml", "plan-scan16.toml"] {
@@ -100,7 +101,7 @@ fn half_a_flank_of_bare_steel_that_lost_80_um_is_never_go() {
 
 #[test]
 fn a_recorded_check_is_stored_reported_and_computed_again() {
-    let Some(outside) = outside_frames("sprayed-new") else {
+    let Some(outside) = shared("outside/sprayed-new") else {
         return;
     };
     let folder = index_of(&outside, "plan-insitu12.toml");
@@ -342,7 +343,10 @@ fn what_is_wrong_with_a_recording_is_named_and_never_go() {
         std::fs::remove_file(of.path(name)).unwrap();
         of.is(3, words);
     };
-    lacks("capture-0001/frame-0007.pgm", &["holds 24 images", "25 frames"]);
+    lacks(
+        "capture-0001/frame-0007.pgm",
+        &["holds 24 images", "25 frames"],
+    );
     lacks("head.toml", &["head.toml"]);
     lacks("PLAN.toml", &["PLAN.toml"]);
     let more = copy();
