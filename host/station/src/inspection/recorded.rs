@@ -113,7 +113,9 @@ impl RecordedCheck {
                 let capture = self.captures[view].get(attempt)?;
                 (attempt == 0 || open()).then(|| (view, capture.clone()))
             };
-            let views: Vec<_> = (0..self.captures.len()).filter_map(wanted).collect();
+            let mut views: Vec<_> = (0..self.captures.len()).filter_map(wanted).collect();
+            // As they were taken, by the controller's clock.
+            views.sort_by_key(|(_, capture)| capture.number);
             let before = std::mem::take(&mut run.outcomes);
             for some in views.chunks(flankscope_protocol::plan::MAX_VIEWS) {
                 let acquisition = &mut self.station.acquisition;

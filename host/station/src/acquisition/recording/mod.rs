@@ -99,6 +99,8 @@ pub enum RecordingError {
 /// The frames of one view.
 #[derive(Clone, Debug)]
 pub(crate) struct RecordedView {
+    /// Its place in the index: the order in which views were taken.
+    pub number: usize,
     images: Vec<(FrameKind, PathBuf)>,
     /// What the index says beside.
     said: IndexedView,
@@ -172,6 +174,7 @@ impl Recording {
                     }
                 }
                 Ok(RecordedView {
+                    number: at,
                     images,
                     said: said.clone(),
                 })
