@@ -349,7 +349,7 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         (
             "foreign.stl",
             b"\x89PNG\r\n\x1a\n and so on".repeat(20),
-            "neither PLY",
+            "an image (PNG)",
         ),
         (
             "text.ply",
