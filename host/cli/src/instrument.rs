@@ -13,6 +13,7 @@ use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{Station, Subject};
 use flankscope_station::origin::{Link, Setting};
+use flankscope_station::seal::{Kind, SealError, Seals};
 use flankscope_station::settings::StationSettings;
 
 use crate::bench_link::{Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press};
@@ -236,16 +237,19 @@ impl Instrument {
                     grid.impose(Arc::make_mut(&mut subject.head))?;
                 }
                 if let Some(path) = &source.baseline {
+                    let simulated = setting.link.is_simulated();
                     let baseline =
-                        Baseline::load(path, &subject.hashes, setting.link.is_simulated())?;
+                        Baseline::load(path, &subject.hashes, simulated, &subject.seals)?;
                     subject.hashes.insert("baseline", baseline.hash());
                     subject.baseline = Some(Arc::new(baseline));
                 }
                 let teeth = source.teeth.as_deref();
                 let baseline = subject.baseline.clone();
+                let seals = subject.seals.clone();
                 let station = Station::open(subject, setting.clone(), teeth, root)?;
                 if let Some(path) = store {
-                    let history = History::open(path)?;
+                    let history = History::open(path, &seals)?;
+                    history.takes_head(&station.head())?;
                     let unknown = history.of_unknown_origin()?;
                     if unknown > 0 {
                         say(&format!(
@@ -261,7 +265,7 @@ impl Instrument {
                         setting.operator.clone().unwrap_or_else(user_name),
                     );
                     let simulated = setting.link.is_simulated();
-                    opened.begin(station.tool(), simulated, baseline.as_deref())?;
+                    opened.begin(&station.die(), simulated, baseline.as_deref())?;
                     writer = Some(opened);
                 }
                 Ok(station)
@@ -375,11 +379,20 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
     let tool = Tool::load(folder)?;
     let beside = tool.path.with_file_name("head.toml");
     let mut head_path = head.map_or(beside, Path::to_path_buf);
+    let ours = folder.starts_with(scratch) || head.is_none() && !head_path.exists();
+    let ours = ours && head.is_none();
     if head.is_none() && !head_path.exists() {
         // A tool folder may leave the head out: the demo head then looks at it.
         head_path = demo_tool(scratch)?.join("head.toml");
     }
     let head = HeadModel::load(&head_path)?;
+    let seals = seals()?;
+    let head_seal = if ours {
+        "built in".into()
+    } else {
+        seals.head(&head_path, head.calibration.is_some())?.words()
+    };
+    believe_as_built(&tool, &seals)?;
     let mut hashes = BTreeMap::new();
     let mut files = vec![
         ("tool", tool.path.clone()),
@@ -400,8 +413,39 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         temperature_degc: None,
         baseline: None,
         station: Arc::default(),
+        head_seal: Some(head_seal),
+        seals,
         hashes,
     })
+}
+
+/// A scan that a tool file names as its die when new is believed as any other result of a scan.
+fn believe_as_built(tool: &Tool, seals: &Seals) -> anyhow::Result<()> {
+    let inspect = tool.inspect.as_ref();
+    let Some(scan) = inspect.and_then(|inspect| inspect.as_built_scan.as_ref()) else {
+        return Ok(());
+    };
+    let path = tool.path.with_file_name("").join(scan);
+    let bytes = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let document = serde_json::from_slice(&bytes)
+        .with_context(|| format!("{} (inspect.as_built_scan)", path.display()))?;
+    seals.believe(Kind::Scan, &path, &document)?;
+    Ok(())
+}
+
+/// The station's key, made at first use. Where it has no place, a key of this run alone: a check goes on, but nobody believes
+/// later what it signed.
+pub fn seals() -> anyhow::Result<Seals> {
+    let error = match Seals::default_folder().and_then(|folder| Seals::open(&folder)) {
+        Ok(seals) => return Ok(seals),
+        // Whose key may be known to others should hear of it, and not go on without.
+        Err(error @ SealError::KeyOpen { .. }) => return Err(error.into()),
+        Err(error) => error,
+    };
+    say(&format!(
+        "{error}; what this run writes is signed by a key that ends with it"
+    ));
+    Ok(Seals::passing()?)
 }
 
 /// This host, as the system says.

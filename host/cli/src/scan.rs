@@ -5,18 +5,20 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use flankscope_foundation::seal::Seal;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
 use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
     Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
 };
+use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::{BenchArgs, DieArgs, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{Instrument, Place, Scene, scratch};
+use crate::instrument::{Instrument, Place, Scene, scratch, seals};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
@@ -202,6 +204,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let truth = complaints.hear(instrument.close(quiet)).flatten();
     scan.truth = truth;
+    // The reference of later scans.
+    scan.seal = complaints.hear(seal(&scan));
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
     if let Some(mesh) = &args.mesh {
@@ -210,6 +214,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }));
     }
     Ok(complaints.end(scan.verdict, &scan.sentence()))
+}
+
+fn seal(scan: &Scan) -> anyhow::Result<Seal> {
+    Ok(seals()?.seal(Kind::Scan, scan)?)
 }
 
 impl Args {

@@ -59,6 +59,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         cores: None,
         calibration: None,
         self_test: None,
+        seal: None,
         core_map: None,
     })
 }

@@ -19,7 +19,7 @@ pub(crate) struct Storage<'a> {
 }
 
 /// Whether a text is FileStorage: XML, or YAML with its directive.
-pub(crate) fn is_file_storage(text: &str) -> bool {
+pub fn is_file_storage(text: &str) -> bool {
     let start = start_of(text);
     start.starts_with('<') || start.starts_with("%YAML")
 }

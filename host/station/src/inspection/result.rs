@@ -8,6 +8,7 @@ use flankscope_metrology::wear::leakage::Leakage;
 use serde::Serialize;
 
 use crate::baseline::Reference;
+use crate::history::DieKey;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
@@ -252,6 +253,8 @@ pub struct Inspection {
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
     pub tool: String,
+    /// What the die is known by.
+    pub die: DieKey,
     /// Temperature of the tool that the scale was corrected for, degrees C; absent when it is not known.
     pub temperature_degc: Option<f64>,
     /// Host, protocol, firmware.
