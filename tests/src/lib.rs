@@ -61,7 +61,20 @@ pub fn workspace() -> &'static Path {
 /// The file is missing although everything must run (`cargo xtask test --all`).
 #[must_use]
 pub fn shared_data(file: &str) -> Option<PathBuf> {
-    let path = workspace().join("../shared/data").join(file);
+    beside("../shared/data", file)
+}
+
+/// Frames that an outside renderer made of the demo die, or `None` with a visible notice.
+///
+/// # Panics
+/// As [`shared_data`].
+#[must_use]
+pub fn outside_frames(folder: &str) -> Option<PathBuf> {
+    beside("../shared/outside", folder)
+}
+
+fn beside(place: &str, name: &str) -> Option<PathBuf> {
+    let path = workspace().join(place).join(name);
     if path.exists() {
         return path.canonicalize().ok();
     }

@@ -2,8 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use serde::{Deserialize, Serialize};
+
 /// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FringeSet {
     /// Periods over the projector's full width.
     pub periods: f64,
@@ -12,7 +14,7 @@ pub struct FringeSet {
 }
 
 /// Which way the fringes move from step to step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StepSign {
     /// Step n shows `cos(phase + TAU n / N)`: the instrument's own patterns.
     #[default]
@@ -33,7 +35,7 @@ impl StepSign {
 
 /// The frequencies of one capture, low to high, and how phase relates to the projector's columns:
 /// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PatternSet {
     /// `insitu12`, the plan file's name, ...
     pub name: String,
@@ -164,6 +166,14 @@ impl PatternSet {
             step_sign,
             phase_origin_px,
         })
+    }
+
+    /// The same set, if it is within the limits: one that was read from a file is not known to be.
+    ///
+    /// # Errors
+    /// [`PatternError`]: see its variants for the limits.
+    pub fn checked(self) -> Result<Self, PatternError> {
+        Self::with_convention(self.name, self.sets, self.step_sign, self.phase_origin_px)
     }
 
     /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8} or `scan16` {4 x 4; 13 x 4; 48 x 8} (periods x steps).

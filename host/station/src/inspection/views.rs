@@ -97,6 +97,21 @@ impl ViewOutcome {
             .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
     }
 
+    /// What became of views, and of those that were captured again.
+    pub(crate) fn joined(
+        mut first: BTreeMap<usize, Self>,
+        again: BTreeMap<usize, Self>,
+    ) -> BTreeMap<usize, Self> {
+        for (view, again) in again {
+            let outcome = match first.remove(&view) {
+                Some(first) => first.with(again),
+                None => again,
+            };
+            first.insert(view, outcome);
+        }
+        first
+    }
+
     /// The outcome of this view and of another capture of it, judged together.
     #[must_use]
     pub(crate) fn with(mut self, again: Self) -> Self {
