@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path, &seals));
         complaints.hear(recorded.map_err(Into::into));
     }
-    Ok(complaints.end(inspection.verdict, &inspection.sentence()))
+    Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
 }
 
 impl Args {

@@ -409,7 +409,7 @@ impl<S> Instrument<S> {
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),
-                settings: bench.client_settings(),
+                settings: bench.client_settings(&site.settings),
                 bench: Some(bench),
                 _root: root,
                 _scratch: scratch,

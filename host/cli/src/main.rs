@@ -104,7 +104,7 @@ fn main() -> ExitCode {
     match result {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            output::say(&format!("error: {error:#}"));
+            output::say(&format!("error: {}", output::in_words(&error)));
             Outcome::CouldNotRun.into()
         }
     }

@@ -213,7 +213,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             flankscope_station::report::scan_mesh(&scan, file)
         }));
     }
-    Ok(complaints.end(scan.verdict, &scan.sentence()))
+    Ok(complaints.end(scan.verdict, &scan.sentence(), quiet))
 }
 
 fn seal(scan: &Scan) -> anyhow::Result<Seal> {

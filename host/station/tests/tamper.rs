@@ -5,7 +5,7 @@ mod inspections;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::verdict::{Shown, Word};
-use flankscope_station::history::{DieKey, History, HistoryError, HistoryWriter};
+use flankscope_station::history::{DieKey, History, HistoryError, HistoryWriter, Replay};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::sink::ResultSink;
 use inspections::{inspection, seals};
@@ -176,6 +176,41 @@ fn every_value_of_every_row_is_held_by_the_chain() {
     }
     println!("{tampered} values changed, {removed} rows removed, none believed");
     assert!(tampered > 200 && removed > 30, "{tampered} {removed}");
+}
+
+/// The column says go, the document no-go; the chain apart, a replay compares them.
+#[test]
+fn a_row_that_says_otherwise_than_its_document_is_a_difference() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let of = |path: &Path| Replay::of_row(&History::read(path, &seals()).unwrap(), 2).unwrap();
+    assert_eq!(of(&path), []);
+    let copy = folder.path().join("copy.db");
+    for (sql, named) in [
+        (
+            "UPDATE inspection SET verdict = 'go' WHERE id = 2",
+            "column verdict",
+        ),
+        (
+            "UPDATE inspection SET serial = 'A 8' WHERE id = 2",
+            "column serial",
+        ),
+        (
+            "UPDATE flank SET wear_um = 0 WHERE inspection = 2 AND tooth = 40 AND flank = 'left'",
+            "column wear_um of tooth 40 left",
+        ),
+        (
+            "DELETE FROM flank WHERE inspection = 2 AND tooth = 40 AND flank = 'left'",
+            "column flanks",
+        ),
+    ] {
+        changed(&path, &copy, |connection| {
+            assert_eq!(connection.execute(sql, []).unwrap(), 1, "{sql}");
+        });
+        let found = of(&copy);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert_eq!(found[0].what, named);
+    }
 }
 
 #[test]
