@@ -268,7 +268,7 @@ impl Baseline {
                 return Err(bad("deviation", mm, "at most 10 mm either way"));
             }
             for (&mm, &mm2) in field.wear_mm.iter().zip(&field.variance_mm2) {
-                let measured = mm2 >= 0.0 && mm2 < f64::INFINITY;
+                let measured = (0.0..f64::INFINITY).contains(&mm2);
                 if mm.is_finite() && !measured || mm2 < 0.0 {
                     return Err(bad("variance", mm2, "a number, 0 mm2 or more"));
                 }

@@ -123,8 +123,8 @@ fn append(
         for (at, name) in names.iter().enumerate() {
             let (kind, value): (u8, &[u8]) = match row.get_ref(at)? {
                 ValueRef::Null => continue,
-                ValueRef::Integer(number) => (b'i', &number.to_le_bytes().to_vec()),
-                ValueRef::Real(number) => (b'r', &number.to_bits().to_le_bytes().to_vec()),
+                ValueRef::Integer(number) => (b'i', number.to_le_bytes().as_ref()),
+                ValueRef::Real(number) => (b'r', number.to_bits().to_le_bytes().as_ref()),
                 ValueRef::Text(text) => (b't', text),
                 ValueRef::Blob(blob) => (b'b', blob),
             };
