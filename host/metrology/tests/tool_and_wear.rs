@@ -106,7 +106,7 @@ fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
 
 #[test]
 fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
-    on_every_ring84_file("an_undamaged_gear_is_go", run_an_undamaged_gear_is_go);
+    on_every_ring84_file(run_an_undamaged_gear_is_go);
 }
 
 fn run_an_undamaged_gear_is_go(cad: PathBuf) {
@@ -162,7 +162,7 @@ fn run_an_undamaged_gear_is_go(cad: PathBuf) {
 
 #[test]
 fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
-    on_every_ring84_file("a_pit_counts_by_its_depth", run_a_pit_counts_by_its_depth);
+    on_every_ring84_file(run_a_pit_counts_by_its_depth);
 }
 
 fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
@@ -199,7 +199,7 @@ fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
 
 #[test]
 fn a_flank_that_was_not_seen_is_indeterminate() {
-    on_every_ring84_file("a_flank_that_was_not_seen", run_a_flank_that_was_not_seen);
+    on_every_ring84_file(run_a_flank_that_was_not_seen);
 }
 
 fn run_a_flank_that_was_not_seen(cad: PathBuf) {
@@ -231,7 +231,7 @@ fn run_a_flank_that_was_not_seen(cad: PathBuf) {
 
 #[test]
 fn wrong_tool_files_are_named() {
-    on_every_ring84_file("wrong_tool_files_are_named", run_wrong_tool_files_are_named);
+    on_every_ring84_file(run_wrong_tool_files_are_named);
 }
 
 fn run_wrong_tool_files_are_named(cad: PathBuf) {
@@ -392,10 +392,7 @@ fn run_wrong_tool_files_are_named(cad: PathBuf) {
 /// The predicted leakage against what the fit really hides: the same noisy points laid on CAD without and with wear.
 #[test]
 fn leakage_is_what_the_fit_takes_away() {
-    on_every_ring84_file(
-        "leakage_is_what_the_fit_takes_away",
-        run_leakage_is_what_the_fit_takes_away,
-    );
+    on_every_ring84_file(run_leakage_is_what_the_fit_takes_away);
 }
 
 fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
@@ -478,7 +475,7 @@ fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
 
 #[test]
 fn temperature_is_asked_for_and_kept_to_its_range() {
-    on_every_ring84_file("temperature_is_asked_for", run_temperature_is_asked_for);
+    on_every_ring84_file(run_temperature_is_asked_for);
 }
 
 fn run_temperature_is_asked_for(cad: PathBuf) {

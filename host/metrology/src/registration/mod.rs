@@ -25,7 +25,7 @@ pub use solve::register;
 use flankscope_foundation::told::Told;
 use nalgebra::Matrix6;
 
-use crate::space::frames::{Cloud, Rigid, Tool};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// How to register. Lengths mm, angles rad.
 #[derive(Debug, Clone)]

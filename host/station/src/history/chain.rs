@@ -121,10 +121,17 @@ fn append(
     while let Some(row) = rows.next()? {
         bytes.push(b'{');
         for (at, name) in names.iter().enumerate() {
+            let number_bytes;
             let (kind, value): (u8, &[u8]) = match row.get_ref(at)? {
                 ValueRef::Null => continue,
-                ValueRef::Integer(number) => (b'i', number.to_le_bytes().as_ref()),
-                ValueRef::Real(number) => (b'r', number.to_bits().to_le_bytes().as_ref()),
+                ValueRef::Integer(number) => {
+                    number_bytes = number.to_le_bytes();
+                    (b'i', &number_bytes)
+                }
+                ValueRef::Real(number) => {
+                    number_bytes = number.to_bits().to_le_bytes();
+                    (b'r', &number_bytes)
+                }
                 ValueRef::Text(text) => (b't', text),
                 ValueRef::Blob(blob) => (b'b', blob),
             };

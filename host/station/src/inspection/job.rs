@@ -109,7 +109,9 @@ pub struct Station {
     pub(crate) plan: Arc<ViewPlan>,
     pub(crate) acquisition: Acquisition<ViewOutcome>,
     /// Where it works.
-    setting: Setting,
+    pub(super) setting: Setting,
+    /// Largest count of the camera.
+    pub(super) full_scale_dn: u16,
 }
 
 impl Station {
@@ -165,6 +167,7 @@ impl Station {
             plan: Arc::new(plan),
             acquisition,
             setting,
+            full_scale_dn: decoder.full_scale_dn(),
         })
     }
 

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_foundation::rigid::Rigid;
 use flankscope_foundation::told::Told;
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
@@ -11,7 +12,6 @@ use flankscope_metrology::multiview::adjustment::{
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;

@@ -202,7 +202,7 @@ fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
 
 /// Why the pose forbids any verdict.
 fn pose(wear: &FlankWear) -> Option<Reason> {
-    let leakage = wear.influence.as_ref()?.leakage.worst();
+    let leakage = wear.sensitivity.as_ref()?.leakage.worst();
     (leakage.is_nan() || leakage > RECOVERABLE).then_some(Reason::Leakage {
         leakage,
         limit: RECOVERABLE,
@@ -345,7 +345,7 @@ mod tests {
                 ring: 0.0,
             },
             evidence: Arc::new(PoseEvidence {
-                tooth: 40,
+                tooth: Some(40),
                 flanks: Vec::new(),
                 stages_mm: 0.0,
                 approach_sigma_mm: 0.0,
@@ -405,7 +405,7 @@ mod tests {
                 },
             ),
             ("leakage", Refusals { pose: false, ..all }, |w| {
-                w.influence = leaking(0.6)
+                w.sensitivity = leaking(0.6)
             }),
             ("tip_unseen", Refusals { tip: false, ..all }, |w| {
                 w.tip = None
@@ -477,7 +477,7 @@ mod tests {
             |w| w.hidden_mm = Some(f64::NAN),
             |w| w.budget.registration_mm = f64::NAN,
             |w| w.coverage = f64::NAN,
-            |w| w.influence = leaking(f64::NAN),
+            |w| w.sensitivity = leaking(f64::NAN),
         ];
         for (i, spoil) in cases.into_iter().enumerate() {
             let mut wear = sound();
