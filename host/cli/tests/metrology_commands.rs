@@ -453,12 +453,6 @@ fn damaged_meshes_are_refused_by_every_command() {
                 "out.ply",
             ],
         ] {
-            // `flat.ply` has no area, which sampling says in its own words.
-            let word = if name == "flat.ply" && command[0] == "sample" {
-                "area"
-            } else {
-                word
-            };
             let output = flankscope(folder.path(), &command);
             assert_refused(
                 folder.path(),

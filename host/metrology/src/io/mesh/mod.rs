@@ -14,6 +14,7 @@ pub use stl::write_stl;
 pub(crate) use weld::weld;
 
 use crate::io::{Unit, ply};
+use crate::space::unit_normal;
 
 /// Smallest bounding box diagonal that a die or a feature of one can have, mm.
 const LEAST_DIAGONAL_MM: f64 = 1.0;
@@ -121,6 +122,10 @@ impl TriMesh {
                 most_mm: MOST_DIAGONAL_MM,
                 unit,
             });
+        }
+        let triangles = self.triangles.len();
+        if (0..triangles).all(|index| unit_normal(self.corners(index)).is_none()) {
+            return Err(MeshError::NoArea { triangles });
         }
         Ok(self)
     }
