@@ -53,7 +53,7 @@ pub struct Source {
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
     #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
-    /// Remove the phasors of a go after N later checks; other verdicts keep theirs [default: the station's, or 1000]
+    /// Remove the phasors of a go after N later checks, of warn and indeterminate after 10 N; a no-go keeps them [default: the station's, or 1000]
     #[arg(long, value_name = "N")]
     pub keep_phasors: Option<u32>,
 }
@@ -109,7 +109,11 @@ impl Source {
             self.tool_cycles,
             self.keep_phasors.unwrap_or(keep_phasors),
             operator.unwrap_or_else(user_name),
-        );
+        )
+        .within((1e9 * site.settings.history.keep_phasors_gb) as u64);
+        if let Some(room) = opened.room()? {
+            say(&room);
+        }
         let baseline = subject.baseline.as_deref();
         opened.begin(&subject.die(), site.link().is_simulated(), baseline)?;
         Ok(opened)

@@ -365,11 +365,14 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     let registered = |r: &&flankscope_station::scan::ScanRegistration| r.status == "registered";
     writeln!(
         out,
-        "\n{} of {} views, {} % of the bore seen, joint solve in {} rounds",
+        "\n{} of {} views, {} % of the bore seen, {}",
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
         percent(scan.coverage_ratio),
-        scan.adjustment.rounds
+        match &scan.adjustment {
+            Some(joint) => format!("joint solve in {} rounds", joint.rounds),
+            None => "laid on the CAD one by one".into(),
+        }
     )?;
     if let Some(form) = &scan.form {
         writeln!(

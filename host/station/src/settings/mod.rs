@@ -19,6 +19,7 @@ use flankscope_metrology::multiview::adjustment::Local;
 use serde::{Deserialize, Serialize};
 
 use crate::controller::ClientSettings;
+use crate::history::Retention;
 
 /// A station's file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -114,6 +115,8 @@ pub struct Store {
     pub file: Option<PathBuf>,
     /// A go gives its phasors up after so many later checks.
     pub keep_phasors: u32,
+    /// Phasors take at most so much room, GB; those of no-gos alone may take more.
+    pub keep_phasors_gb: f64,
 }
 
 /// Where results are written for people.
@@ -185,6 +188,7 @@ impl Default for Store {
         Self {
             file: None,
             keep_phasors: 1_000,
+            keep_phasors_gb: Retention::BYTES as f64 / 1e9,
         }
     }
 }
@@ -270,6 +274,13 @@ impl StationSettings {
         self.press.check()?;
         self.light.check()?;
         self.timing.check()?;
+        let room = "more than 0 and at most 1000000 GB";
+        up_to(
+            "history.keep_phasors_gb",
+            self.history.keep_phasors_gb,
+            1e6,
+            room,
+        )?;
         self.stages.check()
     }
 }
