@@ -483,7 +483,7 @@ pub fn seals() -> anyhow::Result<Seals> {
 }
 
 /// The head's file: the one named, else the one in the tool's folder, else the demo's.
-fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
+pub fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
     if let Some(head) = named {
         return Ok(head.to_path_buf());
     }
