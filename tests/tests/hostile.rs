@@ -179,7 +179,7 @@ fn a_stall_between_trigger_and_frame_is_evidence() {
     let mut said = BufReader::new(check.stderr.take().unwrap());
     // The line of the first view's frames has begun when its first byte after the moving line is there.
     let mut line = String::new();
-    while !line.contains("head moves to view") {
+    while !line.contains("head moves to") {
         line.clear();
         assert!(said.read_line(&mut line).unwrap() > 0, "the check began");
     }
