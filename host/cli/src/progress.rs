@@ -48,8 +48,8 @@ impl Watcher {
                     number + 1
                 )
             }
-            Progress::Exposed { frame, of } if frame + 1 == of => {
-                format!("{of} frames of {} exposed", self.name(self.at))
+            Progress::Exposed { frame: 0, of } => {
+                format!("LED on, {of} frames of {}", self.name(self.at))
             }
             Progress::Exposed { .. } => return,
             Progress::Recapture(view) => format!("{} is captured again", self.name(view)),
