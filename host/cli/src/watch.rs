@@ -19,6 +19,7 @@ use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder};
+use crate::terminal::Terminal;
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
@@ -211,12 +212,15 @@ impl<'a> Log<'a> {
             )
         });
         let held_s = inspection.timing_ms.total / 1000.0;
-        self.say(&format!(
-            "cycle {cycle}: {} (shown: {}){worst}, press held {held_s:.2} s: {}",
-            inspection.verdict.as_str().to_uppercase(),
+        let on = Terminal::of_stderr();
+        let verdict = inspection.verdict;
+        let word = on.in_colour(verdict, &verdict.as_str().to_uppercase());
+        let rest = format!(
+            "(shown: {}){worst}, press held {held_s:.2} s: {}",
             shown.word(),
             inspection.reason
-        ));
+        );
+        self.say(&format!("cycle {cycle}: {word} {}", on.text(&rest)));
         if *needs_maintenance {
             self.say(
                 "MAINTENANCE: several checks in a row gave no result; is the head soiled or moved?",
