@@ -104,7 +104,7 @@ fn assert_kept(path: &Path, given: &[Said]) {
 fn a_thousand_kills_lose_no_verdict(folder: &Path) {
     let mut random = Pcg64::seed_from_u64(6);
     let program = std::env::current_exe().unwrap();
-    let (mut verdicts, mut stored) = (0, 0);
+    let (mut awaited, mut verdicts, mut stored) = (0, 0, 0);
     for file in 0..FILES {
         let path = folder.join(format!("press-{file}.db"));
         let mut given = Vec::new();
@@ -116,16 +116,18 @@ fn a_thousand_kills_lose_no_verdict(folder: &Path) {
                 .stdout(Stdio::piped())
                 .spawn()
                 .unwrap();
-            std::thread::sleep(Duration::from_micros(random.random_range(0..40_000)));
+            // After so many verdicts, and a moment; with none, anywhere while the file is opened.
+            let mut output = BufReader::new(child.stdout.take().unwrap());
+            let mut text = String::new();
+            let first = random.random_range(0..4);
+            for _ in 0..first {
+                output.read_line(&mut text).unwrap();
+            }
+            awaited += first;
+            std::thread::sleep(Duration::from_micros(random.random_range(0..10_000)));
             child.kill().unwrap();
             child.wait().unwrap();
-            let mut text = String::new();
-            child
-                .stdout
-                .take()
-                .unwrap()
-                .read_to_string(&mut text)
-                .unwrap();
+            output.read_to_string(&mut text).unwrap();
             given.extend(said(&text));
         }
         assert!(given.iter().all(|said| said.verdict == Word::Go));
@@ -141,12 +143,14 @@ fn a_thousand_kills_lose_no_verdict(folder: &Path) {
         }
         verdicts += given.len();
     }
-    // How many depends on the machine's load; with none nothing would have been tested.
-    assert!(verdicts > FILES, "only {verdicts} verdicts were given");
+    assert!(
+        verdicts >= awaited,
+        "{verdicts} of {awaited} verdicts were given"
+    );
     // Of each kill at most one check is stored that nobody heard of.
     assert!(stored - verdicts <= FILES * KILLS_PER_FILE);
     println!(
-        "{} kills: {verdicts} verdicts given, all there",
+        "{} kills: {verdicts} verdicts given ({awaited} of them waited for), all there",
         FILES * KILLS_PER_FILE
     );
 }
