@@ -5,15 +5,15 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use flankscope_station::acquisition::{Progress, Recording};
-use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::Origin;
 use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
-use crate::instrument::{Instrument, Site, Source, recorded_check, seals};
+use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place, try_recording};
+use crate::site::Site;
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
@@ -90,7 +90,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     complaints.hear_of(args.common.document(), &mut inspection);
     complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
-        let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path, &seals));
+        let recorded = inspection
+            .baseline()
+            .and_then(|baseline| baseline.save(path, &seals));
         complaints.hear(recorded.map_err(Into::into));
     }
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
@@ -127,7 +129,13 @@ impl Args {
     }
 
     fn check_recorded(&self, recording: &Recording, site: &Site) -> anyhow::Result<Inspection> {
-        let (mut check, mut writer) = recorded_check(&self.source, recording, &self.bench, site)?;
+        let (mut check, mut writer) = recorded_check(
+            &self.source,
+            recording,
+            &self.bench,
+            site,
+            self.common.quiet,
+        )?;
         let mut watcher = Watcher::new(self.common.quiet);
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
         watcher.finish();

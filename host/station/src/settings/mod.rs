@@ -19,7 +19,6 @@ use flankscope_metrology::multiview::adjustment::Local;
 use serde::{Deserialize, Serialize};
 
 use crate::controller::ClientSettings;
-use crate::history::Retention;
 
 /// A station's file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,8 +48,6 @@ pub struct StationSettings {
 pub struct Controller {
     /// Its port, or `sim` or `qemu`, as `--link` has it.
     pub link: Option<String>,
-    /// Speed of a serial port, bit/s.
-    pub baud: u32,
     /// Wait for an answer before the same order is sent again, ms.
     pub answer_ms: u64,
     /// Longest time by which triggers and frames may be late, ms.
@@ -134,7 +131,6 @@ impl Default for Controller {
     fn default() -> Self {
         Self {
             link: None,
-            baud: 921_600,
             answer_ms: 250,
             stall_ms: 2_000,
         }
@@ -191,7 +187,7 @@ impl Default for Store {
         Self {
             file: None,
             keep_phasors: 1_000,
-            keep_phasors_gb: Retention::BYTES as f64 / 1e9,
+            keep_phasors_gb: 10.0,
         }
     }
 }
@@ -260,7 +256,6 @@ impl StationSettings {
     pub fn client(&self) -> ClientSettings {
         ClientSettings {
             answer: Duration::from_millis(self.controller.answer_ms),
-            baud: self.controller.baud,
             stall: Some(Duration::from_millis(self.controller.stall_ms)),
             ..ClientSettings::default()
         }
@@ -314,8 +309,6 @@ fn within(
 
 impl Controller {
     fn check(&self) -> Result<(), BadValue> {
-        let speed = "1200 to 12000000 bit/s, as the controller has it";
-        within("controller.baud", self.baud, 1_200..=12_000_000, speed)?;
         let wait = "1 to 60000 ms";
         within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)?;
         within("controller.stall_ms", self.stall_ms, 1..=60_000, wait)
