@@ -168,7 +168,7 @@ fn a_thousand_kills_lose_no_verdict(folder: &Path) {
 fn a_full_disk_never_gives_go(folder: &Path) {
     let program = std::env::current_exe().unwrap();
     let (mut given, mut refused) = (0, 0);
-    for blocks in (0..400).step_by(5) {
+    for blocks in (0..800).step_by(10) {
         let path = folder.join(format!("full-{blocks}.db"));
         // Without the trap the system would end the process instead of failing the write.
         let output = Command::new("sh")

@@ -20,6 +20,7 @@ const STATION: &str = "host/station";
 const CLI: &str = "host/cli";
 const BENCH: &str = "tools/bench";
 const DEMO: &str = "tools/demo";
+const CAMPAIGN: &str = "tools/campaign";
 const STUDY: &str = "tools/study";
 const GEAR_CAD: &str = "tools/gear-cad";
 const TEST_REQUISITES: &str = "tools/test-requisites";
@@ -87,6 +88,7 @@ const ROOMS: &[Room] = &[
             GEAR_CAD,
         ],
     ),
+    (CAMPAIGN, &[METROLOGY, PROFILOMETRY, STATION]),
     (STUDY, EVERYTHING),
     (GEAR_CAD, &[]),
     (TEST_REQUISITES, &[]),

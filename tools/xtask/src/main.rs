@@ -13,6 +13,8 @@
 //! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
 //! | `study [--blocks N --captures N --seed S --only TEXT]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
 //! | `study --scan` | what a scan keeps of the die's form by either method, five seeds: `docs/study/scan.md` |
+//! | `campaign [--mutants N \| --seconds S] [--seed S]` | mutants of every file that the instrument reads, 100 000 unless said otherwise |
+//! | `deny` | licences, sources and advisories of what is linked, by cargo-deny and `deny.toml` |
 //! | `demo` | the README's first command, as a newcomer runs it |
 //! | `ci` | all of it, in the order of `.ci/run` |
 
@@ -47,10 +49,13 @@ fn main() -> ExitCode {
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
         ["study", "--scan"] => scan_study::run(&root()),
         ["study", rest @ ..] => study(rest),
+        ["campaign", rest @ ..] => campaign(rest),
+        ["deny"] => deny(),
         ["demo"] => demo(),
         ["ci"] => ci(),
         _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
-             --instructions | --checks N] | study [--blocks N --captures N --seed S --only TEXT | --scan] | demo | ci"
+             --instructions | --checks N] | study [--blocks N --captures N --seed S --only TEXT | --scan] | \
+             campaign [--mutants N | --seconds S] [--seed S] | deny | demo | ci"
             .into()),
     };
     match result {
@@ -130,6 +135,29 @@ fn demo() -> Result<(), String> {
     run(cargo(&["run", "--release", "--", "inspect"]))
 }
 
+/// With the checks of the test profile in both programs: an overflow is a finding.
+fn campaign(rest: &[&str]) -> Result<(), String> {
+    run(cargo(&["build", "-p", "flankscope"]))?;
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    let program = target.join("debug/flankscope").display().to_string();
+    let campaign = [
+        "run",
+        "-p",
+        "flankscope-campaign",
+        "--",
+        "--program",
+        &program,
+    ];
+    run(cargo(&[&campaign[..], rest].concat()))
+}
+
+fn deny() -> Result<(), String> {
+    run(cargo(&["deny", "check"])).map_err(|error| {
+        format!("{error}; cargo-deny comes with `cargo install --locked cargo-deny`, its advisories from the RustSec database")
+    })
+}
+
 fn study(rest: &[&str]) -> Result<(), String> {
     let study = [
         "run",
@@ -171,6 +199,7 @@ fn ci() -> Result<(), String> {
     lint()?;
     doc()?;
     arrows(&root())?;
+    campaign(&["--seconds", "60"])?;
     demo()?;
     firmware::qemu(&root())
 }

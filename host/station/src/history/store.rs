@@ -290,6 +290,19 @@ impl History {
     fn check_layout(&self) -> Result<(), HistoryError> {
         let path = || self.path.clone();
         match (self.number("application_id")?, self.number("user_version")?) {
+            // Before layout 3 nothing was signed: a number set back would have everything believed.
+            (APPLICATION_ID, layout @ 1..3)
+                if self
+                    .has_table("chain")
+                    .map_err(self.because("read its layout"))? =>
+            {
+                Err(HistoryError::Broken {
+                    path: path(),
+                    why: format!(
+                        "it says that it has layout {layout}, which has no chain, and it has one"
+                    ),
+                })
+            }
             (APPLICATION_ID, 1..=VERSION) => Ok(()),
             (APPLICATION_ID, got) => Err(HistoryError::Newer {
                 path: path(),
