@@ -38,8 +38,8 @@ pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monot
 pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
-pub use private::{RunFolder, default_base};
+pub use private::{RunFolder, default_base, remove_run_folders};
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};
 pub use sender::{FrameSender, LoanedFrame, Overflow};
-pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, ServiceError};
+pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, SEGMENT_BYTES, ServiceError};

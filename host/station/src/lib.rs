@@ -11,6 +11,7 @@ pub mod baseline;
 pub mod calibration;
 pub mod controller;
 pub mod die;
+pub mod doctor;
 pub mod files;
 pub mod history;
 pub mod inspection;

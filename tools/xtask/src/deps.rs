@@ -101,6 +101,8 @@ const ROOMS: &[Room] = &[
 /// takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
+    (FRAMES, &[TEST_REQUISITES]),
+    (STATION, &[TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[STATION, TEST_REQUISITES]),
 ];
