@@ -10,7 +10,7 @@ use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::report::{LatestPage, ReportFolder, figure};
 use flankscope_station::sink::LinesFile;
-use flankscope_station::watch::{Checked, Told, WatchSettings};
+use flankscope_station::watch::{Checked, WatchEvent, WatchSettings};
 use serde_json::{Value, json};
 
 use crate::bench_link::{BenchArgs, PressArgs};
@@ -173,20 +173,22 @@ impl<'a> Log<'a> {
     }
 
     /// Takes one message; false stops the watch.
-    fn take(&mut self, told: Told) -> bool {
+    fn take(&mut self, told: WatchEvent) -> bool {
         match told {
-            Told::Cycle(_) => {}
-            Told::Checking(cycle) => self.say(&format!("cycle {cycle}: press held, checking")),
-            Told::Missed(cycle, fault) => self.say(&format!(
+            WatchEvent::Cycle(_) => {}
+            WatchEvent::Checking(cycle) => {
+                self.say(&format!("cycle {cycle}: press held, checking"))
+            }
+            WatchEvent::Missed(cycle, fault) => self.say(&format!(
                 "cycle {cycle}: not let in ({fault}), next opening"
             )),
-            Told::Resumed(shown) => self.say(&format!(
+            WatchEvent::Resumed(shown) => self.say(&format!(
                 "{} from before stays until it is acknowledged (press Enter)",
                 shown.word()
             )),
-            Told::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
-            Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
-            Told::Checked(mut checked) => self.keep(&mut checked),
+            WatchEvent::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
+            WatchEvent::Acknowledged => self.say("acknowledged: the next check starts afresh"),
+            WatchEvent::Checked(mut checked) => self.keep(&mut checked),
         }
         true
     }
