@@ -7,7 +7,9 @@ use serde::Deserialize;
 use crate::frame::FrameKind;
 use crate::head::Sensor;
 use crate::io::images::{GreyImage, ImageError, list_pngs, load_grey_png};
-use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
+use crate::pattern::{
+    Axis, FringeSet, KNOWN_SETS, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign,
+};
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// A plan: patterns, exposures and, for every frame, its image.
@@ -42,6 +44,8 @@ struct PlanFile {
     exposures_us: Vec<u32>,
     #[serde(default)]
     step_sign: Option<i32>,
+    #[serde(default)]
+    fringes_along: FringesAlong,
     phase_origin_px: Option<f64>,
     dark: Option<PathBuf>,
     dark_first: Option<bool>,
@@ -50,16 +54,38 @@ struct PlanFile {
     set: Vec<SetFile>,
 }
 
+/// Which way the stripes run.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum FringesAlong {
+    /// Stripes follow the projector's columns: their phase counts columns.
+    #[default]
+    Columns,
+    /// Stripes follow the rows: their phase counts rows.
+    Rows,
+}
+
+impl FringesAlong {
+    fn axis(self) -> Axis {
+        match self {
+            Self::Columns => Axis::Columns,
+            Self::Rows => Axis::Rows,
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SetFile {
     periods: f64,
     steps: u32,
+    /// Before the plan's.
+    phase_origin_px: Option<f64>,
     #[serde(default)]
     frames: Vec<PathBuf>,
 }
 
-/// More frames than any view has: 4 frequencies x 64 steps x 16 exposures.
+/// More frames than any view has: 12 frequencies x 16 steps x 16 exposures, and some.
 const MAX_FRAMES: usize = 4096;
 
 impl Plan {
@@ -94,50 +120,50 @@ impl Plan {
         // Where each [[set]] of the file goes when frequencies ascend.
         let mut order: Vec<usize> = (0..file.set.len()).collect();
         order.sort_by(|&a, &b| file.set[a].periods.total_cmp(&file.set[b].periods));
-        let sets =
-            match (&file.pattern_set, file.set.is_empty()) {
-                (Some(name), true) => PatternSet::named(name)
-                    .map_err(|_| {
-                        BadValue::new(
-                            "pattern_set",
-                            name,
-                            "must be article8, insitu12 or scan16, or absent with [[set]] tables",
-                        )
-                    })?
-                    .sets,
-                (None, false) => order
-                    .iter()
-                    .map(|&index| FringeSet {
-                        periods: file.set[index].periods,
-                        steps: file.set[index].steps,
-                    })
-                    .collect(),
-                (Some(name), false) => {
-                    return Err(BadValue::new(
-                        "pattern_set",
-                        name,
-                        "must be absent when there are [[set]] tables",
-                    ));
-                }
-                (None, true) => {
-                    return Err(BadValue::new(
-                        "pattern_set",
-                        "nothing",
-                        "must name a built-in set, or the plan must have [[set]] tables",
-                    ));
-                }
-            };
+        let common_origin_px = file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX);
+        let sets = match (&file.pattern_set, file.set.is_empty()) {
+            (Some(name), true) => {
+                let known = PatternSet::named(name)
+                    .map_err(|_| BadValue::new("pattern_set", name, KNOWN_SETS))?;
+                let moved = known.sets.into_iter().map(|set| FringeSet {
+                    phase_origin_px: common_origin_px,
+                    ..set
+                });
+                moved.collect()
+            }
+            (None, false) => order
+                .iter()
+                .map(|&index| {
+                    let set = &file.set[index];
+                    FringeSet {
+                        periods: set.periods,
+                        steps: set.steps,
+                        phase_origin_px: set.phase_origin_px.unwrap_or(common_origin_px),
+                    }
+                })
+                .collect(),
+            (Some(name), false) => {
+                return Err(BadValue::new(
+                    "pattern_set",
+                    name,
+                    "must be absent when there are [[set]] tables",
+                ));
+            }
+            (None, true) => {
+                return Err(BadValue::new(
+                    "pattern_set",
+                    "nothing",
+                    "must name a built-in set, or the plan must have [[set]] tables",
+                ));
+            }
+        };
         let name = file
             .name
             .or(file.pattern_set)
             .unwrap_or_else(|| "plan".to_owned());
-        let patterns = PatternSet::with_convention(
-            name,
-            sets,
-            step_sign,
-            file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX),
-        )
-        .map_err(|error| bad_pattern(&error, &order))?;
+        let patterns =
+            PatternSet::with_convention(name, sets, step_sign, file.fringes_along.axis())
+                .map_err(|error| bad_pattern(&error, &order))?;
         if order.is_empty() {
             order = (0..patterns.sets.len()).collect();
         }
@@ -295,16 +321,14 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
             BadValue::new(key(set, "periods"), got, "must differ from set to set")
         }
         PatternError::FrequencyCount { got } => {
-            BadValue::new("set", got, "must be 1 to 4 [[set]] tables")
+            BadValue::new("set", got, "must be 1 to 12 [[set]] tables")
         }
-        PatternError::Origin { got } => BadValue::new(
-            "phase_origin_px",
+        PatternError::Origin { set, got } => BadValue::new(
+            key(set, "phase_origin_px"),
             got,
             "must be within a projector's width of column 0",
         ),
-        PatternError::UnknownName { ref name } => {
-            BadValue::new("pattern_set", name, "must be article8, insitu12 or scan16")
-        }
+        PatternError::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
     }
 }
 

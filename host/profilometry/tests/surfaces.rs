@@ -84,7 +84,7 @@ fn three_to_eight_steps_and_one_to_three_frequencies_agree() {
     for set in sets {
         let sets = set
             .iter()
-            .map(|&(periods, steps)| FringeSet { periods, steps })
+            .map(|&(periods, steps)| FringeSet::new(periods, steps))
             .collect();
         let patterns = PatternSet::new("test", sets).unwrap();
         let decoded = decode(&head, &patterns, &columns, &[1.0], &BRIGHT, 1);

@@ -58,26 +58,26 @@ pub enum DecodeError {
         "no core of the head's map lies in the image circle: check [cores] and image_circle, or use the pixel grid"
     )]
     NoCores,
-    /// The lowest frequency repeats and nothing says which repetition.
+    /// All frequencies together repeat and nothing says which repetition.
     #[error(
-        "the lowest frequency has {periods} periods and the head no [volume]: give the volume's depth range, or a frequency with a single period"
+        "the frequencies together repeat {periods:.1} times over the projector and the head has no [volume]: give the volume's depth range, or a frequency with a single period"
     )]
     NeedsVolume {
-        /// Lowest periods.
+        /// Repetitions: the periods of the lowest frequency, or of the beat of high ones.
         periods: f64,
     },
-    /// The lowest frequency repeats within the volume.
+    /// All frequencies together repeat within the volume.
     #[error(
-        "within the measuring volume the lowest frequency ({periods} periods) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
+        "within the measuring volume the frequencies, which together repeat {periods:.1} times over the projector, pass {spanned:.2} repetitions, at most {limit} are unambiguous: use frequencies that repeat at most {usable:.1} times (the lowest one's periods, or the beat of high ones), or a shallower volume"
     )]
     VolumeTooDeep {
-        /// Lowest periods.
+        /// Repetitions: the periods of the lowest frequency, or of the beat of high ones.
         periods: f64,
-        /// Periods passed along the worst ray.
+        /// Repetitions passed along the worst ray.
         spanned: f64,
         /// The limit.
         limit: f64,
-        /// Periods that would do.
+        /// Repetitions that would do.
         usable: f64,
     },
     /// The volume reaches behind the projector.
