@@ -1,10 +1,11 @@
-//! What the cross-crate tests share: the command under test, its answers, and other people's data.
+//! What the cross-crate tests share: the command under test and its answers.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
 use flankscope_gear_cad::{GearKind, GearSpec};
+use flankscope_test_requisites::workspace;
 use serde_json::Value;
 
 /// The `flankscope` command, freshly built in this build's own profile.
@@ -34,33 +35,6 @@ pub fn flankscope() -> Command {
             .join("flankscope")
     });
     Command::new(program)
-}
-
-/// The repository.
-#[must_use]
-pub fn workspace() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .unwrap_or(Path::new("."))
-}
-
-/// A file of other people's data beside the repository, or `None` with a visible notice.
-///
-/// # Panics
-/// The file is missing although everything must run (`cargo xtask test --all`).
-#[must_use]
-pub fn shared_data(file: &str) -> Option<PathBuf> {
-    let path = workspace().join("../shared/data").join(file);
-    if path.exists() {
-        return path.canonicalize().ok();
-    }
-    assert!(
-        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
-        "{} is missing",
-        path.display()
-    );
-    eprintln!("SKIPPED: {} is missing", path.display());
-    None
 }
 
 /// The demo die's drawing.

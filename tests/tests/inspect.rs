@@ -1,6 +1,7 @@
 //! The in-situ check, end to end: command, bench process, controller firmware, shared memory, verdict.
 
-use flankscope_tests::{Run, flankscope, inspect, run, shared_data};
+use flankscope_test_requisites::shared;
+use flankscope_tests::{Run, flankscope, inspect, run};
 
 /// The demo's limits, µm: warn at 30, stop at 50.
 const WEAR: &str = "40:left:80";
@@ -129,7 +130,7 @@ fn other_teeth_and_in_between_limits() {
 
 #[test]
 fn a_gear_of_another_cad_kernel() {
-    let Some(mesh) = shared_data("cad-ring84/ring84.stl") else {
+    let Some(mesh) = shared("data/cad-ring84/ring84.stl") else {
         return;
     };
     let folder = tempfile::tempdir().unwrap();

@@ -1,34 +1,15 @@
 //! The in-situ check through the controller's Cortex-M image in QEMU.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use flankscope_tests::{Run, flankscope, inspect, run, workspace};
+use flankscope_test_requisites::{emulated_image, workspace};
+use flankscope_tests::{Run, flankscope, inspect, run};
 
-const IMAGE: &str =
-    "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386";
-
-/// The image, if it and the emulator are there; else says what is missing, and fails where everything must run.
-fn image() -> Option<PathBuf> {
-    let image = workspace().join(IMAGE);
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let emulator =
-        std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file());
-    let missing = match (image.is_file(), emulator) {
-        (true, true) => return Some(image),
-        (false, _) => "the image, which cargo xtask firmware builds",
-        (_, false) => "qemu-system-arm",
-    };
-    assert!(
-        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
-        "{missing} is missing"
-    );
-    eprintln!("SKIPPED: {missing} is missing");
-    None
-}
+const IMAGE: &str = "flankscope-mps2-an386";
 
 #[track_caller]
 fn assert_same(one: &Run, other: &Run) {
@@ -59,7 +40,9 @@ fn untimed(value: &Value) -> Value {
 
 #[test]
 fn the_emulated_image_gives_the_verdict_and_the_points_of_the_in_process_controller() {
-    let Some(_) = image() else { return };
+    let Some(_) = emulated_image(IMAGE) else {
+        return;
+    };
     for arguments in [
         vec!["--seed", "3"],
         vec!["--seed", "3", "--wear", "40:left:80"],
@@ -108,7 +91,9 @@ fn the_emulated_image_lives_in_real_time() {
 
 #[test]
 fn a_killed_check_leaves_no_emulator_behind() {
-    let Some(image) = image() else { return };
+    let Some(image) = emulated_image(IMAGE) else {
+        return;
+    };
     // A name of its own, to find the emulator by.
     let folder = tempfile::tempdir().unwrap();
     let own = folder.path().join("image");

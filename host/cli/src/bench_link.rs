@@ -47,6 +47,25 @@ pub fn fits_real_press(args: &BenchArgs, link: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Refuses what recorded frames cannot have.
+pub fn fits_recording(args: &BenchArgs) -> anyhow::Result<()> {
+    let given = [
+        ("--wear", !args.wear.is_empty()),
+        ("--die-mesh", args.die_mesh.is_some()),
+        ("--frame-fault", args.frame_fault.is_some()),
+        ("--vibration-um", args.vibration_um != 0.0),
+        ("--lens-error-um", args.lens_error_um != 0.0),
+    ];
+    for (option, given) in given {
+        if given {
+            bail!(
+                "{option} beside --frames: the frames were recorded, no bench can change what they show"
+            );
+        }
+    }
+    Ok(())
+}
+
 /// What stands on the bench, in words that two runs share only if the same stands there.
 pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
     let mut what = format!(
@@ -83,9 +102,7 @@ pub struct Bench {
 /// Writes the demo tool's folder and returns it.
 pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("demo");
-    if !folder.join("tool.toml").exists() {
-        flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
-    }
+    flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
     Ok(folder)
 }
 
@@ -117,7 +134,7 @@ impl Bench {
             controller: match link {
                 Link::Sim => ControllerKind::Sim,
                 Link::Qemu => ControllerKind::Qemu,
-                Link::Port(port) => bail!("{} has a press of its own", port.display()),
+                Link::Port(_) | Link::Recorded(_) => bail!("{link} is no simulated bench"),
             },
             bench: args.clone(),
             press: scene.press.cloned(),

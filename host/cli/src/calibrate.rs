@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{Instrument, Place, Scene, Scratch, Site, fits_link};
+use crate::instrument::{Instrument, Place, Scene, Site, fits_link, scratch};
 use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
@@ -127,7 +127,7 @@ struct Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let passing = tempfile::tempdir().context("cannot make a folder for the demo target")?;
+    let passing = scratch()?;
     let folder = match &args.target {
         Some(folder) => folder.clone(),
         None => demo_target(passing.path())?,
@@ -387,7 +387,7 @@ fn open<S>(
         &args.bench,
         scene,
         args.common.quiet,
-        Scratch::new()?,
+        scratch()?,
         station,
     )
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
+use flankscope_foundation::order::median_of;
 use flankscope_profilometry::decode::ConsistencyOptions;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
@@ -19,7 +20,7 @@ use crate::output::{Common, Outcome};
 
 /// Fringe images to a point cloud.
 ///
-/// Reads grey PNG images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
+/// Reads grey PNG or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
 /// with the predicted standard uncertainty of the depth at every point (property sigma_z).
 #[derive(clap::Args)]
 #[command(
@@ -161,7 +162,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         sensor_assumed,
         min_modulation_dn: decoder.floors_dn(),
         frame_noise_ratio: decoded.frame_noise_ratio,
-        sigma_z_median_mm: median(&cloud.sigma_z_mm),
+        sigma_z_median_mm: median_of(cloud.sigma_z_mm.iter().map(|&s| f64::from(s)))
+            .map(|s| s as f32),
         elapsed_ms: Elapsed {
             load: milliseconds(start, loaded),
             decode: milliseconds(loaded, done),
@@ -237,10 +239,4 @@ fn write_ply(file: &mut dyn Write, cloud: &Cloud) -> io::Result<()> {
         file.write_all(&vertex)?;
     }
     Ok(())
-}
-
-fn median(values: &[f32]) -> Option<f32> {
-    let mut sorted = values.to_vec();
-    let middle = sorted.len() / 2;
-    (!sorted.is_empty()).then(|| *sorted.select_nth_unstable_by(middle, f32::total_cmp).1)
 }

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context;
+use flankscope_foundation::rigid::{Cloud as CloudFrame, Rigid, Tool};
 use flankscope_metrology::deviation::Order;
 use flankscope_metrology::io::cloud::{self, Cloud};
 use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
 use flankscope_metrology::registration::{fit_pairs, parse_pairs};
-use flankscope_metrology::space::frames::{Cloud as CloudFrame, Rigid, Tool};
 
 use crate::output::Common;
 

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_station::files::stream_whole;
 use flankscope_station::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
 use flankscope_station::report::{figure, history_html, rate, remaining};
@@ -139,7 +140,7 @@ fn print_table(
             o.flank,
             o.points.len(),
             figure(last.map(|p| p.wear_um)),
-            figure(last.map(|p| 1.96 * p.u_um)),
+            figure(last.map(|p| COVERAGE_95 * p.u_um)),
             rate(o),
             remaining(o),
             changes.join(", ")

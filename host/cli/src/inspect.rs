@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use flankscope_station::acquisition::Progress;
+use flankscope_station::acquisition::{Progress, Recording};
 use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::Origin;
@@ -12,7 +12,7 @@ use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
-use crate::instrument::{Instrument, Source};
+use crate::instrument::{Instrument, Site, Source, recorded_check};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place};
 
 /// The example, and what the figures are.
@@ -39,6 +39,10 @@ static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
 pub struct Args {
     #[command(flatten)]
     source: Source,
+    /// Check the frames in this folder, which were recorded before, as its frames.toml says: nothing moves, and no controller
+    /// or camera is asked. Teeth are those of the recording, or some of them by --teeth
+    #[arg(long, value_name = "DIR")]
+    frames: Option<PathBuf>,
     /// Write report.html and inspection.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -54,28 +58,31 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
-    let site = args.source.site()?;
+    let recording = args.frames.as_deref().map(Recording::open).transpose()?;
+    let site = match &recording {
+        Some(recording) => args.source.place.of_recording(recording)?,
+        None => args.source.site()?,
+    };
     let report = args
         .report
         .as_ref()
         .or(site.settings.report.folder.as_ref());
     args.try_places(report)?;
-    let (mut instrument, mut writer) =
-        Instrument::open(&args.source, &site, &args.bench, None, quiet)?;
-    let mut watcher = Watcher::new(quiet);
-    let mut inspection = instrument.station.inspect(
-        &instrument.port,
-        instrument.settings,
-        &mut writer,
-        |progress| watcher.show(progress),
-    )?;
-    watcher.finish();
-    // The verdict stands, and is stored. It is said and returned whatever happens to the papers.
     let mut complaints = Complaints::default();
+    let (mut inspection, instrument) = match &recording {
+        Some(recording) => (args.check_recorded(recording, &site)?, None),
+        None => {
+            let (inspection, instrument) = args.check_live(&site)?;
+            (inspection, Some(instrument))
+        }
+    };
+    // The verdict stands, and is stored. It is said and returned whatever happens to the papers.
     if args.common.shows_table() {
         complaints.hear(print_table(&inspection));
     }
-    inspection.truth = complaints.hear(instrument.close(quiet)).flatten();
+    if let Some(instrument) = instrument {
+        inspection.truth = complaints.hear(instrument.close(quiet)).flatten();
+    }
     complaints.hear_of(args.common.document(), &mut inspection);
     complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
@@ -86,6 +93,29 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 impl Args {
+    fn check_live(&self, site: &Site) -> anyhow::Result<(Inspection, Instrument)> {
+        let quiet = self.common.quiet;
+        let (mut instrument, mut writer) =
+            Instrument::open(&self.source, site, &self.bench, None, quiet)?;
+        let mut watcher = Watcher::new(quiet);
+        let inspection = instrument.station.inspect(
+            &instrument.port,
+            instrument.settings,
+            &mut writer,
+            |progress| watcher.show(progress),
+        )?;
+        watcher.finish();
+        Ok((inspection, instrument))
+    }
+
+    fn check_recorded(&self, recording: &Recording, site: &Site) -> anyhow::Result<Inspection> {
+        let (mut check, mut writer) = recorded_check(&self.source, recording, &self.bench, site)?;
+        let mut watcher = Watcher::new(self.common.quiet);
+        let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
+        watcher.finish();
+        Ok(inspection)
+    }
+
     /// Before anything moves: a check whose results cannot be written should not begin.
     fn try_places(&self, report: Option<&PathBuf>) -> anyhow::Result<()> {
         self.common.try_json()?;
@@ -251,7 +281,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     }
     writeln!(
         out,
-        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {:.0} MB",
+        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {} MB",
         timing.total / 1000.0,
         timing.positioning / 1000.0,
         timing.exposure / 1000.0,
@@ -259,7 +289,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         frames.received,
         frames.triggered,
         frames.bytes_copied,
-        inspection.peak_memory_mb.unwrap_or(f64::NAN),
+        figure(inspection.peak_memory_mb),
     )?;
     Ok(())
 }

@@ -5,17 +5,20 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_frames::SharedRoot;
+use flankscope_frames::{RunFolder, SharedRoot, default_base};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
+use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
-use flankscope_station::inspection::{Station, Subject};
-use flankscope_station::origin::{Link, Setting};
+use flankscope_station::inspection::{RecordedCheck, Station, Subject};
+use flankscope_station::origin::{Link, RecordingId, Setting};
 use flankscope_station::settings::StationSettings;
 
-use crate::bench_link::{Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press};
+use crate::bench_link::{
+    Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
+};
 use crate::grid::Grid;
 use crate::output::say;
 
@@ -55,6 +58,65 @@ pub struct Source {
 }
 
 impl Source {
+    /// Makes a subject of what is looked at: temperature, grid and baseline as asked for.
+    fn furnish(&self, subject: &mut Subject, link: &Link) -> anyhow::Result<()> {
+        subject.temperature_degc = self.tool_temperature.or(subject.temperature_degc);
+        if let Some(grid) = self.grid {
+            grid.impose(Arc::make_mut(&mut subject.head))?;
+        }
+        if let Some(path) = &self.baseline {
+            let baseline = Baseline::load(path, &subject.hashes, link.is_simulated())?;
+            subject.hashes.insert("baseline", baseline.hash());
+            subject.baseline = Some(Arc::new(baseline));
+        }
+        Ok(())
+    }
+
+    /// Where checks are stored, if anywhere.
+    fn store<'a>(&'a self, site: &'a Site) -> anyhow::Result<Option<&'a PathBuf>> {
+        let store = self.history.as_ref();
+        let store = store.or(site.settings.history.file.as_ref());
+        for (option, given) in [
+            ("--tool-cycles", self.tool_cycles.is_some()),
+            ("--keep-phasors", self.keep_phasors.is_some()),
+        ] {
+            anyhow::ensure!(
+                !given || store.is_some(),
+                "{option} without --history: nothing is stored; add --history FILE"
+            );
+        }
+        Ok(store)
+    }
+
+    /// What stores the checks of a tool in the history at `path`.
+    fn writer(
+        &self,
+        path: &Path,
+        site: &Site,
+        tool: &str,
+        baseline: Option<&Baseline>,
+    ) -> anyhow::Result<HistoryWriter> {
+        let history = History::open(path)?;
+        let unknown = history.of_unknown_origin()?;
+        if unknown > 0 {
+            say(&format!(
+                "history {}: {unknown} checks of an earlier release do not say whether they are simulated; they \
+                 stay, and no trend mixes them with new ones",
+                path.display()
+            ));
+        }
+        let keep_phasors = site.settings.history.keep_phasors;
+        let operator = site.setting.operator.clone();
+        let mut opened = HistoryWriter::new(
+            history,
+            self.tool_cycles,
+            self.keep_phasors.unwrap_or(keep_phasors),
+            operator.unwrap_or_else(user_name),
+        );
+        opened.begin(tool, site.link().is_simulated(), baseline)?;
+        Ok(opened)
+    }
+
     /// Where it is looked.
     pub fn site(&self) -> anyhow::Result<Site> {
         self.place.site(&[
@@ -83,10 +145,7 @@ impl Place {
     /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
     /// built-in demo any more, and the link must have been named, here or in the station's file.
     pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
-        let is_file = |text: &&str| Path::new(text).extension().is_some_and(|is| is == "toml");
-        let station = self.station.as_deref();
-        let file = station.filter(is_file).map(Path::new);
-        let (settings, hash) = station_file(file)?;
+        let (file, settings, hash) = self.file()?;
         let in_file = settings.controller.link.as_deref().map(str::parse);
         let in_file = in_file.transpose().context("controller.link")?;
         // A station's file is of an instrument at a press, and may name a history.
@@ -100,8 +159,37 @@ impl Place {
                  /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
             ),
         };
-        let named = station.filter(|text| !is_file(text)).map(str::to_owned);
-        Ok(Site {
+        Ok(self.at(link, settings, hash))
+    }
+
+    /// The site of frames that were recorded: there is no controller, whatever the station's file says of one.
+    pub fn of_recording(&self, recording: &Recording) -> anyhow::Result<Site> {
+        if let Some(link) = &self.link {
+            anyhow::bail!(
+                "--link {link} beside --frames: recorded frames come from no controller; leave one of them out"
+            );
+        }
+        let (_, settings, hash) = self.file()?;
+        let link = Link::Recorded(RecordingId {
+            taken: recording.index.taken,
+            blake3: recording.blake3.clone(),
+            simulated: recording.index.simulated,
+        });
+        Ok(self.at(link, settings, hash))
+    }
+
+    /// The station's file, if it has one, what it says, and its hash.
+    fn file(&self) -> anyhow::Result<(Option<&Path>, StationSettings, Option<String>)> {
+        let file = self.station.as_deref().filter(|text| is_file(text));
+        let file = file.map(Path::new);
+        let (settings, hash) = station_file(file)?;
+        Ok((file, settings, hash))
+    }
+
+    fn at(&self, link: Link, settings: StationSettings, hash: Option<String>) -> Site {
+        let named = self.station.as_deref().filter(|text| !is_file(text));
+        let named = named.map(str::to_owned);
+        Site {
             setting: Setting {
                 link,
                 station: named
@@ -111,8 +199,15 @@ impl Place {
             },
             settings: Arc::new(settings),
             hash,
-        })
+        }
     }
+}
+
+/// Whether what names a station is its file.
+fn is_file(station: &str) -> bool {
+    Path::new(station)
+        .extension()
+        .is_some_and(|is| is == "toml")
 }
 
 /// What a station's file says, and its hash; without one, what holds without.
@@ -189,7 +284,7 @@ pub struct Instrument<S = Station> {
     pub settings: ClientSettings,
     bench: Option<Bench>,
     _root: Arc<SharedRoot>,
-    _scratch: Scratch,
+    _scratch: RunFolder,
 }
 
 impl Instrument {
@@ -207,22 +302,7 @@ impl Instrument {
             teeth: source.teeth.as_deref(),
             ..Scene::default()
         };
-        let setting = site.setting.clone();
-        let store = source
-            .history
-            .as_ref()
-            .or(site.settings.history.file.as_ref());
-        for (option, given) in [
-            ("--tool-cycles", source.tool_cycles.is_some()),
-            ("--keep-phasors", source.keep_phasors.is_some()),
-        ] {
-            anyhow::ensure!(
-                !given || store.is_some(),
-                "{option} without --history: nothing is stored; add --history FILE"
-            );
-        }
-        let keep_phasors = site.settings.history.keep_phasors;
-        let keep_phasors = source.keep_phasors.unwrap_or(keep_phasors);
+        let store = source.store(site)?;
         let mut writer = None;
         let instrument = Self::start(
             [source.tool.as_deref(), source.head.as_deref()],
@@ -231,44 +311,56 @@ impl Instrument {
             scene,
             quiet,
             |mut subject, root| {
-                subject.temperature_degc = source.tool_temperature;
-                if let Some(grid) = source.grid {
-                    grid.impose(Arc::make_mut(&mut subject.head))?;
-                }
-                if let Some(path) = &source.baseline {
-                    let baseline =
-                        Baseline::load(path, &subject.hashes, setting.link.is_simulated())?;
-                    subject.hashes.insert("baseline", baseline.hash());
-                    subject.baseline = Some(Arc::new(baseline));
-                }
+                source.furnish(&mut subject, site.link())?;
                 let teeth = source.teeth.as_deref();
                 let baseline = subject.baseline.clone();
-                let station = Station::open(subject, setting.clone(), teeth, root)?;
-                if let Some(path) = store {
-                    let history = History::open(path)?;
-                    let unknown = history.of_unknown_origin()?;
-                    if unknown > 0 {
-                        say(&format!(
-                            "history {}: {unknown} checks of an earlier release do not say whether they are simulated; they \
-                             stay, and no trend mixes them with new ones",
-                            path.display()
-                        ));
-                    }
-                    let mut opened = HistoryWriter::new(
-                        history,
-                        source.tool_cycles,
-                        keep_phasors,
-                        setting.operator.clone().unwrap_or_else(user_name),
-                    );
-                    let simulated = setting.link.is_simulated();
-                    opened.begin(station.tool(), simulated, baseline.as_deref())?;
-                    writer = Some(opened);
-                }
+                let station = Station::open(subject, site.setting.clone(), teeth, root)?;
+                let open =
+                    |path: &PathBuf| source.writer(path, site, station.tool(), baseline.as_deref());
+                writer = store.map(open).transpose()?;
                 Ok(station)
             },
         )?;
         Ok((instrument, writer))
     }
+}
+
+/// A check of recorded frames, and what stores it, if that was asked for: tool and head are read, and no instrument starts.
+pub fn recorded_check(
+    source: &Source,
+    recording: &Recording,
+    bench: &BenchArgs,
+    site: &Site,
+) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
+    fits_recording(bench)?;
+    let store = source.store(site)?;
+    let mut subject = recorded_subject([&source.tool, &source.head], recording, site)?;
+    source.furnish(&mut subject, site.link())?;
+    let teeth = source.teeth.as_deref();
+    let baseline = subject.baseline.clone();
+    let check = RecordedCheck::open(subject, site.setting.clone(), recording, teeth)?;
+    let open = |path| source.writer(path, site, check.tool(), baseline.as_deref());
+    let writer = store.map(|path: &PathBuf| open(path)).transpose()?;
+    Ok((check, writer))
+}
+
+/// What recorded frames are of: tool and head by their options, else the recording's head before the tool folder's.
+pub fn recorded_subject(
+    [tool, head]: [&Option<PathBuf>; 2],
+    recording: &Recording,
+    site: &Site,
+) -> anyhow::Result<Subject> {
+    let own = scratch()?;
+    let folder = match tool {
+        Some(folder) => folder.clone(),
+        None => demo_tool(own.path())?,
+    };
+    let head = head.clone().or_else(|| recording.head());
+    let mut subject = load(&folder, head.as_deref(), own.path())?;
+    subject.temperature_degc = recording.index.tool_temperature_degc;
+    site.stand_before(&mut subject);
+    fits_link(&subject.head, site.link())?;
+    Ok(subject)
 }
 
 impl<S> Instrument<S> {
@@ -283,15 +375,15 @@ impl<S> Instrument<S> {
         quiet: bool,
         station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
-        let scratch = Scratch::new()?;
+        let own = scratch()?;
         let folder = match tool {
             Some(folder) => folder.to_path_buf(),
-            None => demo_tool(scratch.path())?,
+            None => demo_tool(own.path())?,
         };
-        let mut subject = load(&folder, head, scratch.path())?;
+        let mut subject = load(&folder, head, own.path())?;
         site.stand_before(&mut subject);
         fits_link(&subject.head, site.link())?;
-        Self::before(&folder, site, bench, scene, quiet, scratch, |root| {
+        Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)
         })
     }
@@ -303,7 +395,7 @@ impl<S> Instrument<S> {
         bench: &BenchArgs,
         scene: Scene<'_>,
         quiet: bool,
-        scratch: Scratch,
+        scratch: RunFolder,
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
@@ -311,7 +403,7 @@ impl<S> Instrument<S> {
             fits_real_press(bench, link)?;
         }
         // The services must be there when the camera process comes.
-        let root = Arc::new(SharedRoot::create(&SharedRoot::default_base())?);
+        let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
         let Link::Port(port) = link else {
             let bench = Bench::start(bench, link, scene, folder, &root)?;
@@ -358,12 +450,12 @@ pub fn subject(
     head: Option<&Path>,
     station: Option<&Path>,
 ) -> anyhow::Result<Subject> {
-    let scratch = Scratch::new()?;
+    let own = scratch()?;
     let folder = match tool {
         Some(folder) => folder.to_path_buf(),
-        None => demo_tool(scratch.path())?,
+        None => demo_tool(own.path())?,
     };
-    let mut subject = load(&folder, head, scratch.path())?;
+    let mut subject = load(&folder, head, own.path())?;
     let (settings, hash) = station_file(station)?;
     subject.station = Arc::new(settings);
     subject.hashes.extend(hash.map(|hash| ("station", hash)));
@@ -421,26 +513,7 @@ fn user_name() -> String {
     name.unwrap_or_else(|| "unknown".into())
 }
 
-/// A folder of this run alone, gone afterwards.
-pub struct Scratch(PathBuf);
-
-impl Scratch {
-    /// Makes the folder.
-    pub fn new() -> anyhow::Result<Self> {
-        let path = std::env::temp_dir().join(format!("flankscope-run-{}", std::process::id()));
-        std::fs::create_dir_all(&path)
-            .with_context(|| format!("cannot make {}", path.display()))?;
-        Ok(Self(path))
-    }
-
-    /// Where it is.
-    pub fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+/// A folder of this run alone, gone afterwards, in which nobody else can have made anything.
+pub fn scratch() -> anyhow::Result<RunFolder> {
+    Ok(RunFolder::create(&default_base()?)?)
 }

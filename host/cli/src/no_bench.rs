@@ -31,6 +31,11 @@ pub fn fits_real_press(_: &BenchArgs, _: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Recorded frames cannot be asked for anything else either.
+pub fn fits_recording(_: &BenchArgs) -> anyhow::Result<()> {
+    Ok(())
+}
+
 /// Nothing stands on no bench.
 pub fn in_words(_: &BenchArgs, _: &DieArgs) -> String {
     String::new()

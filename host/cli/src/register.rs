@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
     Hinz2019Options, Options, Reason, Registration, Status, detect_teeth, register,
     register_hinz2019,
 };
-use flankscope_metrology::space::frames::{Cloud, Rigid, Tool};
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::verdict::Code;
 use serde::Serialize;

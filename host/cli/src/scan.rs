@@ -5,10 +5,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::Context;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::origin::Link;
-use flankscope_station::report::ReportFolder;
+use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
     Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
 };
@@ -17,7 +16,7 @@ use flankscope_station::sink::ResultSink;
 use crate::bench_link::{BenchArgs, DieArgs, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{Instrument, Place, Scene};
+use crate::instrument::{Instrument, Place, Scene, scratch};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
@@ -156,7 +155,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,
-        None => Some(tempfile::tempdir().context("cannot make a folder for the views")?),
+        None => Some(scratch()?),
     };
     let session = args
         .session
@@ -301,12 +300,12 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     write_origin(&mut out, &scan.origin, &scan.date)?;
     writeln!(
         out,
-        "scan {:.1} s, last view to result {:.1} s, {} of {} frames, {:.0} MB",
+        "scan {:.1} s, last view to result {:.1} s, {} of {} frames, {} MB",
         scan.timing_ms.total / 1e3,
         scan.last_view_to_result_ms / 1e3,
         scan.frames.received,
         scan.frames.triggered,
-        scan.peak_memory_mb.unwrap_or(f64::NAN),
+        figure(scan.peak_memory_mb),
     )?;
     Ok(())
 }

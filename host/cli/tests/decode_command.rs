@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use flankscope_test_requisites::shared;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 const PLAN: &str = r#"
@@ -20,15 +21,6 @@ periods = 1
 steps = 3
 frames = ["frame_03.png", "frame_04.png", "frame_05.png"]
 "#;
-
-fn real_frames(test: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/fringe-skull");
-    if folder.join("reference.ply").is_file() {
-        return Some(folder);
-    }
-    println!("SKIPPED {test}: {} is missing", folder.display());
-    None
-}
 
 fn decode(images: &Path, plan: &Path, head: &Path, output: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_flankscope"))
@@ -113,7 +105,7 @@ fn camera_pixel(point: [f64; 3]) -> [f64; 2] {
 
 #[test]
 fn real_frames_agree_with_the_reference_cloud() {
-    let Some(data) = real_frames("real_frames_agree_with_the_reference_cloud") else {
+    let Some(data) = shared("data/fringe-skull") else {
         return;
     };
     let folder = tempfile::tempdir().expect("a folder");
@@ -305,10 +297,10 @@ fn a_field_without_fringes_is_an_empty_cloud_with_reasons() {
 fn missing_and_extra_frames_are_counted() {
     let scene = Scene::new();
     std::fs::remove_file(scene.path("images/3.png")).expect("removed");
-    scene.refuses(&["holds 5 PNG images", "the plan has 6 frames"]);
+    scene.refuses(&["holds 5 images", "the plan has 6 frames"]);
     scene.image("images/3.png", 32, 24, png::ColorType::Grayscale);
     scene.image("images/6.png", 32, 24, png::ColorType::Grayscale);
-    scene.refuses(&["holds 7 PNG images", "the plan has 6 frames"]);
+    scene.refuses(&["holds 7 images", "the plan has 6 frames"]);
 }
 
 #[test]

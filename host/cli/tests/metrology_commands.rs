@@ -8,11 +8,12 @@ use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
 use flankscope_metrology::io::mesh::{self, Unit};
 use flankscope_metrology::io::{cloud, ply};
 use flankscope_metrology::surface::Surface;
+use flankscope_test_requisites::shared;
 use serde_json::Value;
 use support::{Random, assert_refused, flankscope, json, write_xyz};
 
 /// Runs a test on the ring gear of 84 teeth and module 1, and on that of another CAD kernel if it is there.
-fn on_every_ring84(test: &str, body: impl Fn(&Path)) {
+fn on_every_ring84(body: impl Fn(&Path)) {
     let gear = GearSpec {
         kind: GearKind::Internal,
         teeth: 84,
@@ -35,18 +36,9 @@ fn on_every_ring84(test: &str, body: impl Fn(&Path)) {
     write_stl(&gear.mesh(&meshing).unwrap(), "ring gear", &mut bytes).unwrap();
     std::fs::write(&own, bytes).unwrap();
     body(&own);
-    let foreign =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/cad-ring84/ring84.stl");
-    if foreign.exists() {
+    if let Some(foreign) = shared("data/cad-ring84/ring84.stl") {
         body(&foreign);
-        return;
     }
-    assert!(
-        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
-        "{} is missing",
-        foreign.display()
-    );
-    println!("SKIPPED {test} on the foreign CAD: shared/data/cad-ring84/ring84.stl is not there");
 }
 
 /// The points of a sampled cloud about +x, with 10 um of noise.
@@ -79,10 +71,7 @@ fn disturbed(points: &[[f64; 3]]) -> Vec<[f64; 3]> {
 
 #[test]
 fn sampling_is_reproducible_and_on_the_surface() {
-    on_every_ring84(
-        "sampling_is_reproducible_and_on_the_surface",
-        run_sampling_is_reproducible_and_on_the_surface,
-    );
+    on_every_ring84(run_sampling_is_reproducible_and_on_the_surface);
 }
 
 fn run_sampling_is_reproducible_and_on_the_surface(cad: &Path) {
@@ -110,7 +99,7 @@ fn run_sampling_is_reproducible_and_on_the_surface(cad: &Path) {
 
 #[test]
 fn a_moved_patch_is_laid_back_and_its_deviation_is_the_noise() {
-    on_every_ring84("a_moved_patch_is_laid_back", run_a_moved_patch_is_laid_back);
+    on_every_ring84(run_a_moved_patch_is_laid_back);
 }
 
 fn run_a_moved_patch_is_laid_back(cad: &Path) {

@@ -5,6 +5,8 @@
 //! | [`date`] | calendar days and moments, ISO 8601, UTC |
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
 //! | [`order`] | quantiles and medians |
+//! | [`rigid`] | frames of reference and the rigid transforms between them |
+//! | [`told`] | figures in sentences |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
 //!
 //! It depends on no room of this workspace; every library and program of the host may depend on it.
@@ -21,4 +23,6 @@
 pub mod date;
 pub mod normal;
 pub mod order;
+pub mod rigid;
 pub mod textfile;
+pub mod told;

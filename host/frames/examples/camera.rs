@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Sends a frame per line until standard input ends.
 pub fn camera(root: &Path) -> Result<(), Box<dyn Error>> {
-    let mut sink = FrameSender::open(&SharedRoot::of_owner(root), Overflow::Drop)?;
+    let mut sink = FrameSender::open(&SharedRoot::of_owner(root)?, Overflow::Drop)?;
     let (switched_on, mut labels) = (Instant::now(), Labels::default());
     for (counter, line) in (0..).zip(std::io::stdin().lines()) {
         let exposure = Duration::from_micros(line?.trim().parse()?);

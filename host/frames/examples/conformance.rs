@@ -2,7 +2,6 @@
 
 use std::error::Error;
 
-use flankscope_frames::SharedRoot;
 use flankscope_frames::conformance::{CommandRig, Settings, run};
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -13,7 +12,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut rig = CommandRig::new(program, words);
     run(
         &mut rig,
-        &SharedRoot::default_base(),
+        &flankscope_frames::default_base()?,
         &Settings::default(),
         |check| println!("passed: {check}"),
     )?;

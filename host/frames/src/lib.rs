@@ -27,6 +27,7 @@ pub mod arm;
 pub mod conformance;
 pub mod header;
 pub mod link;
+mod private;
 mod receiver;
 mod root;
 mod sender;
@@ -37,6 +38,7 @@ pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monot
 pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
+pub use private::{RunFolder, default_base};
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};
 pub use sender::{FrameSender, LoanedFrame, Overflow};

@@ -1,21 +1,22 @@
-//! The private place of one station's shared memory, and the cleaning up after a killed one.
+//! The private place of one station's shared memory.
 
-use std::fs::{DirEntry, File};
 use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::process::getuid;
+
+use crate::private::{RunFolder, segments};
+use crate::services;
 
 /// A private folder for the service files and a private prefix for the shared-memory segments.
 ///
 /// A crash at the wrong moment leaves iceoryx2 service files that no later run can open. So no two runs share any:
-/// each owner makes a fresh folder, holds a lock on it while it lives, and sweeps away those whose lock is free.
+/// each owner makes a fresh folder (see [`RunFolder`]), whose name is the prefix of its segments.
 #[derive(Debug)]
 pub struct SharedRoot {
-    path: PathBuf,
+    folder: RunFolder,
     prefix: String,
-    /// Held by the owner only; the lock goes with the process, however it ends.
-    lock: Option<File>,
 }
 
 /// Why there is no private place.
@@ -24,7 +25,7 @@ pub struct SharedRoot {
 pub enum RootError {
     /// The folder cannot be made or cleaned.
     #[error(
-        "cannot prepare the shared-memory folder {}: {source} (choose another with TMPDIR)", path.display()
+        "cannot prepare the private folder {}: {source} (choose another place with TMPDIR)", path.display()
     )]
     Folder {
         /// The folder.
@@ -32,63 +33,116 @@ pub enum RootError {
         /// The operating system's word.
         source: io::Error,
     },
+    /// In the temporary folder, others may put another folder in place of this user's.
+    #[error(
+        "{} is of user {uid} with mode {mode:o}: others may exchange folders in it; right would be a folder of root or of this user, sticky where others may write (chmod +t). Choose another with TMPDIR", path.display()
+    )]
+    Exchangeable {
+        /// The temporary folder.
+        path: PathBuf,
+        /// Its owner.
+        uid: u32,
+        /// Its mode.
+        mode: u32,
+    },
+    /// The library's sockets have longer names than the system takes.
+    #[error(
+        "{} has {} characters, at most {LONGEST_BASE} leave room for the names of sockets below it; choose a shorter place with TMPDIR or XDG_RUNTIME_DIR", path.display(), path.as_os_str().len()
+    )]
+    Long {
+        /// The base folder.
+        path: PathBuf,
+    },
+    /// The root of another process is not there any more.
+    #[error("the host that made {} is gone: {source}", path.display())]
+    Gone {
+        /// The folder.
+        path: PathBuf,
+        /// The operating system's word.
+        source: io::Error,
+    },
+    /// The library's files of each of several fresh roots were spoiled.
+    #[error(
+        "shared memory cannot be used, with {tries} unforeseeable names in a row: {reason}{}",
+        culprits(culprit)
+    )]
+    Spoiled {
+        /// Roots that were tried.
+        tries: u32,
+        /// The library's own reason, for the last of them.
+        reason: String,
+        /// Files there that somebody else could write to.
+        culprit: String,
+    },
 }
 
-/// Where the kernel shows POSIX shared memory.
-const SHM_FOLDER: &str = "/dev/shm";
-const LOCK_FILE: &str = "owner.lock";
+fn culprits(files: &str) -> String {
+    if files.is_empty() {
+        String::new()
+    } else {
+        format!("; others may write to {files}")
+    }
+}
+
+/// Characters of a base below which the longest name of a socket still fits into the 108 that a `sockaddr_un` has.
+const LONGEST_BASE: usize = 34;
+/// A spoiled root is an attack or an accident within microseconds; three in a row are neither.
+const TRIES: u32 = 3;
 
 impl SharedRoot {
     /// Makes a fresh root under `base` and sweeps away those of dead owners.
     ///
+    /// The library makes the counter that all processes of a root share writable for everybody, and asks nobody. It is made
+    /// here, before anything else, and closed to others. Who spoils it within that moment spoils a root of which
+    /// nothing is used yet: another one is taken.
+    ///
     /// # Errors
-    /// The folder cannot be made.
+    /// The folder cannot be made, or shared memory cannot be used.
     pub fn create(base: &Path) -> Result<Self, RootError> {
-        let failed = |path: &Path| {
-            let path = path.to_path_buf();
-            move |source| RootError::Folder { path, source }
-        };
-        std::fs::create_dir_all(base).map_err(failed(base))?;
-        // Names are unique while their owner lives: the process id, and a count for several roots of one process.
-        static COUNT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
-        sweep(base);
+        if base.as_os_str().len() > LONGEST_BASE {
+            let path = base.to_owned();
+            return Err(RootError::Long { path });
+        }
+        let mut tries = 0;
         loop {
-            let count = COUNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-            let prefix = format!("flankscope_{}_{count}_", std::process::id());
-            let path = base.join(&prefix);
-            match std::fs::create_dir(&path) {
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
-                made => made.map_err(failed(&path))?,
+            tries += 1;
+            let folder = RunFolder::create(base)?;
+            let prefix = folder.name();
+            let root = Self { folder, prefix };
+            match services::make_node(&root).map(drop) {
+                Ok(()) => {
+                    root.close_to_others();
+                    return Ok(root);
+                }
+                Err(error) => {
+                    let (reason, culprit) = (error.to_string(), root.open_to_others().join(", "));
+                    tracing::warn!(%reason, culprit, "shared memory is spoiled; another name is taken");
+                    if tries == TRIES {
+                        return Err(RootError::Spoiled {
+                            tries,
+                            reason,
+                            culprit,
+                        });
+                    }
+                }
             }
-            let lock = File::create(path.join(LOCK_FILE)).map_err(failed(&path))?;
-            flock(&lock, FlockOperation::NonBlockingLockExclusive)
-                .map_err(|e| failed(&path)(e.into()))?;
-            return Ok(Self {
-                path,
-                prefix,
-                lock: Some(lock),
-            });
         }
     }
 
-    /// The root that another process owns, by its folder.
-    #[must_use]
-    pub fn of_owner(path: &Path) -> Self {
-        let prefix = path
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-            .unwrap_or_default();
-        Self {
-            path: path.to_path_buf(),
-            prefix,
-            lock: None,
-        }
+    /// The root that another process owns, by its folder; it stays while this process works in it.
+    ///
+    /// # Errors
+    /// Its owner is gone.
+    pub fn of_owner(path: &Path) -> Result<Self, RootError> {
+        let folder = RunFolder::of_owner(path)?;
+        let prefix = folder.name();
+        Ok(Self { folder, prefix })
     }
 
     /// The folder of the service files: what the camera process is told.
     #[must_use]
     pub fn path(&self) -> &Path {
-        &self.path
+        self.folder.path()
     }
 
     /// Prefix of every shared-memory segment.
@@ -104,86 +158,76 @@ impl SharedRoot {
             .sum()
     }
 
-    /// The default base folder: in the user's runtime folder, else the user's own one in the temporary folder.
-    #[must_use]
-    pub fn default_base() -> PathBuf {
-        std::env::var_os("XDG_RUNTIME_DIR").map_or_else(
-            || {
-                std::env::temp_dir()
-                    .join(format!("flankscope-{}", rustix::process::getuid().as_raw()))
-            },
-            |runtime| PathBuf::from(runtime).join("flankscope"),
-        )
-    }
-}
-
-impl Drop for SharedRoot {
-    fn drop(&mut self) {
-        if self.lock.is_some() {
-            remove(&self.path, &self.prefix);
+    fn close_to_others(&self) {
+        use std::os::unix::fs::PermissionsExt;
+        let closed = std::fs::Permissions::from_mode(0o600);
+        for segment in segments(&self.prefix) {
+            let _ = std::fs::set_permissions(segment.path(), closed.clone());
         }
     }
-}
 
-/// Removes the roots whose owner is gone: their lock is free.
-fn sweep(base: &Path) {
-    let Ok(entries) = std::fs::read_dir(base) else {
-        return;
-    };
-    for entry in entries.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if !name.starts_with("flankscope_") {
-            continue;
-        }
-        // No lock file yet: an owner between making its folder and locking it. Leave it alone.
-        let Ok(lock) = File::open(entry.path().join(LOCK_FILE)) else {
-            continue;
-        };
-        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok() {
-            tracing::warn!(root = %entry.path().display(), "removing what a killed run left");
-            remove(&entry.path(), &name);
-        }
+    /// Segments of this root that others made or may write to, each with owner and mode.
+    fn open_to_others(&self) -> Vec<String> {
+        segments(&self.prefix)
+            .filter_map(|segment| {
+                let meta = segment.metadata().ok()?;
+                let open = meta.mode() & 0o022 != 0 || meta.uid() != getuid().as_raw();
+                let path = segment.path();
+                open.then(|| {
+                    format!(
+                        "{} (user {}, mode {:o})",
+                        path.display(),
+                        meta.uid(),
+                        meta.mode() & 0o7777
+                    )
+                })
+            })
+            .collect()
     }
-}
-
-/// The shared-memory segments with a prefix, as the kernel shows them.
-fn segments(prefix: &str) -> impl Iterator<Item = DirEntry> {
-    let all = std::fs::read_dir(SHM_FOLDER)
-        .into_iter()
-        .flatten()
-        .flatten();
-    all.filter(move |segment| segment.file_name().to_string_lossy().starts_with(prefix))
-}
-
-fn remove(path: &Path, prefix: &str) {
-    for segment in segments(prefix) {
-        let _ = std::fs::remove_file(segment.path());
-    }
-    let _ = std::fs::remove_dir_all(path);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::receiver::FrameReceiver;
 
     #[test]
-    fn a_live_root_stays_and_a_dead_one_goes() {
+    fn the_longest_base_works_and_a_longer_one_is_named() {
+        let folder = tempfile::tempdir_in("/tmp").unwrap();
+        let of_length = |length: usize| {
+            let rest = length - folder.path().as_os_str().len() - 1;
+            SharedRoot::create(&folder.path().join("x".repeat(rest)))
+        };
+        let root = of_length(LONGEST_BASE).unwrap();
+        FrameReceiver::create(&root).unwrap();
+        let error = of_length(LONGEST_BASE + 1).unwrap_err();
+        assert!(matches!(error, RootError::Long { .. }), "{error}");
+    }
+
+    #[test]
+    fn nothing_in_shared_memory_is_open_to_others() {
         let base = tempfile::tempdir().unwrap();
-        let alive = SharedRoot::create(base.path()).unwrap();
-        // A dead owner: folder and lock file, nobody holds the lock; and a segment with its prefix.
-        let dead = base.path().join("flankscope_0_0_");
-        std::fs::create_dir(&dead).unwrap();
-        std::fs::write(dead.join(LOCK_FILE), "").unwrap();
-        let segment = Path::new(SHM_FOLDER).join(format!("flankscope_0_0_{}", std::process::id()));
-        std::fs::write(&segment, "left over").unwrap();
-        let other = SharedRoot::create(base.path()).unwrap();
-        assert!(alive.path().exists() && other.path().exists());
+        let root = SharedRoot::create(base.path()).unwrap();
+        let receiver = FrameReceiver::create(&root).unwrap();
         assert!(
-            !dead.exists() && !segment.exists(),
-            "the dead owner's folder and segment are gone"
+            segments(root.prefix()).count() >= 3,
+            "the test looks at segments"
         );
-        let path = other.path().to_path_buf();
-        drop(other);
-        assert!(!path.exists(), "an owner cleans up after itself");
+        assert_eq!(root.open_to_others(), Vec::<String>::new());
+        drop(receiver);
+        // The test sees what the library leaves by itself.
+        let bare = SharedRoot {
+            prefix: format!("{}_bare", root.prefix()),
+            folder: RunFolder::create(base.path()).unwrap(),
+        };
+        drop(services::make_node(&bare).unwrap());
+        let open = bare.open_to_others();
+        assert!(
+            open.len() == 1 && open[0].contains("global_mgmt"),
+            "{open:?}"
+        );
+        for segment in segments(bare.prefix()) {
+            std::fs::remove_file(segment.path()).unwrap();
+        }
     }
 }

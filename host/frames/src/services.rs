@@ -66,29 +66,39 @@ pub(super) fn refused<E: std::fmt::Debug>(
     }
 }
 
+fn not_a_place(root: &SharedRoot) -> ServiceError {
+    ServiceError::Path {
+        path: root.path().display().to_string(),
+    }
+}
+
+/// A node below `root`, with every service file in its folder and every segment under its prefix.
+pub(super) fn make_node(root: &SharedRoot) -> Result<Node<ipc::Service>, ServiceError> {
+    set_log_level(LogLevel::Fatal);
+    let named = || not_a_place(root);
+    let mut config = Config::default();
+    config.global.set_root_path(
+        &Path::new(root.path().as_os_str().as_encoded_bytes()).map_err(|_| named())?,
+    );
+    config.global.prefix = FileName::new(root.prefix().as_bytes()).map_err(|_| named())?;
+    // A killed peer's half-made files can keep the library's own cleaning waiting for ever, and none is needed: the
+    // root is this run's alone, and its owner removes it whole.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    config.global.service.cleanup_dead_nodes_on_open = false;
+    NodeBuilder::new()
+        .config(&config)
+        // Signals belong to the program, not to a library.
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .create::<ipc::Service>()
+        .map_err(refused("create a node", root))
+}
+
 impl Services {
     /// Opens the services below `root`, or makes them: the host does so before it starts the camera process.
     pub fn open(root: &SharedRoot) -> Result<Self, ServiceError> {
-        set_log_level(LogLevel::Fatal);
-        let named = || ServiceError::Path {
-            path: root.path().display().to_string(),
-        };
-        let mut config = Config::default();
-        config.global.set_root_path(
-            &Path::new(root.path().as_os_str().as_encoded_bytes()).map_err(|_| named())?,
-        );
-        config.global.prefix = FileName::new(root.prefix().as_bytes()).map_err(|_| named())?;
-        // A killed peer's half-made files can keep the library's own cleaning waiting for ever, and none is needed: the
-        // root is this run's alone, and its owner removes it whole.
-        config.global.node.cleanup_dead_nodes_on_creation = false;
-        config.global.node.cleanup_dead_nodes_on_destruction = false;
-        config.global.service.cleanup_dead_nodes_on_open = false;
-        let node = NodeBuilder::new()
-            .config(&config)
-            // Signals belong to the program, not to a library.
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
-            .map_err(refused("create a node", root))?;
+        let node = make_node(root)?;
+        let named = || not_a_place(root);
         let name = |text: &str| ServiceName::new(text).map_err(|_| named());
         let frames = node
             .service_builder(&name("frames")?)

@@ -39,7 +39,7 @@ fn faulty(root: &Path, fault: &str) {
         "waits" => Overflow::Wait,
         _ => Overflow::Drop,
     };
-    let mut sink = FrameSender::open(&SharedRoot::of_owner(root), overflow).unwrap();
+    let mut sink = FrameSender::open(&SharedRoot::of_owner(root).unwrap(), overflow).unwrap();
     let (mut labels, mut delivered, mut clock_us) = (Labels::default(), 0, 0);
     for (exposed, line) in (0_u32..).zip(std::io::stdin().lock().lines()) {
         let exposure_us: u64 = line.unwrap().trim().parse().unwrap();

@@ -20,8 +20,11 @@ fn camera_process() {
     let Some(root) = std::env::var_os(ROOT_VARIABLE) else {
         return;
     };
-    let mut sender =
-        FrameSender::open(&SharedRoot::of_owner(root.as_ref()), Overflow::Drop).unwrap();
+    let mut sender = FrameSender::open(
+        &SharedRoot::of_owner(root.as_ref()).unwrap(),
+        Overflow::Drop,
+    )
+    .unwrap();
     let mut counter = 0;
     loop {
         std::thread::sleep(Duration::from_millis(1));

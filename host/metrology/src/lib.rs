@@ -1,7 +1,7 @@
 //! Points against CAD: meshes, registration, exact deviation, wear, verdict.
 //!
 //! ```text
-//!  space         frames of reference, boxes, order in space
+//!  space         boxes, normals, order in space
 //!  io            other people's meshes and clouds, checked where they enter
 //!  cloud         points by themselves: neighbours, outliers, merging
 //!  surface       triangles: exact signed distance, random points

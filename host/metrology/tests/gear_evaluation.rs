@@ -586,7 +586,7 @@ fn a_known_helix_slope_and_a_known_pitch_error_come_back_from_a_mesh() {
 #[test]
 fn facets_of_either_cad_kernel_stay_within_their_chord_error() {
     let (gear, settings) = ring84();
-    on_every_ring84("facets_stay_within_their_chord_error", |mesh| {
+    on_every_ring84(|mesh| {
         let evaluation = evaluate(&gear, &sampled(&mesh), &settings).unwrap();
         for quantity in [
             Quantity::ProfileTotal,

@@ -2,11 +2,11 @@
 
 mod support;
 
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
     Options, Prior, Reason, Registration, Status, detect_teeth, register,
 };
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::surface::sampling;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -70,7 +70,7 @@ fn moved(points: &[[f64; 3]], by: &Isometry3<f64>) -> Vec<[f64; 3]> {
 
 #[test]
 fn a_noisy_patch_comes_back_and_the_axial_direction_is_not_invented() {
-    on_every_ring84("a_noisy_patch_comes_back", run_a_noisy_patch_comes_back);
+    on_every_ring84(run_a_noisy_patch_comes_back);
 }
 
 fn run_a_noisy_patch_comes_back(mesh: TriMesh) {
@@ -131,10 +131,7 @@ fn run_a_noisy_patch_comes_back(mesh: TriMesh) {
 
 #[test]
 fn the_prior_holds_the_axial_direction_and_says_so() {
-    on_every_ring84(
-        "the_prior_holds_the_axial_direction",
-        run_the_prior_holds_the_axial_direction,
-    );
+    on_every_ring84(run_the_prior_holds_the_axial_direction);
 }
 
 fn run_the_prior_holds_the_axial_direction(mesh: TriMesh) {
@@ -179,7 +176,7 @@ fn run_the_prior_holds_the_axial_direction(mesh: TriMesh) {
 
 #[test]
 fn the_stated_covariance_is_the_scatter_of_repeated_fits() {
-    on_every_ring84("the_stated_covariance", run_the_stated_covariance);
+    on_every_ring84(run_the_stated_covariance);
 }
 
 fn run_the_stated_covariance(mesh: TriMesh) {
@@ -208,10 +205,7 @@ fn run_the_stated_covariance(mesh: TriMesh) {
 
 #[test]
 fn what_does_not_fit_is_indeterminate() {
-    on_every_ring84(
-        "what_does_not_fit_is_indeterminate",
-        run_what_does_not_fit_is_indeterminate,
-    );
+    on_every_ring84(run_what_does_not_fit_is_indeterminate);
 }
 
 fn run_what_does_not_fit_is_indeterminate(mesh: TriMesh) {
@@ -344,10 +338,7 @@ fn a_plane_is_unconstrained() {
 
 #[test]
 fn the_number_of_teeth_is_found() {
-    on_every_ring84(
-        "the_number_of_teeth_is_found",
-        run_the_number_of_teeth_is_found,
-    );
+    on_every_ring84(run_the_number_of_teeth_is_found);
 }
 
 fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
@@ -357,10 +348,7 @@ fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
 
 #[test]
 fn one_and_many_threads_give_the_same_pose() {
-    on_every_ring84(
-        "one_and_many_threads_give_the_same_pose",
-        run_one_and_many_threads_give_the_same_pose,
-    );
+    on_every_ring84(run_one_and_many_threads_give_the_same_pose);
 }
 
 fn run_one_and_many_threads_give_the_same_pose(mesh: TriMesh) {

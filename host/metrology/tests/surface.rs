@@ -255,7 +255,7 @@ fn triangles_without_area_agree_with_brute_force() {
 
 #[test]
 fn ring_gears_agree_with_brute_force() {
-    on_every_ring84("ring_gears_agree_with_brute_force", run_ring_gears);
+    on_every_ring84(run_ring_gears);
 }
 
 fn run_ring_gears(mesh: TriMesh) {

@@ -106,7 +106,7 @@ fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
 
 #[test]
 fn an_undamaged_gear_is_go_and_wear_is_no_go_on_exactly_its_flank() {
-    on_every_ring84_file("an_undamaged_gear_is_go", run_an_undamaged_gear_is_go);
+    on_every_ring84_file(run_an_undamaged_gear_is_go);
 }
 
 fn run_an_undamaged_gear_is_go(cad: PathBuf) {
@@ -162,7 +162,7 @@ fn run_an_undamaged_gear_is_go(cad: PathBuf) {
 
 #[test]
 fn a_pit_counts_by_its_depth_and_not_by_its_mean() {
-    on_every_ring84_file("a_pit_counts_by_its_depth", run_a_pit_counts_by_its_depth);
+    on_every_ring84_file(run_a_pit_counts_by_its_depth);
 }
 
 fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
@@ -199,7 +199,7 @@ fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
 
 #[test]
 fn a_flank_that_was_not_seen_is_indeterminate() {
-    on_every_ring84_file("a_flank_that_was_not_seen", run_a_flank_that_was_not_seen);
+    on_every_ring84_file(run_a_flank_that_was_not_seen);
 }
 
 fn run_a_flank_that_was_not_seen(cad: PathBuf) {
@@ -231,7 +231,7 @@ fn run_a_flank_that_was_not_seen(cad: PathBuf) {
 
 #[test]
 fn wrong_tool_files_are_named() {
-    on_every_ring84_file("wrong_tool_files_are_named", run_wrong_tool_files_are_named);
+    on_every_ring84_file(run_wrong_tool_files_are_named);
 }
 
 fn run_wrong_tool_files_are_named(cad: PathBuf) {
@@ -294,6 +294,95 @@ fn run_wrong_tool_files_are_named(cad: PathBuf) {
         ),
         "{error}"
     );
+    // No limit that no damage can reach, no zone beside the toothing, no verdict on what was not seen.
+    for (from, to, named) in [
+        (
+            "limit_um = 50.0",
+            "limit_um = 10000.0",
+            "inspect.limit_um = 10000",
+        ),
+        ("limit_um = 50.0", "limit_um = 800.0", "at most 785.3982"),
+        (
+            "limit_um = 50.0",
+            "limit_um = inf",
+            "inspect.limit_um = inf",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\ncell_limit_um = 2000.0",
+            "inspect.cell_limit_um",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nproud_limit_um = 2000.0",
+            "inspect.proud_limit_um",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\ntip_limit_mm = 2.0",
+            "inspect.tip_limit_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nhidden_depth_um = 0.0",
+            "inspect.hidden_depth_um = 0",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nleast_coverage = 0.0",
+            "0.5 to 1",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nleast_coverage = nan",
+            "0.5 to 1",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nzone_height_mm = [40.0, 60.0]",
+            "gear.height_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nzone_height_mm = [-40.0, 4.0]",
+            "gear.height_mm",
+        ),
+        (
+            "limit_um = 50.0",
+            "limit_um = 50.0\nwear_area_mm2 = 60.0",
+            "fits into the judged zone",
+        ),
+        (
+            "height_mm = 33.0",
+            "height_mm = 64.0",
+            "zone_height_mm[1] = 4",
+        ),
+        (
+            "root_radius_mm = 43.25",
+            "root_radius_mm = 1024.0",
+            "gear.root_radius_mm = 1024",
+        ),
+        ("root_radius_mm = 43.25", "root_radius_mm = 43.55", "mm off"),
+        (
+            "tip_radius_mm = 41.0",
+            "tip_radius_mm = 40.88",
+            "gear.tip_radius_mm",
+        ),
+        (
+            "height_mm = [0.0, 66.0]",
+            "height_mm = [0.0, 90.0]",
+            "gear.height_mm[1] = 90",
+        ),
+        (
+            "height_mm = [0.0, 66.0]",
+            "height_mm = [-5.0, 66.0]",
+            "gear.height_mm[0] = -5",
+        ),
+    ] {
+        let error = refused(from, to).to_string();
+        assert!(error.contains(named), "{to}: {error}");
+        assert!(!error.contains("NaN, "), "{error}");
+    }
     let error = refused("\"CAD\"", "\"missing.stl\"");
     assert!(error.to_string().contains("missing.stl"), "{error}");
     let error = Tool::load(&folder.path().join("nowhere")).unwrap_err();
@@ -303,10 +392,7 @@ fn run_wrong_tool_files_are_named(cad: PathBuf) {
 /// The predicted leakage against what the fit really hides: the same noisy points laid on CAD without and with wear.
 #[test]
 fn leakage_is_what_the_fit_takes_away() {
-    on_every_ring84_file(
-        "leakage_is_what_the_fit_takes_away",
-        run_leakage_is_what_the_fit_takes_away,
-    );
+    on_every_ring84_file(run_leakage_is_what_the_fit_takes_away);
 }
 
 fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
@@ -389,7 +475,7 @@ fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
 
 #[test]
 fn temperature_is_asked_for_and_kept_to_its_range() {
-    on_every_ring84_file("temperature_is_asked_for", run_temperature_is_asked_for);
+    on_every_ring84_file(run_temperature_is_asked_for);
 }
 
 fn run_temperature_is_asked_for(cad: PathBuf) {

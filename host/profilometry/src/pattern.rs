@@ -2,11 +2,13 @@
 
 use std::f64::consts::TAU;
 
+use serde::{Deserialize, Serialize};
+
 /// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
 ///
 /// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres. With fringes along rows,
 /// columns and width are the projector's rows and height.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FringeSet {
     /// Periods over the projector's full width.
     pub periods: f64,
@@ -39,7 +41,7 @@ impl FringeSet {
 }
 
 /// What the fringes count.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Axis {
     /// The projector's columns: stripes stand upright.
     #[default]
@@ -59,7 +61,7 @@ impl Axis {
 }
 
 /// Which way the fringes move from step to step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StepSign {
     /// Step n shows `cos(phase + TAU n / N)`: the instrument's own patterns.
     #[default]
@@ -79,7 +81,7 @@ impl StepSign {
 }
 
 /// The frequencies of one capture, low to high, in any ratio ([`crate::unwrap`] says what they tell apart).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PatternSet {
     /// `insitu12`, the plan file's name, ...
     pub name: String,
@@ -214,6 +216,14 @@ impl PatternSet {
             step_sign,
             axis,
         })
+    }
+
+    /// The same set, if it is within the limits: one that was read from a file is not known to be.
+    ///
+    /// # Errors
+    /// [`PatternError`]: see its variants for the limits.
+    pub fn checked(self) -> Result<Self, PatternError> {
+        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)
     }
 
     /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8}, `scan16` {4 x 4; 13 x 4; 48 x 8}, `high12`

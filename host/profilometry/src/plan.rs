@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::frame::FrameKind;
 use crate::head::Sensor;
-use crate::io::images::{GreyImage, ImageError, list_pngs, load_grey_png};
+use crate::io::images::{GreyImage, ImageError, list_images, load_grey};
 use crate::pattern::{
     Axis, FringeSet, KNOWN_SETS, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign,
 };
@@ -257,11 +257,11 @@ impl Plan {
     pub fn images(
         &self,
         folder: &Path,
-        [width, height]: [u32; 2],
+        size_px: [u32; 2],
     ) -> Result<Vec<(FrameKind, GreyImage)>, ImageError> {
         let mut frames: Vec<(FrameKind, GreyImage)> = Vec::new();
         for (kind, path) in self.frames(folder)? {
-            let image = load_grey_png(&path, width, height)?;
+            let image = load_grey(&path, size_px)?;
             if let Some((_, first)) = frames.first()
                 && first.bits != image.bits
             {
@@ -287,7 +287,7 @@ impl Plan {
                 .map(|(kind, name)| (*kind, folder.join(name)))
                 .collect()),
             Images::Sorted(kinds) => {
-                let paths = list_pngs(folder, kinds.len())?;
+                let paths = list_images(folder, kinds.len())?;
                 let mut frames: Vec<_> = kinds.iter().copied().zip(paths).collect();
                 frames.sort_by_key(|(kind, _)| match *kind {
                     FrameKind::Dark => (0, 0, 0),

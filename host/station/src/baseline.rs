@@ -224,7 +224,7 @@ impl Baseline {
     /// What the view of a tooth said of its own pose.
     #[must_use]
     pub fn pose(&self, tooth: u32) -> Option<&PoseEvidence> {
-        self.poses.iter().find(|pose| pose.tooth == tooth)
+        self.poses.iter().find(|pose| pose.tooth == Some(tooth))
     }
 
     /// A flank's cells.

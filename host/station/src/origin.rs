@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use flankscope_foundation::date::Date;
 use serde::Serialize;
 
 /// What the instrument's controller is.
@@ -15,6 +16,20 @@ pub enum Link {
     Qemu,
     /// A controller at a port.
     Port(PathBuf),
+    /// None: the frames were recorded.
+    Recorded(RecordingId),
+}
+
+/// A recording of frames, by its index.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RecordingId {
+    /// Day on which the frames were taken, where that is known.
+    pub taken: Option<Date>,
+    /// BLAKE3 of the index.
+    pub blake3: String,
+    /// Whether no real die was looked at.
+    #[serde(skip)]
+    pub simulated: bool,
 }
 
 /// Not a link.
@@ -28,7 +43,11 @@ impl Link {
     /// Whether there is no real die at its other end.
     #[must_use]
     pub fn is_simulated(&self) -> bool {
-        !matches!(self, Self::Port(_))
+        match self {
+            Self::Sim | Self::Qemu => true,
+            Self::Port(_) => false,
+            Self::Recorded(of) => of.simulated,
+        }
     }
 }
 
@@ -51,6 +70,7 @@ impl fmt::Display for Link {
             Self::Sim => f.write_str("sim"),
             Self::Qemu => f.write_str("qemu"),
             Self::Port(port) => port.display().fmt(f),
+            Self::Recorded(_) => f.write_str("recorded frames"),
         }
     }
 }
@@ -78,7 +98,7 @@ pub struct HeadId {
 /// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Origin {
-    /// `sim`, `qemu` or the controller's port.
+    /// `sim`, `qemu`, the controller's port, or `recorded frames`.
     pub link: Option<String>,
     /// Whether it is of the simulated bench: no real die was looked at.
     pub simulated: Option<bool>,
@@ -88,6 +108,9 @@ pub struct Origin {
     pub station: Option<String>,
     /// Who ran it.
     pub operator: Option<String>,
+    /// The recording, of recorded frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingId>,
 }
 
 impl Origin {
@@ -100,6 +123,10 @@ impl Origin {
             head: Some(head),
             station: setting.map(|setting| setting.station.clone()),
             operator: setting.and_then(|setting| setting.operator.clone()),
+            recording: match setting.map(|setting| &setting.link) {
+                Some(Link::Recorded(of)) => Some(of.clone()),
+                _ => None,
+            },
         }
     }
 

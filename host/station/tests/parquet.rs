@@ -23,6 +23,7 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
         }),
         station: Some("press 7".into()),
         operator: None,
+        recording: None,
     };
     history.record(&first, None).unwrap();
     let mut lost = inspection(16, Word::Indeterminate, "");

@@ -12,6 +12,7 @@ use std::time::Duration;
 use anyhow::{Context, ensure};
 use flankscope_frames::{Overflow, SharedRoot};
 use nalgebra::{UnitQuaternion, Vector3};
+use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
 
 use crate::ageing::Ageing;
@@ -106,6 +107,8 @@ impl Farewell {
 pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Run => {
+            // It ends with its standard input, too, but not before it has done what it is at.
+            set_parent_process_death_signal(Some(Signal::KILL))?;
             let mut line = String::new();
             std::io::stdin().lock().read_line(&mut line)?;
             let config = serde_json::from_str(&line)
@@ -230,7 +233,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         patterns,
         ageing,
         asked.bench.frame_fault.as_ref().map(|fault| fault.value),
-        SharedRoot::of_owner(&asked.root),
+        SharedRoot::of_owner(&asked.root)?,
         overflow,
         gives_way,
     )?;

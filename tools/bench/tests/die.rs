@@ -6,8 +6,8 @@ use flankscope_bench::world::{
     WorldConfig, WorldError,
 };
 use flankscope_gear_cad::{Flank, GearSpec, Mesh, Meshing};
+use flankscope_test_requisites::shared;
 use std::collections::HashMap;
-use std::path::Path;
 
 fn cad() -> Mesh {
     demo::gear()
@@ -445,14 +445,10 @@ fn what_no_die_can_be_is_named() {
 
 #[test]
 fn a_ring_from_another_cad_kernel_wears_and_is_seen() {
-    let file =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/cad-ring84/ring84.stl");
-    let Ok(bytes) = std::fs::read(&file) else {
-        println!(
-            "SKIPPED a_ring_from_another_cad_kernel_wears_and_is_seen: shared/data/cad-ring84/ring84.stl is missing"
-        );
+    let Some(file) = shared("data/cad-ring84/ring84.stl") else {
         return;
     };
+    let bytes = std::fs::read(file).expect("readable");
     let cad = welded_stl(&bytes);
     let gear = GearSpec {
         module_mm: 1.0,

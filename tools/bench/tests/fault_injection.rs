@@ -11,37 +11,19 @@ use flankscope_controller::liveness::Task;
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::*;
 use flankscope_sim::{Clock, Sim, Wiring, now_us};
+use flankscope_test_requisites::emulated_image;
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::rc::Rc;
 
 /// What `cargo xtask firmware` builds for this test alone.
-const IMAGE: &str = "firmware/mps2-an386/target/thumbv7em-none-eabihf/release/flankscope-mps2-an386-fault-injection";
-
-/// The image, if it and the emulator are there; else says what is missing, and fails where everything must run.
-fn image() -> Option<PathBuf> {
-    let image = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../..")
-        .join(IMAGE);
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let emulator =
-        std::env::split_paths(&path).any(|folder| folder.join("qemu-system-arm").is_file());
-    let missing = match (image.is_file(), emulator) {
-        (true, true) => return Some(image),
-        (false, _) => "the image, which cargo xtask firmware builds",
-        (_, false) => "qemu-system-arm",
-    };
-    assert!(
-        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
-        "{missing} is missing"
-    );
-    eprintln!("SKIPPED: {missing} is missing");
-    None
-}
+const IMAGE: &str = "flankscope-mps2-an386-fault-injection";
 
 #[test]
 fn a_hung_spinning_panicking_or_faulting_image_ends_in_a_reset_and_the_safe_state() {
-    let Some(image) = image() else { return };
+    let Some(image) = emulated_image(IMAGE) else {
+        return;
+    };
     let hangs = Task::ALL.map(|task| (FaultInjection::Hang(task), Boot::Watchdog));
     let others = [
         (FaultInjection::Spin(Task::Sequencer), Boot::Watchdog),

@@ -28,7 +28,7 @@ fn camera_process() {
         PatternSpec::insitu12(),
         Ageing::default(),
         None,
-        SharedRoot::of_owner(Path::new(&root)),
+        SharedRoot::of_owner(Path::new(&root)).unwrap(),
         Overflow::Drop,
         false,
     )

@@ -51,7 +51,7 @@ const ROOT_VARIABLE: &str = "FLANKSCOPE_BENCH_CAMERA_ROOT";
 
 fn main() -> Result<()> {
     if let Some(root) = std::env::var_os(ROOT_VARIABLE) {
-        return camera(&SharedRoot::of_owner(root.as_ref()));
+        return camera(&SharedRoot::of_owner(root.as_ref())?);
     }
     let read_gb_per_s = memory();
     decoding(read_gb_per_s)?;

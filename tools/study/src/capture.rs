@@ -23,6 +23,21 @@ pub(super) struct Instrument {
     plan: Arc<ViewPlan>,
 }
 
+/// Number of the pattern that a frame shows, 0 for none, and of its exposure; `sets` are periods and steps.
+pub(super) fn shown(kind: FrameKind, sets: &[(f64, u32)]) -> (u32, usize) {
+    match kind {
+        FrameKind::Dark => (0, 0),
+        FrameKind::Fringe {
+            exposure,
+            set,
+            step,
+        } => {
+            let before: u32 = sets[..set].iter().map(|s| s.1).sum();
+            (1 + before + step, exposure)
+        }
+    }
+}
+
 /// What is wrong with one capture, beside the stages' own errors.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Trouble {
@@ -96,17 +111,7 @@ impl Instrument {
         let mut pixels = vec![0_u16; width * height];
         let mut accumulator = self.decoder.begin();
         for (i, kind) in self.decoder.capture_order().enumerate() {
-            let (pattern, exposure) = match kind {
-                FrameKind::Dark => (0, 0),
-                FrameKind::Fringe {
-                    exposure,
-                    set,
-                    step,
-                } => {
-                    let before: u32 = sets[..set].iter().map(|s| s.1).sum();
-                    (1 + before + step, exposure)
-                }
-            };
+            let (pattern, exposure) = shown(kind, &sets);
             let lit_us = f64::from(self.plan.exposures_us[exposure]) * (1.0 - trouble.dimmed);
             let counter = number.wrapping_mul(64).wrapping_add(i as u32);
             world.render(

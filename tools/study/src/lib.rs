@@ -17,6 +17,7 @@ mod calibration;
 mod campaign;
 mod capture;
 mod cases;
+mod chart;
 mod page;
 mod setup;
 mod staircase;

@@ -7,6 +7,7 @@ use flankscope_station::files::write_whole;
 use serde::Serialize;
 
 use super::calibration::LENS_ERROR_UM;
+use super::chart::Frame;
 use super::setup::FLANKS_UM;
 use super::staircase::{self, Profile};
 use super::tally::Share;
@@ -499,24 +500,14 @@ fn errors(cells: &[Cell]) -> Result<String, std::fmt::Error> {
     let all = || groups.iter().flat_map(|(group, ..)| figures(*group));
     let deepest = all().map(|p| p[0]).fold(1.0, f64::max);
     let largest = all().map(|p| p[1].abs()).fold(1.0, f64::max);
-    let reach_um = 5.0 * (largest / 5.0).ceil();
+    let frame = Frame {
+        size: SIZE,
+        margin: MARGIN,
+        reach_um: 5.0 * (largest / 5.0).ceil(),
+    };
     let x = |um: f64| left + (width - 2.0 * left) * um / deepest;
-    let y = |um: f64| 0.5 * height - (0.5 * height - low) * um / reach_um;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"system-ui, sans-serif\" font-size=\"12\">\
-         <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>"
-    );
-    for um in [-reach_um, -0.5 * reach_um, 0.0, 0.5 * reach_um, reach_um] {
-        write!(
-            svg,
-            "<line x1=\"{left}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"#d8dde2\"/>\
-             <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{um:.1} µm</text>",
-            width - left,
-            left - 6.0,
-            y(um) + 4.0,
-            at = y(um),
-        )?;
-    }
+    let y = |um: f64| frame.y(um);
+    let mut svg = frame.begin(1)?;
     for um in [0.0, 20.0, 35.0, 50.0, 80.0] {
         write!(
             svg,

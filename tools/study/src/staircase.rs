@@ -3,12 +3,14 @@
 use std::fmt::Write as _;
 
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::{
-    Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
-};
+use flankscope_profilometry::{Cloud, DecodeOptions, Decoder, FrameView, HeadModel, PatternSet};
 
 use flankscope_bench::demo;
+
+use super::chart::Frame;
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
+
+use super::capture::shown;
 
 /// The plane stands in best focus, mm from the stage's axis; the camera is this far from the axis.
 const PLANE_MM: f64 = 41.5;
@@ -54,17 +56,7 @@ fn capture(world: &World, head: &HeadModel, grid: GridKind) -> anyhow::Result<Cl
     let mut pixels = vec![0; width * height];
     let mut accumulator = decoder.begin();
     for (frame, kind) in (0..).zip(decoder.capture_order()) {
-        let (pattern, exposure) = match kind {
-            FrameKind::Dark => (0, 0),
-            FrameKind::Fringe {
-                exposure,
-                set,
-                step,
-            } => {
-                let before: u32 = sets[..set].iter().map(|s| s.1).sum();
-                (1 + before + step, exposure)
-            }
-        };
+        let (pattern, exposure) = shown(kind, &sets);
         let pattern = u16::try_from(pattern)?;
         world.render(
             &view,
@@ -107,26 +99,16 @@ pub(super) fn draw([pixels, cores]: &[Profile; 2]) -> Result<String, std::fmt::E
     const SIZE: [f64; 2] = [760.0, 320.0];
     const MARGIN: [f64; 2] = [56.0, 40.0];
     let highest = pixels.line.iter().map(|p| p[1].abs()).fold(1.0, f64::max);
-    let reach_um = 10.0 * (highest / 10.0).ceil();
     let [width, height] = SIZE;
     let [left, low] = MARGIN;
     let x = |mm: f64| 0.5 * width + (0.5 * width - left) * mm / LINE_MM;
-    let y = |um: f64| 0.5 * height - (0.5 * height - low) * um / reach_um;
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" font-family=\"system-ui, sans-serif\" font-size=\"12\">\
-         <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>"
-    );
-    for um in [-reach_um, -0.5 * reach_um, 0.0, 0.5 * reach_um, reach_um] {
-        write!(
-            svg,
-            "<line x1=\"{left}\" x2=\"{}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"#d8dde2\"/>\
-             <text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{um:.0} µm</text>",
-            width - left,
-            left - 6.0,
-            y(um) + 4.0,
-            at = y(um),
-        )?;
-    }
+    let frame = Frame {
+        size: SIZE,
+        margin: MARGIN,
+        reach_um: 10.0 * (highest / 10.0).ceil(),
+    };
+    let y = |um: f64| frame.y(um);
+    let mut svg = frame.begin(0)?;
     for tenths in [-4, -2, 0, 2, 4] {
         let mm = f64::from(tenths) / 10.0;
         write!(

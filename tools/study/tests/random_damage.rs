@@ -11,6 +11,7 @@ use flankscope_bench::zones::{Judged, compare};
 use flankscope_gear_cad::Flank;
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_study::{Judgement, random_damages};
+use flankscope_test_requisites::everything;
 
 /// Limits of the demo tool, µm.
 const WARN_UM: f64 = 30.0;
@@ -97,8 +98,7 @@ fn by_wear(one: &Judgement) -> bool {
 
 #[test]
 fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
-    let everything = std::env::var_os("FLANKSCOPE_TEST_ALL").is_some();
-    let count = if everything { 300 } else { 8 };
+    let count = if everything() { 300 } else { 8 };
     let all = random_damages(count, SEED, |line| println!("{line}")).expect("the bench");
     assert_eq!(all.len(), count as usize);
 
@@ -191,7 +191,7 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
     // The head looks along a flank, so the walls of a steep or narrow damage hide part of its bottom: what is read is then a
     // lower bound, and the flank is stopped or refused (`hidden`). U95 is asked for where a flank passes, and nowhere may a
     // figure be too high. Of the few figures of a short run one may be outside by chance.
-    if everything {
+    if everything() {
         assert!(held >= LEAST_HELD, "{held}");
         assert!(too_high <= 1.0 - LEAST_HELD, "{too_high}");
     }

@@ -22,6 +22,7 @@ const BENCH: &str = "tools/bench";
 const DEMO: &str = "tools/demo";
 const STUDY: &str = "tools/study";
 const GEAR_CAD: &str = "tools/gear-cad";
+const TEST_REQUISITES: &str = "tools/test-requisites";
 const EVERYTHING: &[&str] = &[
     PROTOCOL,
     CONTROLLER,
@@ -37,6 +38,7 @@ const EVERYTHING: &[&str] = &[
     DEMO,
     STUDY,
     GEAR_CAD,
+    TEST_REQUISITES,
 ];
 
 const ROOMS: &[Room] = &[
@@ -87,17 +89,18 @@ const ROOMS: &[Room] = &[
     ),
     (STUDY, EVERYTHING),
     (GEAR_CAD, &[]),
+    (TEST_REQUISITES, &[]),
     ("tools/xtask", EVERYTHING),
     ("tests", EVERYTHING),
 ];
 
 /// What tests alone may see beside that (`[dev-dependencies]`): the CAD of a specimen, made by a leaf that shares no formula
-/// with what is tested; and the host's pairing of triggers and frames, which the bench's fault campaign asks whether it
+/// with what is tested; what lies outside of the repository; and the host's pairing of triggers and frames, which the bench's fault campaign asks whether it
 /// takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
-    (METROLOGY, &[GEAR_CAD]),
-    (CLI, &[GEAR_CAD]),
-    (BENCH, &[STATION]),
+    (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
+    (CLI, &[GEAR_CAD, TEST_REQUISITES]),
+    (BENCH, &[STATION, TEST_REQUISITES]),
 ];
 
 /// What a deployment leaves out of the command.

@@ -24,6 +24,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "place it there: fringe-skull is example data of jakobwilm/slstudio, cad-ring84 was exported with cq_gears",
         });
     }
+    if !root.join("../shared/outside").is_dir() {
+        missing.push(Missing {
+            what: "checks of frames that an outside renderer made",
+            needs: "the folder ../shared/outside beside the repository",
+            how: "place it there: the demo die rendered by Mitsuba 3, sprayed and of ground steel (its README says how)",
+        });
+    }
     if !Path::new("/dev/shm").is_dir() {
         missing.push(Missing {
             what: "tests of the zero-copy frame path",

@@ -7,6 +7,7 @@
 
 use std::f64::consts::TAU;
 
+use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
 use nalgebra::{DMatrix, DVector};
 
 use crate::gear::Flank;
@@ -18,8 +19,6 @@ const FORM_PARAMETERS: usize = 2 * FORM_HARMONICS as usize + 1;
 const LEAST_TEETH: usize = 12;
 /// Deviations beyond so many robust standard deviations are cut.
 const CUT_SIGMAS: f64 = 3.0;
-/// Median of |x| to standard deviation for a normal distribution.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// A shift is significant beyond so many standard deviations: of 84 shifts without relation one exceeds it once in 900
 /// comparisons ...
 const LEAST_SIGMAS: f64 = 4.2;
@@ -173,9 +172,8 @@ fn without_form(teeth: u32, means: &[(u32, f64)]) -> Vec<(u32, f64)> {
         means.iter().map(|m| m.1),
     ));
     for _ in 0..2 {
-        let mut sizes: Vec<f64> = left.iter().map(|um| um.abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let most = CUT_SIGMAS * SIGMA_PER_MAD * sizes[sizes.len() / 2];
+        let size = median_of(left.iter().map(|um| um.abs())).unwrap_or(0.0);
+        let most = CUT_SIGMAS * SIGMA_PER_MAD * size;
         left.apply(|um| *um = um.clamp(-most, most));
         left = fit(&left);
     }

@@ -11,8 +11,8 @@ use super::pairs::{Pair, fit_pairs};
 use super::{Reason, Registration, Status};
 use crate::deviation::{Order, SampleTree};
 use crate::io::mesh::TriMesh;
-use crate::space::frames::{Cloud, Rigid, Tool};
 use crate::surface::sampling::{Region, centre_of_mass};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// The article's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-use crate::space::frames::{Cloud, Rigid, Tool};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// A picked pair: a cloud point and the CAD point that it shows, mm.
 pub type Pair = ([f64; 3], [f64; 3]);

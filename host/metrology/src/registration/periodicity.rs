@@ -1,5 +1,6 @@
 //! How many times a surface repeats about the tool axis.
 
+use flankscope_foundation::order::median;
 use nalgebra::{Rotation3, Vector3};
 
 use crate::io::mesh::TriMesh;
@@ -35,12 +36,11 @@ pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Opt
 fn inner_probes(mesh: &TriMesh) -> Vec<[f64; 3]> {
     let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
     let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
-    let middle = radii.len() / 2;
-    let (_, &mut median, _) = radii.select_nth_unstable_by(middle, f64::total_cmp);
+    let middle = median(&mut radii).unwrap_or(0.0);
     let inner: Vec<[f64; 3]> = mesh
         .vertices
         .iter()
-        .filter(|v| radius(v) <= median)
+        .filter(|v| radius(v) <= middle)
         .copied()
         .collect();
     (0..PROBES)

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 
-use crate::space::frames::{Cloud, Rigid, Tool};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// A pose with the covariance of a small motion that follows it in tool coordinates: rotation about `pivot_mm` (rad), then
 /// translation (mm).

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use flankscope_foundation::order::{SIGMA_PER_MAD, median};
 use nalgebra::{
     Isometry3, Matrix6, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6,
 };
@@ -11,9 +12,9 @@ use super::observe::Observability;
 use super::prior::ScaledPrior;
 use super::{Options, Reason, Registration, Status};
 use crate::random::uniform;
-use crate::space::frames::Rigid;
 use crate::space::morton::along_curve;
 use crate::surface::{CHUNK, Surface};
+use flankscope_foundation::rigid::Rigid;
 
 /// Points per level; the last level takes all.
 const LEVELS: [usize; 2] = [1_000, 10_000];
@@ -24,8 +25,6 @@ const STEP_LIMIT_MM: f64 = 0.02e-3;
 const LINEAR_MM: f64 = 2e-3;
 /// Normals at sharp edges (more than 20 degrees between the faces) belong to neither face: such hits take no part.
 pub(super) const LEAST_SMOOTHNESS: f64 = 0.985;
-/// Median of |x| to standard deviation for a normal distribution.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// Noise is not taken for less than this, so that perfect data do not divide by zero.
 const LEAST_NOISE_MM: f64 = 1e-6;
 /// While the pose is still far off, residuals say nothing about noise: for the decision which directions are observed it is
@@ -541,10 +540,7 @@ fn robust_noise(samples: &[Sample]) -> f64 {
         .filter(|s| s.weight > 0.0)
         .map(|s| s.distance.abs())
         .collect();
-    if sizes.is_empty() {
-        return LEAST_NOISE_MM;
-    }
-    let middle = sizes.len() / 2;
-    let (_, median, _) = sizes.select_nth_unstable_by(middle, f64::total_cmp);
-    (SIGMA_PER_MAD * *median).max(LEAST_NOISE_MM)
+    median(&mut sizes).map_or(LEAST_NOISE_MM, |size| {
+        (SIGMA_PER_MAD * size).max(LEAST_NOISE_MM)
+    })
 }

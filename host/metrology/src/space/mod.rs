@@ -1,7 +1,6 @@
-//! Frames of reference, boxes, the normal of a triangle, and an order in which neighbours in space follow each other.
+//! Boxes, the normal of a triangle, and an order in which neighbours in space follow each other.
 
 mod bounds;
-pub mod frames;
 pub(crate) mod morton;
 mod normal;
 

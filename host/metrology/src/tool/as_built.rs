@@ -1,6 +1,6 @@
 //! To what the form of a die as it was made is known: as stated, from its tolerance class, or from a scan of it when it was new.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
@@ -51,7 +51,6 @@ pub(super) fn as_built_um(
     gear: Option<&GearData>,
     inspect: &Inspect,
 ) -> Result<Option<f64>, ToolError> {
-    let key = "inspect.as_built_class";
     let sources = [
         inspect.as_built_um.is_some(),
         inspect.as_built_class.is_some(),
@@ -81,7 +80,7 @@ pub(super) fn as_built_um(
         (Some(class), Some(gear)) if CLASSES.contains(&class) => Ok(Some(of_class_um(gear, class))),
         (Some(class), gear) => Err(ToolError::Value {
             path: tool.to_owned(),
-            key,
+            key: "inspect.as_built_class",
             value: f64::from(class),
             expected: match gear {
                 Some(_) => format!("{} to {}", CLASSES.start(), CLASSES.end()),
@@ -104,7 +103,7 @@ fn of_class_um(gear: &GearData, class: u32) -> f64 {
 
 /// How the mean deviations of the flanks scatter about the middle of their side, µm: what all of a side share is not told from
 /// how the die sits.
-fn of_scan_um(path: &PathBuf) -> Result<f64, AsBuiltError> {
+fn of_scan_um(path: &Path) -> Result<f64, AsBuiltError> {
     let scan: Scan = serde_json::from_slice(&std::fs::read(path)?)?;
     let (mut squares, mut count) = (0.0, 0);
     for side in Flank::BOTH {

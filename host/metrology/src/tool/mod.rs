@@ -1,6 +1,7 @@
 //! The tool file: which CAD, which gear, what to inspect, which limits.
 
 mod as_built;
+mod check;
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +9,6 @@ pub use as_built::AsBuiltError;
 
 use crate::gear::{Flank, GearData, GearError};
 use crate::io::mesh::{self, MeshError, TriMesh, Unit};
-use crate::registration::detect_teeth;
 use crate::surface::Surface;
 use crate::verdict::flank::{Limits, TipLimits};
 use crate::verdict::{Reason, Rule, Undecided};
@@ -16,8 +16,6 @@ use crate::wear::{AREA_MM2, Settings, Zone, tip_loss_mm2};
 
 /// Name of the file inside a tool folder.
 pub const FILE_NAME: &str = "tool.toml";
-/// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
-const AGREEMENT_MM: f64 = 0.1;
 /// Limits of a single cell over those of a disc, which has some twenty cells.
 const CELL_PER_DISC: f64 = 2.0;
 /// A loss so many times the warning limit is supposed wherever nothing was measured.
@@ -25,8 +23,6 @@ const HIDDEN_DEPTH_PER_WARN: f64 = 10.0;
 /// Warning and stop limit of the tip edge's rounding in modules: a die's tip forms the workpiece's root, whose fillet ISO 53
 /// gives a radius of 0.25 modules (profile C) to 0.38 (profiles A, B).
 const TIP_PER_MODULE: [f64; 2] = [0.25, 0.38];
-/// More repetitions than this halve no uncertainty any more that fewer have not.
-const MOST_REPEATS: u32 = 10;
 
 /// A tool, ready to inspect.
 #[derive(Debug, Clone)]
@@ -104,7 +100,7 @@ pub struct Inspect {
     /// Area of the disc over which the largest mean loss is sought, mm2.
     #[serde(default = "default_area")]
     pub wear_area_mm2: f64,
-    /// Loss that is supposed wherever nothing was measured, micrometres; without it ten times `warn_um`.
+    /// Loss that is supposed wherever nothing was measured, micrometres; without it ten times `warn_um`, at least `limit_um`.
     #[serde(default)]
     pub hidden_depth_um: Option<f64>,
     /// Standard uncertainty of a flank's form as built against CAD, micrometres; without it the CAD is taken as true, and
@@ -158,7 +154,7 @@ impl Inspect {
     /// Loss that is supposed wherever nothing was measured, micrometres.
     pub fn hidden_depth_um(&self) -> f64 {
         self.hidden_depth_um
-            .unwrap_or(HIDDEN_DEPTH_PER_WARN * self.warn_um)
+            .unwrap_or((HIDDEN_DEPTH_PER_WARN * self.warn_um).max(self.limit_um))
     }
 
     /// Limits of the loss of a single cell, micrometres.
@@ -354,6 +350,20 @@ pub enum ToolError {
         /// In the mesh.
         found: u32,
     },
+    /// The gear's tips, roots or ends are not where the mesh has them.
+    #[error("{}: gear.{key} = {stated_mm} mm, but the CAD mesh has it {off_mm:.3} mm off, allowed are {limit_mm} mm; check the drawing, and the unit of the mesh", path.display())]
+    Land {
+        /// The file.
+        path: PathBuf,
+        /// Key in the tool file.
+        key: &'static str,
+        /// In the file.
+        stated_mm: f64,
+        /// How far the mesh is from there.
+        off_mm: f64,
+        /// Limit.
+        limit_mm: f64,
+    },
     /// The gear's flanks are not where the mesh is.
     #[error("{}: gear data and CAD mesh disagree: the {flank} flank of tooth {tooth} at radius {radius_mm:.3} mm is {distance_mm:.3} mm off the mesh, allowed are {limit_mm} mm; check module, pressure angle, first_tooth_centre_deg, height and unit", path.display())]
     Disagree {
@@ -388,7 +398,7 @@ impl Tool {
             source,
         })?;
         let file = parse(&path, &text)?;
-        file.check(&path)?;
+        check::values(&path, &file)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         let cad = folder.join(&file.cad.file);
         let in_mesh = |source| ToolError::Mesh {
@@ -399,7 +409,7 @@ impl Tool {
         let mesh = mesh::load(&cad, file.cad.unit).map_err(in_mesh)?;
         let surface = Surface::new(&mesh).map_err(in_mesh)?;
         if let Some(gear) = &file.gear {
-            check_against_mesh(&path, gear, &mesh, &surface)?;
+            check::against_mesh(&path, gear, &mesh, &surface)?;
         }
         let as_built_um = match &file.inspect {
             Some(inspect) => as_built::as_built_um(&path, file.gear.as_ref(), inspect)?,
@@ -506,188 +516,4 @@ fn parse(path: &Path, text: &str) -> Result<File, ToolError> {
             message: error.message().replace('\n', ", "),
         }
     })
-}
-
-impl File {
-    fn check(&self, path: &Path) -> Result<(), ToolError> {
-        let refuse = |key, value, expected: &str| {
-            Err(ToolError::Value {
-                path: path.to_owned(),
-                key,
-                value,
-                expected: expected.to_owned(),
-            })
-        };
-        if !(0.0..=1000.0).contains(&self.cad.chord_error_um) {
-            return refuse("cad.chord_error_um", self.cad.chord_error_um, "0 to 1000");
-        }
-        if let Some(gear) = &self.gear {
-            gear.check().map_err(|source| ToolError::Gear {
-                path: path.to_owned(),
-                source,
-            })?;
-        }
-        if let Some(temperature) = &self.temperature {
-            let [low, high] = temperature.range_degc;
-            if !(-50.0..=high).contains(&low) || high > 1000.0 {
-                let expected = "increasing, from -50 to 1000";
-                return refuse("temperature.range_degc[0]", low, expected);
-            }
-            if !(-50.0..=1000.0).contains(&temperature.reference_degc) {
-                let value = temperature.reference_degc;
-                return refuse("temperature.reference_degc", value, "-50 to 1000");
-            }
-            if !(0.0..=1e-3).contains(&temperature.expansion_per_k) {
-                let value = temperature.expansion_per_k;
-                return refuse("temperature.expansion_per_k", value, "0 to 0.001");
-            }
-            if !(0.0..=100.0).contains(&temperature.u_k) {
-                return refuse("temperature.u_k", temperature.u_k, "0 to 100");
-            }
-        }
-        let Some(inspect) = &self.inspect else {
-            return Ok(());
-        };
-        if !(0.0..=1000.0).contains(&inspect.drift_um) {
-            return refuse("inspect.drift_um", inspect.drift_um, "0 to 1000");
-        }
-        if !(0.5..1.0).contains(&inspect.probability) {
-            return refuse("inspect.probability", inspect.probability, "0.5 to below 1");
-        }
-        if inspect.remeasure > MOST_REPEATS {
-            let expected = format!("0 to {MOST_REPEATS}");
-            return refuse("inspect.remeasure", f64::from(inspect.remeasure), &expected);
-        }
-        if inspect.teeth.is_empty() {
-            return refuse("inspect.teeth (count)", 0.0, "at least one tooth");
-        }
-        if let Some(gear) = &self.gear {
-            for &tooth in &inspect.teeth {
-                if !(1..=gear.teeth).contains(&tooth) {
-                    let expected = format!("1 to {} (gear.teeth)", gear.teeth);
-                    return refuse("inspect.teeth", f64::from(tooth), &expected);
-                }
-            }
-            let [low, high] = gear.height_mm;
-            if !(low..=high).contains(&inspect.height_mm) {
-                let expected = format!("{low} to {high} (gear.height_mm)");
-                return refuse("inspect.height_mm", inspect.height_mm, &expected);
-            }
-            if let Some([from, to]) = inspect.zone_radius_mm {
-                let (least, most) = (
-                    gear.tip_radius_mm.min(gear.root_radius_mm),
-                    gear.tip_radius_mm.max(gear.root_radius_mm),
-                );
-                let expected = format!("increasing and within {least} to {most} (tip and root)");
-                if !(least..to).contains(&from) {
-                    return refuse("inspect.zone_radius_mm[0]", from, &expected);
-                }
-                if to > most {
-                    return refuse("inspect.zone_radius_mm[1]", to, &expected);
-                }
-            }
-        }
-        let [down, up] = inspect.zone_height_mm;
-        if !(-1000.0..up).contains(&down) || up > 1000.0 {
-            return refuse(
-                "inspect.zone_height_mm[0]",
-                down,
-                "below zone_height_mm[1], both relative to height_mm",
-            );
-        }
-        if !(inspect.limit_um > 0.0 && inspect.limit_um <= 1e4) {
-            return refuse(
-                "inspect.limit_um",
-                inspect.limit_um,
-                "above 0, at most 10000",
-            );
-        }
-        if !(inspect.warn_um > 0.0 && inspect.warn_um <= inspect.limit_um) {
-            return refuse(
-                "inspect.warn_um",
-                inspect.warn_um,
-                "above 0, at most limit_um",
-            );
-        }
-        if !(0.0..=1.0).contains(&inspect.least_coverage) {
-            return refuse("inspect.least_coverage", inspect.least_coverage, "0 to 1");
-        }
-        // A disc below a hundredth of a square millimetre holds only a few cores.
-        if !(0.01..=100.0).contains(&inspect.wear_area_mm2) {
-            let area = inspect.wear_area_mm2;
-            return refuse("inspect.wear_area_mm2", area, "0.01 to 100");
-        }
-        if !(0.0..=1000.0).contains(&inspect.film_um) {
-            return refuse("inspect.film_um", inspect.film_um, "0 to 1000");
-        }
-        for (key, value, most) in [
-            ("inspect.as_built_um", inspect.as_built_um, 1000.0),
-            ("inspect.hidden_depth_um", inspect.hidden_depth_um, 1e5),
-        ] {
-            if let Some(value) = value.filter(|value| !(0.0..=most).contains(value)) {
-                return refuse(key, value, &format!("0 to {most}"));
-            }
-        }
-        let mut pairs = vec![
-            ("inspect.proud_warn_um", inspect.proud_um()),
-            ("inspect.cell_warn_um", inspect.cell_um()),
-        ];
-        if let Some(gear) = &self.gear {
-            pairs.push(("inspect.tip_warn_mm", inspect.tip_mm(gear)));
-        }
-        for (key, [warn, limit]) in pairs {
-            if !(warn > 0.0 && warn <= limit && limit <= 1e4) {
-                let expected = format!("above 0, at most its stop limit, {limit}");
-                return refuse(key, warn, &expected);
-            }
-        }
-        if let Some(um) = inspect.calibration_um
-            && !(0.0..=1000.0).contains(&um)
-        {
-            return refuse("inspect.calibration_um", um, "0 to 1000");
-        }
-        Ok(())
-    }
-}
-
-/// The gear's involutes must lie on the mesh, and the mesh must repeat as often as the gear has teeth.
-fn check_against_mesh(
-    path: &Path,
-    gear: &GearData,
-    mesh: &TriMesh,
-    surface: &Surface,
-) -> Result<(), ToolError> {
-    if let Some(found) = detect_teeth(mesh, surface, 0.02)
-        && found != gear.teeth
-    {
-        return Err(ToolError::Teeth {
-            path: path.to_owned(),
-            stated: gear.teeth,
-            found,
-        });
-    }
-    let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
-    let [from, to] = gear.active_flank_mm();
-    let step = (gear.teeth / 7).max(1);
-    for tooth in (1..=gear.teeth).step_by(step as usize) {
-        for flank in Flank::BOTH {
-            for radius_mm in [from, 0.5 * (from + to), to] {
-                let Some(point) = gear.flank_point(tooth, flank, radius_mm, height) else {
-                    continue;
-                };
-                let distance_mm = surface.closest(point).signed_distance_mm.abs();
-                if distance_mm > AGREEMENT_MM {
-                    return Err(ToolError::Disagree {
-                        path: path.to_owned(),
-                        tooth,
-                        flank,
-                        radius_mm,
-                        distance_mm,
-                        limit_mm: AGREEMENT_MM,
-                    });
-                }
-            }
-        }
-    }
-    Ok(())
 }

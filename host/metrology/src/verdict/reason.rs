@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use flankscope_foundation::told::Told;
 use serde::{Deserialize, Serialize};
 
 use crate::registration;
@@ -187,17 +188,14 @@ pub enum Reason {
     #[error("no feature was evaluated")]
     NoFeatures,
     /// A figure that is no number.
-    #[error("the {what} is {value}, not a finite number")]
+    #[error("the {what} is no number that can be judged")]
     NotFinite {
         /// Which figure.
         what: &'static str,
-        /// Its value.
-        value: f64,
     },
     /// Limits that contradict each other.
     #[error(
-        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop"
-    )]
+        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop", warn_um = Told(*warn_um), limit_um = Told(*limit_um))]
     Limits {
         /// Warning limit.
         warn_um: f64,
@@ -206,8 +204,7 @@ pub enum Reason {
     },
     /// The figure is too near to the limit for its uncertainty.
     #[error(
-        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side"
-    )]
+        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side", value_um = Told(*value_um), limit_um = Told(*limit_um), guard_um = Told(*guard_um))]
     Undecidable {
         /// Which figure.
         what: &'static str,
@@ -219,7 +216,7 @@ pub enum Reason {
         limit_um: f64,
     },
     /// Too little of the zone was measured.
-    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", 100.0 * coverage, 100.0 * least)]
+    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", Told(100.0 * coverage), Told(100.0 * least))]
     Coverage {
         /// Measured share of the zone.
         coverage: f64,
@@ -228,8 +225,7 @@ pub enum Reason {
     },
     /// Nothing fits the zone over which the largest mean loss could be sought, or nothing was measured.
     #[error(
-        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed"
-    )]
+        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed", area_mm2 = Told(*area_mm2))]
     NoDisc {
         /// Area of the disc.
         area_mm2: f64,
@@ -237,8 +233,7 @@ pub enum Reason {
     /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
     /// look into.
     #[error(
-        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye"
-    )]
+        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Told(*hidden_um), supposed_um = Told(*supposed_um), limit_um = Told(*limit_um))]
     Hidden {
         /// The largest mean loss that a disc may have.
         hidden_um: f64,
@@ -249,8 +244,7 @@ pub enum Reason {
     },
     /// Damage at the warning limit would not be seen.
     #[error(
-        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}"
-    )]
+        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Told(*detects_um), warn_um = Told(*warn_um))]
     Detection {
         /// Least wear that is told from none.
         detects_um: f64,
@@ -261,8 +255,7 @@ pub enum Reason {
     },
     /// The estimate is not what was read.
     #[error(
-        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)"
-    )]
+        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)", wear_um = Told(*wear_um), raw_um = Told(*raw_um), guard_um = Told(*guard_um))]
     Disagreement {
         /// Estimate.
         wear_um: f64,
@@ -277,7 +270,7 @@ pub enum Reason {
     /// The pose hides too much of the wear.
     #[error(
         "the pose hides {:.0} % of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
-        100.0 * leakage, 100.0 * limit
+        Told(100.0 * leakage), Told(100.0 * limit)
     )]
     Leakage {
         /// Worst leakage of the flank.
@@ -291,7 +284,7 @@ pub enum Reason {
     )]
     TemperatureMissing,
     /// The tool's temperature is outside its range.
-    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}")]
+    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}", degc = Told(*degc), low = Told(*low), high = Told(*high))]
     TemperatureRange {
         /// Temperature.
         degc: f64,
@@ -394,6 +387,99 @@ mod tests {
             ("prior_violated", Code::PriorViolated),
         ] {
             assert_eq!(word.parse(), Ok(code));
+        }
+    }
+
+    #[test]
+    fn no_sentence_prints_what_is_no_number() {
+        let nan = f64::NAN;
+        let mut sentences: Vec<String> = [nan, f64::INFINITY]
+            .into_iter()
+            .flat_map(|x| {
+                [
+                    Reason::NotFinite { what: "wear" },
+                    Reason::Limits {
+                        warn_um: x,
+                        limit_um: x,
+                    },
+                    Reason::Undecidable {
+                        what: "wear",
+                        value_um: x,
+                        guard_um: x,
+                        limit_um: x,
+                    },
+                    Reason::Coverage {
+                        coverage: x,
+                        least: x,
+                    },
+                    Reason::NoDisc { area_mm2: x },
+                    Reason::Hidden {
+                        hidden_um: x,
+                        supposed_um: x,
+                        limit_um: x,
+                    },
+                    Reason::Detection {
+                        detects_um: x,
+                        warn_um: x,
+                        largest: "noise",
+                    },
+                    Reason::Disagreement {
+                        wear_um: x,
+                        raw_um: x,
+                        guard_um: x,
+                    },
+                    Reason::Leakage {
+                        leakage: x,
+                        limit: x,
+                    },
+                    Reason::TemperatureRange {
+                        degc: x,
+                        low: x,
+                        high: x,
+                    },
+                ]
+                .map(|reason| reason.to_string())
+            })
+            .collect();
+        use registration::Reason as Lost;
+        for lost in [
+            Lost::Disjoint {
+                ratio: nan,
+                least_ratio: nan,
+                capture_mm: nan,
+            },
+            Lost::TooFewInliers {
+                inliers: 0,
+                points: 0,
+                reach_mm: nan,
+                least_ratio: nan,
+            },
+            Lost::NotConverged {
+                iterations: 1,
+                step_mm: nan,
+                limit_mm: nan,
+            },
+            Lost::Unconstrained {
+                unobserved: 3,
+                limit_mm: nan,
+            },
+            Lost::AmbiguousTooth {
+                moved_rad: nan,
+                rival_rad: nan,
+                limit_ratio: nan,
+            },
+            Lost::PriorViolated {
+                distance: nan,
+                limit: nan,
+            },
+        ] {
+            sentences.push(Reason::Registration(lost).to_string());
+        }
+        for sentence in sentences {
+            assert!(
+                !sentence.contains("NaN") && !sentence.contains("inf "),
+                "{sentence}"
+            );
         }
     }
 

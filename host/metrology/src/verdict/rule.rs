@@ -77,7 +77,7 @@ pub fn decide_parts(
         ("stop limit", limit_um),
     ] {
         if !value.is_finite() {
-            return indeterminate(Reason::NotFinite { what, value });
+            return indeterminate(Reason::NotFinite { what });
         }
     }
     if !(0.0 < warn_um && warn_um <= limit_um) {
@@ -85,10 +85,7 @@ pub fn decide_parts(
     }
     if !(0.5..1.0).contains(&probability) {
         let what = "probability of conformity";
-        return indeterminate(Reason::NotFinite {
-            what,
-            value: probability,
-        });
+        return indeterminate(Reason::NotFinite { what });
     }
     let guard_um = rule.guard_um(noise_um.abs(), systematic_um.abs());
     if value_um + guard_um <= warn_um {

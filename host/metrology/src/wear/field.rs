@@ -1,5 +1,6 @@
 //! A flank's zone cell by cell: what a baseline keeps, what is drawn, and where nothing was measured.
 
+use flankscope_foundation::order::{SIGMA_PER_MAD, median};
 use serde::{Deserialize, Serialize};
 
 /// Cells of profile length by height, row by row from the lowest; NaN where nothing was measured.
@@ -48,8 +49,6 @@ const GROOVE_SIGMAS: f64 = 5.0;
 const GROOVE_SIDE: isize = 3;
 /// All that an opening with an unseen floor reads lies on its far wall: in one cell, or in two where that is their border.
 const MOST_GROOVE_CELLS: f64 = 2.0;
-/// Standard deviation of a normal variable over the median of its size.
-const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
 
 impl Field {
     /// A field of which nothing is known: as many cells as fit, none smaller than `cell_mm`.
@@ -136,7 +135,7 @@ impl Field {
         if sizes.len() < LEAST_DIFFERENCES {
             return 1.0;
         }
-        (SIGMA_PER_MEDIAN * median(sizes)).max(1.0)
+        median(&mut sizes).map_or(1.0, |size| (SIGMA_PER_MAD * size).max(1.0))
     }
 
     /// Share of each cell that an opening with an unseen floor may take up.
@@ -245,16 +244,6 @@ impl Field {
         }
         groups
     }
-}
-
-/// The median of the finite values, of an even number the upper of the two in the middle; NaN without any.
-pub(super) fn median(values: impl IntoIterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// JSON has no NaN: an unmeasured cell is null there.

@@ -1,10 +1,11 @@
 //! What is said of one flank's zone: the judged depth, and what stands beside it.
 
+use flankscope_foundation::order::median_of;
 use serde::Serialize;
 
 use super::Settings;
 use super::disc::Discs;
-use super::field::{Field, Sample, median};
+use super::field::{Field, Sample};
 
 /// A figure counts as told from none beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
@@ -85,7 +86,7 @@ pub(super) fn evaluate(
         .iter()
         .filter(|&&i| discs.of_cell(i).count() >= LEAST_IN_CELL)
         .map(|&i| Figure {
-            value: median(discs.of_cell(i).map(|sample| sample.wear_mm)),
+            value: median_of(discs.of_cell(i).map(|sample| sample.wear_mm)).unwrap_or(f64::NAN),
             u: MEDIAN_OVER_MEAN * sigma(i),
         })
         .max_by(|a, b| a.value.total_cmp(&b.value));

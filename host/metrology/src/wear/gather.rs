@@ -7,10 +7,11 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_foundation::order::median_of;
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
-use super::field::{Field, Sample, median};
+use super::field::{Field, Sample};
 use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, Settings, Zone, places};
 use crate::gear::{Flank, FlankPlace, GearData};
@@ -146,24 +147,27 @@ impl<'a> Gathered<'a> {
         motion: &Isometry3<f64>,
         further_mm2: impl Fn([f64; 3]) -> f64,
     ) {
+        let mut counts = RayCounts::new(self.empty.wear_mm.len());
+        counts.slant = seen.slant;
         for point in &seen.on {
             let Some((place, wear_mm, foot)) = self.moved(point, motion) else {
                 continue;
             };
             self.edge.add(&place, wear_mm);
-            let at_mm = [
-                place.profile_mm - self.profile_from_mm,
-                place.height_mm - self.zone.height_mm[0],
-            ];
-            let variance_mm2 = f64::from(point.sigma_mm).powi(2);
-            let Some(part) = self.part_at(at_mm).filter(|_| variance_mm2.is_finite()) else {
+            let at_mm = self.at_mm(&place);
+            let Some(cell) = self.empty.cell_at(at_mm) else {
                 continue;
             };
+            counts.points[cell] += 1;
+            let variance_mm2 = f64::from(point.sigma_mm).powi(2);
             let all_mm2 = variance_mm2 + further_mm2(foot) + LEAST_SIGMA_MM * LEAST_SIGMA_MM;
             let weight = 1.0 / all_mm2;
-            let Some(part) = self.parts.get_mut(part).filter(|_| weight.is_finite()) else {
+            // An infinite variance would weigh nothing, but count as one more point.
+            if !(variance_mm2.is_finite() && weight.is_finite()) {
                 continue;
-            };
+            }
+            let part = self.part_of(cell, at_mm);
+            let part = &mut self.parts[part];
             part.weight += weight;
             part.wear_mm += weight * wear_mm;
             part.variance += weight * weight * variance_mm2;
@@ -173,39 +177,24 @@ impl<'a> Gathered<'a> {
             self.points += 1;
         }
         if !seen.rays.is_empty() {
-            self.count(seen, motion);
+            for ray in &seen.rays {
+                let met = self
+                    .moved(ray, motion)
+                    .map(|(place, ..)| self.at_mm(&place));
+                if let Some(cell) = met.and_then(|at_mm| self.empty.cell_at(at_mm)) {
+                    counts.rays[cell] += 1;
+                }
+            }
+            let view = Visibility::of(&counts, &self.empty);
+            match &mut self.visibility {
+                Some(all) => all.add(&view),
+                None => self.visibility = Some(view),
+            }
         }
         for point in &seen.under {
             if let Some((place, wear_mm, _)) = self.moved(point, motion) {
                 self.edge.add(&place, wear_mm);
             }
-        }
-    }
-
-    /// Counts a view's rays and points by cells.
-    fn count(&mut self, seen: &FlankView, motion: &Isometry3<f64>) {
-        let mut counts = RayCounts::new(self.empty.wear_mm.len());
-        counts.slant = seen.slant;
-        for (of, into) in [
-            (&seen.rays, &mut counts.rays),
-            (&seen.on, &mut counts.points),
-        ] {
-            for point in of {
-                let place = self.moved(point, motion).map(|(place, ..)| place);
-                if let Some(place) = place
-                    && let Some(cell) = self.empty.cell_at([
-                        place.profile_mm - self.profile_from_mm,
-                        place.height_mm - self.zone.height_mm[0],
-                    ])
-                {
-                    into[cell] += 1;
-                }
-            }
-        }
-        let view = Visibility::of(&counts, &self.empty);
-        match &mut self.visibility {
-            Some(all) => all.add(&view),
-            None => self.visibility = Some(view),
         }
     }
 
@@ -242,14 +231,21 @@ impl<'a> Gathered<'a> {
         })
     }
 
-    /// Number of the part around a place; none outside the zone.
-    fn part_at(&self, at_mm: [f64; 2]) -> Option<usize> {
-        let cell = self.empty.cell_at(at_mm)?;
+    /// A place from the zone's corner along profile and height, mm.
+    fn at_mm(&self, place: &FlankPlace) -> [f64; 2] {
+        [
+            place.profile_mm - self.profile_from_mm,
+            place.height_mm - self.zone.height_mm[0],
+        ]
+    }
+
+    /// Number of the part of a cell around a place in it.
+    fn part_of(&self, cell: usize, at_mm: [f64; 2]) -> usize {
         let [column, row] = [0, 1].map(|k| {
             let within = (at_mm[k] / self.empty.cell_mm[k]).fract();
             ((within * PARTS as f64) as usize).min(PARTS - 1)
         });
-        Some((cell * PARTS + row) * PARTS + column)
+        (cell * PARTS + row) * PARTS + column
     }
 
     /// Its wear; without its points, so that neither [`FlankWear::since`] nor [`FlankWear::together`] finds any in it.
@@ -273,7 +269,7 @@ impl<'a> Gathered<'a> {
         wear.points = self.points;
         // All flanks of a die together would not fit into memory with them.
         wear.samples = Vec::new();
-        let level_mm = median(wear.field.wear_mm.iter().copied());
+        let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
         wear.tip = self.edge.loss(self.gear, level_mm, settings.calibration_mm);
         wear
     }

@@ -159,7 +159,7 @@ mod tests {
     use crate::gear::tests::ring84;
     use crate::random::uniform;
     use crate::registration::{Options, Prior};
-    use crate::space::frames::Rigid;
+    use flankscope_foundation::rigid::Rigid;
 
     /// The leakage of one flank, template by template: what [`of_tooth`] has to equal. `places` says where each contact of the response lies, none off the flanks.
     fn of_flank(

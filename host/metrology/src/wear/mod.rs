@@ -15,6 +15,7 @@
 mod budget;
 mod disc;
 mod edge;
+mod evaluate;
 mod field;
 mod figures;
 mod gather;
@@ -24,21 +25,20 @@ mod sight;
 
 use std::sync::Arc;
 
-use nalgebra::{Vector3, Vector6};
-use rayon::prelude::*;
+use flankscope_foundation::{normal::COVERAGE_95, order::median_of};
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
+pub use evaluate::{evaluate, evaluate_placed, places};
+use field::Sample;
 pub use field::{Field, Mismatch};
-use field::{Sample, median};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 pub use sight::Sight;
-use sight::{RayCounts, Visibility};
+use sight::Visibility;
 
-use crate::gear::{Flank, FlankPlace, GearData};
-use crate::registration::Registration;
+use crate::gear::Flank;
 use crate::surface::Closest;
 use crate::wear::leakage::Leakage;
 
@@ -162,7 +162,7 @@ pub struct FlankWear {
     /// Where the uncertainty comes from.
     pub budget: Budget,
     /// What acts on the flank beside the points, where it is known.
-    pub influence: Option<PoseSensitivity>,
+    pub sensitivity: Option<PoseSensitivity>,
     /// The cells.
     pub field: Field,
     /// What the pose leaves open of a turn about the axis, where it is known.
@@ -201,9 +201,6 @@ impl FlankWear {
     }
 }
 
-/// Coverage factor of 95 % for a normal distribution.
-pub const COVERAGE_95: f64 = 1.96;
-
 /// What acts on a flank beside the points: from the fit and the thermometer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseSensitivity {
@@ -220,190 +217,9 @@ pub struct PoseSensitivity {
     pub temperature_mm: f64,
 }
 
-/// The grid over one flank's zone.
-struct Grid {
-    tooth: u32,
-    flank: Flank,
-    profile_from_mm: f64,
-    empty: Field,
-    samples: Vec<Sample>,
-    counts: Option<RayCounts>,
-    /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
-    motions: Vec<(Vector6<f64>, u32)>,
-    edge: edge::TipBand,
-}
-
-/// Where each closest point lies on the gear; none off the flanks.
-pub fn places(gear: &GearData, closest: &[Closest]) -> Vec<Option<FlankPlace>> {
-    // The CAD point, not the measured one, says where on the flank we are: wear must not move a point out of its zone.
-    closest
-        .iter()
-        .map(|c| gear.place(c.point, c.normal))
-        .collect()
-}
-
-/// Evaluates both flanks of each of `teeth`.
-///
-/// `registration` brings the covariance of the pose into the uncertainty.
-pub fn evaluate(
-    gear: &GearData,
-    zone: &Zone,
-    teeth: &[u32],
-    measured: Measured<'_>,
-    registration: Option<&Registration>,
-    settings: &Settings,
-) -> Vec<FlankWear> {
-    let places = places(gear, measured.closest);
-    evaluate_placed(gear, zone, teeth, measured, &places, registration, settings)
-}
-
-/// As [`evaluate`], of points of which is known where they lie on the gear ([`places`]).
-pub fn evaluate_placed(
-    gear: &GearData,
-    zone: &Zone,
-    teeth: &[u32],
-    measured: Measured<'_>,
-    places: &[Option<FlankPlace>],
-    registration: Option<&Registration>,
-    settings: &Settings,
-) -> Vec<FlankWear> {
-    let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
-    let size_mm = [
-        gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
-        zone.height_mm[1] - zone.height_mm[0],
-    ];
-    let empty = Field::unmeasured(size_mm, settings.cell_mm());
-    let mut grids: Vec<Grid> = teeth
-        .iter()
-        .flat_map(|&tooth| Flank::BOTH.map(|flank| (tooth, flank)))
-        .map(|(tooth, flank)| Grid {
-            tooth,
-            flank,
-            profile_from_mm,
-            empty: empty.clone(),
-            samples: Vec::new(),
-            counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
-            motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
-            edge: edge::TipBand::new(gear),
-        })
-        .collect();
-    let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
-
-    let points = measured.points.iter().zip(measured.closest);
-    for (index, ((point, closest), place)) in points.zip(places).enumerate() {
-        let Some(place) = place else {
-            if let Some(under) = edge::UnderEdge::of(gear, *point)
-                && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
-                && let Some(grid) = grids
-                    .iter_mut()
-                    .find(|g| (g.tooth, g.flank) == (under.tooth, under.flank))
-            {
-                grid.edge.add_under(gear, &under);
-            }
-            continue;
-        };
-        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
-        let Some(grid) = grids.iter_mut().find(wanted) else {
-            continue;
-        };
-        let at_mm = [
-            place.profile_mm - grid.profile_from_mm,
-            place.height_mm - zone.height_mm[0],
-        ];
-        if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite() {
-            continue;
-        }
-        let wear_mm = -closest.signed_distance_mm;
-        grid.edge.add(place, wear_mm);
-        let Some(cell) = grid.empty.cell_at(at_mm) else {
-            continue;
-        };
-        if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
-            counts.points[cell] += 1;
-            // Their sum, until all are known.
-            counts.slant += sight.slant(*point, closest);
-        }
-        let sigma = measured
-            .sigma_mm
-            .and_then(|s| s.get(index))
-            .map_or(f64::NAN, |&s| f64::from(s));
-        grid.samples.push(Sample {
-            at_mm,
-            wear_mm,
-            variance_mm2: sigma * sigma,
-        });
-        let normal = Vector3::from(closest.normal);
-        let turn = (Vector3::from(*point) - centre).cross(&normal);
-        let (sum, count) = &mut grid.motions[cell];
-        *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
-        *count += 1;
-    }
-    let rays = measured
-        .sight
-        .map(|sight| sight.ray_places(gear, measured, places));
-    for place in rays.iter().flatten() {
-        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
-        if let Some(grid) = grids.iter_mut().find(wanted)
-            && let Some(cell) = grid.empty.cell_at([
-                place.profile_mm - grid.profile_from_mm,
-                place.height_mm - zone.height_mm[0],
-            ])
-            && let Some(counts) = &mut grid.counts
-        {
-            counts.rays[cell] += 1;
-        }
-    }
-    for grid in &mut grids {
-        if let Some(counts) = &mut grid.counts {
-            counts.slant /= grid.samples.len().max(1) as f64;
-        }
-    }
-    grids
-        .into_par_iter()
-        .map(|grid| grid.wear(gear, registration, settings))
-        .collect()
-}
-
 /// Makes ready what all evaluations share, so that the first one need not.
 pub fn prepare() {
     disc::prepare();
-}
-
-impl Grid {
-    fn wear(
-        self,
-        gear: &GearData,
-        registration: Option<&Registration>,
-        settings: &Settings,
-    ) -> FlankWear {
-        // A pose is off by other amounts at the ends of a flank than in its middle: the worst counts.
-        let registration_mm = registration.map_or(0.0, |registration| {
-            self.motions
-                .iter()
-                .filter(|(_, count)| *count > 0)
-                .map(|(sum, count)| {
-                    let motion = sum / f64::from(*count);
-                    motion.dot(&(registration.covariance * motion)).max(0.0)
-                })
-                .fold(0.0, f64::max)
-                .sqrt()
-        });
-        let visibility = self
-            .counts
-            .map(|counts| Visibility::of(&counts, &self.empty));
-        let mut wear = FlankWear::new(
-            (self.tooth, self.flank),
-            self.empty,
-            self.samples,
-            visibility,
-            registration_mm,
-            settings,
-        );
-        // Pose and temperature move edge and flank alike; calibration does not.
-        let level_mm = median(wear.field.wear_mm.iter().copied());
-        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
-        wear
-    }
 }
 
 impl FlankWear {
@@ -439,7 +255,7 @@ impl FlankWear {
                 film_mm: settings.film_mm / 12f64.sqrt(),
                 ..Budget::default()
             },
-            influence: None,
+            sensitivity: None,
             field: empty,
             turn: None,
             samples,
@@ -487,11 +303,12 @@ fn state_noise(cells: &Field, samples: &mut [Sample]) {
             ];
         }
     }
-    let scatter = median(
+    let scatter = median_of(
         sums.iter()
             .filter(|s| s[0] >= 3.0)
             .map(|[n, sum, squares]| ((squares - sum * sum / n).max(0.0) / (n - 1.0)).sqrt()),
-    );
+    )
+    .unwrap_or(f64::NAN);
     for sample in samples.iter_mut().filter(|s| !s.variance_mm2.is_finite()) {
         sample.variance_mm2 = scatter * scatter;
     }
@@ -540,7 +357,7 @@ impl FlankWear {
         self.settle(before, settings);
     }
 
-    /// Computes what is judged from figures, influence and settings; `before` is what the baseline's view said of its pose.
+    /// Computes what is judged from figures, pose sensitivity and settings; `before` is what the baseline's view said of its pose.
     fn settle(&mut self, before: Option<&PoseEvidence>, settings: &Settings) {
         let Some(figures) = self.figures else {
             return;
@@ -549,9 +366,9 @@ impl FlankWear {
         // Anything between what was seen and that: rectangular, of which the figure is the lower end.
         self.budget.unmeasured_mm = figures.in_holes_mm / 3f64.sqrt();
         let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
-        if let Some(influence) = &self.influence {
+        if let Some(sensitivity) = &self.sensitivity {
             let forms = [self.since_baseline, false]
-                .map(|since| settings.form_mm(since).hypot(influence.form_scatter_mm));
+                .map(|since| settings.form_mm(since).hypot(sensitivity.form_scatter_mm));
             let turns = self
                 .evidence
                 .iter()
@@ -559,17 +376,18 @@ impl FlankWear {
             let turn = Turn::of_all(turns);
             shift_mm = self.flank.sign() * turn.mean_mm;
             // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
-            let both_mm = influence
+            let both_mm = sensitivity
                 .leakage
                 .u_of_all_mm(turn.both_sides_mm)
                 .min(turn.both_hidden_mm);
             self.budget.shared_mm = turn.u_mm.hypot(both_mm);
             self.turn = Some(turn);
-            self.budget.temperature_mm = influence.temperature_mm;
+            self.budget.temperature_mm = sensitivity.temperature_mm;
             if !self.since_baseline {
-                self.budget.as_built_mm = settings.as_built_mm * 1f64.hypot(influence.others_form);
+                self.budget.as_built_mm =
+                    settings.as_built_mm * 1f64.hypot(sensitivity.others_form);
             }
-            self.budget.leakage_mm = influence.leakage.u_mm(figures.depth_mm.value + shift_mm);
+            self.budget.leakage_mm = sensitivity.leakage.u_mm(figures.depth_mm.value + shift_mm);
         }
         // A film only ever hides wear; since a baseline, one may have been there before as well as now.
         let over_mm = if self.since_baseline {
@@ -642,9 +460,9 @@ impl FlankWear {
                 .budget
                 .registration_mm
                 .max(other.budget.registration_mm);
-            let leaks = |wear: &Self| wear.influence.as_ref().map(|i| i.leakage.worst());
+            let leaks = |wear: &Self| wear.sensitivity.as_ref().map(|i| i.leakage.worst());
             if leaks(other) > leaks(&wear) {
-                wear.influence.clone_from(&other.influence);
+                wear.sensitivity.clone_from(&other.sensitivity);
             }
             wear.evidence.extend(other.evidence.iter().cloned());
             wear.tip = wear.tip.or(other.tip);
@@ -655,9 +473,9 @@ impl FlankWear {
 
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
-    pub fn with(mut self, influence: PoseSensitivity, settings: &Settings) -> Self {
-        self.evidence = vec![Arc::clone(&influence.evidence)];
-        self.influence = Some(influence);
+    pub fn with(mut self, sensitivity: PoseSensitivity, settings: &Settings) -> Self {
+        self.evidence = vec![Arc::clone(&sensitivity.evidence)];
+        self.sensitivity = Some(sensitivity);
         self.settle(None, settings);
         self
     }

@@ -36,7 +36,7 @@ pub struct Sight<'a> {
     /// Unit directions of the rays that brought no point.
     pub without_point: &'a [[f64; 3]],
     /// Nearest and farthest distance at which the head measures, mm.
-    pub reach_mm: [f64; 2],
+    pub range_mm: [f64; 2],
 }
 
 impl Sight<'_> {
@@ -95,7 +95,7 @@ impl Sight<'_> {
     /// Where a ray first meets the surface, if that is on a flank. No step is longer than the way to the nearest surface.
     fn first_met(&self, gear: &GearData, direction: Vector3<f64>) -> Option<FlankPlace> {
         let camera = Point3::from(self.camera_mm);
-        let [mut along_mm, far_mm] = self.reach_mm;
+        let [mut along_mm, far_mm] = self.range_mm;
         for _ in 0..MOST_STEPS {
             let at = camera + direction * along_mm;
             let closest = self.surface.closest(at.coords.into());
@@ -247,6 +247,13 @@ mod tests {
         (Vector3::from(foot) + 20.0 * (0.5 * normal + 0.75f64.sqrt() * inwards)).into()
     }
 
+    const NO_POINTS: Measured<'static> = Measured {
+        points: &[],
+        closest: &[],
+        sigma_mm: None,
+        sight: None,
+    };
+
     #[test]
     fn rays_meet_the_flank_where_they_were_aimed_at() {
         let (gear, surface, camera_mm) = (ring84(), patch(), camera());
@@ -262,7 +269,7 @@ mod tests {
                 surface: &surface,
                 camera_mm,
                 without_point: &directions,
-                reach_mm: [15.0, 30.0],
+                range_mm: [15.0, 30.0],
             };
             let near = |place: &FlankPlace| {
                 // The march ends 5 µm in front of the flank; a facet's sagitta is a thousandth of that.
@@ -270,13 +277,7 @@ mod tests {
                     && (place.profile_mm - gear.profile_mm(radius)).abs() < 0.015
                     && (place.height_mm - height).abs() < 0.015
             };
-            let none = Measured {
-                points: &[],
-                closest: &[],
-                sigma_mm: None,
-                sight: None,
-            };
-            let met = sight.ray_places(&gear, none, &[]);
+            let met = sight.ray_places(&gear, NO_POINTS, &[]);
             assert!(met.len() == 1 && near(&met[0]), "{met:?}");
             // The same ray with a point 60 µm under the flank: its foot lies a tenth of a millimetre off, the ray's place not.
             let slant = sight.slant(at, &surface.closest(at));
@@ -291,7 +292,7 @@ mod tests {
             let measured = Measured {
                 points: &[point],
                 closest: &closest,
-                ..none
+                ..NO_POINTS
             };
             let sight = Sight {
                 without_point: &[],
@@ -306,15 +307,9 @@ mod tests {
             surface: &surface,
             camera_mm,
             without_point: &away,
-            reach_mm: [15.0, 30.0],
+            range_mm: [15.0, 30.0],
         };
-        let none = Measured {
-            points: &[],
-            closest: &[],
-            sigma_mm: None,
-            sight: None,
-        };
-        assert!(sight.ray_places(&gear, none, &[]).is_empty());
+        assert!(sight.ray_places(&gear, NO_POINTS, &[]).is_empty());
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing};
 use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_test_requisites::shared;
 
 /// A small generator (SplitMix64), so that a test's numbers do not depend on the code under test.
 pub struct Random(u64);
@@ -63,37 +64,21 @@ pub fn mesh_of(gear: &GearSpec, chord_error_mm: f64) -> TriMesh {
 }
 
 /// Runs a test on the ring gear, and on that of another CAD kernel if it is there.
-pub fn on_every_ring84(test: &str, body: impl Fn(TriMesh)) {
+pub fn on_every_ring84(body: impl Fn(TriMesh)) {
     body(mesh_of(&ring84_spec(), CHORD_ERROR_MM));
-    if let Some(path) = foreign_ring84(test) {
+    if let Some(path) = shared("data/cad-ring84/ring84.stl") {
         body(mesh::load(&path, Unit::Mm).unwrap());
     }
 }
 
 /// The same for tests that want a file.
-pub fn on_every_ring84_file(test: &str, body: impl Fn(PathBuf)) {
+pub fn on_every_ring84_file(body: impl Fn(PathBuf)) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ring84.stl");
     let solid = mesh_of(&ring84_spec(), CHORD_ERROR_MM);
     mesh::write_stl(&mut std::fs::File::create(&path).unwrap(), &solid).unwrap();
     body(path);
-    if let Some(path) = foreign_ring84(test) {
+    if let Some(path) = shared("data/cad-ring84/ring84.stl") {
         body(path);
     }
-}
-
-/// The ring gear from another CAD kernel: an extra, missed aloud.
-fn foreign_ring84(test: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/data/cad-ring84/ring84.stl");
-    if path.exists() {
-        return Some(path);
-    }
-    assert!(
-        std::env::var_os("FLANKSCOPE_TEST_ALL").is_none(),
-        "{} is missing",
-        path.display()
-    );
-    println!("SKIPPED {test} on the foreign CAD: shared/data/cad-ring84/ring84.stl is not there");
-    None
 }

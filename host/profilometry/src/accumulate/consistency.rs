@@ -8,6 +8,8 @@
 //! What is left over is the sum of squares about the first frame (small numbers, so that single precision lasts) less what
 //! mean and phasor explain.
 
+use flankscope_foundation::normal::guard_factor;
+
 /// When a cell's frames are believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyOptions {
@@ -96,7 +98,7 @@ pub(crate) fn add_chi_square(
 /// The chi-square that noise alone exceeds with a probability, for degrees of freedom from 0 (Wilson and Hilferty 1931: to
 /// 1 % at two degrees and more, 4 % at one).
 pub(crate) fn limits(probability: f64, most: usize) -> Vec<f32> {
-    let z = normal_quantile(1.0 - probability);
+    let z = guard_factor(1.0 - probability);
     let limit = |dof: usize| {
         if dof == 0 {
             return f32::INFINITY;
@@ -111,14 +113,6 @@ pub(crate) fn limits(probability: f64, most: usize) -> Vec<f32> {
 pub(crate) fn median(freedom: usize) -> f64 {
     let freedom = freedom as f64;
     freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3)
-}
-
-/// The value that a standard normal deviate stays below with a probability above one half (Abramowitz and Stegun 26.2.23,
-/// 4.5e-4).
-fn normal_quantile(probability: f64) -> f64 {
-    let t = (-2.0 * (1.0 - probability).ln()).sqrt();
-    t - (2.515_517 + t * (0.802_853 + t * 0.010_328))
-        / (1.0 + t * (1.432_788 + t * (0.189_269 + t * 0.001_308)))
 }
 
 #[cfg(test)]

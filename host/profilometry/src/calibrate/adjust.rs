@@ -219,7 +219,7 @@ impl Weights {
 }
 
 /// How large the coefficients of the fields are, from the coefficients found: sum of squares over the number of them that the
-/// marks determine rather than the belief (MacKay 1992, Bayesian interpolation). Lenses without irregularities end near zero.
+/// marks determine rather than the prior (MacKay 1992, Bayesian interpolation). Lenses without irregularities end near zero.
 fn believed_fields_px(
     scene: &Scene,
     covariance: &DMatrixView<'_, f64>,

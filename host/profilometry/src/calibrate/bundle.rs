@@ -1,16 +1,16 @@
 //! The equations of an adjustment: every unknown from every mark.
 //!
-//! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark feels
+//! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark depends on
 //! a few of them, and only those are summed.
 
 use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::least_squares::{Normal, Problem};
-use super::model::{FIELD, Look, OF_PLATE, OF_VIEW, SHARED, Scene, head_unknowns};
+use super::model::{FIELD, OF_PLATE, OF_VIEW, Observation, SHARED, Scene, head_unknowns};
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
-use flankscope_foundation::order::quantile;
+use flankscope_foundation::order::{SIGMA_PER_MAD, quantile};
 
 /// What does not change.
 pub(crate) struct Setting<'a> {
@@ -70,7 +70,7 @@ impl Bundle<'_> {
         }
     }
 
-    /// Where the unknowns that a view feels, in the order of [`Scene::nudge`], stand among all.
+    /// Where the unknowns that a view depends on, in the order of [`Scene::step`], stand among all.
     fn places(&self, view: usize) -> Vec<usize> {
         let plate = self.of_head() + OF_PLATE * self.setting.sightings[view].plate;
         let stages = self.of_head() + OF_PLATE * self.state.plates.len() + OF_VIEW * view;
@@ -89,39 +89,45 @@ impl Bundle<'_> {
         }
     }
 
-    /// How the kept marks of a view look in a scene.
-    fn looks(&self, view: usize, scene: &Scene) -> Option<Vec<Look>> {
+    /// Where a scene puts the kept marks of a view.
+    fn predicted(&self, view: usize, scene: &Scene) -> Option<Vec<Observation>> {
         let dots = &self.setting.target.dots;
         let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
         self.kept[view]
             .iter()
             .map(|mark| {
                 let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
-                scene.look(&pose, at_mm, dots.radius_mm(mark.place))
+                scene.observation(&pose, at_mm, dots.radius_mm(mark.place))
             })
             .collect()
     }
 
     /// What a view's marks are off by; `None` where a mark would lie behind the head.
-    fn residuals(&self, view: usize) -> Option<Vec<Look>> {
-        let looks = self.looks(view, &self.scene(view))?;
-        let off = |(look, mark): (Look, &Mark)| {
+    fn residuals(&self, view: usize) -> Option<Vec<Observation>> {
+        let predicted = self.predicted(view, &self.scene(view))?;
+        let off = |(seen, mark): (Observation, &Mark)| {
             [
-                look[0] - mark.pixel[0],
-                look[1] - mark.pixel[1],
-                look[2] - mark.column_px,
+                seen[0] - mark.pixel[0],
+                seen[1] - mark.pixel[1],
+                seen[2] - mark.column_px,
             ]
         };
-        Some(looks.into_iter().zip(&self.kept[view]).map(off).collect())
+        Some(
+            predicted
+                .into_iter()
+                .zip(&self.kept[view])
+                .map(off)
+                .collect(),
+        )
     }
 
-    fn sigmas(&self) -> Look {
+    fn sigmas(&self) -> Observation {
         let [dot, fringe] = self.weights.sigma_px;
         [dot, dot, fringe]
     }
 
-    /// Beliefs about all unknowns: place, offset, sigma.
-    fn beliefs(&self) -> Vec<(usize, f64, f64)> {
+    /// Prior knowledge about all unknowns: place, offset, sigma.
+    fn priors(&self) -> Vec<(usize, f64, f64)> {
         let Setting {
             target,
             certified,
@@ -129,27 +135,24 @@ impl Bundle<'_> {
             stage_sigma,
             ..
         } = self.setting;
-        let mut beliefs = self
-            .state
-            .shared
-            .beliefs(start, self.weights.field_sigma_px);
+        let mut priors = self.state.shared.priors(start, self.weights.field_sigma_px);
         for (plate, (now, then)) in self.state.plates.iter().zip(certified).enumerate() {
             let turn = (now.rotation * then.rotation.inverse()).scaled_axis();
             let shift = now.translation.vector - then.translation.vector;
             for axis in 0..3 {
                 let at = self.of_head() + OF_PLATE * plate + axis;
-                beliefs.push((at, turn[axis], target.pose_sigma_rad));
-                beliefs.push((at + 3, shift[axis], target.pose_sigma_mm));
+                priors.push((at, turn[axis], target.pose_sigma_rad));
+                priors.push((at + 3, shift[axis], target.pose_sigma_mm));
             }
         }
         let first = self.of_head() + OF_PLATE * self.state.plates.len();
         for (view, errors) in self.state.stage_errors.iter().enumerate() {
             for axis in 0..OF_VIEW {
                 let at = first + OF_VIEW * view + axis;
-                beliefs.push((at, errors[axis], stage_sigma[axis]));
+                priors.push((at, errors[axis], stage_sigma[axis]));
             }
         }
-        beliefs
+        priors
     }
 
     fn cost(&self) -> f64 {
@@ -164,12 +167,12 @@ impl Bundle<'_> {
                 .sum()
         };
         let views: f64 = (0..self.kept.len()).map(of_view).sum();
-        let beliefs: f64 = self
-            .beliefs()
+        let priors: f64 = self
+            .priors()
             .iter()
             .map(|(_, off, sigma)| (off / sigma).powi(2))
             .sum();
-        views + beliefs
+        views + priors
     }
 
     /// Robust standard deviations of dots and fringes.
@@ -183,7 +186,8 @@ impl Bundle<'_> {
             fringes.push(off[2].abs());
         }
         // A thousandth of a pixel is nobody's noise, and keeps perfect data from being weighed infinitely.
-        [dots, fringes].map(|mut off| (1.483 * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
+        [dots, fringes]
+            .map(|mut off| (SIGMA_PER_MAD * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
     }
 
     /// Whether each kept mark, view by view, agrees with the others to `outlier` standard deviations.
@@ -208,7 +212,7 @@ impl Bundle<'_> {
         squares.map(|sum: f64| (sum / count).sqrt())
     }
 
-    /// One view's share of the equations about the unknowns that it feels; of the symmetric part the lower half.
+    /// One view's share of the equations about the unknowns that it depends on; of the symmetric part the lower half.
     fn of_view(&self, view: usize) -> Normal {
         const PLAIN: usize = SHARED + OF_PLATE + OF_VIEW;
         let unknowns = PLAIN + self.of_fields();
@@ -218,13 +222,13 @@ impl Bundle<'_> {
             gradient: DVector::zeros(unknowns),
         };
         let scene = self.scene(view);
-        let nudged = |unknown: usize, sign: f64| {
+        let stepped = |unknown: usize, sign: f64| {
             let mut scene = scene.clone();
-            scene.nudge(unknown, sign * Scene::small_step(unknown));
-            self.looks(view, &scene)
+            scene.step(unknown, sign * Scene::small_step(unknown));
+            self.predicted(view, &scene)
         };
         let sides: Option<Vec<_>> = (0..PLAIN)
-            .map(|unknown| Some((nudged(unknown, 1.0)?, nudged(unknown, -1.0)?)))
+            .map(|unknown| Some((stepped(unknown, 1.0)?, stepped(unknown, -1.0)?)))
             .collect();
         let (Some(residuals), Some(sides)) = (self.residuals(view), sides) else {
             share.cost = f64::INFINITY;
@@ -232,7 +236,7 @@ impl Bundle<'_> {
         };
         let dots = &self.setting.target.dots;
         let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
-        let mut felt: Vec<(usize, f64)> = Vec::with_capacity(unknowns);
+        let mut slopes: Vec<(usize, f64)> = Vec::with_capacity(unknowns);
         for (number, (mark, off)) in self.kept[view].iter().zip(&residuals).enumerate() {
             let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
             let fields = scene.field_slopes(&pose, at_mm, dots.radius_mm(mark.place));
@@ -242,15 +246,15 @@ impl Bundle<'_> {
                     (unknown, change / (2.0 * Scene::small_step(unknown) * sigma))
                 });
                 let of_part = fields.iter().filter(|(_, part, _)| *part == k);
-                felt.clear();
-                felt.extend(plain.chain(of_part.map(|&(at, _, slope)| (at, slope / sigma))));
+                slopes.clear();
+                slopes.extend(plain.chain(of_part.map(|&(at, _, slope)| (at, slope / sigma))));
                 let residual = off[k] / sigma;
                 share.cost += residual * residual;
-                for (position, &(i, by_i)) in felt.iter().enumerate() {
+                for (position, &(i, by_i)) in slopes.iter().enumerate() {
                     share.gradient[i] += residual * by_i;
                     let column = share.hessian.column_mut(i);
                     let column = column.data.into_slice_mut();
-                    for &(j, by_j) in &felt[position..] {
+                    for &(j, by_j) in &slopes[position..] {
                         column[j] += by_i * by_j;
                     }
                 }
@@ -282,7 +286,7 @@ impl Problem for Bundle<'_> {
                 }
             }
         }
-        for (at, off, sigma) in self.beliefs() {
+        for (at, off, sigma) in self.priors() {
             normal.cost += (off / sigma).powi(2);
             normal.gradient[at] += off / (sigma * sigma);
             normal.hessian[(at, at)] += 1.0 / (sigma * sigma);
@@ -293,7 +297,7 @@ impl Problem for Bundle<'_> {
     fn stepped(&self, step: &DVector<f64>) -> (Self, f64) {
         let mut next = self.clone();
         for (place, unknown) in head_unknowns(&self.state.shared).enumerate() {
-            next.state.shared.nudge(unknown, step[place]);
+            next.state.shared.step(unknown, step[place]);
         }
         for (plate, pose) in next.state.plates.iter_mut().enumerate() {
             let at = self.of_head() + OF_PLATE * plate;

@@ -3,7 +3,7 @@
 //! The cells of a fibre bundle are few and lie irregularly (a dot covers some fifty), so a centre of gravity would carry
 //! their pattern. Instead the image of a dot, an ellipse with a soft rim on evenly rising white, is fitted to them.
 
-use flankscope_foundation::order::quantile;
+use flankscope_foundation::order::{SIGMA_PER_MAD, quantile};
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -24,7 +24,7 @@ pub(crate) struct Dot {
     pub column_px: f64,
 }
 
-/// How large dots look, roughly.
+/// How large dots appear, roughly.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
     /// From dot to dot.
@@ -260,7 +260,7 @@ impl Image {
             };
             let mut errors: Vec<f64> = kept.iter().map(off).collect();
             // Median absolute deviation to standard deviation, times four.
-            let limit = 4.0 * 1.483 * quantile(&mut errors, 0.5)?;
+            let limit = 4.0 * SIGMA_PER_MAD * quantile(&mut errors, 0.5)?;
             kept.retain(|cell| off(cell) <= limit);
         }
         None

@@ -20,7 +20,7 @@
 //! | `label` | their places on the plate |
 //! | `sighting` | one view: stages, plate, marks |
 //! | `least_squares` | Levenberg and Marquardt |
-//! | `model` | the unknowns, and what they say a mark looks like |
+//! | `model` | the unknowns, and where they put a mark in the images |
 //! | `bundle` | their equations |
 //! | `adjust` | all unknowns from all marks |
 //! | `uncertainty` | what that leaves uncertain of a point |

@@ -1,14 +1,15 @@
-//! The unknowns of a calibration, and what they say a dot of a plate looks like.
+//! The unknowns of a calibration, and where they put a dot of a plate in the images.
 //!
 //! Shared by all views: camera (focal lengths, principal point, k1 k2 p1 p2), projector (focal length, principal column,
 //! k1 k2 p1 p2), projector from camera, stage from camera; in a second step, what both lenses do beyond that. Beside them the place of every plate, which its certificate
 //! gives nearly, and the error of the stages in every view, which their data sheet bounds.
 //!
 //! Fringes vary along the projector's columns only, so they say nothing of its rows: its focal length there keeps the ratio
-//! of the starting values, its principal row stays, and its shift along the rows is felt through distortion alone, hence the
+//! of the starting values, its principal row stays, and its shift along the rows shows through distortion alone, hence the
 //! starting value as a weak prior.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use flankscope_foundation::rigid::nearest_rotation;
+use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use super::sighting::StagePose;
 use super::target::Target;
@@ -25,7 +26,7 @@ pub(crate) const OF_VIEW: usize = 2;
 /// Unknowns of the residual fields, where a scene has them: columns and rows of the camera, columns of the projector.
 pub(crate) const FIELD: usize = 3 * SIDE * SIDE;
 
-/// Where the coefficients of the fields stand among the unknowns that a view feels.
+/// Where the coefficients of the fields stand among the unknowns that a view depends on.
 const FIRST_OF_FIELD: usize = SHARED + OF_PLATE + OF_VIEW;
 /// A field reaches this far beyond what is seen, so that its border is not.
 const FIELD_MARGIN: f64 = 1.05;
@@ -48,7 +49,7 @@ const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
 const ROW_SHIFT_SIGMA_MM: f64 = 0.1;
 const ROW_SHIFT_BESIDE_FIELDS_MM: f64 = 1e-3;
 
-/// What one view feels: the shared unknowns, its plate and its stages.
+/// What one view depends on: the shared unknowns, its plate and its stages.
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
     pub camera: Pinhole,
@@ -60,8 +61,8 @@ pub(crate) struct Scene {
     pub stage_error: [f64; 2],
 }
 
-/// How a dot looks: pixel column and row, projector column.
-pub(crate) type Look = [f64; 3];
+/// Where a dot appears: pixel column and row, projector column.
+pub(crate) type Observation = [f64; 3];
 
 impl Scene {
     /// The scene of the starting values.
@@ -146,7 +147,7 @@ impl Scene {
     }
 
     /// Moves one unknown: those shared by all views, the plate's, the stages', then the coefficients of the fields.
-    pub fn nudge(&mut self, unknown: usize, by: f64) {
+    pub fn step(&mut self, unknown: usize, by: f64) {
         let turn = |axis: usize| UnitQuaternion::from_scaled_axis(Vector3::ith(axis, by));
         match unknown {
             0 | 1 => self.camera.focal_px[unknown] += by,
@@ -174,7 +175,7 @@ impl Scene {
         }
     }
 
-    /// A step that changes what a dot looks like by about a hundredth of a pixel.
+    /// A step that moves a dot in the images by about a hundredth of a pixel.
     pub fn small_step(unknown: usize) -> f64 {
         match unknown {
             0..4 | PROJECTOR_FOCAL | PROJECTOR_PRINCIPAL => 1e-2,
@@ -194,24 +195,24 @@ impl Scene {
         self.stage_from_camera.inverse() * lowered * stage_from_tool * self.tool_from_plate
     }
 
-    /// How a dot of radius `radius_mm` at `at_mm` of the plate looks; `None` behind camera or projector.
+    /// Where a dot of radius `radius_mm` at `at_mm` of the plate appears; `None` behind camera or projector.
     ///
     /// In perspective the image of a circle is an ellipse whose centre is not the image of the circle's: it is that of
     /// `at - radius² g / depth`, where `g` is the change of depth along the plate (pole of the line at infinity with
     /// respect to the image's conic).
-    pub fn look(
+    pub fn observation(
         &self,
         camera_from_plate: &Isometry3<f64>,
         at_mm: [f64; 2],
         radius_mm: f64,
-    ) -> Option<Look> {
+    ) -> Option<Observation> {
         let [seen, lit] = self.directions(camera_from_plate, at_mm, radius_mm)?;
         let [u, v] = self.camera.pixel(seen);
         let [column, _] = self.projector.pixel(lit);
         Some([u, v, column])
     }
 
-    /// How its look follows the coefficients of the fields: unknown, which part of the look, derivative.
+    /// How it follows the coefficients of the fields: unknown, which part of the observation, derivative.
     pub fn field_slopes(
         &self,
         camera_from_plate: &Isometry3<f64>,
@@ -262,17 +263,17 @@ impl Scene {
     }
 
     /// What is believed of the head's unknowns before any view: place, offset from the starting value, its sigma.
-    pub fn beliefs(&self, start: &Self, field_sigma_px: [f64; 2]) -> Vec<(usize, f64, f64)> {
-        let mut beliefs = Vec::new();
+    pub fn priors(&self, start: &Self, field_sigma_px: [f64; 2]) -> Vec<(usize, f64, f64)> {
+        let mut priors = Vec::new();
         for (k, sigma) in DISTORTION_SIGMA.into_iter().enumerate() {
             let off = |now: &Pinhole, then: &Pinhole| now.distortion[k] - then.distortion[k];
-            beliefs.push((
+            priors.push((
                 CAMERA_DISTORTION + k,
                 off(&self.camera, &start.camera),
                 sigma,
             ));
             let projector = off(&self.projector, &start.projector);
-            beliefs.push((PROJECTOR_DISTORTION + k, projector, sigma));
+            priors.push((PROJECTOR_DISTORTION + k, projector, sigma));
         }
         let row_shift = |scene: &Self| scene.projector_from_camera.translation.vector.y;
         let moved = row_shift(self) - row_shift(start);
@@ -281,16 +282,16 @@ impl Scene {
         } else {
             ROW_SHIFT_SIGMA_MM
         };
-        beliefs.push((PROJECTOR_SHIFT + 1, moved, sigma_mm));
+        priors.push((PROJECTOR_SHIFT + 1, moved, sigma_mm));
         let fields = self.field_px().into_iter().zip(field_sigma_px);
         let coefficients =
             fields.flat_map(|(field, sigma)| field.into_iter().map(move |px| (px, sigma)));
-        beliefs.extend(
+        priors.extend(
             coefficients
                 .enumerate()
                 .map(|(k, (px, sigma))| (SHARED + k, px, sigma)),
         );
-        beliefs
+        priors
     }
 
     /// The head of these values; what the adjustment does not touch stays as in `start`.
@@ -306,7 +307,7 @@ impl Scene {
     }
 }
 
-/// The unknowns of a scene that are the head's, in the order in which they stand among all: see [`Scene::nudge`].
+/// The unknowns of a scene that are the head's, in the order in which they stand among all: see [`Scene::step`].
 pub(crate) fn head_unknowns(scene: &Scene) -> impl Iterator<Item = usize> {
     let fields = if scene.has_fields() { FIELD } else { 0 };
     (0..SHARED).chain(FIRST_OF_FIELD..FIRST_OF_FIELD + fields)
@@ -326,13 +327,11 @@ pub(crate) fn certified(target: &Target) -> Vec<Isometry3<f64>> {
         .collect()
 }
 
+/// Of a transform whose file has been checked.
 pub(crate) fn isometry(file: &RigidTransform) -> Isometry3<f64> {
-    let matrix = Matrix3::from_fn(|row, column| file.rotation[row][column]);
-    // A file's nine digits are not quite a rotation: the nearest one is.
-    let rotation = UnitQuaternion::from_matrix_eps(&matrix, 1e-15, 100, UnitQuaternion::identity());
     Isometry3::from_parts(
         Translation3::from(Vector3::from(file.translation_mm)),
-        rotation,
+        nearest_rotation(&file.matrix()),
     )
 }
 
@@ -388,8 +387,8 @@ mod tests {
             rim.iter().min_by(by).unwrap(),
             rim.iter().max_by(by).unwrap(),
         );
-        let [u, v, _] = scene.look(&pose, at, radius).unwrap();
-        let [centre_u, centre_v, _] = scene.look(&pose, at, 0.0).unwrap();
+        let [u, v, _] = scene.observation(&pose, at, radius).unwrap();
+        let [centre_u, centre_v, _] = scene.observation(&pose, at, 0.0).unwrap();
         assert!((u - 0.5 * (left[0] + right[0])).abs() < 1e-4);
         assert!((v - 0.5 * (left[1] + right[1])).abs() < 1e-3);
         assert!(

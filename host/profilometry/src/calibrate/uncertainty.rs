@@ -30,7 +30,7 @@ pub(crate) fn volume_sigma_mm(
             let step = Scene::small_step(unknown);
             let heads = [step, -step].map(|by| {
                 let mut scene = scene.clone();
-                scene.nudge(unknown, by);
+                scene.step(unknown, by);
                 scene.head(head)
             });
             Neighbours { heads, step }

@@ -1,7 +1,9 @@
 //! Rigid transforms as files write them.
 
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
+use flankscope_foundation::rigid::{self, Rigid, RigidError};
 use flankscope_foundation::textfile::BadValue;
 
 /// A rotation and a translation, named `<to>_from_<from>` where it is used.
@@ -34,30 +36,26 @@ impl RigidTransform {
         [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
     }
 
+    /// The rotation as it is written.
+    pub(crate) fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::from_fn(|row, column| self.rotation[row][column])
+    }
+
+    /// As a transform between frames; the rotation is the nearest one to the file's digits.
+    ///
+    /// # Errors
+    /// [`RigidError`] unless it is a rotation to 1e-5 and finite.
+    pub fn rigid<To, From>(&self) -> Result<Rigid<To, From>, RigidError> {
+        Rigid::from_rows(&self.rows())
+    }
+
     pub(crate) fn check(&self, table: &str) -> Result<(), BadValue> {
-        let bad = |got: [f64; 3]| {
-            BadValue::new(
+        if rigid::rotation(&self.matrix()).is_err() {
+            return Err(BadValue::new(
                 format!("{table}.rotation"),
-                got,
+                self.rotation,
                 "must be a rotation matrix, row by row: orthonormal to 1e-5 and right-handed",
-            )
-        };
-        let r = &self.rotation;
-        for i in 0..3 {
-            for j in 0..3 {
-                let product: f64 = (0..3).map(|k| r[i][k] * r[j][k]).sum();
-                let ideal = f64::from(u8::from(i == j));
-                // Nine printed digits of a single-precision calibration leave about 1e-7.
-                if !((product - ideal).abs() < 1e-5) {
-                    return Err(bad(r[i]));
-                }
-            }
-        }
-        let determinant = r[0][0] * (r[1][1] * r[2][2] - r[1][2] * r[2][1])
-            - r[0][1] * (r[1][0] * r[2][2] - r[1][2] * r[2][0])
-            + r[0][2] * (r[1][0] * r[2][1] - r[1][1] * r[2][0]);
-        if determinant < 0.0 {
-            return Err(bad(r[2]));
+            ));
         }
         if self
             .translation_mm

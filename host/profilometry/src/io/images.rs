@@ -1,7 +1,7 @@
-//! Grey PNG frames of other people's cameras.
+//! Grey frames of other people's cameras: PNG, and binary PGM (Netpbm's P5).
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use crate::frame::FrameView;
@@ -46,6 +46,20 @@ pub enum ImageError {
         /// The decoder's reason.
         source: png::DecodingError,
     },
+    /// Neither of the formats that are read.
+    #[error("{} is neither a PNG nor a binary PGM (P5) image", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A PGM file that does not hold what its header says.
+    #[error("{} is not a whole PGM image: {reason}", path.display())]
+    Pgm {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: &'static str,
+    },
     /// Colour, palette, alpha or fewer bits.
     #[error("{} is {colour:?} with {bits} bits: frames must be grey with 8 or 16 bits", path.display())]
     NotGrey {
@@ -80,8 +94,21 @@ pub enum ImageError {
         /// Bits of the first frame.
         expected: u32,
     },
+    /// Names whose order is not that of the numbers in them.
+    #[error(
+        "{} comes before {} by its name and after it by its number: write all numbers with the same digits, or list the frames \
+         in the plan",
+        first.display(),
+        second.display()
+    )]
+    Order {
+        /// First by name.
+        first: PathBuf,
+        /// First by number.
+        second: PathBuf,
+    },
     /// Too few or too many images for the plan.
-    #[error("{} holds {got} PNG images, the plan has {expected} frames: list them in the plan, or keep exactly the frames of one view there", folder.display())]
+    #[error("{} holds {got} images, the plan has {expected} frames: list them in the plan, or keep exactly the frames of one view there", folder.display())]
     Count {
         /// The folder.
         folder: PathBuf,
@@ -100,70 +127,226 @@ pub enum ImageError {
     },
 }
 
-/// Loads one grey PNG of exactly `width` x `height` pixels.
+/// How large an image is and how its counts are stored, as its header says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImageHeader {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// 8 or 16.
+    pub bits: u32,
+}
+
+impl ImageHeader {
+    /// Reads the first bytes of a file.
+    ///
+    /// # Errors
+    /// [`ImageError`]: no file, neither PNG nor PGM, not grey.
+    pub fn of(path: &Path) -> Result<Self, ImageError> {
+        let opened = |source| ImageError::Open {
+            path: path.to_owned(),
+            source,
+        };
+        let file = File::open(path).map_err(opened)?;
+        Ok(Opened::new(path, BufReader::new(file))?.header())
+    }
+
+    /// Whether it has the size of the calibrated camera.
+    ///
+    /// # Errors
+    /// [`ImageError::Size`].
+    pub fn check(&self, path: &Path, [width, height]: [u32; 2]) -> Result<(), ImageError> {
+        if (self.width, self.height) == (width, height) {
+            return Ok(());
+        }
+        Err(ImageError::Size {
+            path: path.to_owned(),
+            got_width: self.width,
+            got_height: self.height,
+            width,
+            height,
+        })
+    }
+}
+
+/// Loads one grey image of exactly `size_px` (columns, rows).
 ///
 /// # Errors
 /// [`ImageError`]; the size in the header is checked before memory is taken.
-pub fn load_grey_png(path: &Path, width: u32, height: u32) -> Result<GreyImage, ImageError> {
-    let broken = |source| ImageError::Png {
+pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
+    let opened = |source| ImageError::Open {
         path: path.to_owned(),
         source,
     };
-    let file = File::open(path).map_err(|source| ImageError::Open {
-        path: path.to_owned(),
-        source,
-    })?;
-    let mut reader = png::Decoder::new(BufReader::new(file))
-        .read_info()
-        .map_err(broken)?;
-    let info = reader.info();
-    if (info.width, info.height) != (width, height) {
-        return Err(ImageError::Size {
+    let file = File::open(path).map_err(opened)?;
+    Opened::new(path, BufReader::new(file))?.of_size(path, size_px)
+}
+
+/// Reads one grey image of exactly `size_px` (columns, rows) from the content of the file at `path`.
+///
+/// # Errors
+/// As [`load_grey`].
+pub fn read_grey(path: &Path, content: &[u8], size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
+    Opened::new(path, Cursor::new(content))?.of_size(path, size_px)
+}
+
+/// An image whose header was read.
+enum Opened<R: BufRead + Seek> {
+    Png(Box<png::Reader<R>>, ImageHeader),
+    Pgm(R, ImageHeader),
+}
+
+impl<R: BufRead + Seek> Opened<R> {
+    fn new(path: &Path, mut file: R) -> Result<Self, ImageError> {
+        let start = file.fill_buf().map_err(|source| ImageError::Open {
             path: path.to_owned(),
-            got_width: info.width,
-            got_height: info.height,
-            width,
-            height,
-        });
-    }
-    let bits = match (info.color_type, info.bit_depth) {
-        (png::ColorType::Grayscale, png::BitDepth::Eight) => 8,
-        (png::ColorType::Grayscale, png::BitDepth::Sixteen) => 16,
-        (colour, depth) => {
-            return Err(ImageError::NotGrey {
+            source,
+        })?;
+        // What calls itself a PNG is told what it lacks as one.
+        let named_png = has_extension(path, "png");
+        if start.starts_with(b"P5") && !named_png {
+            let header = pgm_header(&mut file).map_err(|reason| ImageError::Pgm {
                 path: path.to_owned(),
-                colour,
-                bits: depth as u32,
+                reason,
+            })?;
+            return Ok(Self::Pgm(file, header));
+        }
+        if !start.starts_with(b"\x89PNG") && !named_png {
+            return Err(ImageError::Format {
+                path: path.to_owned(),
             });
         }
+        let reader = png::Decoder::new(file)
+            .read_info()
+            .map_err(|source| ImageError::Png {
+                path: path.to_owned(),
+                source,
+            })?;
+        let info = reader.info();
+        let bits = match (info.color_type, info.bit_depth) {
+            (png::ColorType::Grayscale, png::BitDepth::Eight) => 8,
+            (png::ColorType::Grayscale, png::BitDepth::Sixteen) => 16,
+            (colour, depth) => {
+                return Err(ImageError::NotGrey {
+                    path: path.to_owned(),
+                    colour,
+                    bits: depth as u32,
+                });
+            }
+        };
+        let header = ImageHeader {
+            width: info.width,
+            height: info.height,
+            bits,
+        };
+        Ok(Self::Png(Box::new(reader), header))
+    }
+
+    fn header(&self) -> ImageHeader {
+        let (Self::Png(_, header) | Self::Pgm(_, header)) = self;
+        *header
+    }
+
+    fn of_size(self, path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
+        self.header().check(path, size_px)?;
+        let ImageHeader {
+            width,
+            height,
+            bits,
+        } = self.header();
+        let (width, height) = (width as usize, height as usize);
+        let mut bytes = vec![0; width * height * (bits as usize / 8)];
+        match self {
+            Self::Png(mut reader, _) => {
+                let read = reader.next_frame(&mut bytes);
+                read.map_err(|source| ImageError::Png {
+                    path: path.to_owned(),
+                    source,
+                })?;
+            }
+            Self::Pgm(mut file, _) => {
+                let whole = file.read_exact(&mut bytes).is_ok();
+                let more = file.fill_buf().is_ok_and(|rest| !rest.is_empty());
+                let wrong = match (whole, more) {
+                    (true, false) => None,
+                    (false, _) => Some("it ends before its last pixel"),
+                    (true, true) => Some("it goes on after its last pixel"),
+                };
+                if let Some(reason) = wrong {
+                    return Err(ImageError::Pgm {
+                        path: path.to_owned(),
+                        reason,
+                    });
+                }
+            }
+        }
+        // Both formats are big endian.
+        let pixels = if bits == 8 {
+            bytes.into_iter().map(u16::from).collect()
+        } else {
+            let pairs = bytes.as_chunks::<2>().0.iter();
+            pairs.map(|&pair| u16::from_be_bytes(pair)).collect()
+        };
+        Ok(GreyImage {
+            pixels,
+            width,
+            height,
+            bits,
+        })
+    }
+}
+
+/// Reads `P5`, width, height and largest value, with comments between, and the single blank after them.
+fn pgm_header(file: &mut impl Read) -> Result<ImageHeader, &'static str> {
+    let mut next = || {
+        let mut byte = [0];
+        let read = file.read_exact(&mut byte);
+        read.map(|()| byte[0])
+            .map_err(|_| "it ends within its header")
     };
-    let bytes_per_pixel = bits as usize / 8;
-    let mut bytes = vec![0; width as usize * height as usize * bytes_per_pixel];
-    reader.next_frame(&mut bytes).map_err(broken)?;
-    let pixels = if bits == 8 {
-        bytes.into_iter().map(u16::from).collect()
-    } else {
-        // PNG is big endian.
-        bytes
-            .as_chunks::<2>()
-            .0
-            .iter()
-            .map(|&pair| u16::from_be_bytes(pair))
-            .collect()
+    next()?;
+    next()?;
+    let mut byte = next()?;
+    let mut number = || {
+        while byte.is_ascii_whitespace() || byte == b'#' {
+            if byte == b'#' {
+                while byte != b'\n' {
+                    byte = next()?;
+                }
+            }
+            byte = next()?;
+        }
+        let mut value: u32 = 0;
+        let mut digits = 0;
+        while byte.is_ascii_digit() && digits < 6 {
+            value = 10 * value + u32::from(byte - b'0');
+            digits += 1;
+            byte = next()?;
+        }
+        if digits == 0 || !byte.is_ascii_whitespace() {
+            return Err("its header is not P5, width, height and largest value");
+        }
+        Ok(value)
     };
-    Ok(GreyImage {
-        pixels,
-        width: width as usize,
-        height: height as usize,
+    let [width, height, largest] = [number()?, number()?, number()?];
+    let bits = match largest {
+        1..256 => 8,
+        256..65536 => 16,
+        _ => return Err("its largest value is not 1 to 65535"),
+    };
+    Ok(ImageHeader {
+        width,
+        height,
         bits,
     })
 }
 
-/// All PNG files of a folder, sorted by name; there must be exactly `expected`.
+/// All PNG and PGM files of a folder, sorted by name; there must be exactly `expected`.
 ///
 /// # Errors
-/// [`ImageError::Folder`], [`ImageError::Count`].
-pub fn list_pngs(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, ImageError> {
+/// [`ImageError::Folder`], [`ImageError::Count`], [`ImageError::Order`].
+pub fn list_images(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, ImageError> {
     let failed = |source| ImageError::Folder {
         path: folder.to_owned(),
         source,
@@ -171,10 +354,7 @@ pub fn list_pngs(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, ImageEr
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        if path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("png"))
-        {
+        if has_extension(&path, "png") || has_extension(&path, "pgm") {
             paths.push(path);
         }
     }
@@ -186,5 +366,122 @@ pub fn list_pngs(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, ImageEr
         });
     }
     paths.sort();
-    Ok(paths)
+    let by_number = paths.windows(2).find(|pair| {
+        let [first, second] = [&pair[0], &pair[1]].map(|path| words_and_numbers(path));
+        first > second
+    });
+    match by_number {
+        Some([first, second]) => Err(ImageError::Order {
+            first: first.clone(),
+            second: second.clone(),
+        }),
+        _ => Ok(paths),
+    }
+}
+
+fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+}
+
+/// A file's name cut into its text and its numbers, so that 10 comes after 9.
+fn words_and_numbers(path: &Path) -> Vec<(String, u128)> {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let mut parts = vec![(String::new(), 0)];
+    let mut in_number = false;
+    for letter in name.chars() {
+        let last = parts.len() - 1;
+        match letter.to_digit(10) {
+            Some(digit) => {
+                in_number = true;
+                let number: &mut u128 = &mut parts[last].1;
+                *number = number.saturating_mul(10).saturating_add(digit.into());
+            }
+            None if in_number => {
+                in_number = false;
+                parts.push((letter.into(), 0));
+            }
+            None => parts[last].0.push(letter),
+        }
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = folder.join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    /// Both depths, a comment in every place that Netpbm allows.
+    #[test]
+    fn a_pgm_is_read_as_netpbm_writes_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let eight = file(
+            folder.path(),
+            "a.pgm",
+            b"P5\n# by hand\n3 2\n255\n\x00\x01\x02\x03\x04\xff",
+        );
+        let image = load_grey(&eight, [3, 2]).unwrap();
+        assert_eq!(
+            (image.bits, &image.pixels[..]),
+            (8, &[0, 1, 2, 3, 4, 255][..])
+        );
+        let sixteen = file(
+            folder.path(),
+            "b.pgm",
+            b"P5 2 #w\n1 # h\n4095\n\x0f\xff\x01\x02",
+        );
+        let image = load_grey(&sixteen, [2, 1]).unwrap();
+        assert_eq!((image.bits, &image.pixels[..]), (16, &[4095, 258][..]));
+    }
+
+    #[test]
+    fn what_is_no_whole_image_of_the_camera_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes, word) in [
+            (
+                "short.pgm",
+                &b"P5 2 1 4095\n\x0f\xff\x01"[..],
+                "ends before",
+            ),
+            ("long.pgm", b"P5 2 1 255\n\x0f\xff\x01", "goes on"),
+            ("wide.pgm", b"P5 3 1 255\n\x0f\xff\x01", "3 x 1"),
+            ("deep.pgm", b"P5 2 1 65536\n\x0f\xff\x01\x02", "65535"),
+            ("none.pgm", b"P5 2 one 255\n\x0f\xff", "header"),
+            ("text.pgm", b"P2 2 1 255\n1 2\n", "neither"),
+            ("cut.png", b"\x89PNG\r\n\x1a\n\x00\x00", "not a whole PNG"),
+            ("empty.png", b"", "not a whole PNG"),
+            ("renamed.png", b"P5 2 1 255\n\x0f\xff", "not a whole PNG"),
+        ] {
+            let path = file(folder.path(), name, bytes);
+            let error = load_grey(&path, [2, 1]).unwrap_err().to_string();
+            assert!(
+                error.contains(word) && error.contains(name),
+                "{name}: {error}"
+            );
+        }
+    }
+
+    /// frame_10 sorts before frame_2: the order that was meant is not the one that names have.
+    #[test]
+    fn an_order_of_names_that_is_not_the_numbers_order_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "view2_frame_1.png",
+            "view2_frame_2.png",
+            "view2_frame_10.png",
+        ] {
+            file(folder.path(), name, b"");
+        }
+        let error = list_images(folder.path(), 3).unwrap_err();
+        assert!(matches!(error, ImageError::Order { .. }), "{error}");
+        std::fs::remove_file(folder.path().join("view2_frame_10.png")).unwrap();
+        file(folder.path(), "view2_frame_3.pgm", b"");
+        assert_eq!(list_images(folder.path(), 3).unwrap().len(), 3);
+    }
 }

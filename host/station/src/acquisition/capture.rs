@@ -81,7 +81,7 @@ impl<O: Send + 'static> Acquisition<O> {
     }
 
     /// Waits until frames are labelled for the new plan: an earlier one would count for the old.
-    async fn armed(&mut self, run: &mut Run<O>) -> Result<(), AcquisitionError> {
+    pub(super) async fn armed(&mut self, run: &mut Run<O>) -> Result<(), AcquisitionError> {
         let gone = AcquisitionError::Thread { thread: "capture" };
         loop {
             match self.recorded.recv().await {
@@ -188,7 +188,7 @@ impl<O: Send + 'static> Acquisition<O> {
     }
 
     /// Sends every view whose triggers and frames are complete and pair to the compute thread.
-    fn evaluate_whole_views(
+    pub(super) fn evaluate_whole_views(
         &self,
         run: &mut Run<O>,
         frames_per_view: u16,

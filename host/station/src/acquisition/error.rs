@@ -5,6 +5,7 @@ use flankscope_protocol::{FaultCode, PlanError};
 
 use super::pairing::PairingError;
 use super::program::ProgramError;
+use super::recording::ImageProblem;
 use crate::controller::ClientError;
 use flankscope_frames::{ReceiveError, ServiceError};
 
@@ -94,6 +95,15 @@ pub enum ViewError {
         /// Frames planned.
         planned: usize,
     },
+    /// Nobody recorded it.
+    #[error("the recording has no frames of tooth {tooth}")]
+    NotRecorded {
+        /// Tooth of the view.
+        tooth: u32,
+    },
+    /// A recorded frame cannot be used.
+    #[error(transparent)]
+    Image(#[from] ImageProblem),
     /// One more than was triggered, and nobody knows before which of the others.
     #[error("the camera sent a frame beyond the plan")]
     BeyondPlan,

@@ -1,5 +1,5 @@
-//! From a list of stage positions to the summed frames of each, through controller and camera; what is made of the sums, and
-//! what for, is somebody else's.
+//! From a list of stage positions to the summed frames of each, through controller and camera or from a folder; what is made
+//! of the sums, and what for, is somebody else's.
 //!
 //! ```text
 //!  I/O runtime           capture thread            compute thread
@@ -19,6 +19,7 @@
 //! | `run` | what all captures of a run have gathered |
 //! | `recorder` | the capture thread: frames summed where they lie |
 //! | `pairing` | triggers against frames |
+//! | `recording` | frames that were recorded before, in the place of a camera |
 //! | `timeline` | what the devices did when |
 //! | `error` | what can go wrong |
 
@@ -28,6 +29,7 @@ mod pairing;
 mod program;
 mod recapture;
 mod recorder;
+mod recording;
 mod run;
 mod session;
 mod timeline;
@@ -38,6 +40,8 @@ pub use pairing::{PairingError, pair};
 pub use program::{Program, ProgramError, StagePosition};
 pub(crate) use recapture::{AfterStop, never};
 pub use recorder::Picture;
+pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
+pub(crate) use recording::{Playback, RecordedView};
 pub(crate) use run::{Counts, Run};
 pub use session::Acquisition;
 pub use timeline::{Activity, Device, Span};

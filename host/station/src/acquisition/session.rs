@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
 
-use flankscope_frames::{FrameReceiver, SharedRoot};
+use flankscope_frames::FrameSource;
 use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
 use tokio::sync::mpsc as channel;
 
@@ -27,14 +27,14 @@ pub struct Acquisition<O> {
 }
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Starts the capture thread, and the compute thread with what it makes of a view's sums.
+    /// Starts the capture thread with the frames of `source`, and the compute thread with what it makes of a view's sums.
     ///
     /// # Errors
-    /// Shared memory or a thread is refused.
-    pub(crate) fn start(
+    /// The source, such as shared memory, or a thread is refused.
+    pub(crate) fn start<S: FrameSource>(
         program: Program,
         decoder: &Arc<Decoder>,
-        root: Arc<SharedRoot>,
+        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
         mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
     ) -> Result<Self, AcquisitionError> {
         let settings = RecorderSettings {
@@ -53,15 +53,15 @@ impl<O: Send + 'static> Acquisition<O> {
         let capture = std::thread::Builder::new()
             .name("capture".into())
             .spawn(move || {
-                let receiver = match FrameReceiver::create(&root) {
-                    Ok(receiver) => receiver,
+                let source = match source() {
+                    Ok(source) => source,
                     Err(error) => return drop(ready_sender.send(Err(error))),
                 };
                 let _ = ready_sender.send(Ok(()));
                 let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
                 let fresh = || capture_decoder.begin();
                 Recorder::new(
-                    receiver,
+                    source,
                     settings,
                     kinds,
                     order_receiver,

@@ -110,13 +110,13 @@ impl Timeline {
     /// Time spent moving and settling, ms.
     #[must_use]
     pub fn positioning_ms(&self) -> f64 {
-        self.moving.iter().chain(&self.settling).map(length).sum()
+        sum(self.moving.iter().chain(&self.settling))
     }
 
     /// Sum of the exposures, ms.
     #[must_use]
     pub fn exposure_ms(&self) -> f64 {
-        self.camera.iter().map(length).sum()
+        sum(self.camera.iter())
     }
 
     /// When each device was active.
@@ -131,6 +131,11 @@ impl Timeline {
             of(Device::Camera, self.camera),
         ]
     }
+}
+
+/// Of no spans 0: the sum of no numbers is −0 to Rust.
+fn sum<'a>(spans: impl Iterator<Item = &'a Span>) -> f64 {
+    spans.map(length).fold(0.0, |sum, length| sum + length)
 }
 
 fn length(span: &Span) -> f64 {

@@ -14,7 +14,7 @@ use crate::acquisition::{
 };
 use crate::controller::{Client, ClientSettings};
 use crate::settings::StationSettings;
-use flankscope_frames::SharedRoot;
+use flankscope_frames::{FrameReceiver, SharedRoot};
 
 /// Why there are no captures.
 #[derive(Debug, thiserror::Error)]
@@ -88,7 +88,12 @@ impl<O: Send + 'static> Surveyor<O> {
         let views = program.positions.len();
         let own = Arc::clone(&decoder);
         let make = move |_, sums: &Accumulator| make(&own, sums);
-        let acquisition = Acquisition::start(program, &decoder, root, make)?;
+        let acquisition = Acquisition::start(
+            program,
+            &decoder,
+            move || Ok(FrameReceiver::create(&root)?),
+            make,
+        )?;
         Ok(Self { acquisition, views })
     }
 

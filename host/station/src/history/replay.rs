@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use flankscope_metrology::verdict::{Code, Reason, Word};
-use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, PhasorsError};
+use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -94,9 +94,10 @@ pub struct Replay {
 }
 
 /// What a document says of where its check comes from.
-const ORIGIN: [&str; 7] = [
+const ORIGIN: [&str; 8] = [
     "link",
     "simulated",
+    "recording",
     "head",
     "tool",
     "station",
@@ -137,13 +138,8 @@ impl Replay {
             subject.hashes.insert("baseline", baseline.hash());
             subject.baseline = Some(Arc::new(baseline));
         }
-        let plan = ViewPlan::new(&subject.tool, &subject.head, Some(&stored.recipe.teeth))?;
-        let decoder = Arc::new(Decoder::new(
-            &subject.head,
-            &plan.patterns,
-            &plan.exposures_us,
-            DecodeOptions::for_head(&subject.head),
-        )?);
+        let plan = ViewPlan::of_recipe(&subject.tool, &subject.head, &stored.recipe)?;
+        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let mut outcomes = BTreeMap::new();
         let mut problems = BTreeMap::new();

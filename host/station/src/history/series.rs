@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::{Code, Word};
 
 use super::store::Check;
@@ -73,7 +74,7 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
                     check: check.id,
                     cycles: check.tool_cycles as f64,
                     wear_um,
-                    u_um: u95_um / 1.96,
+                    u_um: u95_um / COVERAGE_95,
                 });
             }
         }

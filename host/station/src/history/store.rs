@@ -352,6 +352,7 @@ impl History {
             head,
             station,
             operator,
+            recording: _, // in the document
         } = &inspection.origin;
         transaction.execute(
             "INSERT INTO inspection (id, tool, tool_cycles, press_cycles, baseline, verdict, reason, document, \
@@ -495,6 +496,7 @@ impl History {
                         head,
                         station: row.get(12)?,
                         operator: row.get(13)?,
+                        recording: None,
                     },
                     flanks: Vec::new(),
                 })

@@ -3,14 +3,14 @@
 //! The slope is the median of the slopes of all pairs, its interval from the distribution of Kendall's tau (Theil 1950; Sen,
 //! J. Am. Stat. Assoc. 63, 1968). Up to 29 % of the figures may be anything.
 
+use flankscope_foundation::{normal::COVERAGE_95, order::midpoint_median};
+
 use super::series::Point;
 
 /// Fewer points than this have no trend.
 pub const LEAST_POINTS: usize = 5;
 /// Only so many of the last points are used: pairs grow with the square.
 const MOST_POINTS: usize = 1000;
-/// Two-sided 95 %.
-const Z95: f64 = 1.959_963_985;
 
 /// A line.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -42,12 +42,9 @@ impl Trend {
                 }
             }
         }
-        if slopes.is_empty() {
-            return None;
-        }
         slopes.sort_unstable_by(f64::total_cmp);
-        let rate_um = median(&slopes);
-        let half_width = Z95 * kendall_variance(points).sqrt();
+        let rate_um = midpoint_median(&mut slopes)?;
+        let half_width = COVERAGE_95 * kendall_variance(points).sqrt();
         // Ranks count from one, places from zero; an interval that reaches beyond all slopes ends at the outermost.
         let outermost = slopes.len() - 1;
         let pairs = slopes.len() as f64;
@@ -61,7 +58,7 @@ impl Trend {
         Some(Self {
             rate_um,
             rate_um_95: [slopes[low], slopes[high]],
-            now_um: median(&at_last),
+            now_um: midpoint_median(&mut at_last)?,
             now_cycles: last.cycles,
             points: points.len(),
         })
@@ -70,7 +67,7 @@ impl Trend {
     /// Standard uncertainty of the rate.
     #[must_use]
     pub fn u_rate_um(&self) -> f64 {
-        (self.rate_um_95[1] - self.rate_um_95[0]) / (2.0 * Z95)
+        (self.rate_um_95[1] - self.rate_um_95[0]) / (2.0 * COVERAGE_95)
     }
 }
 
@@ -82,13 +79,4 @@ fn kendall_variance(points: &[Point]) -> f64 {
         .map(|tied| term(tied.len() as f64))
         .sum();
     (term(points.len() as f64) - ties) / 18.0
-}
-
-fn median(sorted: &[f64]) -> f64 {
-    let middle = sorted.len() / 2;
-    if sorted.len().is_multiple_of(2) {
-        0.5 * (sorted[middle - 1] + sorted[middle])
-    } else {
-        sorted[middle]
-    }
 }

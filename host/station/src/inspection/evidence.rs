@@ -1,11 +1,12 @@
 //! What a verdict was computed from: enough to compute it again, and to notice when something is not the same.
 
 use flankscope_metrology::verdict::{Code, Reason};
-use flankscope_profilometry::Accumulator;
+use flankscope_profilometry::head::Sensor;
+use flankscope_profilometry::{Accumulator, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::job::Subject;
-use super::plan::ViewPlan;
+use super::plan::{PlannedView, ViewPlan};
 use crate::files;
 
 /// How a check looks at a tool, beside what its files say.
@@ -21,6 +22,22 @@ pub struct Recipe {
     pub grid: String,
     /// Temperature of the tool, degrees C, where it is known.
     pub temperature_degc: Option<f64>,
+    /// Of recorded frames, where they were not taken as tool and head file say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<RecordedRecipe>,
+}
+
+/// What an index and its plan say of recorded frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RecordedRecipe {
+    /// Where the stages stood.
+    pub views: Vec<PlannedView>,
+    /// Patterns.
+    pub patterns: PatternSet,
+    /// Whether a dark frame preceded each view.
+    pub dark_frame: bool,
+    /// The sensor, where it is not the one of the head's file.
+    pub sensor: Option<Sensor>,
 }
 
 impl Recipe {
@@ -30,8 +47,18 @@ impl Recipe {
         } else {
             "pixel"
         };
+        let teeth: Vec<u32> = plan.views.iter().map(|view| view.tooth).collect();
+        let by_files = ViewPlan::new(&subject.tool, &subject.head, Some(&teeth));
+        let recorded = by_files.is_ok_and(|by_files| by_files == *plan);
+        let recorded = (!recorded).then(|| RecordedRecipe {
+            views: plan.views.clone(),
+            patterns: plan.patterns.clone(),
+            dark_frame: plan.dark_frame,
+            sensor: plan.sensor,
+        });
         Self {
-            teeth: plan.views.iter().map(|view| view.tooth).collect(),
+            teeth,
+            recorded,
             pattern_set: plan.patterns.name.clone(),
             exposures_us: plan.exposures_us.clone(),
             grid: grid.into(),

@@ -3,14 +3,18 @@
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::head::Unfit;
 
-use crate::acquisition::{AcquisitionError, PairingError, Stop, ViewError};
+use crate::acquisition::{AcquisitionError, ImageProblem, PairingError, Stop, ViewError};
 use crate::controller::ClientError;
 
 impl From<&ViewError> for Reason {
     fn from(error: &ViewError) -> Self {
         let code = match error {
             ViewError::Frame(_) => Code::FrameContent,
-            ViewError::Receive(_) => Code::FrameUnreadable,
+            ViewError::Receive(_) | ViewError::Image(ImageProblem::Image(_)) => {
+                Code::FrameUnreadable
+            }
+            ViewError::Image(_) => Code::FrameContent,
+            ViewError::NotRecorded { .. } => Code::NotCaptured,
             ViewError::Pairing(PairingError::Count { .. } | PairingError::Counter { .. })
             | ViewError::Incomplete { .. } => Code::FramesMissing,
             ViewError::Pairing(

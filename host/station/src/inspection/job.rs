@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use flankscope_foundation::date::{self, Date};
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder};
+use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
 
 use super::evidence::{Phasors, Recipe};
 use super::failure;
@@ -15,13 +15,15 @@ use super::findings::Findings;
 use super::plan::{PlanningError, ViewPlan};
 use super::result::{FrameCount, Inspection, Pictures, Timing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
-use crate::acquisition::{Acquisition, AcquisitionError, AfterStop, Progress, Run, Stop, never};
+use crate::acquisition::{
+    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Run, Stop, never,
+};
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
 use crate::origin::{HeadId, Origin, Setting};
 use crate::settings::StationSettings;
 use crate::sink::{ResultSink, SinkError};
-use flankscope_frames::{SharedRoot, monotonic_ns};
+use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -61,6 +63,9 @@ pub enum InspectError {
     /// Controller or camera cannot be worked with.
     #[error(transparent)]
     Acquisition(#[from] AcquisitionError),
+    /// The recorded frames cannot be used.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// No plan from this tool and head.
     #[error(transparent)]
     Planning(#[from] PlanningError),
@@ -94,21 +99,45 @@ impl Station {
         teeth: Option<&[u32]>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
-        let plan = Arc::new(ViewPlan::new(&subject.tool, &subject.head, teeth)?);
-        let options = DecodeOptions::for_head(&subject.head);
-        let decoder = Decoder::new(&subject.head, &plan.patterns, &plan.exposures_us, options)?;
-        let decoder = Arc::new(decoder);
+        let plan = ViewPlan::new(&subject.tool, &subject.head, teeth)?;
+        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
+        let source = move || Ok(FrameReceiver::create(&root)?);
+        Self::fed_by(source, subject, setting, plan, decoder)
+    }
+
+    /// The same for frames that were recorded, and the end at which they are called for.
+    pub(super) fn of_recording(
+        subject: Subject,
+        setting: Setting,
+        plan: ViewPlan,
+    ) -> Result<(Self, Playback), InspectError> {
+        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
+        let camera = &subject.head.camera;
+        let size_px = [camera.width_px, camera.height_px];
+        let (playback, source) =
+            Playback::new(size_px, decoder.full_scale_dn(), &plan.exposures_us);
+        let station = Self::fed_by(move || Ok(source), subject, setting, plan, decoder)?;
+        Ok((station, playback))
+    }
+
+    fn fed_by<S: FrameSource>(
+        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
+        subject: Subject,
+        setting: Setting,
+        plan: ViewPlan,
+        decoder: Arc<Decoder>,
+    ) -> Result<Self, InspectError> {
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let evaluate = move |view, sums: &Accumulator| {
             let mut outcome = evaluator.evaluate(view, sums);
             outcome.phasors.push(Phasors::of(sums));
             outcome
         };
-        let acquisition =
-            Acquisition::start(plan.program(&subject.station), &decoder, root, evaluate)?;
+        let program = plan.program(&subject.station);
+        let acquisition = Acquisition::start(program, &decoder, source, evaluate)?;
         Ok(Self {
             subject,
-            plan,
+            plan: Arc::new(plan),
             acquisition,
             setting,
         })
@@ -167,7 +196,8 @@ impl Station {
                 stopped.as_ref().map(Reason::from)
             }
         };
-        Ok(self.conclude(run, stopped, begun_ns, client))
+        let firmware = client.identity().firmware;
+        Ok(self.conclude(run, stopped, begun_ns, Some(firmware)))
     }
 
     /// Captures the views, and again what was lost or is too near to a limit.
@@ -191,12 +221,13 @@ impl Station {
         self.repeat_open_views(client, run, watch).await
     }
 
-    fn conclude(
+    /// The result of a check, by a controller with this firmware if there was one.
+    pub(super) fn conclude(
         &self,
         mut run: Run<ViewOutcome>,
         stopped: Option<Reason>,
         begun_ns: u64,
-        client: &Client,
+        firmware: Option<[u8; 3]>,
     ) -> Inspection {
         let problems = run.problems.iter();
         let problems = problems.map(|(&view, why)| (view, why.into())).collect();
@@ -211,13 +242,14 @@ impl Station {
         let positioning = run.timeline.positioning_ms();
         let exposure = run.timeline.exposure_ms();
         let mut versions = BTreeMap::new();
-        let [major, minor, patch] = client.identity().firmware;
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
         versions.insert(
             "protocol",
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
-        versions.insert("firmware", format!("{major}.{minor}.{patch}"));
+        if let Some([major, minor, patch]) = firmware {
+            versions.insert("firmware", format!("{major}.{minor}.{patch}"));
+        }
         let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
         let recipe = Recipe::of(&self.subject, &self.plan);
         let mut hashes = self.subject.hashes.clone();

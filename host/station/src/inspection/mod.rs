@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `plan` | which poses, patterns and exposures: from tool and head to a plan of views |
 //! | `job` | one check, from hello to verdict |
+//! | `recorded` | the same check on frames that were recorded |
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
@@ -25,13 +26,14 @@ mod head_error;
 mod job;
 mod plan;
 mod pose_sensitivity;
+mod recorded;
 mod repeat;
 mod result;
 mod verdict;
 mod views;
 
 pub(crate) use evidence::unsaid;
-pub use evidence::{Evidence, Phasors, Problem, Recipe};
+pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub(crate) use failure::unfit;
 pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
@@ -39,6 +41,7 @@ pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
 pub use plan::{PlannedView, PlanningError, ViewPlan};
+pub use recorded::RecordedCheck;
 pub use result::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing,
     ViewRegistration, WeakDirection,

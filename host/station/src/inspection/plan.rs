@@ -1,13 +1,17 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
 use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::{HeadModel, PatternSet};
+use flankscope_profilometry::decode::MaskOptions;
+use flankscope_profilometry::head::Sensor;
+use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
+use serde::{Deserialize, Serialize};
 
+use super::evidence::{Recipe, RecordedRecipe};
 use crate::acquisition::{Program, StagePosition};
 use crate::settings::StationSettings;
 
 /// One view: which tooth is in its middle, and where the stages must stand.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedView {
     /// Tooth in the middle of the field.
     pub tooth: u32,
@@ -18,7 +22,7 @@ pub struct PlannedView {
 }
 
 /// All views of a check and how each is exposed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ViewPlan {
     /// The views, in the tool file's order.
     pub views: Vec<PlannedView>,
@@ -26,6 +30,10 @@ pub struct ViewPlan {
     pub patterns: PatternSet,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
+    /// Whether a dark frame precedes each view.
+    pub dark_frame: bool,
+    /// The sensor that counted, where it is not the one of the head's file.
+    pub sensor: Option<Sensor>,
     /// Upper face of the die, mm.
     pub top_mm: f64,
 }
@@ -57,6 +65,27 @@ pub enum PlanningError {
     Twice {
         /// The tooth.
         got: u32,
+    },
+    /// Index and drawing differ.
+    #[error(
+        "view {view} of the recording is of tooth {said}, but its angle has tooth {seen} in the middle; leave one of the two out, \
+         or correct it"
+    )]
+    OtherTooth {
+        /// View, from 1.
+        view: usize,
+        /// As the index says.
+        said: u32,
+        /// By its angle.
+        seen: u32,
+    },
+    /// Two captures of a tooth that are no repetition.
+    #[error(
+        "tooth {tooth} is in the recording twice, from two places; a second capture of a view is taken from the place of the first"
+    )]
+    Elsewhere {
+        /// The tooth.
+        tooth: u32,
     },
     /// Too many views for one plan.
     #[error("{got} teeth are too many for one check; at most {limit}")]
@@ -92,14 +121,42 @@ impl ViewPlan {
         };
         let teeth = teeth.unwrap_or(&inspect.teeth);
         let limit = flankscope_protocol::plan::MAX_VIEWS;
-        if teeth.is_empty() {
-            return Err(PlanningError::NoTeeth);
-        }
         if teeth.len() > limit {
             return Err(PlanningError::TooMany {
                 got: teeth.len(),
                 limit,
             });
+        }
+        let views = Self::nominal(tool, teeth)?;
+        let lacks = |what| PlanningError::HeadLacks { what };
+        let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
+        if head.exposures_us.is_empty() {
+            return Err(lacks("exposures_us"));
+        }
+        if head.stage_from_camera.is_none() {
+            return Err(lacks("stage_from_camera"));
+        }
+        let top_mm = gear.height_mm[1];
+        Ok(Self {
+            views,
+            patterns,
+            exposures_us: head.exposures_us.clone(),
+            dark_frame: true,
+            sensor: None,
+            top_mm,
+        })
+    }
+
+    /// Where the stages stand to have each of these teeth in the middle of a view.
+    ///
+    /// # Errors
+    /// No teeth, or such that are not there.
+    pub(super) fn nominal(tool: &Tool, teeth: &[u32]) -> Result<Vec<PlannedView>, PlanningError> {
+        let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else {
+            return Err(PlanningError::NoGear);
+        };
+        if teeth.is_empty() {
+            return Err(PlanningError::NoTeeth);
         }
         let mut views = Vec::with_capacity(teeth.len());
         for (i, &tooth) in teeth.iter().enumerate() {
@@ -122,21 +179,57 @@ impl ViewPlan {
         }
         let mut angles_rad: Vec<&mut f64> = views.iter_mut().map(|v| &mut v.rotation_rad).collect();
         close_ranks(&mut angles_rad);
-        let lacks = |what| PlanningError::HeadLacks { what };
-        let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
-        if head.exposures_us.is_empty() {
-            return Err(lacks("exposures_us"));
-        }
-        if head.stage_from_camera.is_none() {
-            return Err(lacks("stage_from_camera"));
-        }
-        let top_mm = gear.height_mm[1];
-        Ok(Self {
+        Ok(views)
+    }
+
+    /// The views of a check that was stored with this recipe.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) fn of_recipe(
+        tool: &Tool,
+        head: &HeadModel,
+        recipe: &Recipe,
+    ) -> Result<Self, PlanningError> {
+        let Some(recorded) = &recipe.recorded else {
+            return Self::new(tool, head, Some(&recipe.teeth));
+        };
+        let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
+        let RecordedRecipe {
             views,
             patterns,
-            exposures_us: head.exposures_us.clone(),
-            top_mm,
+            dark_frame,
+            sensor,
+        } = recorded.clone();
+        Ok(Self {
+            views,
+            patterns: patterns.checked()?,
+            exposures_us: recipe.exposures_us.clone(),
+            dark_frame,
+            sensor,
+            top_mm: gear.height_mm[1],
         })
+    }
+
+    /// What makes points of its frames; with a mask, every point says how much the fringes oscillate around it.
+    ///
+    /// # Errors
+    /// The head cannot decode these patterns.
+    pub fn decoder(
+        &self,
+        head: &HeadModel,
+        mask: Option<MaskOptions>,
+    ) -> Result<Decoder, DecodeError> {
+        let head = HeadModel {
+            sensor: self.sensor.or(head.sensor),
+            ..head.clone()
+        };
+        let options = DecodeOptions {
+            mask,
+            dark_frame: self.dark_frame,
+            ..DecodeOptions::for_head(&head)
+        };
+        Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
 
     /// What it asks of stages, projector and camera.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_foundation::order::median_of;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
@@ -48,7 +49,7 @@ impl OnFlank {
 }
 
 impl Fitted<'_> {
-    /// The influences on both flanks of `tooth`.
+    /// The sensitivities of both flanks of `tooth`.
     pub fn on(&self, tooth: u32) -> [PoseSensitivity; 2] {
         let contacts: Vec<Contact> = self
             .closest
@@ -143,17 +144,12 @@ impl Fitted<'_> {
             (None, None) => Vector6::zeros(),
         };
         let unit = difference.dot(&about_axis);
-        let median = |values: &[f64]| {
-            let mut values = values.to_vec();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
-        };
         let flanks = seen
             .iter()
             .map(|(&(tooth, flank), on)| SeenFlank {
-                tooth,
+                tooth: Some(tooth),
                 flank,
-                median_mm: median(&on.wear_mm),
+                median_mm: median_of(on.wear_mm.iter().copied()).unwrap_or(f64::NAN),
                 per_turn: -on.motion().dot(&about_axis) / unit,
             })
             .collect();
@@ -177,7 +173,7 @@ impl Fitted<'_> {
         let towards_axis = -Vector3::new(centre.x, centre.y, 0.0).normalize();
         let half_height = 0.5 * (self.zone.height_mm[1] - self.zone.height_mm[0]);
         PoseEvidence {
-            tooth,
+            tooth: Some(tooth),
             flanks,
             stages_mm: difference.dot(&back),
             approach_sigma_mm: sigma(difference, &self.approach),

@@ -44,17 +44,10 @@ impl Station {
             for &view in &open {
                 watch(Progress::Repeat(run.number(view)));
             }
-            let mut outcomes = std::mem::take(&mut run.outcomes);
+            let before = std::mem::take(&mut run.outcomes);
             let captured = self.capture_when_open(client, run, &open, watch).await;
             // A view that fails now keeps what it had.
-            for (view, again) in std::mem::take(&mut run.outcomes) {
-                let outcome = match outcomes.remove(&view) {
-                    Some(first) => first.with(again),
-                    None => again,
-                };
-                outcomes.insert(view, outcome);
-            }
-            run.outcomes = outcomes;
+            run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
             match captured? {
                 Captured::Whole => {}
                 Captured::Stopped(why) => return Ok(Some(why)),

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::normal::probability_below;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::{Cause, Decision, Limits, judge};
 use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
-use flankscope_metrology::wear::{Budget, COVERAGE_95, Figure, FlankWear};
+use flankscope_metrology::wear::{Budget, Figure, FlankWear};
 
 use super::result::{Expanded, Feature, FlankDetail};
 

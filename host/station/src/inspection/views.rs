@@ -4,18 +4,17 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
+use flankscope_foundation::rigid::{Camera, Cloud, Rigid, RigidError, Stage, Tool as ToolFrame};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
-use flankscope_metrology::space::frames::{Camera, Cloud, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
-use flankscope_profilometry::head::RigidTransform;
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 
 use super::evidence::Phasors;
 use super::field::FieldOfView;
@@ -51,13 +50,8 @@ pub enum EvaluatorError {
         what: &'static str,
     },
     /// The hand-eye is no rigid motion.
-    #[error(
-        "the head's stage_from_camera is no rotation: its rows differ from an orthonormal matrix by {error:.1e}, allowed are 1e-6"
-    )]
-    HandEye {
-        /// Largest entry of R Rᵀ − 1.
-        error: f64,
-    },
+    #[error("the head's stage_from_camera: {0}")]
+    HandEye(#[from] RigidError),
     /// The camera would look past the die.
     #[error("the CAD has no surface where the head looks at tooth {tooth}")]
     NothingThere {
@@ -95,6 +89,21 @@ impl ViewOutcome {
         self.captures
             .last()
             .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
+    }
+
+    /// What became of views, and of those that were captured again.
+    pub(crate) fn joined(
+        mut first: BTreeMap<usize, Self>,
+        again: BTreeMap<usize, Self>,
+    ) -> BTreeMap<usize, Self> {
+        for (view, again) in again {
+            let outcome = match first.remove(&view) {
+                Some(first) => first.with(again),
+                None => again,
+            };
+            first.insert(view, outcome);
+        }
+        first
     }
 
     /// The outcome of this view and of another capture of it, judged together.
@@ -305,7 +314,7 @@ impl Evaluator {
                 surface: &place.surface,
                 camera_mm: tool_from_cloud.translation.vector.into(),
                 without_point: &without_point,
-                reach_mm: self.field.range_mm,
+                range_mm: self.field.range_mm,
             }),
         };
         let assessed = match (&fit.registration.status, &self.scale) {
@@ -677,20 +686,5 @@ fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<St
 pub(crate) fn hand_eye(subject: &Subject) -> Result<Rigid<Stage, Camera>, EvaluatorError> {
     let hand_eye = subject.head.stage_from_camera;
     let what = "stage_from_camera in the head file";
-    rigid(&hand_eye.ok_or(EvaluatorError::Missing { what })?)
-}
-
-fn rigid(hand_eye: &RigidTransform) -> Result<Rigid<Stage, Camera>, EvaluatorError> {
-    let rows = hand_eye.rotation;
-    let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
-    let error = (matrix * matrix.transpose() - Matrix3::identity()).amax();
-    if !(error <= 1e-6 && matrix.determinant() > 0.0) {
-        return Err(EvaluatorError::HandEye { error });
-    }
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
-    let translation = Translation3::from(Vector3::from(hand_eye.translation_mm));
-    Ok(Rigid::from_isometry(Isometry3::from_parts(
-        translation,
-        rotation,
-    )))
+    Ok(hand_eye.ok_or(EvaluatorError::Missing { what })?.rigid()?)
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use askama::Template;
+use flankscope_foundation::normal::COVERAGE_95;
 
 use super::svg::{open, ticks};
 use crate::history::{Acknowledgement, Check, Forecast};
@@ -121,7 +122,7 @@ fn wear(forecast: &Forecast) -> String {
     let wear_um = |f: fn(f64, f64) -> f64, from: f64, side: f64| {
         points
             .iter()
-            .map(|p| p.wear_um + side * 1.96 * p.u_um)
+            .map(|p| p.wear_um + side * COVERAGE_95 * p.u_um)
             .fold(from, f)
     };
     let low = wear_um(f64::min, 0.0, -1.0);
@@ -192,8 +193,8 @@ fn wear(forecast: &Forecast) -> String {
         let _ = write!(
             svg,
             r#"<line x1="{at:.1}" y1="{:.1}" x2="{at:.1}" y2="{:.1}" class="bar"/><circle cx="{at:.1}" cy="{:.1}" r="2.2" class="figure"/>"#,
-            y(point.wear_um - 1.96 * point.u_um),
-            y(point.wear_um + 1.96 * point.u_um),
+            y(point.wear_um - COVERAGE_95 * point.u_um),
+            y(point.wear_um + COVERAGE_95 * point.u_um),
             y(point.wear_um)
         );
     }

@@ -145,7 +145,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
 #[must_use]
 pub fn figure(value: Option<f64>) -> String {
     // Adding zero turns the −0 that rounding may leave into 0.
-    value.map_or_else(
+    value.filter(|um| um.is_finite()).map_or_else(
         || "–".into(),
         |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
     )

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use askama::Template;
+use flankscope_foundation::order::quantile;
 use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::multiview::cylinder::Cell;
 
@@ -116,12 +117,8 @@ pub(super) fn full_scale_um(scan: &Scan) -> f64 {
         .cells()
         .map(|cell| (cell.deviation_mm * 1e3).abs())
         .collect();
-    if sizes.is_empty() {
-        return LEAST_FULL_UM;
-    }
-    let at = sizes.len() * 99 / 100;
-    let (_, size, _) = sizes.select_nth_unstable_by(at, f64::total_cmp);
-    (*size / 10.0).ceil().max(LEAST_FULL_UM / 10.0) * 10.0
+    let size = quantile(&mut sizes, 0.99).unwrap_or(0.0);
+    (size / 10.0).ceil().max(LEAST_FULL_UM / 10.0) * 10.0
 }
 
 /// The unrolled bore with its axes, a pixel per cell.

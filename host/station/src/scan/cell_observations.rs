@@ -65,8 +65,8 @@ impl<'a> Laid<'a> {
         self.kept.points.iter().map(|point| point[3]).collect()
     }
 
-    /// What the view saw of every flank; the head measures at distances of `reach_mm`.
-    pub fn flanks(&self, gear: &GearData, reach_mm: [f64; 2]) -> BTreeMap<(u32, Flank), FlankView> {
+    /// What the view saw of every flank; the head measures at distances of `range_mm`.
+    pub fn flanks(&self, gear: &GearData, range_mm: [f64; 2]) -> BTreeMap<(u32, Flank), FlankView> {
         let sigma_mm = self.sigma_mm();
         let directions = self.kept.without_point.iter();
         let without_point: Vec<[f64; 3]> = directions
@@ -83,7 +83,7 @@ impl<'a> Laid<'a> {
                 surface: self.surface,
                 camera_mm: self.tool_from_camera.translation.vector.into(),
                 without_point: &without_point,
-                reach_mm,
+                range_mm,
             }),
         };
         FlankView::of(gear, measured)

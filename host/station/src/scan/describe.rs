@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use flankscope_foundation::date;
+use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{Solution, ViewInformation};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::multiview::spacing::opposite;
-use flankscope_metrology::space::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
 
 use super::coverage::{Coverage, LEAST_COVERAGE};

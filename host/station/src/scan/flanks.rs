@@ -14,12 +14,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use flankscope_foundation::order;
+use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::Limits;
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
@@ -52,8 +52,6 @@ const ANY_TURN_MM: f64 = 0.1;
 /// that of n values is this many over the root of n.
 const QUARTILE_SIGMAS: f64 = 0.674_5;
 const QUARTILE_ERROR: f64 = 1.362_6;
-/// Median of |x| to standard deviation for a normal distribution.
-const SIGMA_PER_MAD: f64 = 1.4826;
 /// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
 /// the adjustment counts them.
 const PATCHES: f64 = 80.0;
@@ -143,20 +141,14 @@ fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -
     judged / ((top - bottom) * asked.len().max(1) as f64)
 }
 
-/// The middle one of the finite values; none without any.
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    order::median(&mut values)
-}
-
 /// How the form of a die's flanks scatters about the median of each side, mm.
 fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
     let off = Flank::BOTH.into_iter().flat_map(|side| {
         let of_side = || flanks.iter().filter(move |flank| flank.flank == side);
-        let middle = median(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
+        let middle = median_of(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
         of_side().map(move |flank| (flank.median_mm - middle).abs())
     });
-    SIGMA_PER_MAD * median(off).unwrap_or(0.0)
+    SIGMA_PER_MAD * median_of(off).unwrap_or(0.0)
 }
 
 /// What all flanks say of a turn of the die, of which nothing else is known; and how well the form of a die whose flanks
@@ -172,14 +164,14 @@ fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
         mm.sort_by(f64::total_cmp);
         fewest = fewest.min(mm.len() as f64);
         Some(SeenFlank {
-            tooth: 0,
+            tooth: None,
             flank: side,
             median_mm: mm.get(mm.len() / 4)? + QUARTILE_SIGMAS * scatter_mm,
             per_turn: side.sign(),
         })
     });
     let evidence = PoseEvidence {
-        tooth: 0,
+        tooth: None,
         flanks: sides.collect(),
         stages_mm: 0.0,
         approach_sigma_mm: ANY_TURN_MM,
@@ -254,74 +246,19 @@ impl Judging<'_> {
         };
         let end_mm = END_PER_MODULE * self.gear.module_mm;
         let [bottom, top] = self.gear.height_mm;
-        let zone_of = |[low, high]: [f64; 2]| Zone {
-            radius_mm: zone.radius_mm,
-            height_mm: [low.max(bottom + end_mm), high.min(top - end_mm)],
-        };
+        let judged_mm = [bottom + end_mm, top - end_mm];
         let held = self.held(stitched, &zone)?;
-        let everywhere: Vec<[f64; 2]> = {
-            let mut all: Vec<[f64; 2]> = asked.values().flatten().copied().collect();
-            all.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
-            all.dedup();
-            all
-        };
-        // Flanks that were asked for, and any other that a view saw.
-        let mut keys: BTreeSet<Key> = self.store.patches.flanks().collect();
-        keys.extend(
-            asked
-                .keys()
-                .flat_map(|&tooth| Flank::BOTH.map(|f| (tooth, f))),
-        );
-        let zones: Vec<(Key, Zone)> = keys
-            .into_iter()
-            .flat_map(|key| {
-                let heights = asked.get(&key.0).unwrap_or(&everywhere);
-                heights.iter().map(move |height| (key, zone_of(*height)))
-            })
-            .collect();
-        let views: Vec<(usize, &Isometry3<f64>)> = stitched
-            .views
-            .iter()
-            .zip(&stitched.adjustment.poses)
-            .map(|((view, _), pose)| (*view, pose))
-            .collect();
-        let steps = [stitched.steps.around, stitched.steps.up]
-            .into_iter()
-            .flatten();
-        // Of two views that lie a step apart each has its share.
-        let steps_mm = steps
-            .map(|step| 1e-3 * step.after_um / 2f64.sqrt())
-            .fold(0.0, f64::max);
-        let measured: Result<Vec<(Zone, FlankWear)>, SessionError> = zones
-            .par_iter()
-            .map(|&(key, zone)| {
-                let mut all = Gathered::new(self.gear, zone, key, &settings);
-                for &(view, pose) in &views {
-                    let Some((seen, motion)) = self.store.patches.flank(view, key, pose)? else {
-                        continue;
-                    };
-                    let back = pose.inverse();
-                    all.add(&seen, &motion, |foot| {
-                        let in_camera = back * Point3::from(foot);
-                        stitched.quality.variance_mm2(in_camera.into())
-                    });
-                }
-                let registration_mm = of_zone(&held, key, &zone)
-                    .map(|(of, side)| of.sigma_mm[side])
-                    .fold(steps_mm, worse);
-                Ok((zone, all.wear(registration_mm, &settings)))
-            })
-            .collect();
-        let measured = measured?;
+        let zones = self.zones(&asked, zone.radius_mm, judged_mm);
+        let measured = self.measured(stitched, &zones, &held, &settings)?;
         let is_asked = |wear: &FlankWear| asked.contains_key(&wear.tooth);
         let seen: Vec<SeenFlank> = measured
             .iter()
             .filter(|(_, wear)| is_asked(wear) && wear.coverage >= limits.least_coverage)
             .filter_map(|(_, wear)| {
                 Some(SeenFlank {
-                    tooth: wear.tooth,
+                    tooth: Some(wear.tooth),
                     flank: wear.flank,
-                    median_mm: median(wear.field.wear_mm.iter().copied())?,
+                    median_mm: median_of(wear.field.wear_mm.iter().copied())?,
                     per_turn: wear.flank.sign(),
                 })
             })
@@ -338,9 +275,75 @@ impl Judging<'_> {
         });
         let judged: Vec<OfZone> = judged.collect();
         Ok(JudgedFlanks {
-            height_ratio: height_ratio(&asked, [bottom + end_mm, top - end_mm]),
+            height_ratio: height_ratio(&asked, judged_mm),
             ..of_flanks(&judged, |tooth| asked.contains_key(&tooth))
         })
+    }
+
+    /// The zones of the flanks that were asked for, and of any other that a view saw, within the heights that are judged.
+    fn zones(
+        &self,
+        asked: &BTreeMap<u32, Vec<[f64; 2]>>,
+        radius_mm: [f64; 2],
+        [bottom, top]: [f64; 2],
+    ) -> Vec<(Key, Zone)> {
+        let mut everywhere: Vec<[f64; 2]> = asked.values().flatten().copied().collect();
+        everywhere.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+        everywhere.dedup();
+        let asked_for = |&tooth: &u32| Flank::BOTH.map(|flank| (tooth, flank));
+        let mut keys: BTreeSet<Key> = self.store.patches.flanks().collect();
+        keys.extend(asked.keys().flat_map(asked_for));
+        let zone_of = |[low, high]: [f64; 2]| Zone {
+            radius_mm,
+            height_mm: [low.max(bottom), high.min(top)],
+        };
+        keys.into_iter()
+            .flat_map(|key| {
+                let heights = asked.get(&key.0).unwrap_or(&everywhere);
+                heights.iter().map(move |height| (key, zone_of(*height)))
+            })
+            .collect()
+    }
+
+    /// Wear of zones from all views that saw them.
+    fn measured(
+        &self,
+        stitched: &Stitched,
+        zones: &[(Key, Zone)],
+        held: &[Held],
+        settings: &Settings,
+    ) -> Result<Vec<(Zone, FlankWear)>, SessionError> {
+        let poses = &stitched.adjustment.poses;
+        let views = stitched.views.iter().zip(poses);
+        let views: Vec<(usize, &Isometry3<f64>)> =
+            views.map(|((view, _), pose)| (*view, pose)).collect();
+        let steps = [stitched.steps.around, stitched.steps.up];
+        // Of two views that lie a step apart each has its share.
+        let steps_mm = steps
+            .into_iter()
+            .flatten()
+            .map(|step| 1e-3 * step.after_um / 2f64.sqrt())
+            .fold(0.0, f64::max);
+        zones
+            .par_iter()
+            .map(|&(key, zone)| {
+                let mut all = Gathered::new(self.gear, zone, key, settings);
+                for &(view, pose) in &views {
+                    let Some((seen, motion)) = self.store.patches.flank(view, key, pose)? else {
+                        continue;
+                    };
+                    let back = pose.inverse();
+                    all.add(&seen, &motion, |foot| {
+                        let in_camera = back * Point3::from(foot);
+                        stitched.quality.variance_mm2(in_camera.into())
+                    });
+                }
+                let registration_mm = of_zone(held, key, &zone)
+                    .map(|(of, side)| of.sigma_mm[side])
+                    .fold(steps_mm, worse);
+                Ok((zone, all.wear(registration_mm, settings)))
+            })
+            .collect()
     }
 
     /// What the poses of the views do to the flanks that they were asked for.
@@ -616,7 +619,7 @@ mod tests {
 
     fn flank(tooth: u32, flank: Flank, median_mm: f64) -> SeenFlank {
         SeenFlank {
-            tooth,
+            tooth: Some(tooth),
             flank,
             median_mm,
             per_turn: flank.sign(),

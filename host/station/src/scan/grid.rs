@@ -81,6 +81,8 @@ impl Grid {
             views,
             patterns: PatternSet::named(patterns)?,
             exposures_us: head.exposures_us.clone(),
+            dark_frame: true,
+            sensor: None,
             top_mm,
         })
     }

@@ -9,6 +9,7 @@
 //! Scattered points were removed before the views were kept. Where the article's formulas allow two readings or carry a
 //! slip (which side the initial transformation stands on, the reflection case), the geometrically right one is taken.
 
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::adjustment::Stages;
@@ -16,7 +17,6 @@ use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
 use flankscope_metrology::registration::{
     Hinz2019Options, Status, register_hinz2019, search_phase,
 };
-use flankscope_metrology::space::frames::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;

@@ -36,7 +36,7 @@ use crate::inspection::{
     hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
-use flankscope_frames::{SharedRoot, monotonic_ns};
+use flankscope_frames::{FrameReceiver, SharedRoot, monotonic_ns};
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
@@ -136,7 +136,12 @@ impl Scanner {
         } = ViewPipeline::open(&subject, grid, folder, of)?;
         let resumed = store.known.len();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
-        let acquisition = Acquisition::start(plan.program(&subject.station), &decoder, root, scan)?;
+        let acquisition = Acquisition::start(
+            plan.program(&subject.station),
+            &decoder,
+            move || Ok(FrameReceiver::create(&root)?),
+            scan,
+        )?;
         Ok(Self {
             subject,
             setting,

@@ -3,11 +3,11 @@
 //! The distance to the nearest of many random points on the CAD is half their spacing for a perfect piece and a perfect
 //! instrument, so a histogram of it shows the reference cloud rather than the piece; beside it stands the exact distance.
 
+use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::{Order, SampleTree, SampleTreeError, Statistics, statistics};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::multiview::raster::{self, RasterError};
-use flankscope_metrology::space::frames::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::surface::sampling::{Region, SampleError, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use serde::Serialize;

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use flankscope_metrology::space::frames::{Camera, Rigid, Tool};
+use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use serde::{Deserialize, Serialize};
 
 use super::view::{Kept, KeptView};

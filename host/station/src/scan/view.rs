@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_foundation::rigid::Rigid;
+use flankscope_foundation::told::Told;
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::adjustment::{
@@ -10,7 +12,6 @@ use flankscope_metrology::multiview::adjustment::{
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
-use flankscope_metrology::space::frames::Rigid;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;
@@ -232,11 +233,13 @@ pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
 
 /// Why a view cannot show the part of the CAD.
 pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
-    (view.rms_mm > MOST_RMS_MM || view.share < LEAST_SHARE).then(|| {
+    // What is no number fits nothing.
+    let fits = view.rms_mm <= MOST_RMS_MM && view.share >= LEAST_SHARE;
+    (!fits).then(|| {
         off_cad(format_args!(
             "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
-            100.0 * view.share,
-            1e3 * view.rms_mm,
+            Told(100.0 * view.share),
+            Told(1e3 * view.rms_mm),
             100.0 * LEAST_SHARE,
             1e3 * MOST_RMS_MM,
         ))

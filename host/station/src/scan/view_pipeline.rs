@@ -7,7 +7,7 @@ use std::sync::Arc;
 use flankscope_metrology::multiview::adjustment::ViewInformation;
 use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::decode::MaskOptions;
-use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, FrameView};
+use flankscope_profilometry::{Accumulator, Decoder, FrameView};
 
 use super::grid::Grid;
 use super::job::ScanError;
@@ -92,15 +92,7 @@ impl ViewPipeline {
         let session = Session::open(folder, of)?;
         let patches = Patches::new(session.folder())?;
         let known = first_information(&session, &subject.tool, &plan)?;
-        let decoder = Decoder::new(
-            &subject.head,
-            &plan.patterns,
-            &plan.exposures_us,
-            DecodeOptions {
-                mask: Some(FRINGES_ONLY),
-                ..DecodeOptions::for_head(&subject.head)
-            },
-        );
+        let decoder = plan.decoder(&subject.head, Some(FRINGES_ONLY));
         let decoder = Arc::new(decoder.map_err(InspectError::from)?);
         let (to_decode, planned) = (Arc::clone(&decoder), Arc::clone(&plan));
         let views = ViewScanner::new(subject, to_decode, planned, known.clone());

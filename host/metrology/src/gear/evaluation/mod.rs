@@ -21,6 +21,7 @@
 mod across;
 mod areal;
 mod axis;
+mod flank;
 mod limits;
 mod not_told;
 mod tolerance;
@@ -33,14 +34,12 @@ pub use not_told::NotTold;
 pub use tolerance::{CLASSES, Quantity};
 pub use trace::TraceFigures;
 
-use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::gear::{Flank, GearData};
 use flankscope_foundation::normal::guard_factor;
-use limits::{roll_mm, standard_of_u95};
+use limits::standard_of_u95;
 use not_told::{joined, split};
-use trace::{Course, Problem, Sample};
 
 /// What to evaluate, and by what.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -267,8 +266,6 @@ pub struct GearEvaluation {
 
 /// Largest share of a tolerance that the uncertainty may take for a class to be stated.
 const LARGEST_SHARE: f64 = 0.3;
-/// Fewer points than this near the measuring circle leave a flank's position open.
-const LEAST_POSITION_POINTS: usize = 8;
 
 /// Evaluates a cloud in tool coordinates (finite points, mm).
 ///
@@ -300,7 +297,7 @@ pub fn evaluate(
     found.sort_by_key(|point| (point.tooth, point.flank));
     let flanks: Vec<FlankFigures> = found
         .chunk_by(|a, b| (a.tooth, a.flank) == (b.tooth, b.flank))
-        .map(|own| flank_figures(gear, own, &limits, settings))
+        .map(|own| flank::figures(gear, own, &limits, settings))
         .collect();
     let [left, right] = Flank::BOTH.map(|side| pitch(gear, &flanks, side));
     let (runout_um, runout_not_told) = split(runout(gear, &flanks, [&left, &right]));
@@ -397,150 +394,6 @@ fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError
 
 fn ends([a, b]: [f64; 2]) -> (f64, f64) {
     (a.min(b), a.max(b))
-}
-
-fn flank_figures(
-    gear: &GearData,
-    own: &[FlankPoint],
-    limits: &Limits,
-    settings: &Settings,
-) -> FlankFigures {
-    let [low, high] = gear.height_mm;
-    let middle = 0.5 * (low + high);
-    let roll = |radius| roll_mm(gear, radius);
-    let measuring = roll(gear.pitch_radius_mm());
-    let [control, tip_form, evaluated] = [
-        limits.control_radius_mm,
-        limits.tip_form_radius_mm,
-        limits.evaluated_to_radius_mm,
-    ]
-    .map(roll);
-    let towards_tip = (tip_form - control).signum();
-    // Both lengths run from the root end (or the lower end) on.
-    let along = |point: &FlankPoint| (point.roll_mm - control) * towards_tip;
-    let usable = (tip_form - control).abs();
-    let evaluated = (evaluated - control).abs();
-    let [slope_from, slope_to] = limits.slope_radii_mm.map(roll);
-    let [helix_low, helix_high] = limits.helix_heights_mm;
-    let half_band = 0.5 * settings.band_mm;
-    let at_mid_face = |point: &&FlankPoint| (point.height_mm - middle).abs() <= settings.band_mm;
-    let at_circle = |point: &&FlankPoint| (point.roll_mm - measuring).abs() <= half_band;
-    let (profile_cutoff, helix_cutoff) = (cutoff(evaluated), cutoff(helix_high - helix_low));
-
-    let samples: Vec<Sample> = own
-        .iter()
-        .filter(at_mid_face)
-        .map(|point| Sample {
-            at: along(point),
-            across: point.height_mm - middle,
-            deviation: point.deviation_mm,
-        })
-        .collect();
-    let course = Course {
-        range: [0.0, evaluated],
-        stated_mm: (slope_to - slope_from).abs(),
-        usable_mm: usable,
-        cutoff_mm: profile_cutoff,
-        reach_mm: settings.band_mm,
-        across_cutoff_mm: helix_cutoff,
-    };
-    let profile = trace::figures(&samples, &course).map_err(|problem| match problem {
-        Problem::Entangled => NotTold::Entangled,
-        Problem::Gap(gap) => NotTold::ProfileGap {
-            radii_mm: gap.map(|at| (control + towards_tip * at).hypot(gear.base_radius_mm())),
-            points: samples.len(),
-            least: trace::LEAST,
-        },
-    });
-    let samples: Vec<Sample> = own
-        .iter()
-        .filter(at_circle)
-        .map(|point| Sample {
-            at: point.height_mm,
-            across: point.roll_mm - measuring,
-            deviation: point.deviation_mm,
-        })
-        .collect();
-    let course = Course {
-        range: limits.helix_heights_mm,
-        stated_mm: high - low,
-        usable_mm: helix_high - helix_low,
-        cutoff_mm: helix_cutoff,
-        reach_mm: half_band,
-        across_cutoff_mm: profile_cutoff,
-    };
-    let helix = trace::figures(&samples, &course).map_err(|problem| match problem {
-        Problem::Entangled => NotTold::Entangled,
-        Problem::Gap(heights_mm) => NotTold::HelixGap {
-            heights_mm,
-            points: samples.len(),
-            least: trace::LEAST,
-        },
-    });
-    let near: Vec<[f64; 3]> = own
-        .iter()
-        .filter(|point| at_mid_face(point) && at_circle(point))
-        .map(|point| {
-            let across = (point.roll_mm - measuring) / half_band;
-            let up = (point.height_mm - middle) / settings.band_mm;
-            [across, up, point.deviation_mm]
-        })
-        .collect();
-    let unit: Vec<(f64, f64, f64)> = own
-        .iter()
-        .map(|point| {
-            let v = 2.0 * (point.height_mm - middle) / (high - low);
-            (2.0 * along(point) / usable - 1.0, v, point.deviation_mm)
-        })
-        .collect();
-    let (profile, profile_not_told) = split(profile);
-    let (helix, helix_not_told) = split(helix);
-    let (areal, areal_not_told) =
-        split(areal::terms(&unit).ok_or(NotTold::Terms { points: unit.len() }));
-    let (position_um, position_not_told) = split(position_um(&near));
-    FlankFigures {
-        tooth: own[0].tooth,
-        flank: own[0].flank,
-        profile,
-        profile_not_told,
-        helix,
-        helix_not_told,
-        areal,
-        areal_not_told,
-        position_um,
-        position_not_told,
-    }
-}
-
-/// Deviation on the measuring circle at mid face, from the plane through the points around (across and up from -1 to 1): a mean
-/// would be that of where the points happen to lie.
-fn position_um(near: &[[f64; 3]]) -> Result<f64, NotTold> {
-    let few = NotTold::FewPoints {
-        points: near.len(),
-        least: LEAST_POSITION_POINTS,
-    };
-    if near.len() < LEAST_POSITION_POINTS {
-        return Err(few);
-    }
-    let (mut information, mut gradient) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
-    for &[across, up, deviation] in near {
-        let row = Vector3::new(1.0, across, up);
-        information += row * row.transpose();
-        gradient += row * deviation;
-    }
-    // Points to one side only, or along one line, would make the middle an extrapolation: it must not be less sure than a
-    // single point.
-    let inverse = information.try_inverse().filter(|inverse| {
-        let variance = inverse[(0, 0)];
-        variance > 0.0 && variance <= 1.0
-    });
-    let plane = inverse.ok_or(few)? * gradient;
-    Ok(1e3 * plane[0])
-}
-
-/// Cutoff of the Gaussian for an evaluated length.
-fn cutoff(length_mm: f64) -> f64 {
-    (length_mm / 30.0).max(0.025)
 }
 
 /// A flank's position as a length along the measuring circle, um, counted with the angle.

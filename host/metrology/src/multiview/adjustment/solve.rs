@@ -18,7 +18,7 @@ use super::model::{self, PARAMETERS, Pose, Stages};
 use super::overlap::Overlap;
 use super::view::{ViewInformation, offset};
 use crate::registration::Prior;
-use crate::space::frames::{Cloud, Rigid, Tool};
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// Everything that is shared: the stages' parameters, then the form's.
 const SHARED: usize = PARAMETERS + FORMS;

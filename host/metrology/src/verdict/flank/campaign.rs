@@ -6,6 +6,7 @@
 
 use std::f64::consts::TAU;
 
+use flankscope_test_requisites::everything;
 use rayon::prelude::*;
 
 use super::*;
@@ -288,11 +289,7 @@ fn measure(
 
 /// How many to draw.
 fn count() -> u64 {
-    if std::env::var_os("FLANKSCOPE_TEST_ALL").is_some() {
-        100_000
-    } else {
-        3_000
-    }
+    if everything() { 100_000 } else { 3_000 }
 }
 
 /// One damage: its truth, whether it has a hole, and what became of it with and without the refusal of what may be hidden.

@@ -3,9 +3,14 @@
 //! A loss that is shown to exceed the stop limit is a no-go whatever else could not be seen. Everything short of that needs
 //! more: that no unmeasured patch, no blunt instrument and no pose may hide what would change the word.
 
+use flankscope_foundation::told::Told;
+
 use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
 use crate::wear::FlankWear;
 use crate::wear::leakage::RECOVERABLE;
+
+/// A flank of which less was seen is not judged, whatever a tool file says.
+pub const LEAST_COVERAGE: f64 = 0.5;
 
 /// Limits of one flank.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,7 +72,9 @@ impl Cause {
         };
         // Rounding of tenths of a millimetre would hide what is compared.
         let digits = if *unit == "mm" { 3 } else { 1 };
-        if value > limit {
+        let beyond = value > limit;
+        let [value, guard, limit] = [*value, *guard, *limit].map(Told);
+        if beyond {
             format!(
                 "{figure} {value:.digits$} {unit} is beyond the {name} of {limit:.digits$} {unit}"
             )
@@ -195,7 +202,7 @@ fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
 
 /// Why the pose forbids any verdict.
 fn pose(wear: &FlankWear) -> Option<Reason> {
-    let leakage = wear.influence.as_ref()?.leakage.worst();
+    let leakage = wear.sensitivity.as_ref()?.leakage.worst();
     (leakage.is_nan() || leakage > RECOVERABLE).then_some(Reason::Leakage {
         leakage,
         limit: RECOVERABLE,
@@ -205,11 +212,12 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
 /// Why `verdict`, which is no no-go, cannot be given.
 fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
     // What is no number is refused as well: it is never enough.
-    let enough = wear.coverage >= limits.least_coverage;
+    let least = limits.least_coverage.max(LEAST_COVERAGE);
+    let enough = wear.coverage >= least && limits.least_coverage.is_finite();
     if !enough && on.coverage {
         return Some(Reason::Coverage {
             coverage: wear.coverage,
-            least: limits.least_coverage,
+            least,
         });
     }
     let Some(figures) = wear.figures else {
@@ -337,7 +345,7 @@ mod tests {
                 ring: 0.0,
             },
             evidence: Arc::new(PoseEvidence {
-                tooth: 40,
+                tooth: Some(40),
                 flanks: Vec::new(),
                 stages_mm: 0.0,
                 approach_sigma_mm: 0.0,
@@ -397,7 +405,7 @@ mod tests {
                 },
             ),
             ("leakage", Refusals { pose: false, ..all }, |w| {
-                w.influence = leaking(0.6)
+                w.sensitivity = leaking(0.6)
             }),
             ("tip_unseen", Refusals { tip: false, ..all }, |w| {
                 w.tip = None
@@ -469,7 +477,7 @@ mod tests {
             |w| w.hidden_mm = Some(f64::NAN),
             |w| w.budget.registration_mm = f64::NAN,
             |w| w.coverage = f64::NAN,
-            |w| w.influence = leaking(f64::NAN),
+            |w| w.sensitivity = leaking(f64::NAN),
         ];
         for (i, spoil) in cases.into_iter().enumerate() {
             let mut wear = sound();

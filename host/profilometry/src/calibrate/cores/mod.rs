@@ -4,6 +4,7 @@ mod fit;
 mod flat_field;
 
 use crate::head::CoreMap;
+use flankscope_foundation::order::quantile;
 
 use fit::{Fit, peaks};
 pub use flat_field::FlatField;
@@ -88,7 +89,11 @@ const FAINTEST_RATIO: f32 = 0.05;
 /// [`FindError`].
 pub fn find(flat: &FlatField) -> Result<CoreMap, FindError> {
     let image = flat.mean()?;
-    let bright_dn = percentile_99(&image);
+    let bright_dn = quantile(
+        &mut image.iter().map(|&v| f64::from(v)).collect::<Vec<_>>(),
+        0.99,
+    )
+    .unwrap_or(0.0);
     if !(bright_dn >= LEAST_BRIGHT_DN) {
         return Err(FindError::Dim {
             got_dn: bright_dn,
@@ -130,13 +135,4 @@ pub fn find(flat: &FlatField) -> Result<CoreMap, FindError> {
         return Err(few(map.gains.len()));
     }
     Ok(map)
-}
-
-fn percentile_99(image: &[f32]) -> f64 {
-    let mut sorted = image.to_vec();
-    let place = sorted.len() * 99 / 100;
-    if sorted.is_empty() {
-        return 0.0;
-    }
-    f64::from(*sorted.select_nth_unstable_by(place, f32::total_cmp).1)
 }

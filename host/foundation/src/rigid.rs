@@ -1,4 +1,4 @@
-//! Frames of reference as types, so that a transform can only be applied to points of its own frame.
+//! Rigid transforms between frames of reference, which are types, so that a transform can only be applied to points of its own frame.
 //!
 //! All frames are right-handed, millimetres. [`Tool`] and [`Cad`]: die axis = z. [`Stage`]: z = rotation axis of the stage.
 //! [`Camera`]: x along columns, y along rows, z into the scene. [`Projector`]: the same for the pattern. [`Cloud`]: whatever
@@ -35,7 +35,7 @@ frames! {
 /// A rigid transform that takes points of `From` to `To`.
 ///
 /// ```
-/// use flankscope_metrology::space::frames::{Camera, Rigid, Stage, Tool};
+/// use flankscope_foundation::rigid::{Camera, Rigid, Stage, Tool};
 /// use nalgebra::Isometry3;
 /// let tool_from_stage: Rigid<Tool, Stage> = Rigid::from_isometry(Isometry3::identity());
 /// let stage_from_camera: Rigid<Stage, Camera> = Rigid::from_isometry(Isometry3::translation(1.0, 0.0, 0.0));
@@ -45,7 +45,7 @@ frames! {
 ///
 /// The wrong order does not compile:
 /// ```compile_fail
-/// use flankscope_metrology::space::frames::{Camera, Rigid, Stage, Tool};
+/// use flankscope_foundation::rigid::{Camera, Rigid, Stage, Tool};
 /// use nalgebra::Isometry3;
 /// let tool_from_stage: Rigid<Tool, Stage> = Rigid::from_isometry(Isometry3::identity());
 /// let stage_from_camera: Rigid<Stage, Camera> = Rigid::from_isometry(Isometry3::identity());
@@ -95,6 +95,40 @@ pub enum RigidError {
     },
 }
 
+/// How far a matrix from a file may be off a rotation, largest element of RᵀR − 1: what six printed digits leave.
+const ORTHONORMAL_TO: f64 = 1e-5;
+
+/// The rotation nearest to a matrix from a file.
+///
+/// # Errors
+/// [`RigidError::NotOrthonormal`] or [`RigidError::Mirrored`] if the matrix is none even up to 1e-5, as printed ones are.
+pub fn rotation(matrix: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, RigidError> {
+    let error = (matrix.transpose() * matrix - Matrix3::identity()).amax();
+    if error.is_nan() || error > ORTHONORMAL_TO {
+        return Err(RigidError::NotOrthonormal {
+            error,
+            limit: ORTHONORMAL_TO,
+        });
+    }
+    let determinant = matrix.determinant();
+    if determinant < 0.0 {
+        return Err(RigidError::Mirrored { determinant });
+    }
+    Ok(nearest_rotation(matrix))
+}
+
+/// The rotation nearest to a matrix that is one up to the digits of its file.
+pub fn nearest_rotation(matrix: &Matrix3<f64>) -> UnitQuaternion<f64> {
+    // Newton's iteration for the polar decomposition; from 1e-5 two steps reach rounding.
+    let mut rotation = *matrix;
+    for _ in 0..3 {
+        if let Some(inverse) = rotation.try_inverse() {
+            rotation = 0.5 * (rotation + inverse.transpose());
+        }
+    }
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation))
+}
+
 impl<To, From> Rigid<To, From> {
     /// Names the frames of a bare isometry: the one place where a wrong name can slip in.
     pub fn from_isometry(isometry: Isometry3<f64>) -> Self {
@@ -122,7 +156,6 @@ impl<To, From> Rigid<To, From> {
     /// [`RigidError`] unless it is a rotation and a translation. Rounding of printed matrices up to 1e-5 is accepted and
     /// removed by taking the nearest rotation.
     pub fn from_rows(rows: &[[f64; 4]; 4]) -> Result<Self, RigidError> {
-        const LIMIT: f64 = 1e-5;
         for (row, values) in rows.iter().enumerate() {
             if let Some(column) = values.iter().position(|v| !v.is_finite()) {
                 return Err(RigidError::NonFinite {
@@ -136,27 +169,7 @@ impl<To, From> Rigid<To, From> {
         if (0..4).any(|k| (rows[3][k] - expected[k]).abs() > 1e-9) {
             return Err(RigidError::LastRow { row: rows[3] });
         }
-        let matrix = Matrix3::from_fn(|r, c| rows[r][c]);
-        let error = (matrix.transpose() * matrix - Matrix3::identity()).amax();
-        if error > LIMIT {
-            return Err(RigidError::NotOrthonormal {
-                error,
-                limit: LIMIT,
-            });
-        }
-        let determinant = matrix.determinant();
-        if determinant < 0.0 {
-            return Err(RigidError::Mirrored { determinant });
-        }
-        // Newton's iteration for the polar decomposition; from 1e-5 two steps reach rounding.
-        let mut rotation = matrix;
-        for _ in 0..3 {
-            if let Some(inverse) = rotation.try_inverse() {
-                rotation = 0.5 * (rotation + inverse.transpose());
-            }
-        }
-        let rotation =
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+        let rotation = rotation(&Matrix3::from_fn(|r, c| rows[r][c]))?;
         let translation = Translation3::new(rows[0][3], rows[1][3], rows[2][3]);
         Ok(Self::from_isometry(Isometry3::from_parts(
             translation,

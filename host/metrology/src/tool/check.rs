@@ -1,0 +1,325 @@
+//! What a tool file may say: every value in its range, and every limit, zone and threshold against the gear and its CAD.
+
+use std::path::Path;
+
+use super::{File, Inspect, Temperature, ToolError};
+use crate::gear::{Flank, GearData};
+use crate::io::mesh::TriMesh;
+use crate::registration::detect_teeth;
+use crate::surface::Surface;
+use crate::verdict::flank::LEAST_COVERAGE;
+
+/// CAD and gear data of one tool agree within this, mm: profile corrections are smaller, a wrong tooth is larger.
+const AGREEMENT_MM: f64 = 0.1;
+/// More repetitions than this halve no uncertainty any more that fewer have not.
+const MOST_REPEATS: u32 = 10;
+
+/// Refuses values by key.
+struct Refusal<'a>(&'a Path);
+
+impl Refusal<'_> {
+    fn refuse<T>(&self, key: &'static str, value: f64, expected: &str) -> Result<T, ToolError> {
+        Err(ToolError::Value {
+            path: self.0.to_owned(),
+            key,
+            value,
+            expected: expected.to_owned(),
+        })
+    }
+
+    /// What is no number is in no range.
+    fn within(
+        &self,
+        key: &'static str,
+        value: f64,
+        [least, most]: [f64; 2],
+    ) -> Result<(), ToolError> {
+        if (least..=most).contains(&value) {
+            return Ok(());
+        }
+        self.refuse(key, value, &format!("{least} to {most}"))
+    }
+}
+
+/// Checks every value of a tool file, each by itself and against the gear.
+pub(super) fn values(path: &Path, file: &File) -> Result<(), ToolError> {
+    let is = Refusal(path);
+    is.within("cad.chord_error_um", file.cad.chord_error_um, [0.0, 1000.0])?;
+    if let Some(gear) = &file.gear {
+        gear.check().map_err(|source| ToolError::Gear {
+            path: path.to_owned(),
+            source,
+        })?;
+    }
+    if let Some(temperature) = &file.temperature {
+        of_temperature(&is, temperature)?;
+    }
+    let Some(inspect) = &file.inspect else {
+        return Ok(());
+    };
+    alone(&is, inspect)?;
+    limits(&is, inspect, file.gear.as_ref())?;
+    if let Some(gear) = &file.gear {
+        zone(&is, inspect, gear)?;
+    }
+    Ok(())
+}
+
+fn of_temperature(is: &Refusal<'_>, temperature: &Temperature) -> Result<(), ToolError> {
+    let [low, high] = temperature.range_degc;
+    if !(-50.0..=high).contains(&low) || high > 1000.0 {
+        let expected = "increasing, from -50 to 1000";
+        return is.refuse("temperature.range_degc[0]", low, expected);
+    }
+    for (key, value, range) in [
+        (
+            "temperature.reference_degc",
+            temperature.reference_degc,
+            [-50.0, 1000.0],
+        ),
+        (
+            "temperature.expansion_per_k",
+            temperature.expansion_per_k,
+            [0.0, 1e-3],
+        ),
+        ("temperature.u_k", temperature.u_k, [0.0, 100.0]),
+    ] {
+        is.within(key, value, range)?;
+    }
+    Ok(())
+}
+
+/// Values that say by themselves whether they are possible.
+fn alone(is: &Refusal<'_>, inspect: &Inspect) -> Result<(), ToolError> {
+    let um = [0.0, 1000.0];
+    for (key, value, range) in [
+        ("inspect.drift_um", inspect.drift_um, um),
+        ("inspect.film_um", inspect.film_um, um),
+        (
+            "inspect.as_built_um",
+            inspect.as_built_um.unwrap_or(0.0),
+            um,
+        ),
+        (
+            "inspect.calibration_um",
+            inspect.calibration_um.unwrap_or(0.0),
+            um,
+        ),
+        (
+            "inspect.least_coverage",
+            inspect.least_coverage,
+            [LEAST_COVERAGE, 1.0],
+        ),
+        // A disc below a hundredth of a square millimetre holds only a few cores.
+        (
+            "inspect.wear_area_mm2",
+            inspect.wear_area_mm2,
+            [0.01, 100.0],
+        ),
+        (
+            "inspect.remeasure",
+            f64::from(inspect.remeasure),
+            [0.0, f64::from(MOST_REPEATS)],
+        ),
+    ] {
+        is.within(key, value, range)?;
+    }
+    if !(0.5..1.0).contains(&inspect.probability) {
+        return is.refuse("inspect.probability", inspect.probability, "0.5 to below 1");
+    }
+    if inspect.teeth.is_empty() {
+        return is.refuse("inspect.teeth (count)", 0.0, "at least one tooth");
+    }
+    let [down, up] = inspect.zone_height_mm;
+    if !(-1000.0..up).contains(&down) || up > 1000.0 {
+        let expected = "below zone_height_mm[1], both relative to height_mm";
+        return is.refuse("inspect.zone_height_mm[0]", down, expected);
+    }
+    Ok(())
+}
+
+/// Warning limits up to their stop limits, and these up to what a tooth has: a limit that no damage can reach is none.
+fn limits(is: &Refusal<'_>, inspect: &Inspect, gear: Option<&GearData>) -> Result<(), ToolError> {
+    // Half the thickness of a tooth at the pitch circle, which is half the gap beside it, too; without a gear, a centimetre.
+    let half_mm = gear.map_or(10.0, |gear| 0.25 * std::f64::consts::PI * gear.module_mm);
+    let mut pairs = vec![
+        (
+            ["inspect.warn_um", "inspect.limit_um"],
+            [inspect.warn_um, inspect.limit_um],
+            1e3 * half_mm,
+        ),
+        (
+            ["inspect.proud_warn_um", "inspect.proud_limit_um"],
+            inspect.proud_um(),
+            1e3 * half_mm,
+        ),
+        // A single cell may lose more than a whole disc: up to all of the tooth.
+        (
+            ["inspect.cell_warn_um", "inspect.cell_limit_um"],
+            inspect.cell_um(),
+            2e3 * half_mm,
+        ),
+    ];
+    if let Some(gear) = gear {
+        let keys = ["inspect.tip_warn_mm", "inspect.tip_limit_mm"];
+        pairs.push((keys, inspect.tip_mm(gear), half_mm));
+    }
+    for (keys, [warn, limit], most) in pairs {
+        if !(limit > 0.0 && limit <= most) {
+            let expected =
+                format!("above 0, at most {most:.4}: what a tooth of this gear has to lose");
+            return is.refuse(keys[1], limit, &expected);
+        }
+        if !(warn > 0.0 && warn <= limit) {
+            let expected = format!("above 0, at most its stop limit, {limit}");
+            return is.refuse(keys[0], warn, &expected);
+        }
+    }
+    // Less than the stop limit supposed in a hole would let a hole hide a no-go.
+    let hidden_um = inspect.hidden_depth_um();
+    is.within(
+        "inspect.hidden_depth_um",
+        hidden_um,
+        [inspect.limit_um, 1e5],
+    )
+}
+
+/// The zone lies on the toothing, and has room for the disc.
+fn zone(is: &Refusal<'_>, inspect: &Inspect, gear: &GearData) -> Result<(), ToolError> {
+    for &tooth in &inspect.teeth {
+        is.within(
+            "inspect.teeth",
+            f64::from(tooth),
+            [1.0, f64::from(gear.teeth)],
+        )?;
+    }
+    let [low, high] = gear.height_mm;
+    is.within("inspect.height_mm", inspect.height_mm, gear.height_mm)?;
+    let [down, up] = inspect.zone_height_mm;
+    for (key, end_mm) in [
+        ("inspect.zone_height_mm[0]", down),
+        ("inspect.zone_height_mm[1]", up),
+    ] {
+        let at_mm = inspect.height_mm + end_mm;
+        if !(low..=high).contains(&at_mm) {
+            let expected = format!(
+                "{} to {}, so that the zone lies within gear.height_mm, {low} to {high}",
+                low - inspect.height_mm,
+                high - inspect.height_mm
+            );
+            return is.refuse(key, end_mm, &expected);
+        }
+    }
+    if let Some([from, to]) = inspect.zone_radius_mm {
+        let least = gear.tip_radius_mm.min(gear.root_radius_mm);
+        let most = gear.tip_radius_mm.max(gear.root_radius_mm);
+        let expected = format!("increasing and within {least} to {most} (tip and root)");
+        if !(least..to).contains(&from) {
+            return is.refuse("inspect.zone_radius_mm[0]", from, &expected);
+        }
+        if to > most {
+            return is.refuse("inspect.zone_radius_mm[1]", to, &expected);
+        }
+    }
+    let radii = inspect
+        .zone_radius_mm
+        .unwrap_or_else(|| gear.active_flank_mm());
+    let [from_mm, to_mm] = radii.map(|radius| gear.profile_mm(radius));
+    let room_mm = (to_mm - from_mm).min(up - down);
+    let most_mm2 = 0.25 * std::f64::consts::PI * room_mm * room_mm;
+    // What is no number has no room either.
+    if inspect.wear_area_mm2 <= most_mm2 {
+        return Ok(());
+    }
+    let expected = format!("at most {most_mm2:.3}: a disc that fits into the judged zone");
+    is.refuse("inspect.wear_area_mm2", inspect.wear_area_mm2, &expected)
+}
+
+/// The gear's involutes, tips, roots and ends must lie on the mesh, and the mesh must repeat as often as the gear has teeth.
+pub(super) fn against_mesh(
+    path: &Path,
+    gear: &GearData,
+    mesh: &TriMesh,
+    surface: &Surface,
+) -> Result<(), ToolError> {
+    if let Some(found) = detect_teeth(mesh, surface, 0.02)
+        && found != gear.teeth
+    {
+        return Err(ToolError::Teeth {
+            path: path.to_owned(),
+            stated: gear.teeth,
+            found,
+        });
+    }
+    let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
+    let [from, to] = gear.active_flank_mm();
+    let step = (gear.teeth / 7).max(1);
+    for tooth in (1..=gear.teeth).step_by(step as usize) {
+        for flank in Flank::BOTH {
+            for radius_mm in [from, 0.5 * (from + to), to] {
+                let Some(point) = gear.flank_point(tooth, flank, radius_mm, height) else {
+                    continue;
+                };
+                let distance_mm = surface.closest(point).signed_distance_mm.abs();
+                if distance_mm > AGREEMENT_MM {
+                    return Err(ToolError::Disagree {
+                        path: path.to_owned(),
+                        tooth,
+                        flank,
+                        radius_mm,
+                        distance_mm,
+                        limit_mm: AGREEMENT_MM,
+                    });
+                }
+            }
+        }
+        lands(path, gear, surface, tooth, height)?;
+    }
+    Ok(())
+}
+
+/// The middle of a tooth's tip, of the root beside it, and its middle at either end.
+fn lands(
+    path: &Path,
+    gear: &GearData,
+    surface: &Surface,
+    tooth: u32,
+    height_mm: f64,
+) -> Result<(), ToolError> {
+    let centre = gear.tooth_centre_rad(tooth);
+    let pitch_mm = gear.pitch_radius_mm();
+    let [low, high] = gear.height_mm;
+    for (key, stated_mm, radius_mm, angle, z) in [
+        (
+            "tip_radius_mm",
+            gear.tip_radius_mm,
+            gear.tip_radius_mm,
+            centre,
+            height_mm,
+        ),
+        (
+            "root_radius_mm",
+            gear.root_radius_mm,
+            gear.root_radius_mm,
+            centre + 0.5 * gear.pitch_rad(),
+            height_mm,
+        ),
+        ("height_mm[0]", low, pitch_mm, centre, low),
+        ("height_mm[1]", high, pitch_mm, centre, high),
+    ] {
+        let point = [radius_mm * angle.cos(), radius_mm * angle.sin(), z];
+        let off_mm = surface.closest(point).signed_distance_mm.abs();
+        // What is no number is refused as well.
+        let agrees = off_mm <= AGREEMENT_MM;
+        if !agrees {
+            return Err(ToolError::Land {
+                path: path.to_owned(),
+                key,
+                stated_mm,
+                off_mm,
+                limit_mm: AGREEMENT_MM,
+            });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,192 @@
+//! The points of one cloud, laid on the flanks of the teeth that are asked for.
+
+use flankscope_foundation::order::median_of;
+use nalgebra::{Vector3, Vector6};
+use rayon::prelude::*;
+
+use super::field::{Field, Sample};
+use super::sight::{RayCounts, Visibility};
+use super::{FlankWear, Measured, Settings, Zone, edge};
+use crate::gear::{Flank, FlankPlace, GearData};
+use crate::registration::Registration;
+use crate::surface::Closest;
+
+/// The grid over one flank's zone.
+struct Grid {
+    tooth: u32,
+    flank: Flank,
+    empty: Field,
+    samples: Vec<Sample>,
+    counts: Option<RayCounts>,
+    /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
+    motions: Vec<(Vector6<f64>, u32)>,
+    edge: edge::TipBand,
+}
+
+/// Where each closest point lies on the gear; none off the flanks.
+pub fn places(gear: &GearData, closest: &[Closest]) -> Vec<Option<FlankPlace>> {
+    // The CAD point, not the measured one, says where on the flank we are: wear must not move a point out of its zone.
+    closest
+        .iter()
+        .map(|c| gear.place(c.point, c.normal))
+        .collect()
+}
+
+/// Evaluates both flanks of each of `teeth`.
+///
+/// `registration` brings the covariance of the pose into the uncertainty.
+pub fn evaluate(
+    gear: &GearData,
+    zone: &Zone,
+    teeth: &[u32],
+    measured: Measured<'_>,
+    registration: Option<&Registration>,
+    settings: &Settings,
+) -> Vec<FlankWear> {
+    let places = places(gear, measured.closest);
+    evaluate_placed(gear, zone, teeth, measured, &places, registration, settings)
+}
+
+/// As [`evaluate`], of points of which is known where they lie on the gear ([`places`]).
+pub fn evaluate_placed(
+    gear: &GearData,
+    zone: &Zone,
+    teeth: &[u32],
+    measured: Measured<'_>,
+    places: &[Option<FlankPlace>],
+    registration: Option<&Registration>,
+    settings: &Settings,
+) -> Vec<FlankWear> {
+    let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
+    let size_mm = [
+        gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
+        zone.height_mm[1] - zone.height_mm[0],
+    ];
+    let empty = Field::unmeasured(size_mm, settings.cell_mm());
+    let mut grids: Vec<Grid> = teeth
+        .iter()
+        .flat_map(|&tooth| Flank::BOTH.map(|flank| (tooth, flank)))
+        .map(|(tooth, flank)| Grid {
+            tooth,
+            flank,
+            empty: empty.clone(),
+            samples: Vec::new(),
+            counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
+            motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
+            edge: edge::TipBand::new(gear),
+        })
+        .collect();
+    let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
+    // From the zone's corner.
+    let in_zone = |place: &FlankPlace| {
+        [
+            place.profile_mm - profile_from_mm,
+            place.height_mm - zone.height_mm[0],
+        ]
+    };
+
+    let points = measured.points.iter().zip(measured.closest);
+    for (index, ((point, closest), place)) in points.zip(places).enumerate() {
+        let Some(place) = place else {
+            if let Some(under) = edge::UnderEdge::of(gear, *point)
+                && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
+                && let Some(grid) = grids
+                    .iter_mut()
+                    .find(|g| (g.tooth, g.flank) == (under.tooth, under.flank))
+            {
+                grid.edge.add_under(gear, &under);
+            }
+            continue;
+        };
+        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
+        let Some(grid) = grids.iter_mut().find(wanted) else {
+            continue;
+        };
+        let at_mm = in_zone(place);
+        if !(0.0..size_mm[1]).contains(&at_mm[1]) || !closest.signed_distance_mm.is_finite() {
+            continue;
+        }
+        let wear_mm = -closest.signed_distance_mm;
+        grid.edge.add(place, wear_mm);
+        let Some(cell) = grid.empty.cell_at(at_mm) else {
+            continue;
+        };
+        if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
+            counts.points[cell] += 1;
+            // Their sum, until all are known.
+            counts.slant += sight.slant(*point, closest);
+        }
+        let sigma = measured
+            .sigma_mm
+            .and_then(|s| s.get(index))
+            .map_or(f64::NAN, |&s| f64::from(s));
+        grid.samples.push(Sample {
+            at_mm,
+            wear_mm,
+            variance_mm2: sigma * sigma,
+        });
+        let normal = Vector3::from(closest.normal);
+        let turn = (Vector3::from(*point) - centre).cross(&normal);
+        let (sum, count) = &mut grid.motions[cell];
+        *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        *count += 1;
+    }
+    let rays = measured
+        .sight
+        .map(|sight| sight.ray_places(gear, measured, places));
+    for place in rays.iter().flatten() {
+        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
+        if let Some(grid) = grids.iter_mut().find(wanted)
+            && let Some(cell) = grid.empty.cell_at(in_zone(place))
+            && let Some(counts) = &mut grid.counts
+        {
+            counts.rays[cell] += 1;
+        }
+    }
+    for grid in &mut grids {
+        if let Some(counts) = &mut grid.counts {
+            counts.slant /= grid.samples.len().max(1) as f64;
+        }
+    }
+    grids
+        .into_par_iter()
+        .map(|grid| grid.wear(gear, registration, settings))
+        .collect()
+}
+
+impl Grid {
+    fn wear(
+        self,
+        gear: &GearData,
+        registration: Option<&Registration>,
+        settings: &Settings,
+    ) -> FlankWear {
+        // A pose is off by other amounts at the ends of a flank than in its middle: the worst counts.
+        let registration_mm = registration.map_or(0.0, |registration| {
+            self.motions
+                .iter()
+                .filter(|(_, count)| *count > 0)
+                .map(|(sum, count)| {
+                    let motion = sum / f64::from(*count);
+                    motion.dot(&(registration.covariance * motion)).max(0.0)
+                })
+                .fold(0.0, f64::max)
+                .sqrt()
+        });
+        let visibility = self
+            .counts
+            .map(|counts| Visibility::of(&counts, &self.empty));
+        let mut wear = FlankWear::new(
+            (self.tooth, self.flank),
+            self.empty,
+            self.samples,
+            visibility,
+            registration_mm,
+            settings,
+        );
+        // Pose and temperature move edge and flank alike; calibration does not.
+        let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
+        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
+        wear
+    }
+}

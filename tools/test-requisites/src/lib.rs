@@ -1,0 +1,69 @@
+//! What tests need that is not in the repository: other people's data, board images, an emulator.
+//!
+//! A test asks for what it needs and returns when that is not there: missed aloud, and a failure where everything must run
+//! (`cargo xtask test --all`).
+
+use std::path::{Path, PathBuf};
+
+/// Whether everything must run: nothing may be missed, and campaigns draw as many cases as they state.
+#[must_use]
+pub fn everything() -> bool {
+    std::env::var_os("FLANKSCOPE_TEST_ALL").is_some()
+}
+
+/// The repository.
+#[must_use]
+pub fn workspace() -> &'static Path {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.ancestors().nth(2).unwrap_or(here)
+}
+
+/// Other people's data (a file or a folder), by its path in `shared` beside the repository.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let found = workspace().join("../shared").join(path);
+    found
+        .canonicalize()
+        .ok()
+        .or_else(|| missed(&format!("{} (other people's data)", found.display())))
+}
+
+/// A board image of `firmware/mps2-an386` by its file name, where the emulator that runs it is there, too.
+///
+/// # Panics
+/// One of them is missing although everything must run.
+#[must_use]
+pub fn emulated_image(name: &str) -> Option<PathBuf> {
+    let folder = "firmware/mps2-an386/target/thumbv7em-none-eabihf/release";
+    let image = workspace().join(folder).join(name);
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let emulator = std::env::split_paths(&path).any(|f| f.join("qemu-system-arm").is_file());
+    match (image.is_file(), emulator) {
+        (true, true) => Some(image),
+        (false, _) => missed(&format!("{name}, which cargo xtask firmware builds,")),
+        (_, false) => missed("qemu-system-arm"),
+    }
+}
+
+fn missed(what: &str) -> Option<PathBuf> {
+    assert!(!everything(), "{what} is missing");
+    eprintln!("SKIPPED: {what} is missing");
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_workspace_is_where_the_members_are() {
+        assert!(
+            workspace()
+                .join("tools/test-requisites/Cargo.toml")
+                .is_file()
+        );
+    }
+}
