@@ -60,24 +60,24 @@ pub enum DecodeError {
     NoCores,
     /// All frequencies together repeat and nothing says which repetition.
     #[error(
-        "the frequencies together repeat {periods:.1} times over the projector and the head has no [volume]: give the volume's depth range, or a frequency with a single period"
+        "the lowest frequency has {periods} periods (of high ones: their beat) and the head no [volume]: give the volume's depth range, or a frequency with a single period"
     )]
     NeedsVolume {
-        /// Repetitions: the periods of the lowest frequency, or of the beat of high ones.
+        /// Periods of the lowest frequency, or of the beat of high ones: repetitions over the projector.
         periods: f64,
     },
     /// All frequencies together repeat within the volume.
     #[error(
-        "within the measuring volume the frequencies, which together repeat {periods:.1} times over the projector, pass {spanned:.2} repetitions, at most {limit} are unambiguous: use frequencies that repeat at most {usable:.1} times (the lowest one's periods, or the beat of high ones), or a shallower volume"
+        "within the measuring volume the lowest frequency ({periods} periods; of high ones their beat) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
     )]
     VolumeTooDeep {
-        /// Repetitions: the periods of the lowest frequency, or of the beat of high ones.
+        /// Periods of the lowest frequency, or of the beat of high ones: repetitions over the projector.
         periods: f64,
-        /// Repetitions passed along the worst ray.
+        /// Periods passed along the worst ray.
         spanned: f64,
         /// The limit.
         limit: f64,
-        /// Repetitions that would do.
+        /// Periods that would do.
         usable: f64,
     },
     /// The volume reaches behind the projector.

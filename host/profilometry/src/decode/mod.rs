@@ -87,7 +87,7 @@ impl Decoder {
         let sensor = head.sensor.ok_or(DecodeError::NoSensor)?;
         let all_periods: Vec<f64> = patterns.sets.iter().map(|set| set.periods).collect();
         let orders = unwrap::distinct_orders(&all_periods);
-        let repeated = patterns.finest().periods / orders as f64;
+        let repeated = (100.0 * patterns.finest().periods / orders as f64).round() / 100.0;
         if head.volume.is_none() && repeated > 1.0 {
             return Err(DecodeError::NeedsVolume { periods: repeated });
         }

@@ -227,7 +227,7 @@ impl ViewPlan {
         let options = DecodeOptions {
             mask,
             dark_frame: self.dark_frame,
-            ..DecodeOptions::for_head(&head)
+            ..DecodeOptions::for_head(&head).smoothed()
         };
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
