@@ -48,8 +48,13 @@ pub fn fits_real_press(args: &BenchArgs, link: &Link) -> anyhow::Result<()> {
 }
 
 /// Refuses what recorded frames cannot have.
-pub fn fits_recording(args: &BenchArgs) -> anyhow::Result<()> {
+pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result<()> {
+    let as_drawn = in_words(args, &DieArgs::default());
     let given = [
+        (
+            "a die on the bench",
+            die.is_some_and(|die| in_words(args, die) != as_drawn),
+        ),
         ("--wear", !args.wear.is_empty()),
         ("--die-mesh", args.die_mesh.is_some()),
         ("--frame-fault", args.frame_fault.is_some()),

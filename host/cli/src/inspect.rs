@@ -13,7 +13,7 @@ use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
 use crate::instrument::{Instrument, Site, Source, recorded_check};
-use crate::output::{Common, Complaints, Outcome, try_folder, try_place};
+use crate::output::{Common, Complaints, Outcome, try_folder, try_place, try_recording};
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
@@ -43,6 +43,9 @@ pub struct Args {
     /// or camera is asked. Teeth are those of the recording, or some of them by --teeth
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
+    /// Also write every frame of this check into this folder, for --frames later: the camera's raw counts, 4.6 MB each
+    #[arg(long, value_name = "DIR", conflicts_with = "frames")]
+    save_frames: Option<PathBuf>,
     /// Write report.html and inspection.json into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
@@ -72,7 +75,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let (mut inspection, instrument) = match &recording {
         Some(recording) => (args.check_recorded(recording, &site)?, None),
         None => {
-            let (inspection, instrument) = args.check_live(&site)?;
+            let (inspection, instrument) = args.check_live(&site, &mut complaints)?;
             (inspection, Some(instrument))
         }
     };
@@ -93,10 +96,20 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 impl Args {
-    fn check_live(&self, site: &Site) -> anyhow::Result<(Inspection, Instrument)> {
+    fn check_live(
+        &self,
+        site: &Site,
+        complaints: &mut Complaints,
+    ) -> anyhow::Result<(Inspection, Instrument)> {
         let quiet = self.common.quiet;
         let (mut instrument, mut writer) =
             Instrument::open(&self.source, site, &self.bench, None, quiet)?;
+        let files = [self.source.tool.as_deref(), self.source.head.as_deref()];
+        let mut saved = None;
+        if let Some(folder) = &self.save_frames {
+            saved = Some((folder, instrument.copy_head(files, folder)?));
+            instrument.station.save_frames(folder)?;
+        }
         let mut watcher = Watcher::new(quiet);
         let inspection = instrument.station.inspect(
             &instrument.port,
@@ -105,6 +118,10 @@ impl Args {
             |progress| watcher.show(progress),
         )?;
         watcher.finish();
+        if let Some((folder, head)) = saved {
+            let recorded = instrument.station.record(&inspection, folder, &head);
+            complaints.hear(recorded.map_err(Into::into));
+        }
         Ok((inspection, instrument))
     }
 
@@ -122,6 +139,7 @@ impl Args {
         if let Some(folder) = report {
             try_folder(folder, ReportFolder::OF_CHECK)?;
         }
+        self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
         self.record_baseline.as_deref().map_or(Ok(()), try_place)
     }
 

@@ -332,7 +332,7 @@ pub fn recorded_check(
     bench: &BenchArgs,
     site: &Site,
 ) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
-    fits_recording(bench)?;
+    fits_recording(bench, None)?;
     let store = source.store(site)?;
     let mut subject = recorded_subject([&source.tool, &source.head], recording, site)?;
     source.furnish(&mut subject, site.link())?;
@@ -429,6 +429,39 @@ impl<S> Instrument<S> {
         })
     }
 
+    /// Copies the head's file, and what belongs to it, into the folder of a recording; returns its name there.
+    pub fn copy_head(
+        &self,
+        [tool, head]: [Option<&Path>; 2],
+        recording: &Path,
+    ) -> anyhow::Result<PathBuf> {
+        let scratch = self._scratch.path();
+        let folder = match tool {
+            Some(folder) => folder.to_path_buf(),
+            None => demo_tool(scratch)?,
+        };
+        let path = head_path(&Tool::load(&folder)?, head, scratch)?;
+        let name = PathBuf::from(path.file_name().unwrap_or_default());
+        let check = path.with_extension("check.toml");
+        let mut files = vec![(path.clone(), name.clone())];
+        if check.exists() {
+            files.push((check, name.with_extension("check.toml")));
+        }
+        let cores = HeadModel::load(&path)?.cores.map(|cores| cores.file);
+        // An absolute path stays as good as it is.
+        if let Some(cores) = cores.filter(|cores| cores.is_relative()) {
+            files.push((path.with_file_name("").join(&cores), cores));
+        }
+        for (from, name) in files {
+            let to = recording.join(name);
+            let copied = to.parent().map_or(Ok(()), std::fs::create_dir_all);
+            copied
+                .and_then(|()| std::fs::copy(&from, &to).map(drop))
+                .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
+        }
+        Ok(name)
+    }
+
     /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
     pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
         drop(self.station);
@@ -465,12 +498,7 @@ pub fn subject(
 /// Reads tool and head, and hashes what was read.
 fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
-    let beside = tool.path.with_file_name("head.toml");
-    let mut head_path = head.map_or(beside, Path::to_path_buf);
-    if head.is_none() && !head_path.exists() {
-        // A tool folder may leave the head out: the demo head then looks at it.
-        head_path = demo_tool(scratch)?.join("head.toml");
-    }
+    let head_path = head_path(&tool, head, scratch)?;
     let head = HeadModel::load(&head_path)?;
     let mut hashes = BTreeMap::new();
     let mut files = vec![
@@ -494,6 +522,19 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         station: Arc::default(),
         hashes,
     })
+}
+
+/// The head's file: the one named, else the one in the tool's folder, else the demo's.
+fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
+    if let Some(head) = named {
+        return Ok(head.to_path_buf());
+    }
+    let beside = tool.path.with_file_name("head.toml");
+    if beside.exists() {
+        return Ok(beside);
+    }
+    // A tool folder may leave the head out: the demo head then looks at it.
+    Ok(demo_tool(scratch)?.join("head.toml"))
 }
 
 /// This host, as the system says.

@@ -32,7 +32,7 @@ pub fn fits_real_press(_: &BenchArgs, _: &Link) -> anyhow::Result<()> {
 }
 
 /// Recorded frames cannot be asked for anything else either.
-pub fn fits_recording(_: &BenchArgs) -> anyhow::Result<()> {
+pub fn fits_recording(_: &BenchArgs, _: Option<&DieArgs>) -> anyhow::Result<()> {
     Ok(())
 }
 

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use flankscope_metrology::verdict::Word;
+use flankscope_station::acquisition::FrameIndex;
 use flankscope_station::sink::{DocumentFile, ResultSink};
 
 /// How a run ended.
@@ -110,6 +111,22 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     files
         .iter()
         .try_for_each(|file| try_place(&folder.join(file)))
+}
+
+/// Tries a folder for recorded frames, which must not hold any: one recording would be read as the other.
+///
+/// # Errors
+/// As [`try_folder`], or there is something in it.
+pub fn try_recording(folder: &Path) -> anyhow::Result<()> {
+    try_folder(folder, &[FrameIndex::FILE])?;
+    let mut entries =
+        std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?;
+    anyhow::ensure!(
+        entries.next().is_none(),
+        "{} is not empty: frames are saved into an empty folder, or one that is not there yet",
+        folder.display()
+    );
+    Ok(())
 }
 
 /// Says something on standard error; that nobody can hear it stops nothing.

@@ -6,18 +6,19 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use flankscope_metrology::deviation::{Order, Statistics};
+use flankscope_station::acquisition::Recording;
 use flankscope_station::origin::Link;
 use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
-    Grid, Hinz2019Settings, Method, MethodResult, Progress, Scan, Scanner, percent,
+    Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, Scanner, percent,
 };
 use flankscope_station::sink::ResultSink;
 
-use crate::bench_link::{BenchArgs, DieArgs, in_words, seed};
+use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{Instrument, Place, Scene, scratch};
-use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place};
+use crate::instrument::{Instrument, Place, Scene, Site, recorded_subject, scratch};
+use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
 ///
@@ -41,8 +42,20 @@ pub struct Args {
     #[command(flatten)]
     place: Place,
     /// Views around the die by layers over its height
-    #[arg(long, value_name = "AROUNDxLAYERS", default_value = "84x7")]
+    #[arg(
+        long,
+        value_name = "AROUNDxLAYERS",
+        default_value = "84x7",
+        conflicts_with = "frames"
+    )]
     views: Grid,
+    /// Scan the frames in this folder, which were recorded before, as its frames.toml says: nothing moves, and no controller
+    /// or camera is asked. Views are those of the recording
+    #[arg(long, value_name = "DIR")]
+    frames: Option<PathBuf>,
+    /// Also write every frame of this scan into this folder, for --frames later: the camera's raw counts, 4.6 MB each
+    #[arg(long, value_name = "DIR", conflicts_with = "frames")]
+    save_frames: Option<PathBuf>,
     /// Result of an earlier scan of this die (its --json file or report folder): says whether the die was put down turned
     /// by whole teeth since, by what its flanks have of their own
     #[arg(long, value_name = "SCAN.json")]
@@ -151,7 +164,11 @@ impl Args {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
     let (method, paper) = args.paper.settings(seed(&args.bench))?;
-    let site = args.place.site(&[("--tool", args.tool.is_some())])?;
+    let recording = args.frames.as_deref().map(Recording::open).transpose()?;
+    let site = match &recording {
+        Some(recording) => args.place.of_recording(recording)?,
+        None => args.place.site(&[("--tool", args.tool.is_some())])?,
+    };
     args.try_places()?;
     let passing = match &args.session {
         Some(_) => None,
@@ -162,46 +179,44 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .as_deref()
         .or_else(|| passing.as_ref().map(|folder| folder.path()))
         .unwrap_or(Path::new("."));
-    let scene = Scene {
-        press: None,
-        die: Some(&args.die),
-        ..Scene::default()
+    let set_up = |scanner: &mut Scanner| -> anyhow::Result<()> {
+        scanner.against(args.reference.as_deref())?;
+        Ok(scanner.by_method(method, paper)?)
     };
-    let mut instrument = Instrument::start(
-        [args.tool.as_deref(), args.head.as_deref()],
-        &site,
-        &args.bench,
-        scene,
-        quiet,
-        |mut subject, root| {
-            if let Some(grid) = args.grid {
-                grid.impose(Arc::make_mut(&mut subject.head))?;
-            }
-            let bench = args.on_the_bench(site.link());
-            let setting = site.setting.clone();
-            let scanner = Scanner::open(subject, setting, args.views, session, &bench, root)?;
-            let scanner = scanner.against(args.reference.as_deref())?;
-            Ok(scanner.by_method(method, paper)?)
-        },
-    )?;
-    let mut scan = instrument
-        .station
-        .scan(&instrument.port, instrument.settings, |progress| {
-            if !quiet {
-                show(progress);
-            }
-        })?;
-    // The verdict stands. It is said and returned whatever happens to the papers.
+    let mut scanning = match &recording {
+        Some(recording) => args.recorded(recording, &site, session, set_up)?,
+        None => args.live(&site, session, set_up)?,
+    };
+    let watch = |progress| {
+        if !quiet {
+            show(progress);
+        }
+    };
     let mut complaints = Complaints::default();
+    let mut scan = match &mut scanning {
+        Scanning::Recorded(recorded) => recorded.scan(watch)?,
+        Scanning::Live(instrument) => {
+            let saved = args.begin_saving(instrument)?;
+            let (port, settings) = (&instrument.port, instrument.settings);
+            let scan = instrument.station.scan(port, settings, watch)?;
+            if let Some((folder, head)) = saved {
+                let recorded = instrument.station.record(folder, &head);
+                complaints.hear(recorded.map_err(Into::into));
+            }
+            scan
+        }
+    };
+    // The verdict stands. It is said and returned whatever happens to the papers.
     if args.report.is_some() || args.raster {
-        let compared = instrument.station.compare(&mut scan, args.raster);
+        let compared = scanning.scanner().compare(&mut scan, args.raster);
         complaints.hear(compared.map_err(Into::into));
     }
     if args.common.shows_table() {
         complaints.hear(print(&scan));
     }
-    let truth = complaints.hear(instrument.close(quiet)).flatten();
-    scan.truth = truth;
+    if let Scanning::Live(instrument) = scanning {
+        scan.truth = complaints.hear(instrument.close(quiet)).flatten();
+    }
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
     if let Some(mesh) = &args.mesh {
@@ -212,13 +227,94 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(complaints.end(scan.verdict, &scan.sentence()))
 }
 
+/// What is scanned.
+enum Scanning {
+    /// A die before the instrument.
+    Live(Box<Instrument<Scanner>>),
+    /// Frames that were recorded.
+    Recorded(Box<RecordedScan>),
+}
+
+impl Scanning {
+    fn scanner(&self) -> &Scanner {
+        match self {
+            Self::Live(instrument) => &instrument.station,
+            Self::Recorded(recorded) => &recorded.scanner,
+        }
+    }
+}
+
 impl Args {
+    fn live(
+        &self,
+        site: &Site,
+        session: &Path,
+        set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Scanning> {
+        let scene = Scene {
+            press: None,
+            die: Some(&self.die),
+            ..Scene::default()
+        };
+        let instrument = Instrument::start(
+            [self.tool.as_deref(), self.head.as_deref()],
+            site,
+            &self.bench,
+            scene,
+            self.common.quiet,
+            |mut subject, root| {
+                if let Some(grid) = self.grid {
+                    grid.impose(Arc::make_mut(&mut subject.head))?;
+                }
+                let bench = self.on_the_bench(site.link());
+                let setting = site.setting.clone();
+                let mut scanner =
+                    Scanner::open(subject, setting, self.views, session, &bench, root)?;
+                set_up(&mut scanner)?;
+                Ok(scanner)
+            },
+        )?;
+        Ok(Scanning::Live(Box::new(instrument)))
+    }
+
+    fn recorded(
+        &self,
+        recording: &Recording,
+        site: &Site,
+        session: &Path,
+        set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Scanning> {
+        fits_recording(&self.bench, Some(&self.die))?;
+        let mut subject = recorded_subject([&self.tool, &self.head], recording, site)?;
+        if let Some(grid) = self.grid {
+            grid.impose(Arc::make_mut(&mut subject.head))?;
+        }
+        let mut recorded = RecordedScan::open(subject, site.setting.clone(), recording, session)?;
+        set_up(&mut recorded.scanner)?;
+        Ok(Scanning::Recorded(Box::new(recorded)))
+    }
+
+    /// Has frames written from here on, if that was asked for; returns where to, and the head's file there.
+    fn begin_saving(
+        &self,
+        instrument: &mut Instrument<Scanner>,
+    ) -> anyhow::Result<Option<(&Path, PathBuf)>> {
+        let Some(folder) = self.save_frames.as_deref() else {
+            return Ok(None);
+        };
+        let files = [self.tool.as_deref(), self.head.as_deref()];
+        let head = instrument.copy_head(files, folder)?;
+        instrument.station.save_frames(folder)?;
+        Ok(Some((folder, head)))
+    }
+
     /// Before anything moves: a scan whose results cannot be written should not begin.
     fn try_places(&self) -> anyhow::Result<()> {
         self.common.try_json()?;
         if let Some(folder) = &self.report {
             try_folder(folder, ReportFolder::OF_SCAN)?;
         }
+        self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
         self.mesh.as_deref().map_or(Ok(()), try_place)
     }
 

@@ -23,7 +23,7 @@ pub struct Frame {
     received_monotonic_ns: u64,
 }
 
-/// Bytes of frames that this process copied out of the shared memory; the only way to copy one is [`Frame::copy_pixels`].
+/// Bytes of frames that this process copied out of the shared memory, by [`Frame::copy_pixels`] or as it says itself.
 static BYTES_COPIED: AtomicU64 = AtomicU64::new(0);
 
 impl BorrowedFrame for Frame {
@@ -44,11 +44,14 @@ impl Frame {
     /// The pixels copied out of the shared memory; counted in [`Frame::bytes_copied`].
     #[must_use]
     pub fn copy_pixels(&self) -> Vec<u16> {
-        BYTES_COPIED.fetch_add(
-            std::mem::size_of_val(self.pixels()) as u64,
-            Ordering::Relaxed,
-        );
+        Self::count_copied(self.pixels());
         self.pixels().to_vec()
+    }
+
+    /// Counts pixels that are copied out of the shared memory in another way, such as into a file.
+    pub fn count_copied(pixels: &[u16]) {
+        let bytes = std::mem::size_of_val(pixels) as u64;
+        BYTES_COPIED.fetch_add(bytes, Ordering::Relaxed);
     }
 
     /// Bytes of frames copied by this process so far.

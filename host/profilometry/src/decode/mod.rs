@@ -189,7 +189,7 @@ impl Decoder {
 
     /// The largest count of the sensor.
     pub fn full_scale_dn(&self) -> u16 {
-        ((1_u32 << self.sensor.bits.min(16)) - 1) as u16
+        self.sensor.full_scale_dn()
     }
 
     /// Points of a complete view.

@@ -35,6 +35,11 @@ impl Sensor {
         }
     }
 
+    /// The largest count.
+    pub fn full_scale_dn(&self) -> u16 {
+        full_scale_dn(self.bits.min(16)) as u16
+    }
+
     /// Above this count a pixel is taken as saturated: 95 % of where either the bits or the full well end.
     pub fn saturation_limit_dn(&self) -> u16 {
         let full_well_dn = self.offset_dn + self.full_well_e / self.gain_e_per_dn;

@@ -189,7 +189,7 @@ impl<O: Send + 'static> Acquisition<O> {
 
     /// Sends every view whose triggers and frames are complete and pair to the compute thread.
     pub(super) fn evaluate_whole_views(
-        &self,
+        &mut self,
         run: &mut Run<O>,
         frames_per_view: u16,
     ) -> Result<(), AcquisitionError> {
@@ -204,10 +204,15 @@ impl<O: Send + 'static> Acquisition<O> {
                 frames,
                 handover_ns,
                 problem,
+                saved,
             } = captured;
             let Some(view_number) = run.session.views.get(usize::from(view)).copied() else {
                 // A frame beyond the plan: one more than was triggered, and nobody knows before which of the others.
                 run.spoil_session();
+                if let Some(saved) = saved {
+                    self.saved.retain(|of| of.session != saved.session());
+                    saved.discard();
+                }
                 self.order(Order::Recycle(accumulator))?;
                 continue;
             };
@@ -228,6 +233,8 @@ impl<O: Send + 'static> Acquisition<O> {
                         .last()
                         .map_or(0, |frame| frame.exposure_end_monotonic_ns);
                     run.counts.last_exposure_ns = run.counts.last_exposure_ns.max(ended);
+                    let saved = saved.map(|saved| saved.of_view(view_number, triggers));
+                    self.saved.extend(saved);
                     run.session.evaluating += 1;
                     work.send((view_number, accumulator))
                         .map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
@@ -235,6 +242,9 @@ impl<O: Send + 'static> Acquisition<O> {
                 Err(problem) => {
                     tracing::warn!(view = run.number(view_number) + 1, %problem, "view refused");
                     run.spoil(view_number, problem);
+                    if let Some(saved) = saved {
+                        saved.discard();
+                    }
                     self.order(Order::Recycle(accumulator))?;
                 }
             }

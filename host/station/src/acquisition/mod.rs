@@ -41,7 +41,7 @@ pub use program::{Program, ProgramError, StagePosition};
 pub(crate) use recapture::{AfterStop, never};
 pub use recorder::Picture;
 pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
-pub(crate) use recording::{Playback, RecordedView};
+pub(crate) use recording::{Playback, RecordedView, SavedView};
 pub(crate) use run::{Counts, Run};
 pub use session::Acquisition;
 pub use timeline::{Activity, Device, Span};

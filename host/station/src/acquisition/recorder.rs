@@ -8,6 +8,7 @@ use std::time::Duration;
 use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
 
 use super::error::ViewError;
+use super::recording::{SavedCapture, Saver};
 use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource};
 
 /// How long the thread sleeps for a frame before it looks for orders.
@@ -29,6 +30,8 @@ pub enum Order {
     Close,
     /// An accumulator that may be used again.
     Recycle(Accumulator),
+    /// Frames are also written to files from here on.
+    Save(Saver),
 }
 
 /// All frames of one view, summed.
@@ -44,6 +47,8 @@ pub struct CapturedView {
     pub handover_ns: Vec<u64>,
     /// Why it cannot be used.
     pub problem: Option<ViewError>,
+    /// Its frames on the disk, where they are saved.
+    pub saved: Option<SavedCapture>,
 }
 
 /// What the recorder tells the job.
@@ -93,6 +98,7 @@ pub struct Recorder<'a, S: FrameSource> {
     arrived: u32,
     open: Option<CapturedView>,
     kept: Option<S::Frame>,
+    saver: Option<Saver>,
 }
 
 impl<'a, S: FrameSource> Recorder<'a, S> {
@@ -118,6 +124,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             arrived: 0,
             open: None,
             kept: None,
+            saver: None,
         }
     }
 
@@ -136,6 +143,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                     accumulator.reset();
                     self.spare.push(accumulator);
                 }
+                Ok(Order::Save(saver)) => self.saver = Some(saver),
                 Err(TryRecvError::Empty) => {}
                 Err(TryRecvError::Disconnected) => return,
             }
@@ -176,6 +184,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 frames: Vec::with_capacity(self.kinds.len()),
                 handover_ns: Vec::with_capacity(self.kinds.len()),
                 problem: None,
+                saved: self.saver.as_mut().map(Saver::begin),
             });
         }
         let settings = self.settings;
@@ -205,6 +214,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                     .err()
                     .map(ViewError::from),
             };
+        }
+        if let (Some(saver), Some(saved)) = (&mut self.saver, &mut open.saved) {
+            saver.add(saved, &frame);
         }
         if (header.label.exposure, header.label.pattern)
             == (settings.keepsake.exposure, settings.keepsake.pattern)

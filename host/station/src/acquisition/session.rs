@@ -1,5 +1,6 @@
 //! The instrument's host side: the threads that frames and sums pass through, whatever is measured.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread::JoinHandle;
@@ -11,6 +12,7 @@ use tokio::sync::mpsc as channel;
 use super::error::AcquisitionError;
 use super::program::Program;
 use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
+use super::recording::{SavedView, Saver};
 
 /// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
 ///
@@ -24,6 +26,8 @@ pub struct Acquisition<O> {
     pub(super) work: Option<mpsc::Sender<(usize, Accumulator)>>,
     pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
+    /// Captures whose frames lie on the disk, where that was asked for.
+    pub(super) saved: Vec<SavedView>,
 }
 
 impl<O: Send + 'static> Acquisition<O> {
@@ -97,7 +101,22 @@ impl<O: Send + 'static> Acquisition<O> {
             work: Some(work),
             outcomes,
             compute: Some(compute),
+            saved: Vec::new(),
         })
+    }
+
+    /// Has all frames that follow written into `folder`, beside being summed.
+    pub(crate) fn save_frames(
+        &self,
+        folder: &Path,
+        full_scale_dn: u16,
+    ) -> Result<(), AcquisitionError> {
+        self.order(Order::Save(Saver::new(folder, full_scale_dn)))
+    }
+
+    /// The captures that were written since this was last asked, in their order.
+    pub(crate) fn take_saved(&mut self) -> Vec<SavedView> {
+        std::mem::take(&mut self.saved)
     }
 
     pub(super) fn order(&self, order: Order) -> Result<(), AcquisitionError> {

@@ -84,7 +84,9 @@ pub struct Station {
     pub(crate) plan: Arc<ViewPlan>,
     pub(crate) acquisition: Acquisition<ViewOutcome>,
     /// Where it works.
-    setting: Setting,
+    pub(super) setting: Setting,
+    /// Largest count of the camera.
+    pub(super) full_scale_dn: u16,
 }
 
 impl Station {
@@ -140,6 +142,7 @@ impl Station {
             plan: Arc::new(plan),
             acquisition,
             setting,
+            full_scale_dn: decoder.full_scale_dn(),
         })
     }
 

@@ -41,7 +41,8 @@ pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
 pub use plan::{PlannedView, PlanningError, ViewPlan};
-pub use recorded::RecordedCheck;
+pub use recorded::{RecordError, RecordedCheck};
+pub(crate) use recorded::{RecordingNotes, tooth_in_middle};
 pub use result::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing,
     ViewRegistration, WeakDirection,

@@ -1,5 +1,6 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
+use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::Sensor;
@@ -7,7 +8,7 @@ use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, Pa
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Recipe, RecordedRecipe};
-use crate::acquisition::{Program, StagePosition};
+use crate::acquisition::{Program, Recording, StagePosition};
 use crate::settings::StationSettings;
 
 /// One view: which tooth is in its middle, and where the stages must stand.
@@ -87,6 +88,19 @@ pub enum PlanningError {
         /// The tooth.
         tooth: u32,
     },
+    /// A view of a scan's recording that is not of its grid.
+    #[error(
+        "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
+    )]
+    OffGrid {
+        /// View, from 1.
+        view: usize,
+        /// The grid.
+        grid: String,
+    },
+    /// The index's grid is none.
+    #[error("grid of the recording: {0}")]
+    Grid(#[from] crate::scan::GridError),
     /// Too many views for one plan.
     #[error("{got} teeth are too many for one check; at most {limit}")]
     TooMany {
@@ -151,7 +165,7 @@ impl ViewPlan {
     ///
     /// # Errors
     /// No teeth, or such that are not there.
-    pub(super) fn nominal(tool: &Tool, teeth: &[u32]) -> Result<Vec<PlannedView>, PlanningError> {
+    pub(crate) fn nominal(tool: &Tool, teeth: &[u32]) -> Result<Vec<PlannedView>, PlanningError> {
         let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else {
             return Err(PlanningError::NoGear);
         };
@@ -180,6 +194,24 @@ impl ViewPlan {
         let mut angles_rad: Vec<&mut f64> = views.iter_mut().map(|v| &mut v.rotation_rad).collect();
         close_ranks(&mut angles_rad);
         Ok(views)
+    }
+
+    /// Views of a recording, exposed as its plan says.
+    pub(crate) fn of_recording(
+        recording: &Recording,
+        views: Vec<PlannedView>,
+        gear: &GearData,
+        head: &HeadModel,
+    ) -> Self {
+        let plan = &recording.plan;
+        Self {
+            views,
+            patterns: plan.patterns.clone(),
+            exposures_us: plan.exposures_us.clone(),
+            dark_frame: plan.dark_frame,
+            sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),
+            top_mm: gear.height_mm[1],
+        }
     }
 
     /// The views of a check that was stored with this recipe.

@@ -1,8 +1,10 @@
 //! The check on recorded frames: everything after the camera as in a live one, and nothing before it.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use flankscope_foundation::date::Date;
+use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::HeadModel;
@@ -12,8 +14,10 @@ use super::job::{InspectError, Station, Subject};
 use super::plan::{PlannedView, PlanningError, ViewPlan};
 use super::views::ViewOutcome;
 use crate::acquisition::{
-    AcquisitionError, Playback, Progress, RecordedView, Recording, Run, ViewError,
+    AcquisitionError, FrameIndex, IndexedView, Playback, Progress, RecordedView, Recording, Run,
+    SavedView, ViewError,
 };
+use crate::files::write_whole;
 use crate::origin::Setting;
 use crate::sink::ResultSink;
 use flankscope_frames::monotonic_ns;
@@ -109,7 +113,9 @@ impl RecordedCheck {
                 let capture = self.captures[view].get(attempt)?;
                 (attempt == 0 || open()).then(|| (view, capture.clone()))
             };
-            let views: Vec<_> = (0..self.captures.len()).filter_map(wanted).collect();
+            let mut views: Vec<_> = (0..self.captures.len()).filter_map(wanted).collect();
+            // As they were taken, by the controller's clock.
+            views.sort_by_key(|(_, capture)| capture.number);
             let before = std::mem::take(&mut run.outcomes);
             for some in views.chunks(flankscope_protocol::plan::MAX_VIEWS) {
                 let acquisition = &mut self.station.acquisition;
@@ -118,6 +124,135 @@ impl RecordedCheck {
             run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
         }
         Ok(())
+    }
+}
+
+/// Why a recording has no index, and is none.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// The operating system refuses.
+    #[error("the frames are not recorded: cannot write {}: {source}", path.display())]
+    Write {
+        /// File or folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The index cannot be put into words.
+    #[error("the frames are not recorded: {0}")]
+    Toml(#[from] toml::ser::Error),
+}
+
+/// What a recording says beside its frames.
+#[derive(Debug)]
+pub(crate) struct RecordingNotes<'a> {
+    pub subject: &'a Subject,
+    pub setting: &'a Setting,
+    pub plan: &'a ViewPlan,
+    /// Teeth that were to be checked.
+    pub teeth: Option<Vec<u32>>,
+    /// Grid of a scan.
+    pub grid: Option<String>,
+    pub press_cycles: Option<u32>,
+}
+
+impl RecordingNotes<'_> {
+    /// Writes plan and index of captures that were saved in `folder`: what makes a recording of them. The head is a file in it.
+    pub fn write(
+        &self,
+        folder: &Path,
+        head: &Path,
+        saved: Vec<SavedView>,
+    ) -> Result<(), RecordError> {
+        let mut views = Vec::with_capacity(saved.len());
+        for of in saved {
+            if let Some(source) = of.failed {
+                let path = folder.join(of.index.folder);
+                return Err(RecordError::Write { path, source });
+            }
+            let stood = self.plan.views.get(of.view);
+            views.push(IndexedView {
+                tooth: stood.map(|stood| stood.tooth),
+                rotation_rad: stood.map(|stood| stood.rotation_rad),
+                vertical_mm: stood.map(|stood| stood.vertical_mm),
+                ..of.index
+            });
+        }
+        let index = FrameIndex {
+            simulated: self.setting.link.is_simulated(),
+            taken: Some(Date::today()),
+            plan: "PLAN.toml".into(),
+            head: Some(head.to_owned()),
+            images: None,
+            teeth: self.teeth.clone(),
+            grid: self.grid.clone(),
+            press_cycles: self.press_cycles,
+            tool_temperature_degc: self.subject.temperature_degc,
+            view: views,
+        };
+        let plan = format!(
+            "# The dark frame, then exposure by exposure the patterns, in the order of the images' names.\n\
+             pattern_set = {:?}\nexposures_us = {:?}\ndark_first = {}\n",
+            self.plan.patterns.name, self.plan.exposures_us, self.plan.dark_frame
+        );
+        for (name, text) in [("PLAN.toml", plan), (FrameIndex::FILE, index.to_toml()?)] {
+            let path = folder.join(name);
+            write_whole(&path, text.as_bytes())
+                .map_err(|source| RecordError::Write { path, source })?;
+        }
+        Ok(())
+    }
+}
+
+impl Station {
+    /// Has the frames of every capture that follows written into `folder`, which is there, beside being judged.
+    ///
+    /// # Errors
+    /// A thread ended early.
+    pub fn save_frames(&mut self, folder: &Path) -> Result<(), InspectError> {
+        let full_scale_dn = self.full_scale_dn;
+        Ok(self.acquisition.save_frames(folder, full_scale_dn)?)
+    }
+
+    /// Makes a recording of the frames that were saved for a check. `head` is the head's file in the same folder.
+    ///
+    /// # Errors
+    /// Something was not written.
+    pub fn record(
+        &mut self,
+        of: &super::Inspection,
+        folder: &Path,
+        head: &Path,
+    ) -> Result<(), RecordError> {
+        let saved = self.acquisition.take_saved();
+        let notes = RecordingNotes {
+            subject: &self.subject,
+            setting: &self.setting,
+            plan: &self.plan,
+            teeth: Some(self.plan.views.iter().map(|view| view.tooth).collect()),
+            grid: None,
+            press_cycles: Some(of.press_cycles),
+        };
+        notes.write(folder, head, saved)
+    }
+}
+
+/// The tooth in the middle of a view of an index, by its name and by its angle.
+pub(crate) fn tooth_in_middle(
+    gear: &GearData,
+    at: usize,
+    view: &IndexedView,
+) -> Result<u32, PlanningError> {
+    let by_angle = view.rotation_rad.map(|angle| gear.tooth_at(-angle));
+    match (view.tooth, by_angle) {
+        (Some(said), Some(seen)) if said != seen => Err(PlanningError::OtherTooth {
+            view: at + 1,
+            said,
+            seen,
+        }),
+        (Some(tooth), _) | (None, Some(tooth)) => Ok(tooth),
+        (None, None) => Err(PlanningError::NoTeeth),
     }
 }
 
@@ -130,20 +265,10 @@ fn plan(
     teeth: Option<&[u32]>,
 ) -> Result<(ViewPlan, Vec<Vec<usize>>), PlanningError> {
     let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
-    let mut seen = Vec::with_capacity(recording.index.view.len());
-    for (at, view) in recording.index.view.iter().enumerate() {
-        let by_angle = view.rotation_rad.map(|angle| gear.tooth_at(-angle));
-        match (view.tooth, by_angle) {
-            (Some(said), Some(seen)) if said != seen => {
-                return Err(PlanningError::OtherTooth {
-                    view: at + 1,
-                    said,
-                    seen,
-                });
-            }
-            (tooth, by_angle) => seen.extend(tooth.or(by_angle)),
-        }
-    }
+    let views = recording.index.view.iter().enumerate();
+    let seen: Vec<u32> = views
+        .map(|(at, view)| tooth_in_middle(gear, at, view))
+        .collect::<Result<_, _>>()?;
     let mut all: Vec<u32> = Vec::new();
     for &tooth in &seen {
         if !all.contains(&tooth) {
@@ -173,13 +298,8 @@ fn plan(
         }
         of_views.push(of);
     }
-    let plan = ViewPlan {
-        views,
-        patterns: recording.plan.patterns.clone(),
-        exposures_us: recording.plan.exposures_us.clone(),
-        dark_frame: recording.plan.dark_frame,
-        sensor: recording.plan.sensor.filter(|of| head.sensor != Some(*of)),
-        top_mm: gear.height_mm[1],
-    };
-    Ok((plan, of_views))
+    Ok((
+        ViewPlan::of_recording(recording, views, gear, head),
+        of_views,
+    ))
 }

@@ -82,7 +82,7 @@ impl Scanner {
             last_view_to_result_ms: 0.0,
             frames: FrameCount::default(),
             peak_memory_mb: None,
-            views: self.grid.to_string(),
+            views: self.views.clone(),
             resumed_views: self.resumed,
             coverage_ratio: map.coverage(),
             coverage,

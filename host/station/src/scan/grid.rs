@@ -1,7 +1,8 @@
 //! Which views a scan takes: evenly around, evenly over the height.
 
+use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::{HeadModel, PatternSet};
+use flankscope_profilometry::HeadModel;
 
 use crate::inspection::{PlannedView, PlanningError, ViewPlan};
 
@@ -54,7 +55,14 @@ impl Grid {
     /// The tool has no gear, or the head no patterns, exposures or hand-eye.
     pub fn plan(&self, tool: &Tool, head: &HeadModel) -> Result<ViewPlan, PlanningError> {
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
-        let top_mm = ViewPlan::new(tool, head, Some(&[1]))?.top_mm;
+        Ok(ViewPlan {
+            views: self.views(gear),
+            ..ViewPlan::new(tool, head, Some(&[1]))?
+        })
+    }
+
+    /// Where the stages stand for its views.
+    pub(super) fn views(&self, gear: &GearData) -> Vec<PlannedView> {
         let [low, high] = gear.height_mm;
         let turn = std::f64::consts::TAU;
         let mut views = Vec::new();
@@ -75,16 +83,7 @@ impl Grid {
                 });
             }
         }
-        let lacks = |what| PlanningError::HeadLacks { what };
-        let patterns = head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?;
-        Ok(ViewPlan {
-            views,
-            patterns: PatternSet::named(patterns)?,
-            exposures_us: head.exposures_us.clone(),
-            dark_frame: true,
-            sensor: None,
-            top_mm,
-        })
+        views
     }
 }
 

@@ -12,6 +12,7 @@ use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
+use flankscope_profilometry::head::Unfit;
 use flankscope_protocol::Command;
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -26,17 +27,17 @@ use super::result::Scan;
 use super::session::SessionError;
 use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
-use super::view_pipeline::{Kept, Store, ViewPipeline};
+use super::view_pipeline::{Kept, PlannedScan, Store, ViewPipeline};
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
 };
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
-    self, EvaluatorError, FieldOfView, FrameCount, InspectError, Subject, Timing, ViewPlan,
-    hand_eye, peak_memory_mb,
+    self, EvaluatorError, FieldOfView, FrameCount, InspectError, RecordError, RecordingNotes,
+    Subject, Timing, ViewPlan, hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
-use flankscope_frames::{FrameReceiver, SharedRoot, monotonic_ns};
+use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
 
 /// Why there is no scan.
 #[derive(Debug, thiserror::Error)]
@@ -95,9 +96,11 @@ pub struct Scanner {
     pub(super) subject: Subject,
     pub(super) setting: Setting,
     pub(super) plan: Arc<ViewPlan>,
-    acquisition: Acquisition<ScannedView>,
+    pub(super) acquisition: Acquisition<ScannedView>,
+    full_scale_dn: u16,
     pub(super) store: Store,
-    pub(super) grid: Grid,
+    /// What the views are called.
+    pub(super) views: String,
     pub(super) gear: GearData,
     pub(super) nominal: Stages,
     pub(super) field: FieldOfView,
@@ -122,33 +125,45 @@ impl Scanner {
         of: &BTreeMap<String, String>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, ScanError> {
+        let planned = PlannedScan::of(grid, &subject)?;
+        let source = move || Ok(FrameReceiver::create(&root)?);
+        Self::fed_by(source, subject, setting, planned, (folder, of))
+    }
+
+    /// The same with frames from any source.
+    pub(super) fn fed_by<S: FrameSource>(
+        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
+        subject: Subject,
+        setting: Setting,
+        planned: PlannedScan,
+        (folder, of): (&Path, &BTreeMap<String, String>),
+    ) -> Result<Self, ScanError> {
         let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
         let field = FieldOfView::of(&subject.head).map_err(unfit)?;
+        let name = planned.name.clone();
         let ViewPipeline {
             plan,
             decoder,
             mut views,
             store,
-        } = ViewPipeline::open(&subject, grid, folder, of)?;
+        } = ViewPipeline::open(&subject, planned, folder, of)?;
         let resumed = store.known.len();
+        let full_scale_dn = decoder.full_scale_dn();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
-        let acquisition = Acquisition::start(
-            plan.program(&subject.station),
-            &decoder,
-            move || Ok(FrameReceiver::create(&root)?),
-            scan,
-        )?;
+        let acquisition =
+            Acquisition::start(plan.program(&subject.station), &decoder, source, scan)?;
         Ok(Self {
             subject,
             setting,
             plan,
             acquisition,
             store,
-            grid,
+            full_scale_dn,
+            views: name,
             gear,
             nominal,
             field,
@@ -163,12 +178,12 @@ impl Scanner {
     ///
     /// # Errors
     /// The earlier result cannot be used.
-    pub fn against(mut self, earlier: Option<&Path>) -> Result<Self, ReferenceError> {
+    pub fn against(&mut self, earlier: Option<&Path>) -> Result<(), ReferenceError> {
         let cad = self.subject.hashes.get("cad").map(String::as_str);
         let simulated = Some(self.setting.link.is_simulated());
         let load = |path: &Path| Reference::load(path, cad, simulated);
         self.reference = earlier.map(load).transpose()?;
-        Ok(self)
+        Ok(())
     }
 
     /// Chooses how the views are stitched; the captured views are the same for every method.
@@ -176,13 +191,13 @@ impl Scanner {
     /// # Errors
     /// The voxel size is none.
     pub fn by_method(
-        mut self,
+        &mut self,
         method: Method,
         hinz2019: Hinz2019Settings,
-    ) -> Result<Self, ScanError> {
+    ) -> Result<(), ScanError> {
         check_voxel_size(hinz2019.voxel_mm)?;
         (self.method, self.hinz2019) = (method, hinz2019);
-        Ok(self)
+        Ok(())
     }
 
     /// Captures what is missing and stitches everything.
@@ -215,11 +230,27 @@ impl Scanner {
             };
             Ok::<_, ScanError>((run, lost, client.identity().firmware))
         })?;
+        let [major, minor, patch] = firmware;
+        let mut scan = self.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)?;
+        scan.versions
+            .insert("firmware", format!("{major}.{minor}.{patch}"));
+        Ok(scan)
+    }
+
+    /// The result of a run.
+    pub(super) fn conclude(
+        &mut self,
+        run: Run<ScannedView>,
+        lost: &BTreeMap<usize, Reason>,
+        unfit: Option<&Unfit>,
+        begun_ns: u64,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Scan, ScanError> {
         let mut scan = match unfit {
-            Some(why) => self.nothing(&inspection::unfit(&why))?,
+            Some(why) => self.nothing(&inspection::unfit(why))?,
             None => {
                 watch(Progress::Stitching);
-                self.stitch_all(&lost)?
+                self.stitch_all(lost)?
             }
         };
         let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
@@ -235,9 +266,6 @@ impl Scanner {
         };
         scan.last_view_to_result_ms = scan.timing_ms.last_exposure_to_verdict;
         scan.frames = FrameCount::of(run.counts);
-        let [major, minor, patch] = firmware;
-        scan.versions
-            .insert("firmware", format!("{major}.{minor}.{patch}"));
         scan.peak_memory_mb = peak_memory_mb();
         Ok(scan)
     }
@@ -390,8 +418,35 @@ impl Scanner {
     }
 }
 
+impl Scanner {
+    /// Has the frames of every capture that follows written into `folder`, which is there, beside being scanned.
+    ///
+    /// # Errors
+    /// A thread ended early.
+    pub fn save_frames(&mut self, folder: &Path) -> Result<(), ScanError> {
+        Ok(self.acquisition.save_frames(folder, self.full_scale_dn)?)
+    }
+
+    /// Makes a recording of the frames that were saved for a scan. `head` is the head's file in the same folder.
+    ///
+    /// # Errors
+    /// Something was not written.
+    pub fn record(&mut self, folder: &Path, head: &Path) -> Result<(), RecordError> {
+        let saved = self.acquisition.take_saved();
+        let notes = RecordingNotes {
+            subject: &self.subject,
+            setting: &self.setting,
+            plan: &self.plan,
+            teeth: None,
+            grid: Some(self.views.clone()),
+            press_cycles: None,
+        };
+        notes.write(folder, head, saved)
+    }
+}
+
 /// Keeps what came of these views; returns those that are lost so far, and says why.
-fn keep(
+pub(super) fn keep(
     store: &mut Store,
     lost: &mut BTreeMap<usize, Reason>,
     run: &mut Run<ScannedView>,

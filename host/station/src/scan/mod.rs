@@ -23,6 +23,7 @@
 //! | `coverage` | what should have been seen and was not |
 //! | `metrics` | what the article's ways of measuring a distance would have said |
 //! | `view_pipeline` | what is done with a view once its frames are there |
+//! | `recorded` | the same scan of frames that were recorded |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
 //! | `flanks` | the wear of every flank, judged as in a check |
@@ -40,6 +41,7 @@ mod job;
 mod metrics;
 mod overlaps;
 mod patches;
+mod recorded;
 mod reference;
 mod result;
 mod session;
@@ -54,6 +56,7 @@ pub use hinz2019::Hinz2019Settings;
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
+pub use recorded::RecordedScan;
 pub use reference::{Placement, ReferenceError};
 pub use result::{
     Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,

@@ -59,6 +59,25 @@ pub enum Kept {
     Refused(Reason),
 }
 
+/// Which views a scan takes.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedScan {
+    pub plan: ViewPlan,
+    /// What they are called.
+    pub name: String,
+}
+
+impl PlannedScan {
+    /// Those of a grid, for tool and head of a subject.
+    pub fn of(grid: Grid, subject: &Subject) -> Result<Self, ScanError> {
+        let plan = grid.plan(&subject.tool, &subject.head);
+        Ok(Self {
+            plan: plan.map_err(InspectError::from)?,
+            name: grid.to_string(),
+        })
+    }
+}
+
 /// Everything that turns frames into kept views.
 pub(super) struct ViewPipeline {
     pub plan: Arc<ViewPlan>,
@@ -71,18 +90,17 @@ impl ViewPipeline {
     /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
     pub fn open(
         subject: &Subject,
-        grid: Grid,
+        PlannedScan { plan, name }: PlannedScan,
         folder: &Path,
         further: &BTreeMap<String, String>,
     ) -> Result<Self, ScanError> {
-        let plan = grid.plan(&subject.tool, &subject.head);
-        let plan = Arc::new(plan.map_err(InspectError::from)?);
+        let plan = Arc::new(plan);
         let mut of: BTreeMap<String, String> = subject
             .hashes
             .iter()
             .map(|(&name, hash)| (name.to_string(), hash.clone()))
             .collect();
-        of.insert("views".into(), grid.to_string());
+        of.insert("views".into(), name);
         let points = match subject.head.core_map {
             Some(_) => "cores",
             None => "pixels",
@@ -122,7 +140,8 @@ impl Processing {
     /// # Errors
     /// The subject is unfit, or the folder is another scan's or damaged.
     pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
-        let pipeline = ViewPipeline::open(subject, grid, folder, &BTreeMap::new())?;
+        let planned = PlannedScan::of(grid, subject)?;
+        let pipeline = ViewPipeline::open(subject, planned, folder, &BTreeMap::new())?;
         let sums = pipeline.decoder.begin();
         Ok(Self { pipeline, sums })
     }

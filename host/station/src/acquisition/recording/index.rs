@@ -27,6 +27,9 @@ pub struct FrameIndex {
     /// Teeth that were to be checked; without it, those of the views.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub teeth: Option<Vec<u32>>,
+    /// Grid of the scan that the views are of, as `scan --views` takes it; without it, a scan is of these views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<String>,
     /// Cycles of the press, by the controller's counter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub press_cycles: Option<u32>,
@@ -235,6 +238,7 @@ mod tests {
             head: Some("head.toml".into()),
             images: None,
             teeth: Some(vec![40]),
+            grid: Some("84x7".into()),
             press_cycles: Some(7),
             tool_temperature_degc: Some(21.5),
             view: vec![IndexedView {

@@ -6,9 +6,11 @@
 //! | `index` | `frames.toml` |
 //! | `source` | a folder as a source of frames |
 //! | `playback` | an acquisition that is fed from it |
+//! | `saver` | frames written into such a folder while they come |
 
 mod index;
 mod playback;
+mod saver;
 mod source;
 
 use std::path::{Path, PathBuf};
@@ -23,6 +25,7 @@ use flankscope_protocol::{Microseconds, Timestamp, Trigger};
 
 pub use index::{FrameIndex, IndexedView};
 pub(crate) use playback::Playback;
+pub(crate) use saver::{SavedCapture, SavedView, Saver};
 pub use source::ImageProblem;
 
 use crate::files;
@@ -96,6 +99,8 @@ pub enum RecordingError {
 /// The frames of one view.
 #[derive(Clone, Debug)]
 pub(crate) struct RecordedView {
+    /// Its place in the index: the order in which views were taken.
+    pub number: usize,
     images: Vec<(FrameKind, PathBuf)>,
     /// What the index says beside.
     said: IndexedView,
@@ -169,6 +174,7 @@ impl Recording {
                     }
                 }
                 Ok(RecordedView {
+                    number: at,
                     images,
                     said: said.clone(),
                 })
