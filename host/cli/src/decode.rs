@@ -9,7 +9,7 @@ use flankscope_foundation::order::median_of;
 use flankscope_profilometry::decode::ConsistencyOptions;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
-    Cloud, DecodeOptions, Decoder, PatchOptions, Rejected,
+    Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
 };
 use flankscope_profilometry::head::{HeadModel, Sensor};
 use flankscope_profilometry::plan::Plan;
@@ -194,7 +194,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 const NOTABLE_NOISE_RATIO: f64 = 1.5;
 
 fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
-    let defaults = DecodeOptions::for_head(head).smoothed();
+    let defaults = DecodeOptions::for_head(head).with_smoothed_orders();
+    // Less than a lens blurs.
+    let smoothing_px = match defaults.grid {
+        GridKind::Pixel => 0.7,
+        GridKind::Core => 0.0,
+    };
     DecodeOptions {
         grid: defaults.grid,
         binning: args.binning.unwrap_or(defaults.binning),
@@ -203,10 +208,8 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
         consistency: defaults.consistency,
-        smoothing_px: args.smooth.unwrap_or(defaults.smoothing_px),
-        coarse_smoothing_px: args
-            .smooth_coarse
-            .unwrap_or(defaults.coarse_smoothing_px),
+        smoothing_px: args.smooth.unwrap_or(smoothing_px),
+        coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
             threshold_dn,
             smoothing_px: args.mask_smooth,

@@ -71,15 +71,13 @@ impl DecodeOptions {
         }
     }
 
-    /// The same with smoothing on the pixel grid: the finest fringes by less than a lens blurs them, what only counts fringes by
-    /// two pixels. Cores stay as they are.
-    pub fn smoothed(self) -> Self {
-        let [smoothing_px, coarse_smoothing_px] = match self.grid {
-            GridKind::Core => [0.0; 2],
-            GridKind::Pixel => [0.7, 2.0],
+    /// The same with smoothing of what only counts fringes, on the pixel grid; points stay their own cell's. Cores stay as they are.
+    pub fn with_smoothed_orders(self) -> Self {
+        let coarse_smoothing_px = match self.grid {
+            GridKind::Core => 0.0,
+            GridKind::Pixel => 2.0,
         };
         Self {
-            smoothing_px,
             coarse_smoothing_px,
             ..self
         }

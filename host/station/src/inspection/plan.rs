@@ -259,7 +259,7 @@ impl ViewPlan {
         let options = DecodeOptions {
             mask,
             dark_frame: self.dark_frame,
-            ..DecodeOptions::for_head(&head).smoothed()
+            ..DecodeOptions::for_head(&head).with_smoothed_orders()
         };
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
