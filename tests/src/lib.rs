@@ -34,7 +34,18 @@ pub fn flankscope() -> Command {
             .unwrap_or(Path::new("."))
             .join("flankscope")
     });
-    Command::new(program)
+    let mut command = Command::new(program);
+    // The tests' own station: its key lies in the build folder.
+    command.env("FLANKSCOPE_STATE", state());
+    command
+}
+
+/// Where the tests' station keeps its key and what it remembers.
+#[must_use]
+pub fn state() -> PathBuf {
+    let here = std::env::current_exe().unwrap_or_default();
+    let profile = here.ancestors().nth(2).unwrap_or(Path::new("."));
+    profile.join("flankscope-state")
 }
 
 /// The demo die's drawing.

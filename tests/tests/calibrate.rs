@@ -96,6 +96,11 @@ fn a_calibrated_head_checks_the_die() {
     let check = |said: &str, arguments: &[&str], why: &str| {
         let other = folder.path().join("other.toml");
         std::fs::write(&other, text.replace("simulated = true", said)).unwrap();
+        let trusted = run(flankscope()
+            .arg("trust")
+            .arg(&other)
+            .args(["--quiet", "--name", "tester"]));
+        assert_eq!(trusted.code, 0, "{}", trusted.stderr);
         let check = ["calibrate", "--quiet", "--check", other.to_str().unwrap()];
         let run = run(flankscope().args(check).args(arguments));
         assert_eq!(run.code, 3, "{said}");
@@ -105,6 +110,22 @@ fn a_calibrated_head_checks_the_die() {
     check("simulated = false", &[], "--link PORT");
     check("simulated = false", &["--link", "sim"], "cannot test it");
 
+    // What somebody edited is not believed, until somebody answers for it.
+    let answered_for = |file: &std::path::Path| {
+        let run_head = inspect(&["--head", path]);
+        assert_eq!(run_head.code, 3, "{}", run_head.stderr);
+        let named = format!("{}: this ", file.display());
+        assert!(
+            run_head.stderr.contains(&named) && run_head.stderr.contains("not believed"),
+            "{}",
+            run_head.stderr
+        );
+        let trust = run(flankscope()
+            .arg("trust")
+            .arg(file)
+            .args(["--quiet", "--name", "tester"]));
+        assert_eq!(trust.code, 0, "{}", trust.stderr);
+    };
     // Nothing is measured with a head that must not judge.
     let refused = |why: &str| {
         let run = inspect(&["--head", path]);
@@ -120,8 +141,10 @@ fn a_calibrated_head_checks_the_die() {
         std::fs::write(&test_path, test.replacen(line, to, 1)).unwrap();
     };
     edited("flatness_um", "flatness_um = 400.0");
+    answered_for(&test_path);
     refused("failed: flatness");
     edited("due", "due = \"2001-01-01\"");
+    answered_for(&test_path);
     refused("counted until 2001-01-01");
     std::fs::remove_file(&test_path).unwrap();
     refused("never tested");
@@ -135,6 +158,7 @@ fn a_calibrated_head_checks_the_die() {
         })
         .collect();
     std::fs::write(&head, old).unwrap();
+    answered_for(&head);
     refused("expired after 2001-06-30");
     // Nor is a scan begun.
     let scan = [

@@ -4,7 +4,8 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 use std::process::Command;
 
-use flankscope_tests::{flankscope, run};
+use flankscope_tests::{flankscope, inspect, run};
+use serde_json::Value;
 
 /// A temporary folder that everybody may write to, as `/tmp` is.
 fn temporary() -> tempfile::TempDir {
@@ -76,4 +77,132 @@ fn a_tool_that_somebody_put_where_a_run_keeps_its_own_is_not_read() {
         .map(|entry| entry.file_name())
         .collect();
     assert_eq!(left, [".lock"]);
+}
+
+#[test]
+fn an_edited_baseline_turns_no_no_go_into_a_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new.json");
+    let file = path.to_str().unwrap();
+    let new = inspect(&["--teeth", "40", "--record-baseline", file]);
+    assert_eq!(new.code, 0, "{}", new.stderr);
+    let worn = |why: &str, code: i32| {
+        let check = inspect(&[
+            "--teeth",
+            "40",
+            "--wear",
+            "40:left:80",
+            "--seed",
+            "2",
+            "--baseline",
+            file,
+        ]);
+        assert_eq!(check.code, code, "{why}: {}", check.stderr);
+        check
+    };
+    worn("as it was written", 1);
+    let written: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let edited = |change: &dyn Fn(&mut Value)| {
+        let mut document = written.clone();
+        change(&mut document);
+        std::fs::write(&path, document.to_string()).unwrap();
+    };
+    let deeper = |document: &mut Value| {
+        for flank in document["flanks"].as_array_mut().unwrap() {
+            for cell in flank["field"]["wear_mm"].as_array_mut().unwrap() {
+                if let Some(mm) = cell.as_f64() {
+                    *cell = (mm + 0.08).into();
+                }
+            }
+        }
+    };
+    edited(&deeper);
+    let refused = worn("80 um deeper", 3);
+    assert!(
+        refused.stderr.contains("flankscope trust"),
+        "{}",
+        refused.stderr
+    );
+    edited(&|document| {
+        deeper(document);
+        document.as_object_mut().unwrap().remove("seal");
+    });
+    worn("without its seal", 3);
+    // What somebody answers for may still be nonsense.
+    for (why, change) in [
+        (
+            "is there twice",
+            &(|document: &mut Value| {
+                let flanks = document["flanks"].as_array_mut().unwrap();
+                let first = flanks[0].clone();
+                flanks.push(first);
+            }) as &dyn Fn(&mut Value),
+        ),
+        ("variance -1", &|document: &mut Value| {
+            document["flanks"][0]["field"]["variance_mm2"][0] = (-1.0).into();
+        }),
+    ] {
+        edited(change);
+        let trust = ["trust", file, "--quiet", "--name", "tester"];
+        assert_eq!(run(flankscope().args(trust)).code, 0);
+        let refused = worn(why, 3);
+        assert!(refused.stderr.contains(why), "{}", refused.stderr);
+    }
+}
+
+/// A head without a calibration claims nothing: it may be used, and every result says that nobody signed it.
+#[test]
+fn an_unsigned_head_says_so_in_every_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = folder.path().to_str().unwrap();
+    assert_eq!(
+        run(flankscope().args(["bench", "demo-tool", "--out", tool])).code,
+        0
+    );
+    let check = inspect(&["--tool", tool, "--link", "sim", "--teeth", "40"]);
+    assert_eq!(check.code, 0, "{}", check.stderr);
+    assert_eq!(check.json["head"]["seal"], "unsigned");
+    assert_eq!(inspect(&["--teeth", "40"]).json["head"]["seal"], "built in");
+}
+
+/// The instrument's side stands still for some seconds while frames are exposed; by its own clock nothing was late.
+#[test]
+fn a_stall_between_trigger_and_frame_is_evidence() {
+    use std::io::{BufRead, BufReader};
+    let mut check = flankscope()
+        .args(["inspect", "--json", "-", "--teeth", "40", "--speed", "1"])
+        .stderr(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let host = check.id();
+    let mut said = BufReader::new(check.stderr.take().unwrap());
+    // The line of the first view's frames has begun when its first byte after the moving line is there.
+    let mut line = String::new();
+    while !line.contains("head moves to view") {
+        line.clear();
+        assert!(said.read_line(&mut line).unwrap() > 0, "the check began");
+    }
+    let mut marks = Vec::new();
+    while !marks.ends_with(b"|||") {
+        let next = said.fill_buf().unwrap().first().copied().unwrap();
+        said.consume(1);
+        marks.push(next);
+    }
+    let children = std::fs::read_to_string(format!("/proc/{host}/task/{host}/children")).unwrap();
+    let bench: i32 = children.split_whitespace().next().unwrap().parse().unwrap();
+    let bench = rustix::process::Pid::from_raw(bench).unwrap();
+    rustix::process::kill_process(bench, rustix::process::Signal::STOP).unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    rustix::process::kill_process(bench, rustix::process::Signal::CONT).unwrap();
+    std::thread::spawn(move || for _ in said.lines() {});
+    let output = check.wait_with_output().unwrap();
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let (verdict, frames) = (&found["verdict"], &found["frames"]);
+    assert!(frames["late_ms"].as_f64().unwrap() > 2000.0, "{frames}");
+    // Captured again and judged, or given up: never as if nothing had been.
+    assert!(
+        verdict == "indeterminate" || frames["recaptured_views"].as_u64() > Some(0),
+        "{verdict} {frames}"
+    );
 }

@@ -371,6 +371,12 @@ fn a_baseline_shows_five_micrometres() {
     let mut json: serde_json::Value = serde_json::from_str(&text).unwrap();
     json["hashes"]["head"] = "0".into();
     std::fs::write(&path, json.to_string()).unwrap();
+    // Somebody answers for it; that does not make it another head's.
+    let trust = flankscope()
+        .args(["trust", file, "--quiet", "--name", "tester"])
+        .status()
+        .unwrap();
+    assert!(trust.success());
     let refused = flankscope()
         .args(["inspect", "--quiet", "--baseline", file])
         .output()

@@ -6,11 +6,12 @@ use std::process::{self, Child, ChildStdout, Stdio};
 
 use anyhow::{Context, bail};
 pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
-use flankscope_bench::config::{BenchConfig, ControllerKind, Stands};
+use flankscope_bench::config::{BenchConfig, ControllerKind, Speed, Stands};
 use flankscope_bench::process::{Farewell, Hello};
 use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::origin::Link;
+use flankscope_station::settings::StationSettings;
 
 use crate::instrument::Scene;
 
@@ -102,6 +103,8 @@ pub struct Bench {
     child: Child,
     stdout: BufReader<ChildStdout>,
     hello: Hello,
+    /// Whether its clock is that of the world.
+    real_time: bool,
 }
 
 /// Writes the demo tool's folder and returns it.
@@ -170,6 +173,7 @@ impl Bench {
                 child,
                 stdout,
                 hello,
+                real_time: args.speed.value == Speed(1.0),
             },
             Err(_) => {
                 // It has said why on standard error.
@@ -189,9 +193,10 @@ impl Bench {
     }
 
     /// How patiently to talk to a controller whose clock runs faster.
-    pub fn client_settings(&self) -> ClientSettings {
+    pub fn client_settings(&self, settings: &StationSettings) -> ClientSettings {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
+            stall: settings.client().stall.filter(|_| self.real_time),
             ..ClientSettings::default()
         }
     }

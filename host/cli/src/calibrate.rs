@@ -15,11 +15,12 @@ use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
 };
 use flankscope_station::origin::{Link, Setting};
+use flankscope_station::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{Instrument, Place, Scene, Site, fits_link, scratch};
+use crate::instrument::{Instrument, Place, Scene, Site, fits_link, scratch, seals};
 use crate::output::{Common, Outcome, say};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
@@ -171,6 +172,10 @@ fn check(
     path: &Path,
 ) -> anyhow::Result<Outcome> {
     let mut head = HeadModel::load(path).context("head")?;
+    if head.calibration.is_some() {
+        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
+        seals()?.believe(Kind::Head, path, &document)?;
+    }
     // A head from the bench is tested there. Of any other, who tests it says where.
     let made = head.calibration.as_ref().and_then(|made| made.simulated);
     let of_head = (
@@ -191,6 +196,7 @@ fn check(
     );
     let (test, truth) = self_test(args, &site, folder, &head, target)?;
     save_self_test(&test, path)?;
+    seals()?.seal_toml(Kind::SelfTest, &SelfTest::path_of(path))?;
     head.self_test = Some(test.clone());
     let unfit = head.fit_on(Date::today()).err();
     args.common.write_json(&CheckDocument {
@@ -290,6 +296,7 @@ impl Job<'_> {
         watcher.finish();
         let truth = survey.close(quiet)?;
         let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;
+        seals()?.seal_toml(Kind::Head, output)?;
         let plates = Instant::now();
         let tested = if target.sphere.is_some() && target.limits.is_some() {
             let head = HeadModel::load(output)?;
@@ -317,6 +324,7 @@ impl Job<'_> {
             }
         })?;
         let record = calibrated.save(self.output, None, Date::today(), self.args.valid_days)?;
+        seals()?.seal_toml(Kind::Head, self.output)?;
         let plates = Instant::now();
         let tested = folder.self_test(&HeadModel::load(self.output)?, Date::today())?;
         let clock = Clock {
@@ -338,6 +346,7 @@ impl Job<'_> {
         let Self { args, output, .. } = self;
         if let Some(test) = &tested {
             save_self_test(test, output)?;
+            seals()?.seal_toml(Kind::SelfTest, &SelfTest::path_of(output))?;
         }
         let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
         let document = Document {

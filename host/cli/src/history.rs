@@ -11,6 +11,7 @@ use flankscope_station::report::{figure, history_html, rate, remaining};
 use serde_json::json;
 
 use crate::inspect::write_origin;
+use crate::instrument::seals;
 use crate::output::{Common, Outcome, write_whole};
 
 /// Show how the flanks of a tool wore, how fast they wear, and how many cycles are left.
@@ -44,7 +45,8 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let history = History::read(&args.file)?;
+    let history = History::read(&args.file, &seals()?)?;
+    history.verify()?;
     let tools = history.tools()?;
     let tool = match &args.tool {
         Some(name) => {

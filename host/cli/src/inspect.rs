@@ -12,7 +12,7 @@ use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
-use crate::instrument::{Instrument, Site, Source, recorded_check};
+use crate::instrument::{Instrument, Site, Source, recorded_check, seals};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place, try_recording};
 
 /// The example, and what the figures are.
@@ -71,6 +71,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .as_ref()
         .or(site.settings.report.folder.as_ref());
     args.try_places(report)?;
+    let seals = seals()?;
     let mut complaints = Complaints::default();
     let (mut inspection, instrument) = match &recording {
         Some(recording) => (args.check_recorded(recording, &site)?, None),
@@ -89,10 +90,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     complaints.hear_of(args.common.document(), &mut inspection);
     complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
-        let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path));
+        let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path, &seals));
         complaints.hear(recorded.map_err(Into::into));
     }
-    Ok(complaints.end(inspection.verdict, &inspection.sentence()))
+    Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
 }
 
 impl Args {

@@ -14,6 +14,7 @@ use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{RecordedCheck, Station, Subject};
 use flankscope_station::origin::{Link, RecordingId, Setting};
+use flankscope_station::seal::{Kind, SealError, Seals};
 use flankscope_station::settings::StationSettings;
 
 use crate::bench_link::{
@@ -65,7 +66,8 @@ impl Source {
             grid.impose(Arc::make_mut(&mut subject.head))?;
         }
         if let Some(path) = &self.baseline {
-            let baseline = Baseline::load(path, &subject.hashes, link.is_simulated())?;
+            let baseline =
+                Baseline::load(path, &subject.hashes, link.is_simulated(), &subject.seals)?;
             subject.hashes.insert("baseline", baseline.hash());
             subject.baseline = Some(Arc::new(baseline));
         }
@@ -88,15 +90,10 @@ impl Source {
         Ok(store)
     }
 
-    /// What stores the checks of a tool in the history at `path`.
-    fn writer(
-        &self,
-        path: &Path,
-        site: &Site,
-        tool: &str,
-        baseline: Option<&Baseline>,
-    ) -> anyhow::Result<HistoryWriter> {
-        let history = History::open(path)?;
+    /// What stores the checks of a subject in the history at `path`.
+    fn writer(&self, path: &Path, site: &Site, subject: &Subject) -> anyhow::Result<HistoryWriter> {
+        let history = History::open(path, &subject.seals)?;
+        history.takes_head(&subject.head_id())?;
         let unknown = history.of_unknown_origin()?;
         if unknown > 0 {
             say(&format!(
@@ -113,7 +110,8 @@ impl Source {
             self.keep_phasors.unwrap_or(keep_phasors),
             operator.unwrap_or_else(user_name),
         );
-        opened.begin(tool, site.link().is_simulated(), baseline)?;
+        let baseline = subject.baseline.as_deref();
+        opened.begin(&subject.die(), site.link().is_simulated(), baseline)?;
         Ok(opened)
     }
 
@@ -313,11 +311,11 @@ impl Instrument {
             |mut subject, root| {
                 source.furnish(&mut subject, site.link())?;
                 let teeth = source.teeth.as_deref();
-                let baseline = subject.baseline.clone();
+                let known = subject.clone();
                 let station = Station::open(subject, site.setting.clone(), teeth, root)?;
-                let open =
-                    |path: &PathBuf| source.writer(path, site, station.tool(), baseline.as_deref());
-                writer = store.map(open).transpose()?;
+                writer = store
+                    .map(|path| source.writer(path, site, &known))
+                    .transpose()?;
                 Ok(station)
             },
         )?;
@@ -337,10 +335,11 @@ pub fn recorded_check(
     let mut subject = recorded_subject([&source.tool, &source.head], recording, site)?;
     source.furnish(&mut subject, site.link())?;
     let teeth = source.teeth.as_deref();
-    let baseline = subject.baseline.clone();
+    let known = subject.clone();
     let check = RecordedCheck::open(subject, site.setting.clone(), recording, teeth)?;
-    let open = |path| source.writer(path, site, check.tool(), baseline.as_deref());
-    let writer = store.map(|path: &PathBuf| open(path)).transpose()?;
+    let writer = store
+        .map(|path| source.writer(path, site, &known))
+        .transpose()?;
     Ok((check, writer))
 }
 
@@ -410,7 +409,7 @@ impl<S> Instrument<S> {
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),
-                settings: bench.client_settings(),
+                settings: bench.client_settings(&site.settings),
                 bench: Some(bench),
                 _root: root,
                 _scratch: scratch,
@@ -499,7 +498,15 @@ pub fn subject(
 fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Subject> {
     let tool = Tool::load(folder)?;
     let head_path = head_path(&tool, head, scratch)?;
+    let ours = head_path.starts_with(scratch);
     let head = HeadModel::load(&head_path)?;
+    let seals = seals()?;
+    let head_seal = if ours {
+        "built in".into()
+    } else {
+        seals.head(&head_path, head.calibration.is_some())?.words()
+    };
+    believe_as_built(&tool, &seals)?;
     let mut hashes = BTreeMap::new();
     let mut files = vec![
         ("tool", tool.path.clone()),
@@ -520,8 +527,39 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         temperature_degc: None,
         baseline: None,
         station: Arc::default(),
+        head_seal: Some(head_seal),
+        seals,
         hashes,
     })
+}
+
+/// A scan that a tool file names as its die when new is believed as any other result of a scan.
+fn believe_as_built(tool: &Tool, seals: &Seals) -> anyhow::Result<()> {
+    let inspect = tool.inspect.as_ref();
+    let Some(scan) = inspect.and_then(|inspect| inspect.as_built_scan.as_ref()) else {
+        return Ok(());
+    };
+    let path = tool.path.with_file_name("").join(scan);
+    let bytes = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let document = serde_json::from_slice(&bytes)
+        .with_context(|| format!("{} (inspect.as_built_scan)", path.display()))?;
+    seals.believe(Kind::Scan, &path, &document)?;
+    Ok(())
+}
+
+/// The station's key, made at first use. Where it has no place, a key of this run alone: a check goes on, but nobody believes
+/// later what it signed.
+pub fn seals() -> anyhow::Result<Seals> {
+    let error = match Seals::default_folder().and_then(|folder| Seals::open(&folder)) {
+        Ok(seals) => return Ok(seals),
+        // Whose key may be known to others should hear of it, and not go on without.
+        Err(error @ SealError::KeyOpen { .. }) => return Err(error.into()),
+        Err(error) => error,
+    };
+    say(&format!(
+        "{error}; what this run writes is signed by a key that ends with it"
+    ));
+    Ok(Seals::passing()?)
 }
 
 /// The head's file: the one named, else the one in the tool's folder, else the demo's.

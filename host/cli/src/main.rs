@@ -22,6 +22,7 @@ mod register;
 mod replay;
 mod sample;
 mod scan;
+mod trust;
 mod watch;
 
 use std::process::ExitCode;
@@ -53,6 +54,7 @@ enum Command {
     Gear(gear::Args),
     History(history::Args),
     Replay(replay::Args),
+    Trust(trust::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true, subcommand)]
@@ -95,13 +97,14 @@ fn main() -> ExitCode {
         Command::Gear(args) => gear::run(&args),
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Trust(args) => trust::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };
     match result {
         Ok(outcome) => outcome.into(),
         Err(error) => {
-            output::say(&format!("error: {error:#}"));
+            output::say(&format!("error: {}", output::in_words(&error)));
             Outcome::CouldNotRun.into()
         }
     }

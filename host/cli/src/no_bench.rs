@@ -6,6 +6,7 @@ use anyhow::bail;
 use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::origin::Link;
+use flankscope_station::settings::StationSettings;
 
 use crate::instrument::Scene;
 
@@ -67,7 +68,7 @@ impl Bench {
         match *self {}
     }
 
-    pub fn client_settings(&self) -> ClientSettings {
+    pub fn client_settings(&self, _: &StationSettings) -> ClientSettings {
         match *self {}
     }
 

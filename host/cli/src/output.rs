@@ -113,6 +113,20 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
         .try_for_each(|file| try_place(&folder.join(file)))
 }
 
+/// An error with its causes, each once: many name their cause themselves.
+pub fn in_words(error: &anyhow::Error) -> String {
+    let mut words = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if !words.contains(&cause) {
+            if !words.is_empty() {
+                words += ": ";
+            }
+            words += &cause;
+        }
+    }
+    words
+}
+
 /// Tries a folder for recorded frames, which must not hold any: one recording would be read as the other.
 ///
 /// # Errors
@@ -150,15 +164,42 @@ impl Complaints {
         self.hear(sink.put(result).map_err(Into::into));
     }
 
-    /// Complains on standard error, with the verdict and its reason for those who have only that; returns the verdict's
-    /// outcome.
-    pub fn end(self, verdict: Word, sentence: &str) -> Outcome {
+    /// Complains on standard error, with the verdict and its reason for those who have only that; why nothing can be said is
+    /// said in any case. Returns the verdict's outcome.
+    pub fn end(self, verdict: Word, sentence: &str, quiet: bool) -> Outcome {
         for error in &self.0 {
-            say(&format!("error: {error:#}"));
+            say(&format!("error: {}", in_words(error)));
         }
         if !self.0.is_empty() {
             say(&format!("the verdict stands: {sentence}"));
+        } else if quiet && verdict == Word::Indeterminate {
+            say(sentence);
         }
         Outcome::Verdict(verdict)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cause_is_said_once() {
+        #[derive(Debug)]
+        struct Named(std::io::Error);
+        impl std::fmt::Display for Named {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                write!(f, "tool.toml: {}", self.0)
+            }
+        }
+        impl std::error::Error for Named {
+            fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+                Some(&self.0)
+            }
+        }
+        let missing = || std::io::Error::from_raw_os_error(2);
+        let error = anyhow::Error::from(Named(missing())).context("cannot begin");
+        let os = missing().to_string();
+        assert_eq!(in_words(&error), format!("cannot begin: tool.toml: {os}"));
     }
 }

@@ -1,13 +1,15 @@
 //! `flankscope replay`: a stored verdict, computed again.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use flankscope_station::history::{History, Replay};
+use flankscope_station::history::{Difference, History, Replay, ReplayError};
+use flankscope_station::inspection::Subject;
 use serde_json::json;
 
 use crate::inspect::SIMULATED;
-use crate::instrument;
+use crate::instrument::{self, seals};
 use crate::output::{Common, Outcome};
 
 /// Compute a stored verdict again from its phasors, and name whatever is not the same to the last bit.
@@ -24,7 +26,11 @@ pub struct Args {
     /// File that inspect or watch wrote with --history
     file: PathBuf,
     /// Number of the check
-    id: i64,
+    #[arg(required_unless_present = "all")]
+    id: Option<i64>,
+    /// Every check of the history: its chain, its rows against their documents, and what still has its phasors computed again
+    #[arg(long, conflicts_with = "id")]
+    all: bool,
     /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
     #[arg(long, value_name = "DIR")]
     tool: Option<PathBuf>,
@@ -40,13 +46,17 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let history = History::read(&args.file)?;
+    let history = History::read(&args.file, &seals()?)?;
+    history.verify()?;
     let subject = instrument::subject(
         args.tool.as_deref(),
         args.head.as_deref(),
         args.station.as_deref(),
     )?;
-    let replay = Replay::of(&history, args.id, subject)?;
+    let Some(id) = args.id else {
+        return all(args, &history, &subject);
+    };
+    let replay = Replay::of(&history, id, subject)?;
     let same = replay.differences.is_empty();
     let mut document = serde_json::to_value(&replay)?;
     document["same"] = json!(same);
@@ -56,6 +66,55 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     Ok(if same {
         Outcome::Verdict(replay.verdict)
+    } else {
+        Outcome::INDETERMINATE
+    })
+}
+
+/// Every check; one whose phasors were given up is still compared with its own row.
+fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outcome> {
+    let (mut replayed, mut given_up) = (0, 0);
+    let mut differing = BTreeMap::new();
+    let ids = history.ids()?;
+    for &id in &ids {
+        let differences = match Replay::of(history, id, subject.clone()) {
+            Ok(replay) => {
+                replayed += 1;
+                replay.differences
+            }
+            Err(ReplayError::History(error)) if history.gave_up_phasors(id, &error)? => {
+                given_up += 1;
+                Replay::of_row(history, id)?
+            }
+            Err(error) => return Err(anyhow::Error::from(error).context(format!("check {id}"))),
+        };
+        if !differences.is_empty() {
+            differing.insert(id, differences);
+        }
+    }
+    args.common.write_json(&json!({
+        "checks": ids.len(),
+        "replayed": replayed,
+        "phasors_given_up": given_up,
+        "differences": differing,
+        "same": differing.is_empty(),
+    }))?;
+    if args.common.shows_table() {
+        let mut out = std::io::stdout().lock();
+        for (id, differences) in &differing {
+            for Difference { what, stored, now } in differences {
+                writeln!(out, "check {id} DIFFERS {what}: stored {stored}, now {now}")?;
+            }
+        }
+        writeln!(
+            out,
+            "{} checks, chain whole; {replayed} computed again, of {given_up} the phasors were given up; {} differ",
+            ids.len(),
+            differing.len()
+        )?;
+    }
+    Ok(if differing.is_empty() {
+        Outcome::Done
     } else {
         Outcome::INDETERMINATE
     })

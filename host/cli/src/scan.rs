@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use flankscope_foundation::seal::Seal;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::acquisition::Recording;
 use flankscope_station::origin::Link;
@@ -12,12 +13,13 @@ use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
     Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, Scanner, percent,
 };
+use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{Instrument, Place, Scene, Site, recorded_subject, scratch};
+use crate::instrument::{Instrument, Place, Scene, Site, recorded_subject, scratch, seals};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
@@ -217,6 +219,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Scanning::Live(instrument) = scanning {
         scan.truth = complaints.hear(instrument.close(quiet)).flatten();
     }
+    // The reference of later scans.
+    scan.seal = complaints.hear(seal(&scan));
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
     if let Some(mesh) = &args.mesh {
@@ -224,7 +228,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             flankscope_station::report::scan_mesh(&scan, file)
         }));
     }
-    Ok(complaints.end(scan.verdict, &scan.sentence()))
+    Ok(complaints.end(scan.verdict, &scan.sentence(), quiet))
+}
+
+fn seal(scan: &Scan) -> anyhow::Result<Seal> {
+    Ok(seals()?.seal(Kind::Scan, scan)?)
 }
 
 /// What is scanned.

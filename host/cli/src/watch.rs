@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     })));
     // What nobody checked is indeterminate.
     let sentence = format!("{}: this is what the press was shown last", shown.word());
-    Ok(complaints.end(shown.verdict(), &sentence))
+    Ok(complaints.end(shown.verdict(), &sentence, quiet))
 }
 
 /// What is written of every check.
@@ -221,7 +221,8 @@ impl<'a> Log<'a> {
         let document = serde_json::to_value(&*checked).map_err(Into::into);
         self.checks.extend(complaints.hear(document));
         let Inspection { verdict, .. } = checked.inspection;
-        let _ = complaints.end(verdict, &checked.inspection.sentence());
+        let quiet = self.args.common.quiet;
+        let _ = complaints.end(verdict, &checked.inspection.sentence(), quiet);
     }
 
     fn say(&self, text: &str) {

@@ -6,6 +6,7 @@
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
 //! | [`order`] | quantiles and medians |
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
+//! | [`seal`] | whose word a file is |
 //! | [`told`] | figures in sentences |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
 //!
@@ -24,5 +25,6 @@ pub mod date;
 pub mod normal;
 pub mod order;
 pub mod rigid;
+pub mod seal;
 pub mod textfile;
 pub mod told;

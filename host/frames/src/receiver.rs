@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -140,9 +140,11 @@ impl FrameSource for FrameReceiver {
                 return Ok(None);
             }
             // Woken by the camera process; the event may tell of a frame that was already taken, hence the loop.
-            self.listener
-                .timed_wait(|_| {}, left)
-                .map_err(port_failed)?;
+            match self.listener.timed_wait(|_| {}, left) {
+                // Stopped and continued, or a debugger looked: nothing is wrong with the port.
+                Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
+                Err(error) => return Err(port_failed(error)),
+            }
         }
     }
 }

@@ -84,6 +84,7 @@ fn truth() -> HeadModel {
         cores: None,
         calibration: None,
         self_test: None,
+        seal: None,
         core_map: None,
     }
 }

@@ -4,17 +4,22 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::seal::Seal;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::Word;
 use flankscope_metrology::wear::{Field, PoseEvidence};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::files;
 use crate::inspection::Inspection;
 use crate::origin::looked_at;
+use crate::seal::{Kind, SealError, Seals};
 
 /// A file of other people is not read beyond this, bytes: 84 teeth with both flanks need 4 MB.
 const MOST_BYTES: u64 = 64 << 20;
+/// No flank is so far from its CAD.
+const MOST_MM: f64 = 10.0;
 
 /// Every inspected flank of a tool as it was when new.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,6 +94,35 @@ pub enum BaselineError {
         /// Rows stated.
         rows: usize,
     },
+    /// A flank that is there twice: which one counts?
+    #[error("baseline {}: tooth {tooth} {flank} is there twice", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+    },
+    /// A figure that no measurement gives.
+    #[error("baseline {}: tooth {tooth} {flank} has the {what} {value}; right would be {expected}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+        /// Which figure.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What would be right.
+        expected: &'static str,
+    },
+    /// Not this station's word, nor somebody's whom it trusts.
+    #[error(transparent)]
+    Seal(#[from] SealError),
     /// Something of the instrument changed since.
     #[error(
         "the baseline was recorded with another {what} file (BLAKE3 {recorded}, now {now}); record it again on a tool known to be new"
@@ -143,11 +177,12 @@ impl Baseline {
     /// Reads a baseline for an instrument with these files, at the simulated bench or not.
     ///
     /// # Errors
-    /// Unreadable, malformed, recorded with other files, or on the bench where this is a press.
+    /// Unreadable, malformed, not this station's word, recorded with other files, or on the bench where this is a press.
     pub fn load(
         path: &Path,
         hashes: &BTreeMap<&'static str, String>,
         simulated: bool,
+        seals: &Seals,
     ) -> Result<Self, BaselineError> {
         let file = |source| BaselineError::File {
             path: path.to_owned(),
@@ -161,11 +196,17 @@ impl Baseline {
             });
         }
         let text = std::fs::read(path).map_err(file)?;
-        let baseline: Self =
-            serde_json::from_slice(&text).map_err(|source| BaselineError::Syntax {
-                path: path.to_owned(),
-                source,
-            })?;
+        let syntax = |source| BaselineError::Syntax {
+            path: path.to_owned(),
+            source,
+        };
+        let mut document: Value = serde_json::from_slice(&text).map_err(syntax)?;
+        seals.believe(Kind::Baseline, path, &document)?;
+        if let Some(map) = document.as_object_mut() {
+            map.remove(Seal::KEY);
+        }
+        let baseline: Self = serde_json::from_value(document).map_err(syntax)?;
+        baseline.plausible(path)?;
         for one in &baseline.flanks {
             let Field { columns, rows, .. } = one.field;
             let lengths = [one.field.wear_mm.len(), one.field.variance_mm2.len()];
@@ -197,7 +238,46 @@ impl Baseline {
         Ok(baseline)
     }
 
-    /// The text of its file.
+    /// What somebody trusts may still be nonsense.
+    fn plausible(&self, path: &Path) -> Result<(), BaselineError> {
+        for (at, one) in self.flanks.iter().enumerate() {
+            let Reference {
+                tooth,
+                flank,
+                field,
+            } = one;
+            let of = |other: &Reference| (other.tooth, other.flank) == (*tooth, *flank);
+            if self.flanks[..at].iter().any(of) {
+                return Err(BaselineError::Twice {
+                    path: path.to_owned(),
+                    tooth: *tooth,
+                    flank: *flank,
+                });
+            }
+            let bad = |what, value, expected| BaselineError::Value {
+                path: path.to_owned(),
+                tooth: *tooth,
+                flank: *flank,
+                what,
+                value,
+                expected,
+            };
+            // Where nothing was measured there is no number.
+            let wear = field.wear_mm.iter().find(|mm| mm.abs() > MOST_MM);
+            if let Some(&mm) = wear {
+                return Err(bad("deviation", mm, "at most 10 mm either way"));
+            }
+            for (&mm, &mm2) in field.wear_mm.iter().zip(&field.variance_mm2) {
+                let measured = (0.0..f64::INFINITY).contains(&mm2);
+                if mm.is_finite() && !measured || mm2 < 0.0 {
+                    return Err(bad("variance", mm2, "a number, 0 mm2 or more"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The text that its hash is of.
     #[must_use]
     pub fn document(&self) -> String {
         // Names, words and numbers: nothing of it can fail to be JSON.
@@ -210,14 +290,23 @@ impl Baseline {
         files::hash(self.document().as_bytes())
     }
 
-    /// Writes it whole or not at all.
+    /// Writes it, signed, whole or not at all.
     ///
     /// # Errors
     /// The operating system's.
-    pub fn save(&self, path: &Path) -> Result<(), BaselineError> {
-        files::write_whole(path, self.document().as_bytes()).map_err(|source| BaselineError::File {
+    pub fn save(&self, path: &Path, seals: &Seals) -> Result<(), BaselineError> {
+        let syntax = |source| BaselineError::Syntax {
             path: path.to_owned(),
             source,
+        };
+        let seal = seals.seal(Kind::Baseline, self)?;
+        let mut document = serde_json::to_value(self).map_err(syntax)?;
+        document[Seal::KEY] = serde_json::to_value(seal).map_err(syntax)?;
+        files::write_whole(path, document.to_string().as_bytes()).map_err(|source| {
+            BaselineError::File {
+                path: path.to_owned(),
+                source,
+            }
         })
     }
 

@@ -19,6 +19,22 @@ pub fn stream_whole(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
+    stream_with_mode(path, 0o666, write)
+}
+
+/// As [`write_whole`], with the rights that a file has when it is made, less the process's umask.
+///
+/// # Errors
+/// As [`write_whole`].
+pub fn write_whole_with_mode(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
+    stream_with_mode(path, mode, |file| file.write_all(bytes))
+}
+
+fn stream_with_mode(
+    path: &Path,
+    mode: u32,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> io::Result<()> {
     // A device or a pipe cannot be replaced by a renamed file, and must not be: it is written to as it is.
     if std::fs::metadata(path).is_ok_and(|meta| !meta.is_file() && !meta.is_dir()) {
         let mut file = io::BufWriter::with_capacity(
@@ -28,9 +44,9 @@ pub fn stream_whole(
         write(&mut file)?;
         return file.flush();
     }
-    // Readable by others as any file is: the process's umask decides.
+    // The process's umask decides how much of that is left.
     let mut file = tempfile::Builder::new()
-        .permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666))
+        .permissions(std::os::unix::fs::PermissionsExt::from_mode(mode))
         .tempfile_in(folder_of(path))?;
     {
         let mut buffered = io::BufWriter::with_capacity(1 << 20, file.as_file_mut());

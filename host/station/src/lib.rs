@@ -16,6 +16,7 @@ pub mod inspection;
 pub mod origin;
 pub mod report;
 pub mod scan;
+pub mod seal;
 pub mod settings;
 pub mod sink;
 pub mod watch;

@@ -93,6 +93,20 @@ pub struct HeadId {
     pub name: String,
     /// BLAKE3 of its file.
     pub blake3: String,
+    /// How it is known: signed, trusted by somebody, or unsigned; absent where an earlier release did not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seal: Option<String>,
+}
+
+impl HeadId {
+    /// Its name, and how it is known.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match &self.seal {
+            Some(seal) => format!("{} ({seal})", self.name),
+            None => self.name.clone(),
+        }
+    }
 }
 
 /// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
@@ -159,7 +173,7 @@ impl Origin {
             ("looked at", self.place()),
             ("station", or_dash(&self.station)),
             ("operator", or_dash(&self.operator)),
-            ("head", or_dash(&head.map(|head| head.name.clone()))),
+            ("head", or_dash(&head.map(HeadId::words))),
         ]
     }
 }
@@ -196,6 +210,7 @@ mod tests {
         let head = HeadId {
             name: "head".into(),
             blake3: String::new(),
+            seal: None,
         };
         let setting = Setting {
             link: Link::Qemu,

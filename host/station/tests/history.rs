@@ -3,11 +3,11 @@
 mod inspections;
 
 use flankscope_metrology::verdict::{Code, Word};
-use flankscope_station::history::{History, HistoryError, HistoryWriter, csv, series};
+use flankscope_station::history::{DieKey, History, HistoryError, HistoryWriter, csv, series};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::{HeadId, Link, Origin, Setting};
 use flankscope_station::sink::ResultSink;
-use inspections::inspection;
+use inspections::{inspection, seals};
 use rusqlite::Connection;
 
 fn writer(history: History) -> HistoryWriter {
@@ -22,7 +22,7 @@ fn word(text: &str) -> Word {
 fn what_was_stored_is_read_back_and_cycles_count_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut history = History::open(&path).unwrap();
+    let mut history = History::open(&path, &seals()).unwrap();
     // The counter falls back to 4 when the controller is switched off, and somebody mounts a new die after the fifth check.
     let mut ids = Vec::new();
     for (counter, said) in [
@@ -38,7 +38,7 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
     }
     assert_eq!(ids, [1, 2, 3, 4, 5, 6]);
     // A reader beside the writer sees every stored check at once.
-    let reader = History::read(&path).unwrap();
+    let reader = History::read(&path, &seals()).unwrap();
     assert_eq!(reader.tools().unwrap(), ["die"]);
     let checks = reader.checks("die").unwrap();
     let cycles: Vec<i64> = checks.iter().map(|c| c.tool_cycles).collect();
@@ -68,11 +68,11 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
 fn rows_are_only_added() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut history = History::open(&path).unwrap();
+    let mut history = History::open(&path, &seals()).unwrap();
     history
         .record(&inspection(1, Word::NoGo, "worn"), None)
         .unwrap();
-    history.acknowledge("die", "Ada").unwrap();
+    history.acknowledge(&DieKey::named("die"), "Ada").unwrap();
     history.audit("Ada", "looked", "at it").unwrap();
     history.keep_baseline("abc", "die", "{}").unwrap();
     let connection = Connection::open(&path).unwrap();
@@ -95,10 +95,10 @@ fn rows_are_only_added() {
 fn files_of_others_and_of_later_releases_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    drop(History::open(&path("later.db")).unwrap());
+    drop(History::open(&path("later.db"), &seals()).unwrap());
     Connection::open(path("later.db"))
         .unwrap()
-        .pragma_update(None, "user_version", 3)
+        .pragma_update(None, "user_version", 4)
         .unwrap();
     Connection::open(path("other.db"))
         .unwrap()
@@ -110,30 +110,32 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
     )
     .unwrap();
     for open in [History::open, History::read] {
-        let later = open(&path("later.db")).unwrap_err();
+        let later = open(&path("later.db"), &seals()).unwrap_err();
         assert!(
             matches!(
                 later,
                 HistoryError::Newer {
-                    got: 3,
-                    known: 2,
+                    got: 4,
+                    known: 3,
                     ..
                 }
             ),
             "{later}"
         );
-        let other = open(&path("other.db")).unwrap_err();
+        let other = open(&path("other.db"), &seals()).unwrap_err();
         assert!(
             matches!(other, HistoryError::Foreign { got: 0, .. }),
             "{other}"
         );
-        let text = open(&path("text.db")).unwrap_err().to_string();
+        let text = open(&path("text.db"), &seals()).unwrap_err().to_string();
         assert!(
             text.contains("text.db") && text.contains("not a database"),
             "{text}"
         );
     }
-    let missing = History::read(&path("missing.db")).unwrap_err().to_string();
+    let missing = History::read(&path("missing.db"), &seals())
+        .unwrap_err()
+        .to_string();
     assert!(missing.contains("missing.db"), "{missing}");
     assert!(!path("missing.db").exists(), "reading makes no file");
 }
@@ -142,7 +144,7 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
 fn a_verdict_that_cannot_be_stored_is_no_go() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut writer = writer(History::open(&path).unwrap());
+    let mut writer = writer(History::open(&path, &seals()).unwrap());
     let mut first = inspection(1, Word::Go, "all is well");
     writer.put(&mut first).unwrap();
     assert_eq!((first.id, first.verdict), (Some(1), Word::Go));
@@ -174,7 +176,7 @@ fn a_verdict_that_cannot_be_stored_is_no_go() {
 fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
-    let mut writer = writer(History::open(&path).unwrap());
+    let mut writer = writer(History::open(&path, &seals()).unwrap());
     let mut stored = Vec::new();
     for (number, verdict) in
         (1..).zip(["go", "no-go", "indeterminate", "go", "go", "go", "warn"].map(word))
@@ -184,7 +186,7 @@ fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
         writer.put(&mut check).unwrap();
         assert!(check.id.is_some());
     }
-    let history = History::read(&path).unwrap();
+    let history = History::read(&path, &seals()).unwrap();
     for (at, (phasors, verdict)) in stored.iter().enumerate() {
         let found = history.phasors(&phasors.blake3, phasors.bytes.len());
         // Seven are stored: those of a go that has three or more after it are gone.
@@ -218,21 +220,34 @@ fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
 #[test]
 fn what_is_open_ends_with_an_acknowledgement() {
     let folder = tempfile::tempdir().unwrap();
-    let mut history = History::open(&folder.path().join("press.db")).unwrap();
+    let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
     for verdict in ["go", "no-go", "go"].map(word) {
         history.record(&inspection(1, verdict, ""), None).unwrap();
     }
     assert_eq!(
-        history.open_verdicts("die").unwrap(),
+        history.open_verdicts(&DieKey::named("die")).unwrap(),
         ["go", "no-go", "go"].map(word)
     );
-    assert!(history.open_verdicts("another die").unwrap().is_empty());
-    history.acknowledge("die", "Ada").unwrap();
-    assert!(history.open_verdicts("die").unwrap().is_empty());
+    assert!(
+        history
+            .open_verdicts(&DieKey::named("another die"))
+            .unwrap()
+            .is_empty()
+    );
+    history.acknowledge(&DieKey::named("die"), "Ada").unwrap();
+    assert!(
+        history
+            .open_verdicts(&DieKey::named("die"))
+            .unwrap()
+            .is_empty()
+    );
     history
         .record(&inspection(2, Word::Warn, ""), None)
         .unwrap();
-    assert_eq!(history.open_verdicts("die").unwrap(), [Word::Warn]);
+    assert_eq!(
+        history.open_verdicts(&DieKey::named("die")).unwrap(),
+        [Word::Warn]
+    );
     let noted = history.acknowledgements("die").unwrap();
     assert_eq!(
         (noted[0].who.as_str(), noted[0].inspection),
@@ -250,6 +265,7 @@ fn check_at(link: &str, press_cycles: u32) -> Inspection {
     let head = HeadId {
         name: "demo, 20 mm".into(),
         blake3: "ab".repeat(32),
+        seal: Some("signed".into()),
     };
     Inspection {
         origin: Origin::new(Some(&setting), head),
@@ -265,7 +281,7 @@ fn simulated_and_real_checks_never_share_a_history() {
         ("/dev/ttyACM0", "qemu", "a real press"),
     ] {
         let path = folder.path().join(holds);
-        let mut history = History::open(&path).unwrap();
+        let mut history = History::open(&path, &seals()).unwrap();
         assert_eq!(history.kind().unwrap(), None);
         history.record(&check_at(first, 1), None).unwrap();
         let error = history.record(&check_at(other, 2), None).unwrap_err();
@@ -282,7 +298,7 @@ fn simulated_and_real_checks_never_share_a_history() {
         let mut refused = check_at(other, 3);
         writer.put(&mut refused).unwrap();
         assert_eq!((refused.id, refused.verdict), (None, Word::Indeterminate));
-        let reader = History::read(&path).unwrap();
+        let reader = History::read(&path, &seals()).unwrap();
         assert_eq!(reader.checks("die").unwrap().len(), 1);
         let connection = Connection::open(&path).unwrap();
         for sql in [
@@ -297,7 +313,7 @@ fn simulated_and_real_checks_never_share_a_history() {
 #[test]
 fn a_check_says_where_it_comes_from_in_row_document_and_table() {
     let folder = tempfile::tempdir().unwrap();
-    let mut history = History::open(&folder.path().join("press.db")).unwrap();
+    let mut history = History::open(&folder.path().join("press.db"), &seals()).unwrap();
     let stored = check_at("sim", 1);
     history.record(&stored, None).unwrap();
     let checks = history.checks("die").unwrap();
@@ -385,14 +401,14 @@ fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
         assert_eq!(history.of_unknown_origin().unwrap(), 1);
     };
     // Who only reads changes nothing.
-    let reader = History::read(&path).unwrap();
+    let reader = History::read(&path, &seals()).unwrap();
     unknown(&reader, 1);
     assert_eq!(reader.kind().unwrap(), None);
-    let mut history = History::open(&path).unwrap();
+    let mut history = History::open(&path, &seals()).unwrap();
     unknown(&history, 1);
     unknown(&reader, 1);
     assert_eq!(
-        history.open_verdicts("die").unwrap(),
+        history.open_verdicts(&DieKey::named("die")).unwrap(),
         [Word::NoGo],
         "it still stands"
     );
@@ -409,7 +425,7 @@ fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
     );
     // Opening it again changes nothing more.
     drop(history);
-    unknown(&History::open(&path).unwrap(), 2);
+    unknown(&History::open(&path, &seals()).unwrap(), 2);
 }
 
 /// What the file says is one of four words and a known reason, or it is not read: nothing is taken for a go.
@@ -418,7 +434,7 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     for (at, verdict) in Word::ALL.into_iter().enumerate() {
         let path = folder.path().join(format!("{verdict}.db"));
-        let mut history = History::open(&path).unwrap();
+        let mut history = History::open(&path, &seals()).unwrap();
         let mut stored = inspection(1, verdict, "found");
         stored.features[0].code = Code::ALL.get(at).copied();
         history.record(&stored, None).unwrap();
@@ -429,14 +445,20 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
             (flank.verdict, flank.code),
             (verdict, stored.features[0].code)
         );
-        assert_eq!(history.open_verdicts("die").unwrap(), [verdict]);
+        assert_eq!(
+            history.open_verdicts(&DieKey::named("die")).unwrap(),
+            [verdict]
+        );
     }
     let path = folder.path().join("strange.db");
     Connection::open(&path)
         .unwrap()
         .execute_batch(&LAYOUT_1.replace("'no-go', NULL)", "'no-go', 'bewitched')"))
         .unwrap();
-    let error = History::read(&path).unwrap().checks("die").unwrap_err();
+    let error = History::read(&path, &seals())
+        .unwrap()
+        .checks("die")
+        .unwrap_err();
     assert!(
         error.to_string().contains("\"bewitched\" is no word"),
         "{error}"

@@ -35,7 +35,7 @@ fn main() {
 
 /// Stores checks and says of each, once it counts, its number, verdict and reason.
 fn store(path: &Path, checks: u32) {
-    let history = match History::open(path) {
+    let history = match History::open(path, &inspections::seals()) {
         Ok(history) => history,
         Err(error) => return println!("none could-not-run {error}"),
     };
@@ -77,7 +77,7 @@ fn assert_kept(path: &Path, given: &[Said]) {
         .query_row("PRAGMA integrity_check", [], |row| row.get(0))
         .unwrap();
     assert_eq!(whole, "ok");
-    let history = History::read(path).unwrap();
+    let history = History::read(path, &inspections::seals()).unwrap();
     let checks = history.checks("die").unwrap();
     assert!(
         checks.iter().all(|check| check.flanks.len() == 6),
@@ -131,9 +131,13 @@ fn a_thousand_kills_lose_no_verdict(folder: &Path) {
         assert!(given.iter().all(|said| said.verdict == Word::Go));
         if path.exists() {
             // Killed while the file was made, it is empty or not there; it can always be opened.
-            drop(History::open(&path).unwrap());
+            drop(History::open(&path, &inspections::seals()).unwrap());
             assert_kept(&path, &given);
-            stored += History::read(&path).unwrap().checks("die").unwrap().len();
+            stored += History::read(&path, &inspections::seals())
+                .unwrap()
+                .checks("die")
+                .unwrap()
+                .len();
         }
         verdicts += given.len();
     }

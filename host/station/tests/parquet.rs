@@ -12,7 +12,8 @@ use parquet::record::{Field, Row};
 #[test]
 fn every_figure_is_there_and_what_is_missing_is_null() {
     let folder = tempfile::tempdir().unwrap();
-    let mut history = History::open(&folder.path().join("press.db")).unwrap();
+    let mut history =
+        History::open(&folder.path().join("press.db"), &inspections::seals()).unwrap();
     let mut first = inspection(8, Word::Go, "");
     first.origin = Origin {
         link: Some("sim".into()),

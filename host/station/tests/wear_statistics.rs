@@ -219,6 +219,7 @@ fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
         verdict,
         reason: String::new(),
         origin: flankscope_station::origin::Origin::default(),
+        serial: None,
         flanks: vec![FlankRow {
             tooth: 7,
             flank: "left".into(),

@@ -34,6 +34,8 @@ fn main() -> Result<()> {
         temperature_degc: None,
         station: Arc::default(),
         baseline: None,
+        head_seal: None,
+        seals: flankscope_station::seal::Seals::passing()?,
         hashes: BTreeMap::new(),
     };
     let grid: Grid = "84x7".parse()?;

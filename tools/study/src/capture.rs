@@ -62,6 +62,8 @@ impl Instrument {
             temperature_degc: degc,
             station: Arc::default(),
             baseline: baseline.map(Arc::new),
+            head_seal: None,
+            seals: flankscope_station::seal::Seals::passing()?,
             hashes: std::collections::BTreeMap::new(),
         };
         let plan = Arc::new(ViewPlan::new(tool, head, Some(&[tooth]))?);

@@ -8,6 +8,10 @@ use serde_json::Value;
 pub fn flankscope(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_flankscope"))
         .current_dir(folder)
+        .env(
+            "FLANKSCOPE_STATE",
+            concat!(env!("CARGO_TARGET_TMPDIR"), "/station"),
+        )
         .args(args)
         .output()
         .unwrap()

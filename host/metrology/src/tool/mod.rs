@@ -29,6 +29,8 @@ const TIP_PER_MODULE: [f64; 2] = [0.25, 0.38];
 pub struct Tool {
     /// Name.
     pub name: String,
+    /// Serial number of the die, where the file names one.
+    pub serial: Option<String>,
     /// The tool file.
     pub path: PathBuf,
     /// CAD.
@@ -270,6 +272,7 @@ fn default_coverage() -> f64 {
 #[serde(deny_unknown_fields)]
 struct File {
     name: String,
+    serial: Option<String>,
     cad: Cad,
     gear: Option<GearData>,
     inspect: Option<Inspect>,
@@ -417,6 +420,7 @@ impl Tool {
         };
         Ok(Self {
             name: file.name,
+            serial: file.serial,
             path,
             cad: file.cad,
             mesh,

@@ -94,6 +94,8 @@ codes! {
     FrameUnreadable = "frame_unreadable", "start the camera process anew; its release must be this one";
     /// A frame does not show what its trigger asked for.
     TriggerMismatch = "trigger_mismatch", "check the trigger line, and the camera's exposure mode";
+    /// Something stood still between trigger, exposure and frame.
+    Stalled = "stalled", "see what stopped controller, camera process or host; see that the host is not overloaded";
     /// The view was not captured.
     NotCaptured = "not_captured", "see why the capture ended early";
     /// The controller stopped.

@@ -101,6 +101,7 @@ impl SelfTest {
             ),
             probing_size_um: 1e3 * (2.0 * round.radius_mm - artefact.diameter_mm),
             limits,
+            seal: None,
         })
     }
 }

@@ -52,12 +52,12 @@ impl Pinhole {
         if self
             .focal_px
             .iter()
-            .any(|focal| !(*focal > 0.0 && *focal < 1e7))
+            .any(|focal| !(*focal >= 1.0 && *focal < 1e7))
         {
             return Err(BadValue::new(
                 format!("{table}.focal_px"),
                 self.focal_px,
-                "both must be positive (focal length divided by pixel pitch)",
+                "both must be positive, at least a pixel (focal length divided by pixel pitch)",
             ));
         }
         if self

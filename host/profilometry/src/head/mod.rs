@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::io::opencv::is_file_storage;
 use flankscope_foundation::date::Date;
+use flankscope_foundation::seal::Seal;
 use flankscope_foundation::textfile::{self, BadValue};
 
 pub use calibration::{CalibrationRecord, HoldOut, RecordError};
@@ -72,6 +73,9 @@ pub struct HeadModel {
     /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationRecord>,
+    /// Whose word the file is, where it says so; whoever judges by it checks that.
+    #[serde(default, skip_serializing)]
+    pub seal: Option<Seal>,
     /// The last test of that calibration, `<head>.check.toml` beside the file; [`HeadModel::load`] reads it.
     #[serde(skip)]
     pub self_test: Option<SelfTest>,

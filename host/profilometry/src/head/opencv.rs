@@ -59,6 +59,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         cores: None,
         calibration: None,
         self_test: None,
+        seal: None,
         core_map: None,
     })
 }
@@ -95,6 +96,34 @@ mod tests {
         assert!(
             error.contains("c.yml:29: Tp = 2 numbers for 3 rows x 1 columns"),
             "{error}"
+        );
+        // Rows and columns are read as they are, and a focal length of nothing is none.
+        for (from, to, named) in [
+            (
+                "rows: 3\n   cols: 1\n",
+                "rows: -7\n   cols: 1\n",
+                "Tp = 3 numbers for -7 rows",
+            ),
+            (
+                "rows: 3\n   cols: 1\n",
+                "rows: 3\n   cols: 1000000000\n",
+                "1000000000 columns",
+            ),
+            ("rows: 3\n   cols: 1\n", "rows: 3\n", "3 rows x  columns"),
+        ] {
+            let text = YAML.replace(from, to);
+            assert_ne!(text, YAML);
+            let error = head_from_file_storage(Path::new("c.yml"), &text)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains(named), "{error}");
+        }
+        let flat = YAML.replace("0., 1500., 384.", "0., 1e-12, 384.");
+        let head = head_from_file_storage(Path::new("c.yml"), &flat).unwrap();
+        let error = head.check().unwrap_err();
+        assert!(
+            format!("{error:?}").contains("projector.focal_px"),
+            "{error:?}"
         );
         let text = YAML.replace("1500., 0., 512.", "1500., 0., .Nan");
         let error = head_from_file_storage(Path::new("c.yml"), &text)

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use flankscope_foundation::date::Date;
+use flankscope_foundation::seal::Seal;
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// Largest errors that a head may show, and how often that is to be asked.
@@ -85,6 +86,9 @@ pub struct SelfTest {
     pub probing_size_um: f64,
     /// What was allowed.
     pub limits: Limits,
+    /// Whose word the file is, where it says so.
+    #[serde(default, skip_serializing)]
+    pub seal: Option<Seal>,
 }
 
 /// Why a head must not judge today.

@@ -2,3 +2,5 @@
 
 pub mod images;
 pub(crate) mod opencv;
+
+pub use opencv::is_file_storage;

@@ -7,7 +7,7 @@ use flankscope_foundation::textfile::{TextFileError, line_of_offset};
 /// One named node: its numbers, in row order, and the line it starts on.
 struct Node {
     name: String,
-    shape: Option<[usize; 2]>,
+    shape: Option<[String; 2]>,
     numbers: Result<Vec<f64>, String>,
     line: usize,
 }
@@ -19,7 +19,7 @@ pub(crate) struct Storage<'a> {
 }
 
 /// Whether a text is FileStorage: XML, or YAML with its directive.
-pub(crate) fn is_file_storage(text: &str) -> bool {
+pub fn is_file_storage(text: &str) -> bool {
     let start = start_of(text);
     start.starts_with('<') || start.starts_with("%YAML")
 }
@@ -74,9 +74,13 @@ impl<'a> Storage<'a> {
         if let Some(bad) = numbers.iter().find(|value| !value.is_finite()) {
             return Err(self.wrong(name, bad.to_string(), "must be finite"));
         }
-        if let Some([rows, columns]) = node.shape
-            && rows.checked_mul(columns) != Some(numbers.len())
-        {
+        if let Some([rows, columns]) = &node.shape {
+            let sides = [rows, columns].map(|side| side.parse::<usize>().ok());
+            let fits =
+                matches!(sides, [Some(a), Some(b)] if a.checked_mul(b) == Some(numbers.len()));
+            if fits {
+                return Ok(numbers);
+            }
             let got = format!(
                 "{} numbers for {rows} rows x {columns} columns",
                 numbers.len()
@@ -159,10 +163,10 @@ fn xml_nodes(path: &Path, text: &str) -> Result<Vec<Node>, TextFileError> {
         .filter(roxmltree::Node::is_element)
         .map(|element| {
             let line = line_of_offset(text, element.range().start);
-            let side = |name| child_text(element, name).and_then(|words| words.trim().parse().ok());
-            let shape = side("rows")
-                .zip(side("cols"))
-                .map(|(rows, columns)| [rows, columns]);
+            let sides = ["rows", "cols"].map(|name| child_text(element, name));
+            let shape = sides.iter().any(Option::is_some).then(|| {
+                sides.map(|side| side.map_or_else(String::new, |words| words.trim().to_owned()))
+            });
             let words = child_text(element, "data")
                 .or_else(|| element.text().map(str::to_owned))
                 .unwrap_or_default();
@@ -197,18 +201,8 @@ fn yaml_nodes(text: &str) -> Vec<Node> {
                 });
             } else if indented && let Some(node) = nodes.last_mut() {
                 match key {
-                    "rows" => {
-                        node.shape = Some([
-                            value.parse().unwrap_or(0),
-                            node.shape.map_or(0, |shape| shape[1]),
-                        ])
-                    }
-                    "cols" => {
-                        node.shape = Some([
-                            node.shape.map_or(0, |shape| shape[0]),
-                            value.parse().unwrap_or(0),
-                        ])
-                    }
+                    "rows" => node.shape.get_or_insert_default()[0] = value.to_owned(),
+                    "cols" => node.shape.get_or_insert_default()[1] = value.to_owned(),
                     "data" => data = Some(value.to_owned()),
                     _ => {}
                 }

@@ -61,6 +61,7 @@ pub fn head() -> HeadModel {
         cores: None,
         calibration: None,
         self_test: None,
+        seal: None,
         core_map: None,
     }
 }

@@ -7,7 +7,7 @@ use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, State};
 use tokio::time::Instant;
 
 use super::error::{AcquisitionError, Progress, Stop, ViewError};
-use super::pairing::pair;
+use super::pairing::{Lateness, PairingError, lateness, pair};
 use super::recorder::{CapturedView, Order, Recorded};
 use super::run::Run;
 use super::session::Acquisition;
@@ -108,7 +108,7 @@ impl<O: Send + 'static> Acquisition<O> {
         let mut captured: Option<Instant> = None;
         let (mut closing, mut closed) = (false, false);
         loop {
-            self.evaluate_whole_views(run, frames)?;
+            self.evaluate_whole_views(run, frames, client.stall_limit())?;
             match captured {
                 Some(_) if closed && run.session.evaluating == 0 => return Ok(failure),
                 Some(limit) if !closed && Instant::now() > limit => {
@@ -192,6 +192,7 @@ impl<O: Send + 'static> Acquisition<O> {
         &mut self,
         run: &mut Run<O>,
         frames_per_view: u16,
+        stall_limit: Option<Duration>,
     ) -> Result<(), AcquisitionError> {
         let work = self
             .work
@@ -221,9 +222,19 @@ impl<O: Send + 'static> Acquisition<O> {
                 .triggers
                 .get(usize::from(view))
                 .map_or(&[][..], Vec::as_slice);
+            let arrived_ns = run.session.arrived_ns.get(usize::from(view));
+            let arrived_ns = arrived_ns.map_or(&[][..], Vec::as_slice);
+            let late = lateness(triggers, arrived_ns, &frames, &handover_ns);
+            let late = late.filter(|_| stall_limit.is_some());
+            run.counts.late_ms = run
+                .counts
+                .late_ms
+                .max(late.map_or(0.0, |late| late.late_ms));
             let result = match problem {
                 Some(problem) => Err(problem),
-                None => pair(triggers, &frames).map_err(ViewError::from),
+                None => pair(triggers, &frames)
+                    .and_then(|()| timely(late, stall_limit))
+                    .map_err(ViewError::from),
             };
             match result {
                 Ok(()) => {
@@ -251,4 +262,26 @@ impl<O: Send + 'static> Acquisition<O> {
         }
         Ok(())
     }
+}
+
+/// Nothing stood still for longer than it may.
+fn timely(late: Option<Lateness>, limit: Option<Duration>) -> Result<(), PairingError> {
+    let (Some(late), Some(limit)) = (late, limit) else {
+        return Ok(());
+    };
+    let limit_ms = limit.as_secs_f64() * 1e3;
+    if late.late_ms <= limit_ms {
+        return Ok(());
+    }
+    let Lateness {
+        frame,
+        leg,
+        late_ms,
+    } = late;
+    Err(PairingError::Stalled {
+        frame,
+        leg,
+        late_ms,
+        limit_ms,
+    })
 }

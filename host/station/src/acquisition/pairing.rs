@@ -49,6 +49,20 @@ pub enum PairingError {
         /// Commanded exposure.
         commanded_us: u64,
     },
+    /// Something stood still on the way.
+    #[error(
+        "{leg} {late_ms:.0} ms late (frame {frame} of the view), at most {limit_ms:.0} ms may be: something stood still"
+    )]
+    Stalled {
+        /// Position in the view.
+        frame: usize,
+        /// Where.
+        leg: Leg,
+        /// By how much.
+        late_ms: f64,
+        /// Limit.
+        limit_ms: f64,
+    },
     /// The exposures did not happen when the triggers did.
     #[error("frame {frame} began {got_us} us after the view's first, its trigger {fired_us} us")]
     Interval {
@@ -59,6 +73,78 @@ pub enum PairingError {
         /// By the controller's clock.
         fired_us: u64,
     },
+}
+
+/// Which part of the way from trigger to host was late.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leg {
+    /// The controller told of a trigger later after the one before than it had fired it.
+    Trigger,
+    /// The camera process handed a frame over late after its exposure.
+    Camera,
+    /// The host saw a frame late after it was handed over.
+    Host,
+}
+
+impl std::fmt::Display for Leg {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Trigger => "the controller's word of the trigger came",
+            Self::Camera => "the camera handed the frame over",
+            Self::Host => "the host saw the frame",
+        })
+    }
+}
+
+/// How late a frame of a view was, at most.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lateness {
+    /// Position in the view.
+    pub frame: usize,
+    /// Where.
+    pub leg: Leg,
+    /// By how much, ms.
+    pub late_ms: f64,
+}
+
+/// The latest frame of a view, by the host's clock: `arrived_ns` says when the controller's word of each trigger came,
+/// `handover_ns` how long each frame was on its way from the camera process.
+///
+/// Controller, camera process and host have clocks of their own, and a process that stands still has none: while it stands,
+/// nothing is late by its own clock. What the parts do is compared with what the host saw of it. None without frames.
+pub fn lateness(
+    triggers: &[Trigger],
+    arrived_ns: &[u64],
+    frames: &[FrameHeader],
+    handover_ns: &[u64],
+) -> Option<Lateness> {
+    let of = |frame, leg, late_ns: u64| Lateness {
+        frame,
+        leg,
+        late_ms: late_ns as f64 / 1e6,
+    };
+    let words = triggers.windows(2).zip(arrived_ns.windows(2)).enumerate();
+    let words = words.map(|(i, (fired, arrived))| {
+        let fired_ns = 1000 * fired[1].camera_at.since_us(fired[0].camera_at);
+        let late_ns = arrived[1]
+            .saturating_sub(arrived[0])
+            .saturating_sub(fired_ns);
+        of(i + 1, Leg::Trigger, late_ns)
+    });
+    let cameras = frames.iter().enumerate().map(|(i, frame)| {
+        let late_ns = frame
+            .published_monotonic_ns
+            .saturating_sub(frame.exposure_end_monotonic_ns);
+        of(i, Leg::Camera, late_ns)
+    });
+    let hosts = handover_ns
+        .iter()
+        .enumerate()
+        .map(|(i, &late_ns)| of(i, Leg::Host, late_ns));
+    words
+        .chain(cameras)
+        .chain(hosts)
+        .max_by(|a, b| a.late_ms.total_cmp(&b.late_ms))
 }
 
 /// Checks that the frames of a view are its triggers, one for one: by count, number, pattern, length and time.
@@ -154,6 +240,40 @@ mod tests {
                 (trigger, frame)
             })
             .unzip()
+    }
+
+    #[test]
+    fn what_stands_still_anywhere_on_the_way_is_late() {
+        let (triggers, mut frames) = view();
+        // Every word comes 2 ms after its trigger, every frame is handed over 13 ms after its exposure and seen in 0.1 ms.
+        let arrived: Vec<u64> = (0..5).map(|i| 7_000_000 + 15_000_000 * i).collect();
+        let handover = vec![100_000; 5];
+        for (i, frame) in (0..).zip(&mut frames) {
+            frame.exposure_end_monotonic_ns = 5_000_000 + 15_000_000 * i;
+            frame.published_monotonic_ns = frame.exposure_end_monotonic_ns + 13_000_000;
+        }
+        let all_well = lateness(&triggers, &arrived, &frames, &handover).unwrap();
+        assert!(all_well.late_ms <= 13.0, "{all_well:?}");
+        let stall_ns = 5_000_000_000;
+        for i in 0..5 {
+            let mut late = arrived.clone();
+            late[i..].iter_mut().for_each(|at| *at += stall_ns);
+            let found = lateness(&triggers, &late, &frames, &handover).unwrap();
+            if i > 0 {
+                // Before the first, the head was still moving: nothing was exposed yet.
+                assert_eq!((found.frame, found.leg), (i, Leg::Trigger));
+                assert!((found.late_ms - 5000.0).abs() < 1.0, "{found:?}");
+            }
+            let mut late = frames.clone();
+            late[i].published_monotonic_ns += stall_ns;
+            let found = lateness(&triggers, &arrived, &late, &handover).unwrap();
+            assert_eq!((found.frame, found.leg), (i, Leg::Camera));
+            let mut late = handover.clone();
+            late[i] += stall_ns;
+            let found = lateness(&triggers, &arrived, &frames, &late).unwrap();
+            assert_eq!((found.frame, found.leg), (i, Leg::Host));
+        }
+        assert_eq!(lateness(&[], &[], &[], &[]), None);
     }
 
     #[test]

@@ -37,6 +37,8 @@ pub(crate) struct Counts {
     pub received: u64,
     /// Time of those from the camera process to here, ns.
     pub handover_ns: Vec<u64>,
+    /// The latest of all frames, of captures that were taken again, too, ms.
+    pub late_ms: f64,
     /// Views that had to be captured again.
     pub recaptured: u32,
     /// End of the last exposure, by the host's monotonic clock, ns; 0 without any.
@@ -54,6 +56,8 @@ pub(super) struct Session {
     pub views: Vec<usize>,
     /// Triggers per view of the session.
     pub triggers: Vec<Vec<Trigger>>,
+    /// When the controller's word of each came, by the host's monotonic clock, ns.
+    pub arrived_ns: Vec<Vec<u64>>,
     /// Captured views that wait for the rest of their triggers.
     pub waiting: Vec<CapturedView>,
     /// Views whose frames cannot be trusted.
@@ -100,6 +104,7 @@ impl<O> Run<O> {
         self.session = Session {
             views: views.to_vec(),
             triggers: vec![Vec::new(); views.len()],
+            arrived_ns: vec![Vec::new(); views.len()],
             evaluating: self.session.evaluating,
             ..Session::default()
         };
@@ -133,6 +138,9 @@ impl<O> Run<O> {
         let view = usize::from(trigger.view);
         if let Some(view) = self.session.triggers.get_mut(view) {
             view.push(trigger);
+        }
+        if let Some(view) = self.session.arrived_ns.get_mut(view) {
+            view.push(monotonic_ns());
         }
     }
 

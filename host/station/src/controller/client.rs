@@ -23,15 +23,20 @@ pub struct ClientSettings {
     pub baud: u32,
     /// Time between heartbeats; `None`: a third of what the controller allows.
     pub heartbeat: Option<Duration>,
+    /// Longest time by which triggers and frames may be late against the clock of who tells of them; `None`: the controller's
+    /// clock is not real time.
+    pub stall: Option<Duration>,
 }
 
 impl Default for ClientSettings {
-    /// 250 ms for an answer: a hundred times a frame's time on the wire.
+    /// 250 ms for an answer: a hundred times a frame's time on the wire. 2 s of standing still: a busy host's threads wait for
+    /// a tenth of that.
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
             baud: 921_600,
             heartbeat: None,
+            stall: Some(Duration::from_secs(2)),
         }
     }
 }
@@ -80,6 +85,16 @@ pub enum ClientError {
         missing: u16,
         /// The event after the gap.
         sequence: u16,
+    },
+    /// An event came again, or after a later one.
+    #[error(
+        "event number {sequence} came after number {last}: it was doubled on the line, or is of another controller"
+    )]
+    EventRepeated {
+        /// The event.
+        sequence: u16,
+        /// The latest before.
+        last: u16,
     },
     /// Nothing happened within the time allowed.
     #[error("no event within {timeout_ms} ms")]
@@ -199,6 +214,12 @@ impl Client {
         }
     }
 
+    /// Longest time by which triggers and frames may be late; none where the controller's clock is not real time.
+    #[must_use]
+    pub fn stall_limit(&self) -> Option<Duration> {
+        self.settings.stall
+    }
+
     /// The next event, in order; heartbeats go out meanwhile.
     ///
     /// # Errors
@@ -280,6 +301,13 @@ impl Client {
             Incoming::Event(header, event) if header.session == self.session => {
                 if let Some(last) = self.last_event {
                     let missing = header.sequence.wrapping_sub(last).wrapping_sub(1);
+                    if missing > u16::MAX / 2 {
+                        // An earlier number: nothing is missing, something came twice.
+                        return Err(ClientError::EventRepeated {
+                            sequence: header.sequence,
+                            last,
+                        });
+                    }
                     if missing != 0 {
                         return Err(ClientError::EventsMissing {
                             missing,

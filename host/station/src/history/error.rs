@@ -81,6 +81,57 @@ pub enum HistoryError {
         /// Of the check.
         expected: String,
     },
+    /// Rows that are not what was written, or are not there.
+    #[error("history {}: {why}. If it is right as it is: flankscope trust {} --name WHO", path.display(), path.display())]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        why: String,
+    },
+    /// The file is gone, and with it a no-go that nobody acknowledged.
+    #[error("history {} is gone, and with it a no-go that nobody has acknowledged ({stands}). If it was removed on purpose: flankscope trust {} --name WHO", path.display(), path.display())]
+    Gone {
+        /// The file.
+        path: PathBuf,
+        /// Of which tool, and when.
+        stands: String,
+    },
+    /// Another watch holds the die.
+    #[error("history {}: {tool} is watched by {who} since {since}; one watch at a time holds a die. Dies of one design are told apart by `serial` in their tool files", path.display())]
+    Held {
+        /// The file.
+        path: PathBuf,
+        /// The tool there.
+        tool: String,
+        /// Who watches it.
+        who: String,
+        /// Since when.
+        since: String,
+    },
+    /// Whether another watch holds the die cannot be told.
+    #[error("{}: {source}", path.display())]
+    Watches {
+        /// Folder of the locks.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// The station's key or memory cannot be used.
+    #[error(transparent)]
+    Seal(#[from] crate::seal::SealError),
+    /// A head without a digest where the history knows a signed one of its name.
+    #[error(
+        "head {head}: check {id} of {at} was made with a signed head of this name, and this file carries no digest: it was taken off, or it is another head. If it is right as it is: flankscope trust HEAD.toml --name WHO"
+    )]
+    Stripped {
+        /// Name of the head.
+        head: String,
+        /// The check.
+        id: i64,
+        /// When.
+        at: String,
+    },
     /// No such check.
     #[error("history {} has no check {id}; it has {}", path.display(), match last {
         Some(last) => format!("checks up to {last}"),

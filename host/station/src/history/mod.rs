@@ -9,6 +9,9 @@
 //! |---|---|
 //! | `store` | the file: made, opened, written in whole transactions, read |
 //! | `schema` | its tables, and which version of them this is |
+//! | `chain` | a keyed digest over every row and the one before it |
+//! | `die` | which die a check is of |
+//! | `hold` | one watch at a time holds a die |
 //! | `writer` | the sink that a verdict waits for: stores checks, and takes back a verdict that cannot be stored |
 //! | `series` | wear of each flank against cycles, over the tool's present life |
 //! | `change` | where the wear left its line |
@@ -20,10 +23,13 @@
 //! | `phasors` | what verdicts were computed from, in files beside the store |
 //! | `replay` | a stored verdict, computed again |
 
+mod chain;
 mod change;
+mod die;
 mod error;
 mod export;
 mod forecast;
+mod hold;
 #[cfg(feature = "parquet")]
 mod parquet;
 mod phasors;
@@ -36,9 +42,11 @@ mod trend;
 mod writer;
 
 pub use change::changes;
+pub use die::DieKey;
 pub use error::HistoryError;
 pub use export::csv;
 pub use forecast::Forecast;
+pub use hold::Hold;
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
 pub use remaining::Passage;

@@ -4,12 +4,16 @@
 //! third and the fourth. Exponents of neighbours are alike and mantissas are not; apart from each other they compress.
 
 use std::ffi::OsString;
+use std::fs::DirBuilder;
 use std::io::{self, Read, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 
 use flate2::Compression;
 use flate2::read::ZlibDecoder;
 use flate2::write::ZlibEncoder;
+
+use flankscope_metrology::verdict::Word;
 
 use super::error::HistoryError;
 use super::store::History;
@@ -64,8 +68,11 @@ impl History {
         let path = self.phasors_file(blake3);
         let folder = self.phasors_folder();
         let keep = || {
-            std::fs::create_dir_all(&folder)?;
-            files::write_whole(&path, packed)?;
+            DirBuilder::new()
+                .recursive(true)
+                .mode(0o750)
+                .create(&folder)?;
+            files::write_whole_with_mode(&path, packed, 0o640)?;
             // The name is in the folder once that is on the disk, too.
             std::fs::File::open(&folder)?.sync_all()
         };
@@ -78,6 +85,15 @@ impl History {
     /// Removes phasors that are not needed any more; without a word where they are gone already.
     pub(super) fn forget_phasors(&self, blake3: &str) {
         let _ = std::fs::remove_file(self.phasors_file(blake3));
+    }
+
+    /// Whether a replay failed because the phasors of a go are gone, as they are after some later checks.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn gave_up_phasors(&self, id: i64, error: &HistoryError) -> Result<bool, HistoryError> {
+        let gone = matches!(error, HistoryError::Phasors { source, .. } if source.kind() == io::ErrorKind::NotFound);
+        Ok(gone && self.check(id)?.verdict == Word::Go)
     }
 
     /// The phasors with this hash, `length` bytes of them.

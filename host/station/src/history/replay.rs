@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::error::HistoryError;
-use super::store::History;
+use super::store::{Check, History};
 use crate::baseline::Baseline;
 use crate::inspection::{
     Evaluator, EvaluatorError, Evidence, Findings, PlanningError, Recipe, Subject, ViewOutcome,
@@ -117,6 +117,18 @@ struct Stored {
 }
 
 impl Replay {
+    /// What the row of a check says otherwise than its document.
+    ///
+    /// # Errors
+    /// There is no such check, or its document is no JSON.
+    pub fn of_row(history: &History, id: i64) -> Result<Vec<Difference>, ReplayError> {
+        let in_document = |source| ReplayError::Document { id, source };
+        let document = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
+        let mut differences = Vec::new();
+        columns(&history.check(id)?, &document, &mut differences);
+        Ok(differences)
+    }
+
     /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline
     /// are those of the check.
     ///
@@ -194,6 +206,7 @@ impl Replay {
                 compare(key, &document[key], now, &mut differences);
             }
         }
+        columns(&history.check(id)?, &document, &mut differences);
         let mut versions = Vec::new();
         let host = json!(env!("CARGO_PKG_VERSION"));
         compare(
@@ -216,6 +229,80 @@ impl Replay {
             versions,
             differences,
         })
+    }
+}
+
+/// What the row of a check says beside its document: both were written from the same result.
+pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Difference>) {
+    let origin = &check.origin;
+    let head = origin.head.as_ref();
+    let mut told = |what: String, row: Value, said: &Value| {
+        if row != *said {
+            differences.push(Difference {
+                what: format!("column {what}"),
+                stored: row,
+                now: said.clone(),
+            });
+        }
+    };
+    for (what, row, said) in [
+        ("verdict", json!(check.verdict), &document["verdict"]),
+        ("reason", json!(check.reason), &document["reason"]),
+        ("tool", json!(check.tool), &document["tool"]),
+        ("serial", json!(check.serial), &document["die"]["serial"]),
+        (
+            "press_cycles",
+            json!(check.press_cycles),
+            &document["press_cycles"],
+        ),
+        (
+            "baseline",
+            json!(check.baseline),
+            &document["hashes"]["baseline"],
+        ),
+        ("link", json!(origin.link), &document["link"]),
+        ("simulated", json!(origin.simulated), &document["simulated"]),
+        ("station", json!(origin.station), &document["station"]),
+        ("operator", json!(origin.operator), &document["operator"]),
+        (
+            "head",
+            json!(head.map(|h| &h.name)),
+            &document["head"]["name"],
+        ),
+        (
+            "head_blake3",
+            json!(head.map(|h| &h.blake3)),
+            &document["head"]["blake3"],
+        ),
+        (
+            "head_seal",
+            json!(head.and_then(|h| h.seal.as_ref())),
+            &document["head"]["seal"],
+        ),
+    ] {
+        told(what.to_owned(), row, said);
+    }
+    let none = Vec::new();
+    let features = document["features"].as_array().unwrap_or(&none);
+    told(
+        "flanks".into(),
+        json!(check.flanks.len()),
+        &json!(features.len()),
+    );
+    for flank in &check.flanks {
+        let this = |f: &&Value| f["tooth"] == flank.tooth && f["flank"] == flank.flank.as_str();
+        let feature = features.iter().find(this).unwrap_or(&Value::Null);
+        for (key, row) in [
+            ("wear_um", json!(flank.wear_um)),
+            ("u95_um", json!(flank.u95_um)),
+            ("warn_um", json!(flank.warn_um)),
+            ("limit_um", json!(flank.limit_um)),
+            ("verdict", json!(flank.verdict)),
+            ("code", json!(flank.code)),
+        ] {
+            let what = format!("{key} of tooth {} {}", flank.tooth, flank.flank);
+            told(what, row, &feature[key]);
+        }
     }
 }
 

@@ -9,7 +9,8 @@ pub const APPLICATION_ID: i32 = 0x464C_4E4B;
 /// |---|---|
 /// | 1 | |
 /// | 2 | a check says where it comes from, and the file whether its checks are simulated |
-pub const VERSION: i32 = 2;
+/// | 3 | a check says which die it is of and how its head is known; the file has an id, and every row is a link of a chain |
+pub const VERSION: i32 = 3;
 
 /// What was written stays as it was written: rows are added, none is changed or removed.
 pub const TABLES: &str = "
@@ -34,7 +35,10 @@ CREATE TABLE inspection (
     head TEXT,
     head_blake3 TEXT,
     station TEXT,
-    operator TEXT
+    operator TEXT,
+    geometry TEXT,
+    serial TEXT,
+    head_seal TEXT
 ) STRICT;
 CREATE INDEX inspection_of_tool ON inspection (tool, id);
 CREATE TABLE flank (
@@ -54,7 +58,9 @@ CREATE TABLE acknowledgement (
     at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
     tool TEXT NOT NULL,
     who TEXT NOT NULL,
-    inspection INTEGER REFERENCES inspection (id)
+    inspection INTEGER REFERENCES inspection (id),
+    geometry TEXT,
+    serial TEXT
 ) STRICT;
 CREATE TABLE audit (
     id INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -68,6 +74,19 @@ CREATE TABLE kind (
     at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
     simulated INTEGER NOT NULL CHECK (simulated IN (0, 1))
 ) STRICT;
+CREATE TABLE identity (
+    one INTEGER PRIMARY KEY CHECK (one = 1),
+    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
+    id TEXT NOT NULL DEFAULT (lower(hex(randomblob(16))))
+) STRICT;
+CREATE TABLE chain (
+    link INTEGER PRIMARY KEY AUTOINCREMENT,
+    source TEXT NOT NULL,
+    key TEXT NOT NULL,
+    digest TEXT NOT NULL,
+    station TEXT NOT NULL
+) STRICT;
+INSERT INTO identity (one) VALUES (1);
 ";
 
 /// From version 1 to 2. Where the checks of version 1 come from is not known and stays empty.
@@ -85,12 +104,56 @@ CREATE TABLE kind (
 ) STRICT;
 ";
 
+/// From version 2 to 3. Which die the checks of version 2 are of is known by its name alone.
+pub const FROM_2_TO_3: &str = "
+ALTER TABLE inspection ADD COLUMN geometry TEXT;
+ALTER TABLE inspection ADD COLUMN serial TEXT;
+ALTER TABLE inspection ADD COLUMN head_seal TEXT;
+ALTER TABLE acknowledgement ADD COLUMN geometry TEXT;
+ALTER TABLE acknowledgement ADD COLUMN serial TEXT;
+CREATE TABLE identity (
+    one INTEGER PRIMARY KEY CHECK (one = 1),
+    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
+    id TEXT NOT NULL DEFAULT (lower(hex(randomblob(16))))
+) STRICT;
+CREATE TABLE chain (
+    link INTEGER PRIMARY KEY AUTOINCREMENT,
+    source TEXT NOT NULL,
+    key TEXT NOT NULL,
+    digest TEXT NOT NULL,
+    station TEXT NOT NULL
+) STRICT;
+INSERT INTO identity (one) VALUES (1);
+INSERT INTO audit (who, what, detail) SELECT 'flankscope', 'upgrade',
+    count(*) || ' checks of an earlier release are taken over as they are' FROM inspection;
+";
+
+/// The chain of a history that somebody trusts is made anew.
+pub const CHAIN_ANEW: &str = "
+DROP TRIGGER IF EXISTS chain_keeps_UPDATE;
+DROP TRIGGER IF EXISTS chain_keeps_DELETE;
+DROP TABLE IF EXISTS chain;
+CREATE TABLE chain (
+    link INTEGER PRIMARY KEY AUTOINCREMENT,
+    source TEXT NOT NULL,
+    key TEXT NOT NULL,
+    digest TEXT NOT NULL,
+    station TEXT NOT NULL
+) STRICT;
+CREATE TRIGGER chain_keeps_UPDATE BEFORE UPDATE ON chain
+    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
+CREATE TRIGGER chain_keeps_DELETE BEFORE DELETE ON chain
+    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
+";
+
 /// Tables whose rows nobody may change or remove.
-pub const KEPT: [&str; 6] = [
+pub const KEPT: [&str; 8] = [
     "baseline",
     "inspection",
     "flank",
     "acknowledgement",
     "audit",
     "kind",
+    "identity",
+    "chain",
 ];

@@ -8,10 +8,13 @@ use flankscope_metrology::verdict::{Code, Word};
 use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavior, params};
 
+use super::chain;
+use super::die::{DieKey, columns, same, same_as_asked};
 use super::error::HistoryError;
-use super::schema::{APPLICATION_ID, FROM_1_TO_2, KEPT, TABLES, VERSION};
+use super::schema::{APPLICATION_ID, FROM_1_TO_2, FROM_2_TO_3, KEPT, TABLES, VERSION};
 use crate::inspection::Inspection;
 use crate::origin::{HeadId, Origin};
+use crate::seal::Seals;
 
 /// How long a writer waits for another one. Readers never wait and never keep a writer waiting.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -21,6 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub struct History {
     connection: Connection,
     path: PathBuf,
+    seals: Seals,
 }
 
 /// A stored check.
@@ -45,6 +49,8 @@ pub struct Check {
     /// Where it comes from; nothing is known of the checks of layout 1.
     #[serde(flatten)]
     pub origin: Origin,
+    /// Serial number of the tool, where its file names one.
+    pub serial: Option<String>,
     /// One entry per inspected flank.
     pub flanks: Vec<FlankRow>,
 }
@@ -87,11 +93,28 @@ impl History {
     /// Opens a history for writing; makes it where there is none, and brings an earlier layout up to this one.
     ///
     /// # Errors
-    /// The file cannot be opened, is none of this instrument, or of a later release.
-    pub fn open(path: &Path) -> Result<Self, HistoryError> {
+    /// The file cannot be opened, is none of this instrument, of a later release, or not the one that this station last
+    /// wrote to here.
+    pub fn open(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
+        let mut anchor = seals.anchor(path)?;
+        if !std::fs::metadata(path).is_ok_and(|meta| meta.len() > 0) {
+            if let Some(stands) = anchor.take().and_then(|anchor| anchor.stands) {
+                let path = path.to_owned();
+                return Err(HistoryError::Gone { path, stands });
+            }
+            seals.forget_anchor(path)?;
+        }
+        let history = Self::open_unchecked(path, seals)?;
+        history.holds_anchor(anchor.as_ref())?;
+        Ok(history)
+    }
+
+    pub(super) fn open_unchecked(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
+        close_to_others(path);
         let history = Self::connect(
             path,
             OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE,
+            seals,
         )?;
         let sql = |doing| history.because(doing);
         let connection = &history.connection;
@@ -113,13 +136,14 @@ impl History {
     ///
     /// # Errors
     /// As [`History::open`].
-    pub fn read(path: &Path) -> Result<Self, HistoryError> {
-        let history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
+    pub fn read(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
+        let history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY, seals)?;
         history.check_layout()?;
+        history.holds_anchor(seals.anchor(path)?.as_ref())?;
         Ok(history)
     }
 
-    fn connect(path: &Path, flags: OpenFlags) -> Result<Self, HistoryError> {
+    fn connect(path: &Path, flags: OpenFlags, seals: &Seals) -> Result<Self, HistoryError> {
         let failed = |source| HistoryError::Database {
             path: path.to_owned(),
             doing: "open it",
@@ -131,7 +155,25 @@ impl History {
         Ok(Self {
             connection,
             path: path.to_owned(),
+            seals: seals.clone(),
         })
+    }
+
+    pub(super) fn seals(&self) -> &Seals {
+        &self.seals
+    }
+
+    pub(super) fn connection(&self) -> &Connection {
+        &self.connection
+    }
+
+    pub(super) fn connection_mut(&mut self) -> &mut Connection {
+        &mut self.connection
+    }
+
+    /// Version of its tables.
+    pub(super) fn layout(&self) -> Result<i32, HistoryError> {
+        self.number("user_version")
     }
 
     /// Where it is.
@@ -140,7 +182,7 @@ impl History {
         &self.path
     }
 
-    fn because(
+    pub(super) fn because(
         &self,
         doing: &'static str,
     ) -> impl Fn(rusqlite::Error) -> HistoryError + Copy + use<'_> {
@@ -172,14 +214,26 @@ impl History {
             if objects == 0 {
                 self.connection.execute_batch(TABLES)?;
                 KEPT.into_iter().try_for_each(|table| self.protect(table))?;
+                chain::link_all(&self.connection, &self.seals)?;
                 self.connection
                     .pragma_update(None, "application_id", APPLICATION_ID)?;
                 self.connection
                     .pragma_update(None, "user_version", VERSION)?;
-            } else if pragma("application_id")? == APPLICATION_ID && pragma("user_version")? == 1 {
-                self.connection.execute_batch(FROM_1_TO_2)?;
-                self.protect("kind")?;
-                self.connection.pragma_update(None, "user_version", 2)?;
+            } else if pragma("application_id")? == APPLICATION_ID {
+                let layout = pragma("user_version")?;
+                if layout == 1 {
+                    self.connection.execute_batch(FROM_1_TO_2)?;
+                    self.protect("kind")?;
+                }
+                if layout == 1 || layout == 2 {
+                    self.connection.execute_batch(FROM_2_TO_3)?;
+                    ["identity", "chain"]
+                        .into_iter()
+                        .try_for_each(|table| self.protect(table))?;
+                    chain::link_all(&self.connection, &self.seals)?;
+                    self.connection
+                        .pragma_update(None, "user_version", VERSION)?;
+                }
             }
             self.connection.execute_batch("COMMIT")
         };
@@ -291,7 +345,10 @@ impl History {
             source,
         })?;
         match stored {
-            Ok(id) => Ok(id),
+            Ok(id) => {
+                self.remember();
+                Ok(id)
+            }
             // Somebody else stored the first check meanwhile, of the other kind.
             Err((simulated, since)) => Err(HistoryError::OtherKind {
                 path,
@@ -312,10 +369,13 @@ impl History {
             .transaction_with_behavior(TransactionBehavior::Immediate)?;
         // The first check decides whether the file is of the simulated bench.
         if let Some(simulated) = inspection.origin.simulated {
-            transaction.execute(
+            let begun = transaction.execute(
                 "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
                 [simulated],
             )?;
+            if begun > 0 {
+                chain::link(&transaction, &self.seals, "kind", "1")?;
+            }
             let kind = "SELECT simulated, at FROM kind";
             let (holds, since) =
                 transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
@@ -323,12 +383,19 @@ impl History {
                 return Ok(Err((holds, since)));
             }
         }
-        let tool = &inspection.tool;
+        let DieKey {
+            tool,
+            geometry,
+            serial,
+        } = &inspection.die;
         let counter = i64::from(inspection.press_cycles);
         let last: Option<(i64, i64)> = transaction
             .query_row(
-                "SELECT tool_cycles, press_cycles FROM inspection WHERE tool = ?1 ORDER BY id DESC LIMIT 1",
-                [tool],
+                &format!(
+                    "SELECT tool_cycles, press_cycles FROM inspection WHERE {} ORDER BY id DESC LIMIT 1",
+                    same_as_asked("inspection")
+                ),
+                params![tool, geometry, serial],
                 |row| Ok((row.get(0)?, row.get(1)?)),
             )
             .optional()?;
@@ -356,8 +423,8 @@ impl History {
         } = &inspection.origin;
         transaction.execute(
             "INSERT INTO inspection (id, tool, tool_cycles, press_cycles, baseline, verdict, reason, document, \
-             link, simulated, head, head_blake3, station, operator) \
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
+             link, simulated, head, head_blake3, station, operator, geometry, serial, head_seal) \
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)",
             params![
                 id,
                 tool,
@@ -372,7 +439,10 @@ impl History {
                 head.as_ref().map(|head| &head.name),
                 head.as_ref().map(|head| &head.blake3),
                 station,
-                operator
+                operator,
+                geometry,
+                serial,
+                head.as_ref().and_then(|head| head.seal.as_ref())
             ],
         )?;
         {
@@ -394,6 +464,7 @@ impl History {
                 ])?;
             }
         }
+        chain::link(&transaction, &self.seals, "inspection", &id.to_string())?;
         transaction.commit()?;
         Ok(Ok(id))
     }
@@ -408,12 +479,44 @@ impl History {
         tool: &str,
         document: &str,
     ) -> Result<(), HistoryError> {
-        self.connection
-            .execute(
-                "INSERT OR IGNORE INTO baseline (blake3, tool, document) VALUES (?1, ?2, ?3)",
-                [blake3, tool, document],
-            )
-            .map_err(self.because("keep the baseline"))?;
+        self.add(
+            "keep the baseline",
+            "baseline",
+            "INSERT OR IGNORE INTO baseline (blake3, tool, document) VALUES (?1, ?2, ?3) RETURNING blake3",
+            [blake3, tool, document],
+        )
+    }
+
+    /// Adds a row, linked, and on the disk when this returns.
+    fn add(
+        &mut self,
+        doing: &'static str,
+        table: &'static str,
+        sql: &str,
+        parameters: impl rusqlite::Params,
+    ) -> Result<(), HistoryError> {
+        let Self {
+            connection, seals, ..
+        } = self;
+        let add = || -> rusqlite::Result<()> {
+            let transaction =
+                connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+            let key: Option<String> = transaction
+                .query_row(sql, parameters, |row| {
+                    Ok(match row.get_ref(0)? {
+                        rusqlite::types::ValueRef::Integer(number) => number.to_string(),
+                        other => other.as_str()?.to_owned(),
+                    })
+                })
+                .optional()?;
+            if let Some(key) = key {
+                chain::link(&transaction, seals, table, &key)?;
+            }
+            transaction.commit()
+        };
+        let added = add();
+        added.map_err(self.because(doing))?;
+        self.remember();
         Ok(())
     }
 
@@ -421,15 +524,18 @@ impl History {
     ///
     /// # Errors
     /// As [`History::record`]; what is not noted is not acknowledged.
-    pub fn acknowledge(&mut self, tool: &str, who: &str) -> Result<(), HistoryError> {
-        self.connection
-            .execute(
-                "INSERT INTO acknowledgement (tool, who, inspection) \
-                 VALUES (?1, ?2, (SELECT max(id) FROM inspection WHERE tool = ?1))",
-                [tool, who],
-            )
-            .map_err(self.because("note the acknowledgement"))?;
-        Ok(())
+    pub fn acknowledge(&mut self, die: &DieKey, who: &str) -> Result<(), HistoryError> {
+        let sql = format!(
+            "INSERT INTO acknowledgement (tool, geometry, serial, who, inspection) \
+             VALUES (?1, ?2, ?3, ?4, (SELECT max(id) FROM inspection WHERE {})) RETURNING id",
+            same_as_asked("inspection")
+        );
+        self.add(
+            "note the acknowledgement",
+            "acknowledgement",
+            &sql,
+            params![die.tool, die.geometry, die.serial, who],
+        )
     }
 
     /// Notes that somebody did something.
@@ -437,13 +543,12 @@ impl History {
     /// # Errors
     /// As [`History::record`].
     pub fn audit(&mut self, who: &str, what: &str, detail: &str) -> Result<(), HistoryError> {
-        self.connection
-            .execute(
-                "INSERT INTO audit (who, what, detail) VALUES (?1, ?2, ?3)",
-                [who, what, detail],
-            )
-            .map_err(self.because("write its audit"))?;
-        Ok(())
+        self.add(
+            "write its audit",
+            "audit",
+            "INSERT INTO audit (who, what, detail) VALUES (?1, ?2, ?3) RETURNING id",
+            [who, what, detail],
+        )
     }
 
     /// Names of the tools, the one checked last first.
@@ -463,23 +568,54 @@ impl History {
     /// # Errors
     /// The file cannot be read.
     pub fn checks(&self, tool: &str) -> Result<Vec<Check>, HistoryError> {
+        self.checks_where("tool = ?1", tool)
+    }
+
+    /// The row of a check.
+    ///
+    /// # Errors
+    /// There is no such check, or the file cannot be read.
+    pub fn check(&self, id: i64) -> Result<Check, HistoryError> {
+        let found = self.checks_where("id = ?1", id)?;
+        found
+            .into_iter()
+            .next()
+            .ok_or_else(|| self.no_such_check(id))
+    }
+
+    /// Numbers of all checks, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn ids(&self) -> Result<Vec<i64>, HistoryError> {
+        self.rows("SELECT id FROM inspection ORDER BY id", [], |row| {
+            row.get(0)
+        })
+    }
+
+    fn checks_where(
+        &self,
+        condition: &str,
+        parameter: impl rusqlite::ToSql + Copy,
+    ) -> Result<Vec<Check>, HistoryError> {
         // A file of layout 1 that is only read stays as it is.
-        let origin = if self.number("user_version")? < 2 {
-            "NULL, NULL, NULL, NULL, NULL, NULL"
-        } else {
-            "link, simulated, head, head_blake3, station, operator"
+        let origin = match self.layout()? {
+            ..2 => "NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL",
+            2 => "link, simulated, head, head_blake3, station, operator, NULL, NULL",
+            _ => "link, simulated, head, head_blake3, station, operator, serial, head_seal",
         };
         let mut checks = self.rows(
             &format!(
                 "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason, {origin} FROM inspection \
-                 WHERE tool = ?1 ORDER BY id"
+                 WHERE {condition} ORDER BY id"
             ),
-            [tool],
+            [parameter],
             |row| {
                 let (name, blake3): (Option<String>, Option<String>) = (row.get(10)?, row.get(11)?);
                 let head = name.map(|name| HeadId {
                     name,
                     blake3: blake3.unwrap_or_default(),
+                    seal: row.get(15).unwrap_or_default(),
                 });
                 Ok(Check {
                     id: row.get(0)?,
@@ -498,14 +634,17 @@ impl History {
                         operator: row.get(13)?,
                         recording: None,
                     },
+                    serial: row.get(14)?,
                     flanks: Vec::new(),
                 })
             },
         )?;
         let flanks = self.rows(
-            "SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
-             JOIN inspection ON inspection.id = inspection WHERE tool = ?1 ORDER BY inspection, tooth, flank",
-            [tool],
+            &format!(
+                "SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
+                 JOIN inspection ON inspection.id = inspection WHERE {condition} ORDER BY inspection, tooth, flank"
+            ),
+            [parameter],
             |row| {
                 let flank = FlankRow {
                     tooth: row.get(1)?,
@@ -543,19 +682,18 @@ impl History {
             )
             .optional()
             .map_err(self.because("read a check"))?;
-        match found {
-            Some(document) => Ok(document),
-            None => {
-                let last = self
-                    .connection
-                    .query_row("SELECT max(id) FROM inspection", [], |row| row.get(0))
-                    .map_err(self.because("read a check"))?;
-                Err(HistoryError::NoSuchCheck {
-                    path: self.path.clone(),
-                    id,
-                    last,
-                })
-            }
+        found.ok_or_else(|| self.no_such_check(id))
+    }
+
+    fn no_such_check(&self, id: i64) -> HistoryError {
+        let last = "SELECT max(id) FROM inspection";
+        match self.connection.query_row(last, [], |row| row.get(0)) {
+            Ok(last) => HistoryError::NoSuchCheck {
+                path: self.path.clone(),
+                id,
+                last,
+            },
+            Err(source) => self.because("read a check")(source),
         }
     }
 
@@ -603,20 +741,60 @@ impl History {
         )
     }
 
-    /// The verdicts of a tool since it was last acknowledged, in order.
+    /// The verdicts of a die that nobody has acknowledged, in order.
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn open_verdicts(&self, tool: &str) -> Result<Vec<Word>, HistoryError> {
+    pub fn open_verdicts(&self, die: &DieKey) -> Result<Vec<Word>, HistoryError> {
         self.rows(
-            "SELECT verdict FROM inspection WHERE tool = ?1 AND id > coalesce( \
-             (SELECT inspection FROM acknowledgement WHERE tool = ?1 ORDER BY id DESC LIMIT 1), 0) ORDER BY id",
-            [tool],
+            &format!(
+                "SELECT verdict FROM inspection WHERE {} AND NOT {} ORDER BY id",
+                same_as_asked("inspection"),
+                acknowledged()
+            ),
+            params![die.tool, die.geometry, die.serial],
             |row| parsed(row, 0),
         )
     }
 
-    fn rows<T>(
+    /// A no-go of any die that nobody has acknowledged: of which tool, and when.
+    pub(super) fn standing_no_go(&self) -> Result<Option<String>, HistoryError> {
+        let found = self.rows(
+            &format!(
+                "SELECT tool || ', check ' || id || ' of ' || at FROM inspection WHERE verdict = 'no-go' AND NOT {} \
+                 ORDER BY id DESC LIMIT 1",
+                acknowledged()
+            ),
+            [],
+            |row| row.get(0),
+        )?;
+        Ok(found.into_iter().next())
+    }
+
+    /// Refuses a head without a digest where a check was made with a signed one of its name.
+    ///
+    /// # Errors
+    /// [`HistoryError::Stripped`], or the file cannot be read.
+    pub fn takes_head(&self, head: &HeadId) -> Result<(), HistoryError> {
+        if head.seal.as_deref() != Some("unsigned") {
+            return Ok(());
+        }
+        let signed = self.rows(
+            "SELECT id, at FROM inspection WHERE head = ?1 AND head_seal = 'signed' ORDER BY id DESC LIMIT 1",
+            [&head.name],
+            |row| Ok((row.get(0)?, row.get(1)?)),
+        )?;
+        match signed.into_iter().next() {
+            None => Ok(()),
+            Some((id, at)) => Err(HistoryError::Stripped {
+                head: head.name.clone(),
+                id,
+                at,
+            }),
+        }
+    }
+
+    pub(super) fn rows<T>(
         &self,
         sql: &str,
         parameters: impl rusqlite::Params,
@@ -627,6 +805,37 @@ impl History {
             statement.query_map(parameters, row)?.collect()
         };
         read().map_err(self.because("read it"))
+    }
+}
+
+/// Whether somebody has taken note of a check: later, and of the same die.
+fn acknowledged() -> String {
+    let [checks, notes] = ["inspection", "noted"].map(columns);
+    let [a, b, c] = &checks;
+    let [d, e, f] = &notes;
+    format!(
+        "EXISTS (SELECT 1 FROM acknowledgement AS noted WHERE noted.inspection >= inspection.id AND {})",
+        same([a, b, c], [d, e, f])
+    )
+}
+
+/// A history and its journal are for its user and group: SQLite gives the journal the rights of the file.
+fn close_to_others(path: &Path) {
+    use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+    let mode = 0o640;
+    let made = std::fs::OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(mode)
+        .open(path);
+    // One of an earlier release, which everybody could read. Whose it is not cannot be closed by this user.
+    if made.is_err()
+        && let Ok(meta) = std::fs::metadata(path)
+        && meta.is_file()
+        && meta.permissions().mode() & 0o027 != 0
+    {
+        let closed = meta.permissions().mode() & 0o750;
+        let _ = std::fs::set_permissions(path, std::fs::Permissions::from_mode(closed));
     }
 }
 

@@ -3,7 +3,9 @@
 use flankscope_metrology::verdict::{Code, Latch, Reason};
 use rayon::prelude::*;
 
+use super::die::DieKey;
 use super::error::HistoryError;
+use super::hold::{Hold, hold};
 use super::phasors::pack;
 use super::store::History;
 use crate::baseline::Baseline;
@@ -47,18 +49,18 @@ impl HistoryWriter {
     /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
     pub fn begin(
         &mut self,
-        tool: &str,
+        die: &DieKey,
         simulated: bool,
         baseline: Option<&Baseline>,
     ) -> Result<(), HistoryError> {
         self.history.takes(simulated)?;
         if let Some(baseline) = baseline {
             self.history
-                .keep_baseline(&baseline.hash(), tool, &baseline.document())?;
+                .keep_baseline(&baseline.hash(), &die.tool, &baseline.document())?;
         }
         let version = concat!("flankscope ", env!("CARGO_PKG_VERSION"));
         self.history
-            .audit(&self.operator, "open", &format!("{version}, {tool}"))
+            .audit(&self.operator, "open", &format!("{version}, {}", die.tool))
     }
 
     /// Stores a check; its phasors first, so that a stored check always has them.
@@ -88,18 +90,27 @@ impl HistoryWriter {
     }
 
     /// Notes an acknowledgement, by the operator unless somebody gave a name.
-    pub(crate) fn acknowledge(&mut self, tool: &str, name: &str) -> Result<(), HistoryError> {
+    pub(crate) fn acknowledge(&mut self, die: &DieKey, name: &str) -> Result<(), HistoryError> {
         let who = if name.is_empty() {
             self.operator.clone()
         } else {
             name.to_owned()
         };
-        self.history.acknowledge(tool, &who)
+        self.history.acknowledge(die, &who)
     }
 
     /// What stood at the press when the instrument was last switched off, without its go.
-    pub(crate) fn latch(&self, tool: &str) -> Result<Latch, HistoryError> {
-        Ok(Latch::resumed(&self.history.open_verdicts(tool)?))
+    pub(crate) fn latch(&self, die: &DieKey) -> Result<Latch, HistoryError> {
+        Ok(Latch::resumed(&self.history.open_verdicts(die)?))
+    }
+
+    /// Holds a die for a watch, in a history of which every row is what was written.
+    ///
+    /// # Errors
+    /// Its chain is broken, or another watch holds the die.
+    pub fn hold(&self, die: &DieKey) -> Result<Hold, HistoryError> {
+        self.history.verify()?;
+        hold(self.history.path(), die, &self.operator)
     }
 }
 

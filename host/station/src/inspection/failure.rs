@@ -22,6 +22,7 @@ impl From<&ViewError> for Reason {
                 | PairingError::Exposure { .. }
                 | PairingError::Interval { .. },
             ) => Code::TriggerMismatch,
+            ViewError::Pairing(PairingError::Stalled { .. }) => Code::Stalled,
             ViewError::Session { .. } | ViewError::BeyondPlan => Code::FrameForeign,
         };
         Self::instrument(code, error)
@@ -33,9 +34,9 @@ impl From<&Stop> for Reason {
         let code = match stop {
             Stop::Fault(_) => Code::ControllerFault,
             Stop::EventsLost { .. } => Code::EventsLost,
-            Stop::Broken(AcquisitionError::Client(ClientError::EventsMissing { .. })) => {
-                Code::EventsLost
-            }
+            Stop::Broken(AcquisitionError::Client(
+                ClientError::EventsMissing { .. } | ClientError::EventRepeated { .. },
+            )) => Code::EventsLost,
             Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
             Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,

@@ -20,7 +20,9 @@ use crate::acquisition::{
 };
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
+use crate::history::DieKey;
 use crate::origin::{HeadId, Origin, Setting};
+use crate::seal::Seals;
 use crate::settings::StationSettings;
 use crate::sink::{ResultSink, SinkError};
 use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
@@ -38,18 +40,41 @@ pub struct Subject {
     pub baseline: Option<Arc<Baseline>>,
     /// The instrument that looks at it.
     pub station: Arc<StationSettings>,
+    /// How the head is known, in words: signed, trusted by somebody, or unsigned.
+    pub head_seal: Option<String>,
+    /// The station's key, and what it believes.
+    pub seals: Seals,
     /// BLAKE3 of the files they came from.
     pub hashes: BTreeMap<&'static str, String>,
 }
 
 impl Subject {
+    /// What the die is known by.
+    #[must_use]
+    pub fn die(&self) -> DieKey {
+        // A gear is names and numbers: nothing of it can fail to be JSON.
+        let gear = serde_json::to_string(&self.tool.gear).unwrap_or_default();
+        let of = |cad: &String| crate::files::hash(format!("{cad} {gear}").as_bytes());
+        DieKey {
+            tool: self.tool.name.clone(),
+            geometry: self.hashes.get("cad").map(of),
+            serial: self.tool.serial.clone(),
+        }
+    }
+
     /// What a result says of where it comes from, found in this setting.
     pub(crate) fn origin(&self, setting: &Setting) -> Origin {
-        let head = HeadId {
+        Origin::new(Some(setting), self.head_id())
+    }
+
+    /// The head that looks, and how it is known.
+    #[must_use]
+    pub fn head_id(&self) -> HeadId {
+        HeadId {
             name: self.head.name.clone(),
             blake3: self.hashes.get("head").cloned().unwrap_or_default(),
-        };
-        Origin::new(Some(setting), head)
+            seal: self.head_seal.clone(),
+        }
     }
 }
 
@@ -150,6 +175,12 @@ impl Station {
     #[must_use]
     pub fn tool(&self) -> &str {
         &self.subject.tool.name
+    }
+
+    /// What the die is known by.
+    #[must_use]
+    pub fn die(&self) -> DieKey {
+        self.subject.die()
     }
 
     /// Runs one check through the controller at `port`; the verdict waits for `store`.
@@ -278,6 +309,7 @@ impl Station {
             origin: self.subject.origin(&self.setting),
             date: date::now(),
             tool: self.subject.tool.name.clone(),
+            die: self.subject.die(),
             temperature_degc: self.subject.temperature_degc,
             versions,
             hashes,

@@ -8,6 +8,7 @@ use flankscope_metrology::wear::leakage::Leakage;
 use serde::Serialize;
 
 use crate::baseline::Reference;
+use crate::history::DieKey;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
@@ -138,6 +139,10 @@ pub struct FrameCount {
     pub bytes_copied: u64,
     /// Views that had to be captured again.
     pub recaptured_views: u32,
+    /// The latest that a trigger or a frame was against the clock of who told of it, ms; absent where that clock is not real
+    /// time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub late_ms: Option<f64>,
     /// From hand-over by the camera process to sight by the host.
     pub handover_us: Handover,
 }
@@ -150,6 +155,7 @@ impl FrameCount {
             received: counts.received,
             bytes_copied: Frame::bytes_copied(),
             recaptured_views: counts.recaptured,
+            late_ms: (counts.late_ms > 0.0).then_some(counts.late_ms),
             handover_us: Handover::of(&mut counts.handover_ns),
         }
     }
@@ -252,6 +258,8 @@ pub struct Inspection {
     pub registration: Vec<ViewRegistration>,
     /// Tool name.
     pub tool: String,
+    /// What the die is known by.
+    pub die: DieKey,
     /// Temperature of the tool that the scale was corrected for, degrees C; absent when it is not known.
     pub temperature_degc: Option<f64>,
     /// Host, protocol, firmware.

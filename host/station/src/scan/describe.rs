@@ -99,6 +99,7 @@ impl Scanner {
             teeth_turned_deg: 0.0,
             metrics: None,
             truth: None,
+            seal: None,
             tool: tool.name.clone(),
             versions,
             hashes: self.subject.hashes.clone(),

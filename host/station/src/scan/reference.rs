@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::result::FlankSeen;
 use crate::origin::looked_at;
+use crate::seal::{Kind, SealError, Seals};
 
 /// Why there is nothing to compare with.
 #[derive(Debug, thiserror::Error)]
@@ -53,6 +54,9 @@ pub enum ReferenceError {
         /// Whether this scan is of the simulated bench.
         simulated: bool,
     },
+    /// Not this station's word, nor somebody's whom it trusts.
+    #[error(transparent)]
+    Seal(#[from] SealError),
     /// A scan against another CAD.
     #[error(
         "{path} was measured against another CAD: its BLAKE3 is {got}, this tool's is {expected}"
@@ -103,6 +107,7 @@ impl Reference {
         path: &Path,
         cad: Option<&str>,
         simulated: Option<bool>,
+        seals: &Seals,
     ) -> Result<Self, ReferenceError> {
         let path = if path.is_dir() {
             path.join("scan.json")
@@ -113,10 +118,12 @@ impl Reference {
             let path = path.clone();
             ReferenceError::Io { path, error }
         })?;
-        let document: Document = serde_json::from_slice(&text).map_err(|error| {
-            let path = path.clone();
-            ReferenceError::Document { path, error }
-        })?;
+        let no_scan = |error| ReferenceError::Document {
+            path: path.clone(),
+            error,
+        };
+        let sealed: serde_json::Value = serde_json::from_slice(&text).map_err(no_scan)?;
+        let document: Document = serde_json::from_slice(&text).map_err(no_scan)?;
         let got = document.hashes.get("cad").map_or("", String::as_str);
         if let Some(expected) = cad.filter(|expected| *expected != got) {
             return Err(ReferenceError::OtherCad {
@@ -130,6 +137,7 @@ impl Reference {
         {
             return Err(ReferenceError::OtherKind { path, simulated });
         }
+        seals.believe(Kind::Scan, &path, &sealed)?;
         let of = |entry: &Entry| flank_mean(entry.tooth, &entry.flank, entry.mean_um);
         let entries = document.flank_means.as_ref().unwrap_or(&document.features);
         let flanks: Vec<FlankMean> = entries.iter().filter_map(of).collect();

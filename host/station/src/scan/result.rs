@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use flankscope_foundation::seal::Seal;
 use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
@@ -79,6 +80,9 @@ pub struct Scan {
     /// From the simulated bench alone: what was true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<serde_json::Value>,
+    /// Whose word it is; over everything else in it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seal: Option<Seal>,
     /// Tool name.
     pub tool: String,
     /// Host, protocol, firmware.

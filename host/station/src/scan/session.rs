@@ -8,10 +8,13 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
+use flankscope_foundation::seal::Seal;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::view::{Kept, KeptView};
 use crate::files::{hash, write_whole};
+use crate::seal::{Kind, SealError, Seals};
 
 const MANIFEST: &str = "manifest.json";
 const FORMAT: u32 = 3;
@@ -62,6 +65,9 @@ pub enum SessionError {
         /// Of the manifest.
         expected: String,
     },
+    /// Not this station's word, nor somebody's whom it trusts.
+    #[error(transparent)]
+    Seal(#[from] SealError),
     /// A pose that is none.
     #[error("{path}: the pose of view {view} is no rigid motion")]
     Pose {
@@ -98,12 +104,17 @@ struct Manifest {
 pub(super) struct Session {
     folder: PathBuf,
     manifest: Manifest,
+    seals: Seals,
 }
 
 impl Session {
     /// Opens a folder, made if it is not there. Every file that the manifest names is checked; a missing one is captured
     /// again.
-    pub fn open(folder: &Path, of: BTreeMap<String, String>) -> Result<Self, SessionError> {
+    pub fn open(
+        folder: &Path,
+        of: BTreeMap<String, String>,
+        seals: Seals,
+    ) -> Result<Self, SessionError> {
         let io = |path: &Path| {
             let path = path.to_path_buf();
             move |error| SessionError::Io { path, error }
@@ -117,15 +128,22 @@ impl Session {
                 of,
                 views: BTreeMap::new(),
             },
+            seals,
         };
         if !path.exists() {
             return Ok(session);
         }
         let text = std::fs::read(&path).map_err(io(&path))?;
-        let manifest: Manifest = serde_json::from_slice(&text).map_err(|error| {
-            let path = path.clone();
-            SessionError::Manifest { path, error }
-        })?;
+        let no_manifest = |error| SessionError::Manifest {
+            path: path.clone(),
+            error,
+        };
+        let mut document: Value = serde_json::from_slice(&text).map_err(no_manifest)?;
+        let sealed = document.clone();
+        if let Some(map) = document.as_object_mut() {
+            map.remove(Seal::KEY);
+        }
+        let manifest: Manifest = serde_json::from_value(document).map_err(no_manifest)?;
         let mut expected = session.manifest.of.clone();
         expected.insert("format".into(), FORMAT.to_string());
         let mut got = manifest.of.clone();
@@ -148,6 +166,7 @@ impl Session {
                 });
             }
         }
+        session.seals.believe(Kind::Session, &path, &sealed)?;
         session.manifest = manifest;
         let gone: Vec<usize> = session
             .manifest
@@ -211,10 +230,18 @@ impl Session {
     /// Writes the manifest: what was kept before is safe from here on.
     pub fn commit(&self) -> Result<(), SessionError> {
         let path = self.folder.join(MANIFEST);
-        let text = serde_json::to_vec_pretty(&self.manifest).map_err(|error| {
+        let text = || -> serde_json::Result<Result<Vec<u8>, SealError>> {
+            let mut document = serde_json::to_value(&self.manifest)?;
+            match self.seals.seal(Kind::Session, &document) {
+                Ok(seal) => document[Seal::KEY] = serde_json::to_value(seal)?,
+                Err(error) => return Ok(Err(error)),
+            }
+            serde_json::to_vec_pretty(&document).map(Ok)
+        };
+        let text = text().map_err(|error| {
             let path = path.clone();
             SessionError::Manifest { path, error }
-        })?;
+        })??;
         write_whole(&path, &text).map_err(|error| SessionError::Io { path, error })
     }
 

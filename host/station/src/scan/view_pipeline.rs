@@ -107,7 +107,7 @@ impl ViewPipeline {
         };
         of.insert("points".into(), points.into());
         of.extend(further.clone());
-        let session = Session::open(folder, of)?;
+        let session = Session::open(folder, of, subject.seals.clone())?;
         let patches = Patches::new(session.folder())?;
         let known = first_information(&session, &subject.tool, &plan)?;
         let decoder = plan.decoder(&subject.head, Some(FRINGES_ONLY));

@@ -52,6 +52,8 @@ pub struct Controller {
     pub baud: u32,
     /// Wait for an answer before the same order is sent again, ms.
     pub answer_ms: u64,
+    /// Longest time by which triggers and frames may be late, ms.
+    pub stall_ms: u64,
 }
 
 /// The handshake with the press.
@@ -131,6 +133,7 @@ impl Default for Controller {
             link: None,
             baud: 921_600,
             answer_ms: 250,
+            stall_ms: 2_000,
         }
     }
 }
@@ -254,6 +257,7 @@ impl StationSettings {
         ClientSettings {
             answer: Duration::from_millis(self.controller.answer_ms),
             baud: self.controller.baud,
+            stall: Some(Duration::from_millis(self.controller.stall_ms)),
             ..ClientSettings::default()
         }
     }
@@ -302,7 +306,8 @@ impl Controller {
         let speed = "1200 to 12000000 bit/s, as the controller has it";
         within("controller.baud", self.baud, 1_200..=12_000_000, speed)?;
         let wait = "1 to 60000 ms";
-        within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)
+        within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)?;
+        within("controller.stall_ms", self.stall_ms, 1..=60_000, wait)
     }
 }
 

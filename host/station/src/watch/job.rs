@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::acquisition::AcquisitionError;
 use crate::controller::{Client, ClientError, ClientSettings};
-use crate::history::{HistoryError, HistoryWriter};
+use crate::history::{HistoryError, HistoryWriter, Hold};
 use crate::inspection::{InspectError, Inspection, Station};
 use crate::sink::ResultSink;
 
@@ -133,6 +133,8 @@ struct Watch<'a, T> {
     /// Says stop by false.
     tell: T,
     latch: Latch,
+    /// No other watch has this die.
+    _hold: Option<Hold>,
     /// Press cycles by the controller's counter: when it began, now, and at the last check.
     first: u32,
     cycle: u32,
@@ -150,9 +152,10 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
         writer: Option<&'a mut HistoryWriter>,
         tell: T,
     ) -> Result<Self, WatchError> {
-        let latch = match &writer {
-            Some(writer) => writer.latch(station.tool())?,
-            None => Latch::default(),
+        let die = station.die();
+        let (hold, latch) = match &writer {
+            Some(writer) => (Some(writer.hold(&die)?), writer.latch(&die)?),
+            None => (None, Latch::default()),
         };
         let cycle = client.status().await?.press.cycles;
         Ok(Self {
@@ -161,6 +164,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
             writer,
             tell,
             latch,
+            _hold: hold,
             first: cycle,
             cycle,
             checked_at: cycle,
@@ -225,7 +229,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
     /// Somebody has looked; that counts once it is noted.
     fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
         let noted = match &mut self.writer {
-            Some(writer) => writer.acknowledge(self.station.tool(), name),
+            Some(writer) => writer.acknowledge(&self.station.die(), name),
             None => Ok(()),
         };
         let told = match noted {

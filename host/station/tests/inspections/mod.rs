@@ -1,10 +1,18 @@
 //! Results of checks that nobody made.
 
 use flankscope_metrology::verdict::Word;
+use flankscope_station::history::DieKey;
 use flankscope_station::inspection::{
     Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };
 use flankscope_station::origin::Origin;
+use flankscope_station::seal::Seals;
+
+/// A station that was there before this test: the same for the whole process, gone with its build folder.
+pub fn seals() -> Seals {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("station");
+    Seals::open(&folder).unwrap()
+}
 
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
 pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
@@ -47,6 +55,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         peak_memory_mb: None,
         registration: Vec::new(),
         tool: "die".into(),
+        die: DieKey::named("die"),
         temperature_degc: None,
         versions: [("host", "0.1.0".to_owned())].into(),
         hashes: [("cad", "0".repeat(64))].into(),

@@ -91,7 +91,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     run.evaluated(view, *outcome);
                 }
             }
-            self.evaluate_whole_views(run, frames as u16)?;
+            self.evaluate_whole_views(run, frames as u16, None)?;
         }
         for (number, problem) in playback.problems.try_iter() {
             if let Some(&view) = numbers.get(number) {

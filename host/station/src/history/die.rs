@@ -1,0 +1,113 @@
+//! Which die a check is of: a no-go stands against the die, whatever its tool file calls it.
+
+use serde::Serialize;
+
+/// What a die is known by.
+///
+/// Two checks are of the same die when both name a serial number and it is the same; where one of them names none, when
+/// either the tool's name or its geometry is the same. So a no-go is not shed by another name, nor by another CAD alone;
+/// dies of one design are told apart by their serial numbers.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct DieKey {
+    /// Name of the tool.
+    pub tool: String,
+    /// BLAKE3 of CAD and gear data; checks of earlier releases have none.
+    pub geometry: Option<String>,
+    /// Serial number in the tool file.
+    pub serial: Option<String>,
+}
+
+impl DieKey {
+    /// A die of which only the name is known.
+    #[must_use]
+    pub fn named(tool: &str) -> Self {
+        Self {
+            tool: tool.into(),
+            ..Self::default()
+        }
+    }
+
+    /// Whether it may be the same die.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        match (&self.serial, &other.serial) {
+            (Some(one), Some(two)) => one == two,
+            _ => {
+                self.tool == other.tool
+                    || self.geometry.is_some() && self.geometry == other.geometry
+            }
+        }
+    }
+}
+
+/// The same in SQL, of two rows or parameters that have `tool`, `geometry` and `serial`.
+pub(super) fn same(
+    [tool, geometry, serial]: [&str; 3],
+    [other, other_geometry, other_serial]: [&str; 3],
+) -> String {
+    format!(
+        "(CASE WHEN {serial} IS NOT NULL AND {other_serial} IS NOT NULL THEN {serial} = {other_serial} \
+         ELSE {tool} = {other} OR {geometry} = {other_geometry} END)"
+    )
+}
+
+/// The columns of a table's row.
+pub(super) fn columns(table: &str) -> [String; 3] {
+    ["tool", "geometry", "serial"].map(|column| format!("{table}.{column}"))
+}
+
+/// [`same`] for the row of a table and the parameters 1 to 3.
+pub(super) fn same_as_asked(table: &str) -> String {
+    let [tool, geometry, serial] = &columns(table);
+    same([tool, geometry, serial], ["?1", "?2", "?3"])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn database_and_program_agree_on_what_is_the_same_die() {
+        let connection = rusqlite::Connection::open_in_memory().unwrap();
+        let some = |text: &str| (!text.is_empty()).then(|| text.to_owned());
+        let mut dies = Vec::new();
+        for tool in ["a", "b"] {
+            for geometry in ["", "g", "h"] {
+                for serial in ["", "1", "2"] {
+                    dies.push(DieKey {
+                        tool: tool.into(),
+                        geometry: some(geometry),
+                        serial: some(serial),
+                    });
+                }
+            }
+        }
+        let sql = format!(
+            "SELECT coalesce({}, 0)",
+            same(["?1", "?2", "?3"], ["?4", "?5", "?6"])
+        );
+        let mut same_ones = 0;
+        for one in &dies {
+            for two in &dies {
+                let found: bool = connection
+                    .query_row(
+                        &sql,
+                        rusqlite::params![
+                            one.tool,
+                            one.geometry,
+                            one.serial,
+                            two.tool,
+                            two.geometry,
+                            two.serial
+                        ],
+                        |row| row.get(0),
+                    )
+                    .unwrap();
+                assert_eq!(found, one.is_same(two), "{one:?} {two:?}");
+                assert_eq!(found, two.is_same(one));
+                same_ones += usize::from(found);
+            }
+        }
+        assert!(same_ones > dies.len());
+    }
+}
