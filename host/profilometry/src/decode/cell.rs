@@ -51,10 +51,11 @@ pub(super) struct Column {
     pub column_chi_square: f32,
 }
 
-/// Why there is no column, and how far the clues missed if they were asked.
+/// Why there is no column, and how far the clues missed of what if they were asked.
 pub(super) struct Lost {
     pub fate: Fate,
     pub clue_chi_square: f32,
+    pub separation: f32,
 }
 
 impl From<Fate> for Lost {
@@ -62,6 +63,7 @@ impl From<Fate> for Lost {
         Self {
             fate,
             clue_chi_square: f32::NAN,
+            separation: 0.0,
         }
     }
 }
@@ -88,6 +90,7 @@ impl From<Lost> for CellResult {
     fn from(lost: Lost) -> Self {
         Self {
             clue_chi_square: lost.clue_chi_square,
+            separation: lost.separation,
             ..Self::rejected(lost.fate)
         }
     }
@@ -164,6 +167,7 @@ impl Decoder {
             return Err(Lost {
                 fate: Fate::Disagreeing,
                 clue_chi_square,
+                separation: found.separation as f32,
             });
         }
         if self.is_inconsistent(band, index, view.frame_noise_ratio) {

@@ -4,8 +4,9 @@ use std::borrow::Cow;
 
 use super::Decoder;
 use super::cell::FINE_RATIO;
-use crate::accumulate::Accumulator;
+use crate::accumulate::{Accumulator, Band};
 use crate::cells::Grid;
+use crate::phase::PhaseEstimate;
 use crate::phase::smoothing::{self, Blur, Difference};
 
 /// Phasors to take phases from.
@@ -49,7 +50,8 @@ impl Decoder {
         };
         if let Some(blur) = Blur::new(coarse_cells) {
             for set in (0..finest).filter(|&set| is_fine(set)) {
-                let difference = Difference::new(accumulator, grid, [set, finest], &blur);
+                let weight = |band: &Band, cell: usize| self.phase_weight(band, cell, set);
+                let difference = Difference::new(accumulator, grid, [set, finest], &blur, weight);
                 view.differences[set] = Some(difference);
             }
         }
@@ -64,6 +66,16 @@ impl Decoder {
         let ratios = smoothing::smooth(view.accumulator.to_mut(), grid, &sigmas);
         view.sigma_ratios = ratios.iter().map(|ratio| ratio.sqrt()).collect();
         view
+    }
+
+    /// How much a cell's phase of one frequency counts among its neighbours: by its variance, but a phase that would tell the
+    /// order by itself hardly less than a better one. A highlight beside an edge would otherwise speak for what lies beyond.
+    fn phase_weight(&self, band: &Band, index: usize, set: usize) -> f32 {
+        let noise = self.noise(band, index);
+        let enough_rad2 = self.enough_rad * self.enough_rad;
+        let weight = |phase: PhaseEstimate| enough_rad2 / (phase.sigma_rad.powi(2) + enough_rad2);
+        let estimate = self.estimate(band, index, set, &noise);
+        estimate.map_or(0.0, |phase| weight(phase) as f32)
     }
 
     /// Sigma of the Gaussian over the phasors in cells: of the finest fringes, and of coarser ones.

@@ -4,12 +4,16 @@ use super::DecodeOptions;
 use super::cell::FINE_RATIO;
 use crate::head::Sensor;
 use crate::pattern::PatternSet;
-use crate::unwrap::{MIN_MEASURED_SEPARATION, order_step_rad};
+use crate::unwrap::order_step_rad;
+
+/// Least distance of neighbouring orders in standard deviations of a pixel's own dark noise and rounding. Smoothing takes over
+/// from there; what of it does not average must not reach half the distance.
+const ALONE_SEPARATION: f64 = 5.0;
 
 /// Least amplitude of each frequency in counts per pixel and exposure.
 ///
 /// By default the amplitude at which a pixel's dark noise and rounding alone, unsmoothed, leave neighbouring orders
-/// [`MIN_MEASURED_SEPARATION`] standard deviations apart: `B = sqrt(2 / N) sigma_dark / sigma_phase`.
+/// [`ALONE_SEPARATION`] standard deviations apart: `B = sqrt(2 / N) sigma_dark / sigma_phase`.
 pub(super) fn floors_dn(
     patterns: &PatternSet,
     options: &DecodeOptions,
@@ -26,9 +30,8 @@ pub(super) fn floors_dn(
     let periods: Vec<f64> = patterns.sets.iter().map(|set| set.periods).collect();
     let others = &periods[..periods.len() - 1];
     let finest = patterns.finest().periods;
-    let separation = f64::from(MIN_MEASURED_SEPARATION);
-    let by_clues_rad = order_step_rad(&periods) / separation;
-    let by_turn_rad = std::f64::consts::TAU / separation;
+    let by_clues_rad = order_step_rad(&periods) / ALONE_SEPARATION;
+    let by_turn_rad = std::f64::consts::TAU / ALONE_SEPARATION;
     let beats = others.iter().any(|other| *other > FINE_RATIO * finest);
     let floor_dn = |set: usize| {
         // The finest of a hierarchy is only counted; of high frequencies it is one side of every beat.

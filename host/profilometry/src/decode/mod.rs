@@ -49,6 +49,8 @@ pub struct Decoder {
     orders: usize,
     /// Of each frequency, its phase where that of the finest is zero.
     origins_rad: Vec<f64>,
+    /// Standard deviation of all phases with which a cell tells the order by itself.
+    enough_rad: f64,
     /// Least amplitude of each frequency, counts per pixel and exposure.
     floors_dn: Vec<f64>,
     /// Largest chi-square by degrees of freedom; empty where it is not tested.
@@ -156,6 +158,7 @@ impl Decoder {
             rays,
             orders,
             origins_rad,
+            enough_rad: unwrap::order_step_rad(&all_periods) / unwrap::MIN_SEPARATION,
             floors_dn,
             chi_square_limits,
             cell_by_depth,

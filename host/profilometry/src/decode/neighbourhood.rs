@@ -57,16 +57,29 @@ impl<'a> Neighbourhood<'a> {
             let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
             decided && result.clue_chi_square.is_finite()
         };
-        let missed = |result: &CellResult| asked(result).then_some(result.clue_chi_square);
+        // In distances to the next order: bright cells, of which hardly any noise is predicted, must not speak for dim ones.
+        let predicted = |result: &CellResult| {
+            let variance = result.separation.powi(-2);
+            asked(result).then_some(variance)
+        };
+        let missed = |result: &CellResult| {
+            predicted(result).map(|variance| result.clue_chi_square * variance)
+        };
         let agreed = |result: &CellResult| {
             let agreed = f32::from(u8::from(result.fate == Fate::Point));
             asked(result).then_some(agreed)
         };
         let missed = self.mean(results.iter().map(missed).collect(), NEAR_UNITS);
+        let predicted = self.mean(results.iter().map(predicted).collect(), NEAR_UNITS);
         let agreed = self.mean(results.iter().map(agreed).collect(), WIDE_UNITS);
-        for (result, (missed, agreed)) in results.iter_mut().zip(missed.iter().zip(&agreed)) {
-            let separation = result.separation / missed.max(1.0).sqrt();
-            let sure = separation >= MIN_MEASURED_SEPARATION && *agreed >= LEAST_AGREEING_SHARE;
+        let around = missed.iter().zip(&predicted).zip(&agreed);
+        for (result, ((missed, predicted), agreed)) in results.iter_mut().zip(around) {
+            // By the noise measured about it, and whatever a bright cell's own is: by how far its neighbours miss.
+            let variances = (missed / predicted.max(f32::MIN_POSITIVE)).max(1.0);
+            let separation = result.separation / variances.sqrt();
+            let told_apart = separation >= MIN_MEASURED_SEPARATION
+                && *missed <= MIN_MEASURED_SEPARATION.powi(-2);
+            let sure = told_apart && *agreed >= LEAST_AGREEING_SHARE;
             if asked(result) && result.fate == Fate::Point && !sure {
                 result.reject(Fate::Disagreeing);
             }

@@ -100,18 +100,21 @@ pub(crate) struct Difference {
 }
 
 impl Difference {
+    /// `weight`: how much the phase of a cell counts in those of its neighbours.
     pub fn new(
         accumulator: &Accumulator,
         grid: &CellGrid,
         [set, reference]: [usize; 2],
         blur: &Blur,
+        weight: impl Fn(&Band, usize) -> f32,
     ) -> Self {
         let turned = |band: &Band, cell: usize| {
             let (own, other) = (band.phasor(set, cell), band.phasor(reference, cell));
-            let length = other.re.hypot(other.im).max(f32::MIN_POSITIVE);
+            let length = own.re.hypot(own.im) * other.re.hypot(other.im);
+            let share = weight(band, cell) / length.max(f32::MIN_POSITIVE);
             [
-                (own.re * other.re + own.im * other.im) / length,
-                (own.im * other.re - own.re * other.im) / length,
+                (own.re * other.re + own.im * other.im) * share,
+                (own.im * other.re - own.re * other.im) * share,
             ]
         };
         let [re, im] = [0, 1].map(|part| {
