@@ -9,6 +9,7 @@
 //! | [`plan`]    | the declarative [`CapturePlan`], its [`Limits`] and the refusal [`PlanError`] |
 //! | [`message`] | [`Command`] host -> controller, [`Reply`] and [`Event`] controller -> host |
 //! | [`fault`]   | stable fault numbers                                                      |
+//! | [`line`]    | how the serial line between them is set                                   |
 //! | [`frame`]   | COBS + CRC-32C frames carrying one message each                           |
 //!
 //! ```
@@ -45,6 +46,7 @@
 
 pub mod fault;
 pub mod frame;
+pub mod line;
 pub mod message;
 pub mod plan;
 pub mod units;
@@ -53,6 +55,7 @@ pub use fault::{Fault, FaultClass, FaultCode};
 pub use frame::{
     DecodeError, Decoder, EncodeError, Frame, Header, Kind, MAX_FRAME_BYTES, Message, encode,
 };
+pub use line::{FlowControl, Line, LineRecord, Parity};
 pub use message::{
     Command, Event, Identity, PressStatus, Refusal, Reply, State, Status, Trigger, Why,
 };

@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use flankscope_foundation::date::Date;
 use flankscope_gear_cad::{GearKind, GearSpec};
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_test_requisites::workspace;
 use serde_json::Value;
 
@@ -63,6 +66,57 @@ pub fn demo_gear() -> GearSpec {
         body_radius_mm: 88.5,
         height_mm: [0.0, 66.0],
     }
+}
+
+/// The demo tool's files with a head that says it was calibrated at a press, and that passed its test today: what a real link
+/// demands. Returns the folder as an argument.
+///
+/// # Panics
+/// It cannot be written.
+#[must_use]
+pub fn press_tool(folder: &Path) -> String {
+    let path = folder.to_str().expect("UTF-8").to_owned();
+    let written = run(flankscope().args(["bench", "demo-tool", "--out", &path]));
+    assert_eq!(written.code, 0, "{}", written.stderr);
+    let file = folder.join("head.toml");
+    let mut head = HeadModel::load(&file).expect("the demo's head");
+    let today = Date::today();
+    let blake3 = head.geometry_blake3();
+    head.calibration = Some(CalibrationRecord {
+        date: today,
+        expires: today.plus_days(30),
+        target: "plates".into(),
+        link: Some("/dev/ttyACM0".into()),
+        simulated: Some(false),
+        frames: ["camera", "projector", "stage"].map(Into::into).to_vec(),
+        unit: "mm".into(),
+        blake3: blake3.clone(),
+        views: 12,
+        dots: 900,
+        dropped: 0,
+        camera_rms_px: 0.05,
+        projector_rms_px: 0.05,
+        depth_sigma_um: 1.0,
+        lateral_sigma_um: 1.0,
+        hold_out: None,
+        without_field: None,
+    });
+    std::fs::write(&file, head.to_toml().expect("TOML")).expect("written");
+    let test = folder.join("head.check.toml");
+    let due = today.plus_days(7);
+    let passed = format!(
+        "date = \"{today}\"\ndue = \"{due}\"\ngeometry_blake3 = \"{blake3}\"\nplane_points = 1000\nflatness_um = 1.0\n\
+         sphere_points = 1000\nprobing_form_um = 1.0\nprobing_size_um = 0.0\n[limits]\nflatness_um = 10.0\n\
+         probing_form_um = 10.0\nprobing_size_um = 10.0\nevery_days = 7\n"
+    );
+    std::fs::write(&test, passed).expect("written");
+    for file in [file, test] {
+        let mut trust = flankscope();
+        trust.arg("trust").arg(file);
+        let trusted = run(trust.args(["--quiet", "--name", "tester"]));
+        assert_eq!(trusted.code, 0, "{}", trusted.stderr);
+    }
+    path
 }
 
 /// What a run of the command left behind.

@@ -1,6 +1,6 @@
 //! The calibration, end to end: bench process, controller, captures, head file, and a check with it.
 
-use flankscope_tests::{flankscope, inspect, run};
+use flankscope_tests::{flankscope, inspect, press_tool, run};
 
 #[test]
 fn a_calibrated_head_checks_the_die() {
@@ -83,8 +83,9 @@ fn a_calibrated_head_checks_the_die() {
     assert_eq!(tested.json["fit"], true, "{}", tested.json);
 
     // No press is judged with it.
-    let press = ["--link", "/dev/flankscope-is-not-here", "--head", path];
-    let refused = inspect(&press);
+    let tool = press_tool(&folder.path().join("die"));
+    let press = ["--link", "/dev/flankscope-is-not-here", "--tool", &tool];
+    let refused = inspect(&[&press[..], &["--head", path]].concat());
     assert_eq!(refused.code, 3);
     assert!(
         refused.stderr.contains("calibrated on the simulated bench"),

@@ -1,7 +1,7 @@
 //! The in-situ check, end to end: command, bench process, controller firmware, shared memory, verdict.
 
 use flankscope_test_requisites::shared;
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, flankscope, inspect, press_tool, run};
 
 /// The demo's limits, µm: warn at 30, stop at 50.
 const WEAR: &str = "40:left:80";
@@ -225,20 +225,74 @@ fn a_port_that_does_not_answer_could_not_run() {
     rustix::pty::grantpt(&master).unwrap();
     rustix::pty::unlockpt(&master).unwrap();
     let name = rustix::pty::ptsname(&master, Vec::new()).unwrap();
-    let silent = inspect(&["--link", name.to_str().unwrap()]);
+    let folder = tempfile::tempdir().unwrap();
+    let tool = press_tool(folder.path());
+    let silent = inspect(&["--link", name.to_str().unwrap(), "--tool", &tool]);
     assert_eq!(silent.code, 3, "{}", silent.stderr);
     assert!(
         silent.stderr.contains("answers nothing"),
         "{}",
         silent.stderr
     );
-    let absent = inspect(&["--link", "/dev/flankscope-is-not-here"]);
+    let nowhere = "/dev/flankscope-is-not-here";
+    let absent = inspect(&["--link", nowhere, "--tool", &tool]);
     assert_eq!(absent.code, 3);
     assert!(
-        absent.stderr.contains("/dev/flankscope-is-not-here"),
+        absent.stderr.contains("cannot open the port") && absent.stderr.contains(nowhere),
         "{}",
         absent.stderr
     );
+}
+
+/// Every start says which station, tool and head; a real press takes none of what is built in.
+#[test]
+fn a_press_demands_a_tool_and_a_calibrated_head() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = press_tool(folder.path());
+    let nowhere = "/dev/flankscope-is-not-here";
+    let started = |arguments: &[&str]| {
+        run(flankscope()
+            .args(["inspect", "--station", "press 7", "--operator", "Ada"])
+            .args(arguments))
+    };
+    let said = started(&["--link", nowhere, "--tool", &tool]).stderr;
+    for words in [
+        "station  press 7, link /dev/flankscope-is-not-here (a real press), operator Ada",
+        &format!("tool     demo die ({tool}/tool.toml)"),
+        &format!("head     prism head 20 mm ({tool}/head.toml; calibrated "),
+        "cannot open the port",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let built_in = started(&["--teeth", "40", "--speed", "max"]).stderr;
+    for words in [
+        "link sim (the simulated bench)",
+        "tool     demo die (built in)",
+        "head     prism head 20 mm (built in; not calibrated: a drawing's values)",
+    ] {
+        assert!(built_in.contains(words), "{words}: {built_in}");
+    }
+    let head = folder.path().join("head.toml");
+    let text = std::fs::read_to_string(&head).unwrap();
+    let (drawn, _) = text.split_once("[calibration]").unwrap();
+    let refused = |arguments: &[&str], why: &[&str]| {
+        let run = inspect(&[&["--link", nowhere], arguments].concat());
+        assert_eq!(run.code, 3, "{arguments:?}");
+        for words in why {
+            assert!(run.stderr.contains(words), "{words}: {}", run.stderr);
+        }
+    };
+    refused(&[], &["without --tool", "tool.toml"]);
+    std::fs::write(&head, drawn).unwrap();
+    refused(
+        &["--tool", &tool],
+        &["no [calibration]", "flankscope calibrate"],
+    );
+    std::fs::remove_file(&head).unwrap();
+    refused(&["--tool", &tool], &["no head.toml", "--head"]);
+    let target = run(flankscope().args(["calibrate", "--link", nowhere, "-o", "head.toml"]));
+    assert_eq!(target.code, 3);
+    assert!(target.stderr.contains("--target DIR"), "{}", target.stderr);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use flankscope_tests::{flankscope, inspect, run};
+use flankscope_tests::{flankscope, inspect, press_tool, run};
 use serde_json::Value;
 
 /// Options that are not for the built-in demo any more: the link must be named.
@@ -90,12 +90,9 @@ fn a_simulated_check_says_so_in_document_report_and_history() {
     check_origin_of(&again.json, "sim", "press 7", "Ada");
 
     // A press does not write to it, and is not even asked.
-    let press = inspect(&[
-        "--link",
-        "/dev/flankscope-is-not-here",
-        "--history",
-        &history,
-    ]);
+    let tool = press_tool(&folder.path().join("die"));
+    let nowhere = ["--link", "/dev/flankscope-is-not-here", "--tool", &tool];
+    let press = inspect(&[&nowhere[..], &["--history", &history]].concat());
     assert_eq!(press.code, 3);
     assert!(
         press.stderr.contains("holds checks of the simulated bench"),
@@ -122,12 +119,9 @@ fn the_history_of_a_press_takes_no_simulated_check() {
     let file = folder.path().join("press.db");
     let history = file.to_str().unwrap();
     // Made by a port that nobody answers at: it has no check yet, and is of neither kind.
-    let absent = inspect(&[
-        "--link",
-        "/dev/flankscope-is-not-here",
-        "--history",
-        history,
-    ]);
+    let tool = press_tool(&folder.path().join("die"));
+    let nowhere = ["--link", "/dev/flankscope-is-not-here", "--tool", &tool];
+    let absent = inspect(&[&nowhere[..], &["--history", history]].concat());
     assert_eq!(absent.code, 3);
     assert!(
         absent.stderr.contains("/dev/flankscope-is-not-here"),
@@ -162,7 +156,9 @@ fn a_baseline_from_the_bench_judges_no_press() {
     let file = path.to_str().unwrap();
     let new = inspect(&["--teeth", "40", "--record-baseline", file]);
     assert_eq!(new.code, 0, "{}", new.stderr);
-    let press = inspect(&["--link", "/dev/flankscope-is-not-here", "--baseline", file]);
+    let tool = press_tool(&folder.path().join("die"));
+    let nowhere = ["--link", "/dev/flankscope-is-not-here", "--tool", &tool];
+    let press = inspect(&[&nowhere[..], &["--baseline", file]].concat());
     assert_eq!(press.code, 3);
     assert!(
         press.stderr.contains("recorded with the simulated bench"),

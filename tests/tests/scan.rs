@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 
 use flankscope_gear_cad::{Flank, Mesh, Meshing, write_ply};
 use flankscope_tests::{Run, demo_gear, flankscope, run};
+use serde_json::Value;
 
 fn scan(args: &[&str]) -> Run {
     let common = ["scan", "--quiet", "--json", "-", "--speed", "max"];
@@ -214,6 +215,22 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(article.code, 2);
     assert!(figure(&article, "/form/ovality_um") < 10.0);
     assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
+    // Its poses are its own, and nothing of the joint solve is said of them.
+    let poses = |run: &Run| -> Vec<Value> {
+        let views = run.json["registration"].as_array().expect("views");
+        views
+            .iter()
+            .map(|view| view["tool_from_camera"].clone())
+            .collect()
+    };
+    let (ours, its) = (poses(&resumed), poses(&article));
+    assert!(
+        its.iter()
+            .zip(&ours)
+            .all(|(its, ours)| its != ours && !its.is_null())
+    );
+    assert!(article.json.get("joint").is_none());
+    assert!(article.json["registration"][0]["stray_turn_mdeg"].is_null());
     // Another scan does not mix with it, nor do points of another kind, nor another die on the bench.
     let refused = |args: &[&str], why: &str| {
         let form = ["--ovality-um", "20", "--taper-um", "15", "--session"];

@@ -30,7 +30,7 @@ use flankscope_controller::stage::esp301::{Axes, Esp301};
 use flankscope_controller::{
     CommandHandler, Mailboxes, Optics, Sequence, link, sequence, stage, supervise,
 };
-use flankscope_protocol::Microseconds;
+use flankscope_protocol::{Line, LineRecord, Microseconds};
 
 use crate::level::Level;
 use crate::pins::{Current, InputPin, Output, PatternBus};
@@ -45,8 +45,15 @@ static MAIL: Mailboxes = Mailboxes::supervised();
 static URGENT: Level = Level::new(Irq::Sequencer);
 static BACKGROUND: Level = Level::new(Irq::Background);
 
-/// 25 MHz / 217 = 115207 baud; QEMU does not mind, a board would.
-const BAUD_DIVIDER: u32 = 217;
+/// How the host's line is set; QEMU does not mind, a board would.
+static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
+/// What the UARTs' dividers divide.
+const UART_CLOCK_HZ: u32 = 25_000_000;
+/// As fast as a UART goes; nothing limits the bench's wires.
+const LEAST_DIVIDER: u32 = 16;
+
+/// 25 MHz / 217 = 115 207 baud.
+const STAGE_DIVIDER: u32 = 217;
 
 /// The controller as delivered, but for a host that runs on the same machine as this emulation and everything else:
 /// it may be silent for a second, as in the in-process simulation.
@@ -108,14 +115,17 @@ fn main() -> ! {
     let (boot, cause) = failsafe::boot();
     clock::start();
     registers::prioritise();
-    pins::BENCH.start(BAUD_DIVIDER);
+    pins::BENCH.start(LEAST_DIVIDER);
+    let Some(divider) = HOST_LINE.line().divider(UART_CLOCK_HZ) else {
+        failsafe::gone_wrong(line!())
+    };
     // Whatever was driven before a reset is not driven any more.
     for output in LOW_AT_START {
         pins::tell(output, 0);
     }
     pins::tell(Subject::Started, u16::try_from(cause).unwrap_or(u16::MAX));
-    HOST.start(BAUD_DIVIDER);
-    STAGE.start(BAUD_DIVIDER);
+    HOST.start(divider);
+    STAGE.start(STAGE_DIVIDER);
 
     let optics = Optics {
         led: PinLed {

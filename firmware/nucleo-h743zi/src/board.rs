@@ -15,7 +15,9 @@ use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
 use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
 use flankscope_controller::press::PinPress;
 use flankscope_controller::{Optics, Watchdog};
-use flankscope_protocol::{Limits, MAX_FRAME_BYTES, Microseconds, Milliamps};
+use flankscope_protocol::{
+    FlowControl, Limits, Line, LineRecord, MAX_FRAME_BYTES, Microseconds, Milliamps, Parity,
+};
 use static_cell::StaticCell;
 
 bind_interrupts!(struct Irqs {
@@ -34,8 +36,11 @@ bind_interrupts!(struct Irqs {
     EXTI15_10 => exti::InterruptHandler<interrupt::typelevel::EXTI15_10>;
 });
 
-/// Both UARTs, baud.
-const BAUD: u32 = 115_200;
+/// How the host's line is set.
+static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
+
+/// The stage controller's UART, baud.
+const STAGE_BAUD: u32 = 115_200;
 
 /// The fastest that the DMD controller's bus goes.
 const PATTERN_BUS_HZ: u32 = 400_000;
@@ -121,11 +126,12 @@ impl Board {
         };
         static HOST: StaticCell<[[u8; MAX_FRAME_BYTES]; 2]> = StaticCell::new();
         static STAGE: StaticCell<[[u8; 128]; 2]> = StaticCell::new();
-        let mut settings = usart::Config::default();
-        settings.baudrate = BAUD;
+        let settings = uart(HOST_LINE.line());
         let [to_host, from_host] = HOST.try_init([[0; MAX_FRAME_BYTES]; 2])?;
         let host =
             BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
+        let mut settings = usart::Config::default();
+        settings.baudrate = STAGE_BAUD;
         let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
         let stage =
             BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
@@ -138,6 +144,31 @@ impl Board {
         })
     }
 }
+
+/// A UART set as a line is. Its pins decide about flow control: the host's UART has no RTS and CTS.
+fn uart(line: Line) -> usart::Config {
+    let mut settings = usart::Config::default();
+    settings.baudrate = line.baud;
+    settings.data_bits = match line.data_bits {
+        7 => usart::DataBits::DataBits7,
+        _ => usart::DataBits::DataBits8,
+    };
+    settings.parity = match line.parity {
+        Parity::None => usart::Parity::ParityNone,
+        Parity::Even => usart::Parity::ParityEven,
+        Parity::Odd => usart::Parity::ParityOdd,
+    };
+    settings.stop_bits = match line.stop_bits {
+        2 => usart::StopBits::STOP2,
+        _ => usart::StopBits::STOP1,
+    };
+    settings
+}
+
+const _: () = assert!(
+    matches!(Line::HOST.flow, FlowControl::None),
+    "the host's UART has no pins for flow control"
+);
 
 /// 400 MHz from the internal oscillator (64 MHz / 4 * 50 / 2), buses at 200 and 100 MHz.
 fn clocks() -> Config {

@@ -20,8 +20,9 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::inspect::Watcher;
-use crate::instrument::{Instrument, Place, Scene, Site, fits_link, scratch, seals};
+use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
 use crate::output::{Common, Outcome, say};
+use crate::site::{Place, Site};
 
 /// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
 ///
@@ -184,7 +185,8 @@ fn check(
     );
     let site = args.place.site(&[of_target, of_head])?;
     let setting = &site.setting;
-    fits_link(&head, &setting.link)?;
+    site.takes_head(&head)?;
+    begin(args, &site, &target, &head)?;
     ensure!(
         !setting.link.is_simulated() || made != Some(false),
         "{}: this head was calibrated at a press ({}); the simulated bench cannot test it: name the press by --link PORT",
@@ -272,6 +274,7 @@ impl Job<'_> {
         let settings = &site.settings;
         let quiet = args.common.quiet;
         let begun = Instant::now();
+        begin(args, site, target, &head)?;
         if head.core_map.is_none() && head.binning > 1 {
             let mut search = open(args, site, folder, |root| {
                 Ok(CoreSearch::open(&head, target, settings, root)?)
@@ -378,6 +381,20 @@ impl Job<'_> {
         }
         Ok(Outcome::Done)
     }
+}
+
+/// Before anything moves: what the press demands is there, and which station, target and head these are is said.
+fn begin(args: &Args, site: &Site, target: &Target, head: &HeadModel) -> anyhow::Result<()> {
+    fits_bench(&args.bench, site)?;
+    site.demands_target(args.target.as_deref())?;
+    if !args.common.quiet {
+        let (target, head) = (&target.name, &head.name);
+        say(&format!(
+            "{}\ntarget   {target}\nhead     {head}",
+            site.words()
+        ));
+    }
+    Ok(())
 }
 
 fn open<S>(

@@ -6,10 +6,13 @@ use std::time::Instant;
 use anyhow::Context;
 use flankscope_metrology::deviation::{self, Statistics};
 use flankscope_metrology::surface::Surface;
+use flankscope_metrology::surface::orientation::Orientation;
 use flankscope_metrology::surface::sampling;
 use serde::Serialize;
 
-use crate::geometry::{CadArgs, MinkowskiOrder, load_cloud, milliseconds, tell, write_file};
+use crate::geometry::{
+    Cad, CadArgs, CloudUnit, MinkowskiOrder, load_cloud, milliseconds, tell, write_file,
+};
 use crate::output::{Common, Outcome};
 
 /// Signed distance of every point of a cloud to a CAD mesh.
@@ -20,9 +23,11 @@ use crate::output::{Common, Outcome};
 pub struct Args {
     #[command(flatten)]
     cad: CadArgs,
-    /// Cloud in CAD coordinates, mm: PLY or text with `x y z` per line.
+    /// Cloud in CAD coordinates: PLY or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
+    #[command(flatten)]
+    cloud_unit: CloudUnit,
     /// Distance to the surface itself (exact, signed), or to the nearest of random points on it (the article's, unsigned).
     #[arg(long, value_enum, default_value_t = Metric::Surface)]
     metric: Metric,
@@ -50,7 +55,9 @@ enum Metric {
 
 #[derive(Serialize)]
 struct Report {
+    /// Whether material that stands proud counts positive: not of sampled points, nor of a mesh without an outside.
     signed: bool,
+    orientation: Orientation,
     #[serde(flatten)]
     statistics: Statistics,
     elapsed_ms: Elapsed,
@@ -72,11 +79,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         );
     }
     let start = Instant::now();
-    let mesh = args.cad.load()?;
-    let cloud = load_cloud(&args.cloud)?;
+    let Cad { mesh, orientation } = args.cad.load(&args.common)?;
+    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
     let loaded = Instant::now();
     let cad = || args.cad.trouble();
-    let (deviations, prepared) = match args.metric {
+    let (mut deviations, prepared) = match args.metric {
         Metric::Surface => {
             let surface = Surface::new(&mesh).with_context(cad)?;
             let prepared = Instant::now();
@@ -90,6 +97,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             (tree.distances(&cloud.points, args.order.into()), prepared)
         }
     };
+    let signed = args.metric == Metric::Surface && orientation.unsigned.is_none();
+    if !signed {
+        for deviation in &mut deviations {
+            *deviation = deviation.abs();
+        }
+    }
     let queried = Instant::now();
     let statistics = deviation::statistics(&deviations)
         .with_context(|| format!("cloud {} has no points", args.cloud.display()))?;
@@ -97,7 +110,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         cloud.write_ply(out, &[("deviation", &deviations)])
     })?;
     let report = Report {
-        signed: args.metric == Metric::Surface,
+        signed,
+        orientation,
         statistics,
         elapsed_ms: Elapsed {
             load: milliseconds(start, loaded),

@@ -9,7 +9,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{PROBABILITY, Word, holds_class};
 use serde::Serialize;
 
-use crate::geometry::load_cloud;
+use crate::geometry::{CloudUnit, load_cloud};
 use crate::output::{Common, Outcome};
 
 /// Profile, helix, pitch and runout deviations of every tooth in a cloud, in the sense of ISO 1328-1.
@@ -28,9 +28,11 @@ pub struct Args {
     /// Folder with tool.toml, or the file itself; its section `gear` is what counts.
     #[arg(long, value_name = "DIR")]
     tool: PathBuf,
-    /// Cloud in tool coordinates, mm: PLY or text with `x y z` per line.
+    /// Cloud in tool coordinates: PLY or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
+    #[command(flatten)]
+    cloud_unit: CloudUnit,
     /// The axis that deviations are stated about.
     #[arg(long, value_enum, default_value_t = Axis::Tool)]
     axis: Axis,
@@ -99,7 +101,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             tool.path.display()
         )
     })?;
-    let cloud = load_cloud(&args.cloud)?;
+    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
     let mut settings = Settings {
         band_mm: args.band_mm,
         best_fit_axis: args.axis == Axis::Fit,

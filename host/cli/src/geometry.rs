@@ -7,9 +7,11 @@ use std::time::Instant;
 use anyhow::Context;
 use flankscope_foundation::rigid::{Cloud as CloudFrame, Rigid, Tool};
 use flankscope_metrology::deviation::Order;
+use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::cloud::{self, Cloud};
-use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_metrology::registration::{fit_pairs, parse_pairs};
+use flankscope_metrology::surface::orientation::{Orientation, orient};
 
 use crate::output::Common;
 
@@ -20,13 +22,21 @@ pub struct CadArgs {
     #[arg(long = "cad", value_name = "MESH")]
     pub path: PathBuf,
     /// Unit of the CAD mesh; the formats do not say.
-    #[arg(long = "cad-unit", value_name = "UNIT", default_value = "mm")]
-    pub unit: CadUnit,
+    #[arg(long, value_name = "UNIT", default_value = "mm")]
+    pub cad_unit: FileUnit,
 }
 
-/// Unit of a CAD mesh.
+/// The unit of clouds.
+#[derive(clap::Args, Clone, Copy)]
+pub struct CloudUnit {
+    /// Unit of the cloud; the formats do not say. What is written is in mm.
+    #[arg(long, value_name = "UNIT", default_value = "mm")]
+    pub cloud_unit: FileUnit,
+}
+
+/// Unit of a file.
 #[derive(clap::ValueEnum, Clone, Copy)]
-pub enum CadUnit {
+pub enum FileUnit {
     /// Millimetres.
     Mm,
     /// Metres.
@@ -37,13 +47,13 @@ pub enum CadUnit {
     Inch,
 }
 
-impl From<CadUnit> for Unit {
-    fn from(unit: CadUnit) -> Self {
+impl From<FileUnit> for Unit {
+    fn from(unit: FileUnit) -> Self {
         match unit {
-            CadUnit::Mm => Self::Mm,
-            CadUnit::M => Self::M,
-            CadUnit::Um => Self::Um,
-            CadUnit::Inch => Self::Inch,
+            FileUnit::Mm => Self::Mm,
+            FileUnit::M => Self::M,
+            FileUnit::Um => Self::Um,
+            FileUnit::Inch => Self::Inch,
         }
     }
 }
@@ -73,9 +83,16 @@ impl From<MinkowskiOrder> for Order {
 }
 
 impl CadArgs {
-    /// Loads the mesh.
-    pub fn load(&self) -> anyhow::Result<TriMesh> {
-        mesh::load(&self.path, self.unit.into()).with_context(|| self.trouble())
+    /// Loads the mesh and winds its triangles counter-clockwise seen from outside; says so where the file did not, or where that
+    /// cannot be known.
+    pub fn load(&self, common: &Common) -> anyhow::Result<Cad> {
+        let mut mesh =
+            mesh::load(&self.path, self.cad_unit.into()).with_context(|| self.trouble())?;
+        let orientation = orient(&mut mesh);
+        if !orientation.is_plain() && !common.quiet {
+            eprintln!("note: CAD mesh {}: {orientation}", self.path.display());
+        }
+        Ok(Cad { mesh, orientation })
     }
 
     /// How an error about this mesh starts.
@@ -84,9 +101,16 @@ impl CadArgs {
     }
 }
 
+/// A CAD mesh, and which side of it is outside.
+pub struct Cad {
+    pub mesh: TriMesh,
+    pub orientation: Orientation,
+}
+
 /// Loads a cloud.
-pub fn load_cloud(path: &Path) -> anyhow::Result<Cloud> {
-    cloud::load(path).with_context(|| format!("cannot use cloud {}", path.display()))
+pub fn load_cloud(path: &Path, unit: CloudUnit) -> anyhow::Result<Cloud> {
+    cloud::load(path, unit.cloud_unit.into())
+        .with_context(|| format!("cannot use cloud {}", path.display()))
 }
 
 /// The pose that picked pairs give.

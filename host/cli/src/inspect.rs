@@ -12,8 +12,9 @@ use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
-use crate::instrument::{Instrument, Site, Source, recorded_check, seals};
+use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::output::{Common, Complaints, Outcome, try_folder, try_place, try_recording};
+use crate::site::Site;
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
@@ -127,7 +128,13 @@ impl Args {
     }
 
     fn check_recorded(&self, recording: &Recording, site: &Site) -> anyhow::Result<Inspection> {
-        let (mut check, mut writer) = recorded_check(&self.source, recording, &self.bench, site)?;
+        let (mut check, mut writer) = recorded_check(
+            &self.source,
+            recording,
+            &self.bench,
+            site,
+            self.common.quiet,
+        )?;
         let mut watcher = Watcher::new(self.common.quiet);
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
         watcher.finish();

@@ -13,15 +13,15 @@ use flankscope_station::baseline::Baseline;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter};
 use flankscope_station::inspection::{RecordedCheck, Station, Subject};
-use flankscope_station::origin::{Link, RecordingId, Setting};
+use flankscope_station::origin::Link;
 use flankscope_station::seal::{Kind, SealError, Seals};
-use flankscope_station::settings::StationSettings;
 
 use crate::bench_link::{
     Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
 };
 use crate::grid::Grid;
 use crate::output::say;
+use crate::site::{Place, Site, station_file, user_name};
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
@@ -53,7 +53,7 @@ pub struct Source {
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
     #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
-    /// Remove the phasors of a go after N later checks; other verdicts keep theirs [default: the station's, or 1000]
+    /// Remove the phasors of a go after N later checks, of warn and indeterminate after 10 N; a no-go keeps them [default: the station's, or 1000]
     #[arg(long, value_name = "N")]
     pub keep_phasors: Option<u32>,
 }
@@ -109,7 +109,11 @@ impl Source {
             self.tool_cycles,
             self.keep_phasors.unwrap_or(keep_phasors),
             operator.unwrap_or_else(user_name),
-        );
+        )
+        .within((1e9 * site.settings.history.keep_phasors_gb) as u64);
+        if let Some(room) = opened.room()? {
+            say(&room);
+        }
         let baseline = subject.baseline.as_deref();
         opened.begin(&subject.die(), site.link().is_simulated(), baseline)?;
         Ok(opened)
@@ -122,137 +126,6 @@ impl Source {
             ("--history", self.history.is_some()),
         ])
     }
-}
-
-/// Where it is looked, and for whom: every result says so.
-#[derive(clap::Args, Clone, Debug)]
-pub struct Place {
-    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
-    /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
-    #[arg(long, value_name = "sim|qemu|PORT")]
-    link: Option<Link>,
-    /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
-    #[arg(long, value_name = "NAME|STATION.toml")]
-    station: Option<String>,
-    /// Who measures, in every result [default: the user, as the system says]
-    #[arg(long, value_name = "NAME")]
-    operator: Option<String>,
-}
-
-impl Place {
-    /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
-    /// built-in demo any more, and the link must have been named, here or in the station's file.
-    pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
-        let (file, settings, hash) = self.file()?;
-        let in_file = settings.controller.link.as_deref().map(str::parse);
-        let in_file = in_file.transpose().context("controller.link")?;
-        // A station's file is of an instrument at a press, and may name a history.
-        let of_station = [("--station", file.is_some())];
-        let given = real.iter().chain(&of_station).find(|(_, given)| *given);
-        let link = match (self.link.clone().or(in_file), given) {
-            (Some(link), _) => link,
-            (None, None) => Link::Sim,
-            (None, Some((option, _))) => anyhow::bail!(
-                "{option} without --link: is the die real or simulated? Add --link PORT, the controller's port such as \
-                 /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
-            ),
-        };
-        Ok(self.at(link, settings, hash))
-    }
-
-    /// The site of frames that were recorded: there is no controller, whatever the station's file says of one.
-    pub fn of_recording(&self, recording: &Recording) -> anyhow::Result<Site> {
-        if let Some(link) = &self.link {
-            anyhow::bail!(
-                "--link {link} beside --frames: recorded frames come from no controller; leave one of them out"
-            );
-        }
-        let (_, settings, hash) = self.file()?;
-        let link = Link::Recorded(RecordingId {
-            taken: recording.index.taken,
-            blake3: recording.blake3.clone(),
-            simulated: recording.index.simulated,
-        });
-        Ok(self.at(link, settings, hash))
-    }
-
-    /// The station's file, if it has one, what it says, and its hash.
-    fn file(&self) -> anyhow::Result<(Option<&Path>, StationSettings, Option<String>)> {
-        let file = self.station.as_deref().filter(|text| is_file(text));
-        let file = file.map(Path::new);
-        let (settings, hash) = station_file(file)?;
-        Ok((file, settings, hash))
-    }
-
-    fn at(&self, link: Link, settings: StationSettings, hash: Option<String>) -> Site {
-        let named = self.station.as_deref().filter(|text| !is_file(text));
-        let named = named.map(str::to_owned);
-        Site {
-            setting: Setting {
-                link,
-                station: named
-                    .or_else(|| settings.name.clone())
-                    .unwrap_or_else(host_name),
-                operator: Some(self.operator.clone().unwrap_or_else(user_name)),
-            },
-            settings: Arc::new(settings),
-            hash,
-        }
-    }
-}
-
-/// Whether what names a station is its file.
-fn is_file(station: &str) -> bool {
-    Path::new(station)
-        .extension()
-        .is_some_and(|is| is == "toml")
-}
-
-/// What a station's file says, and its hash; without one, what holds without.
-fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Option<String>)> {
-    let Some(path) = file else {
-        return Ok((StationSettings::default(), None));
-    };
-    let settings = StationSettings::load(path)?;
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok((settings, Some(flankscope_station::files::hash(&bytes))))
-}
-
-/// Where it is looked, for whom, and with what instrument.
-pub struct Site {
-    /// Link, station and operator.
-    pub setting: Setting,
-    /// The instrument.
-    pub settings: Arc<StationSettings>,
-    /// BLAKE3 of its file, if it has one.
-    hash: Option<String>,
-}
-
-impl Site {
-    /// Through which link.
-    pub fn link(&self) -> &Link {
-        &self.setting.link
-    }
-
-    /// Puts the instrument before what is inspected.
-    fn stand_before(&self, subject: &mut Subject) {
-        subject.station = Arc::clone(&self.settings);
-        if let Some(hash) = &self.hash {
-            subject.hashes.insert("station", hash.clone());
-        }
-    }
-}
-
-/// A head that was calibrated on the simulated bench knows nothing of a real one.
-pub fn fits_link(head: &HeadModel, link: &Link) -> anyhow::Result<()> {
-    let made = head.calibration.as_ref().and_then(|made| made.simulated);
-    anyhow::ensure!(
-        link.is_simulated() || made != Some(true),
-        "head \"{}\" was calibrated on the simulated bench, {link} is a real press: calibrate it there \
-         (flankscope calibrate --link {link} -o HEAD.toml)",
-        head.name
-    );
-    Ok(())
 }
 
 /// What stands on the simulated bench beside the die of the tool file.
@@ -329,10 +202,11 @@ pub fn recorded_check(
     recording: &Recording,
     bench: &BenchArgs,
     site: &Site,
+    quiet: bool,
 ) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
     fits_recording(bench, None)?;
     let store = source.store(site)?;
-    let mut subject = recorded_subject([&source.tool, &source.head], recording, site)?;
+    let mut subject = recorded_subject([&source.tool, &source.head], recording, site, quiet)?;
     source.furnish(&mut subject, site.link())?;
     let teeth = source.teeth.as_deref();
     let known = subject.clone();
@@ -348,6 +222,7 @@ pub fn recorded_subject(
     [tool, head]: [&Option<PathBuf>; 2],
     recording: &Recording,
     site: &Site,
+    quiet: bool,
 ) -> anyhow::Result<Subject> {
     let own = scratch()?;
     let folder = match tool {
@@ -355,10 +230,13 @@ pub fn recorded_subject(
         None => demo_tool(own.path())?,
     };
     let head = head.clone().or_else(|| recording.head());
-    let mut subject = load(&folder, head.as_deref(), own.path())?;
+    let (mut subject, head_path) = load(&folder, head.as_deref(), own.path())?;
     subject.temperature_degc = recording.index.tool_temperature_degc;
     site.stand_before(&mut subject);
-    fits_link(&subject.head, site.link())?;
+    site.takes_head(&subject.head)?;
+    if !quiet {
+        announce(site, &subject, &head_path, own.path());
+    }
     Ok(subject)
 }
 
@@ -375,13 +253,18 @@ impl<S> Instrument<S> {
         station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let own = scratch()?;
+        fits_bench(bench, site)?;
+        site.demands([tool, head])?;
         let folder = match tool {
             Some(folder) => folder.to_path_buf(),
             None => demo_tool(own.path())?,
         };
-        let mut subject = load(&folder, head, own.path())?;
+        let (mut subject, head_path) = load(&folder, head, own.path())?;
         site.stand_before(&mut subject);
-        fits_link(&subject.head, site.link())?;
+        site.takes_head(&subject.head)?;
+        if !quiet {
+            announce(site, &subject, &head_path, own.path());
+        }
         Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)
         })
@@ -398,9 +281,6 @@ impl<S> Instrument<S> {
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
-        if !link.is_simulated() {
-            fits_real_press(bench, link)?;
-        }
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
@@ -487,15 +367,43 @@ pub fn subject(
         Some(folder) => folder.to_path_buf(),
         None => demo_tool(own.path())?,
     };
-    let mut subject = load(&folder, head, own.path())?;
+    let (mut subject, _) = load(&folder, head, own.path())?;
     let (settings, hash) = station_file(station)?;
     subject.station = Arc::new(settings);
     subject.hashes.extend(hash.map(|hash| ("station", hash)));
     Ok(subject)
 }
 
-/// Reads tool and head, and hashes what was read.
-fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Subject> {
+/// Refuses options of a bench where there is none.
+pub fn fits_bench(bench: &BenchArgs, site: &Site) -> anyhow::Result<()> {
+    match site.link() {
+        link if link.is_simulated() => Ok(()),
+        link => fits_real_press(bench, link),
+    }
+}
+
+/// Says before anything moves which station, tool and head these are.
+fn announce(site: &Site, subject: &Subject, head: &Path, scratch: &Path) {
+    let from = |path: &Path| match path.starts_with(scratch) {
+        true => "built in".into(),
+        false => path.display().to_string(),
+    };
+    let made = match &subject.head.calibration {
+        Some(made) => format!("calibrated {}, expires {}", made.date, made.expires),
+        None => "not calibrated: a drawing's values".into(),
+    };
+    say(&format!(
+        "{}\ntool     {} ({})\nhead     {} ({}; {made})",
+        site.words(),
+        subject.tool.name,
+        from(&subject.tool.path),
+        subject.head.name,
+        from(head),
+    ));
+}
+
+/// Reads tool and head, and hashes what was read; also returns the head's file.
+fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(Subject, PathBuf)> {
     let tool = Tool::load(folder)?;
     let head_path = head_path(&tool, head, scratch)?;
     let ours = head_path.starts_with(scratch);
@@ -521,7 +429,7 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
             std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         hashes.insert(name, flankscope_station::files::hash(&bytes));
     }
-    Ok(Subject {
+    let subject = Subject {
         tool: Arc::new(tool),
         head: Arc::new(head),
         temperature_degc: None,
@@ -530,7 +438,8 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<Su
         head_seal: Some(head_seal),
         seals,
         hashes,
-    })
+    };
+    Ok((subject, head_path))
 }
 
 /// A scan that a tool file names as its die when new is believed as any other result of a scan.
@@ -573,23 +482,6 @@ fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Resul
     }
     // A tool folder may leave the head out: the demo head then looks at it.
     Ok(demo_tool(scratch)?.join("head.toml"))
-}
-
-/// This host, as the system says.
-fn host_name() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    match name.trim() {
-        "" => "unknown".into(),
-        name => name.to_owned(),
-    }
-}
-
-/// Who runs this program, as the system says.
-fn user_name() -> String {
-    let name = ["USER", "LOGNAME"]
-        .into_iter()
-        .find_map(|name| std::env::var(name).ok());
-    name.unwrap_or_else(|| "unknown".into())
 }
 
 /// A folder of this run alone, gone afterwards, in which nobody else can have made anything.

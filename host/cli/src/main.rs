@@ -22,6 +22,7 @@ mod register;
 mod replay;
 mod sample;
 mod scan;
+mod site;
 mod trust;
 mod watch;
 

@@ -8,7 +8,7 @@ use flankscope_metrology::io::cloud::{Cloud, FinitePoints};
 use flankscope_metrology::io::ply::Scalar;
 use serde::Serialize;
 
-use crate::geometry::{load_cloud, milliseconds, tell, write_file};
+use crate::geometry::{CloudUnit, load_cloud, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// One cloud of several: the points in each cube of a grid become their centroid.
@@ -18,9 +18,11 @@ use crate::output::{Common, Outcome};
     The clouds lie in one frame already. Colours and other properties are not merged."
 )]
 pub struct Args {
-    /// Clouds in the same coordinates, mm: PLY or text with `x y z` per line.
+    /// Clouds in the same coordinates: PLY or text with `x y z` per line.
     #[arg(required = true, value_name = "CLOUD")]
     clouds: Vec<PathBuf>,
+    #[command(flatten)]
+    cloud_unit: CloudUnit,
     /// Edge of the cubes, counted from the smallest coordinates of all clouds.
     #[arg(long, value_name = "S")]
     voxel_mm: f64,
@@ -54,7 +56,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut points: Vec<[f64; 3]> = Vec::new();
     let mut coordinate = Scalar::F32;
     for path in &args.clouds {
-        let cloud = load_cloud(path)?;
+        let cloud = load_cloud(path, args.cloud_unit)?;
         if cloud.coordinate != Scalar::F32 {
             coordinate = Scalar::F64;
         }

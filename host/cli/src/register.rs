@@ -8,14 +8,16 @@ use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
-    Hinz2019Options, Options, Reason, Registration, Status, detect_teeth, register,
-    register_hinz2019,
+    Hinz2019Options, Options, Reason, Registration, Status, TYPICAL_NOISE_MM, detect_teeth,
+    register, register_hinz2019,
 };
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
-use crate::geometry::{CadArgs, load_cloud, milliseconds, pose_of_pairs, tell, write_file};
+use crate::geometry::{
+    Cad, CadArgs, CloudUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
+};
 use crate::output::{Common, Outcome};
 
 /// Poses one pitch apart look alike when the CAD repeats within this, mm.
@@ -29,15 +31,30 @@ const REPEAT_TOLERANCE_MM: f64 = 0.02;
 pub struct Args {
     #[command(flatten)]
     cad: CadArgs,
-    /// Cloud, mm: PLY or text with `x y z` per line.
+    /// Cloud: PLY or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
+    #[command(flatten)]
+    cloud_unit: CloudUnit,
     /// Start pose: JSON with a 4x4 row-major matrix (bare, or under `tool_from_cloud`). Without it, the cloud starts where it is.
     #[arg(long, value_name = "T.json", conflicts_with = "pairs")]
     init: Option<PathBuf>,
     /// Start pose from picked pairs: per line cloud x,y,z, then CAD x,y,z, mm.
     #[arg(long, value_name = "P.csv")]
     pairs: Option<PathBuf>,
+    /// Standard deviation of a point, mm. All limits of the fit are in proportion: far-off points up to 250 times this take part at
+    /// first, points up to 7.5 times lie on the surface after the fit, a direction is observed below half of it.
+    #[arg(long, value_name = "MM", default_value_t = TYPICAL_NOISE_MM, value_parser = positive_mm)]
+    noise_mm: f64,
+    /// Points farther from the surface than this take no part; instead of 250 times the noise.
+    #[arg(long, value_name = "MM", value_parser = positive_mm)]
+    capture_mm: Option<f64>,
+    /// Points farther from the surface than this after the fit do not lie on it; instead of 7.5 times the noise.
+    #[arg(long, value_name = "MM", value_parser = positive_mm)]
+    inlier_mm: Option<f64>,
+    /// Least share of the points that must lie on the surface after the fit, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
+    least_inliers: f64,
     /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
@@ -46,6 +63,22 @@ pub struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
+}
+
+fn positive_mm(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if value.is_finite() && value > 0.0 {
+        return Ok(value);
+    }
+    Err(format!("{value} is no length above 0 mm"))
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if value > 0.0 && value <= 1.0 {
+        return Ok(value);
+    }
+    Err(format!("{value} is no share above 0, up to 1"))
 }
 
 #[derive(clap::ValueEnum, Clone, Copy, PartialEq)]
@@ -87,16 +120,20 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
-    let mesh = args.cad.load()?;
-    let cloud = load_cloud(&args.cloud)?;
+    let Cad { mesh, .. } = args.cad.load(&args.common)?;
+    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
     let initial = args.start_pose()?;
     let loaded = Instant::now();
     let surface = Surface::new(&mesh).with_context(|| args.cad.trouble())?;
     let teeth = detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
+    let scaled = Options::for_noise(args.noise_mm);
     let options = Options {
         initial,
         teeth,
-        ..Options::default()
+        capture_mm: args.capture_mm.unwrap_or(scaled.capture_mm),
+        most_inlier_mm: args.inlier_mm.unwrap_or(scaled.most_inlier_mm),
+        least_inlier_ratio: args.least_inliers,
+        ..scaled
     };
     let prepared = Instant::now();
     let found = match args.method {

@@ -7,7 +7,7 @@ use anyhow::Context;
 use flankscope_metrology::{io::cloud, surface::sampling};
 use serde::Serialize;
 
-use crate::geometry::{CadArgs, milliseconds, tell, write_file};
+use crate::geometry::{Cad, CadArgs, milliseconds, tell, write_file};
 use crate::output::{Common, Outcome};
 
 /// Area-uniform random points on a CAD mesh.
@@ -49,7 +49,7 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
-    let mesh = args.cad.load()?;
+    let Cad { mesh, .. } = args.cad.load(&args.common)?;
     let loaded = Instant::now();
     let points = sampling::sample(&mesh, args.count as usize, args.seed)
         .with_context(|| args.cad.trouble())?;

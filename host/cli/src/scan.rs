@@ -19,8 +19,9 @@ use flankscope_station::sink::ResultSink;
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::inspect::write_origin;
-use crate::instrument::{Instrument, Place, Scene, Site, recorded_subject, scratch, seals};
+use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
+use crate::site::{Place, Site};
 
 /// Scan the whole die: many views, laid on the CAD together, merged into one map.
 ///
@@ -293,7 +294,8 @@ impl Args {
         set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
     ) -> anyhow::Result<Scanning> {
         fits_recording(&self.bench, Some(&self.die))?;
-        let mut subject = recorded_subject([&self.tool, &self.head], recording, site)?;
+        let mut subject =
+            recorded_subject([&self.tool, &self.head], recording, site, self.common.quiet)?;
         if let Some(grid) = self.grid {
             grid.impose(Arc::make_mut(&mut subject.head))?;
         }
@@ -363,11 +365,14 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     let registered = |r: &&flankscope_station::scan::ScanRegistration| r.status == "registered";
     writeln!(
         out,
-        "\n{} of {} views, {} % of the bore seen, joint solve in {} rounds",
+        "\n{} of {} views, {} % of the bore seen, {}",
         scan.registration.iter().filter(registered).count(),
         scan.registration.len(),
         percent(scan.coverage_ratio),
-        scan.adjustment.rounds
+        match &scan.adjustment {
+            Some(joint) => format!("joint solve in {} rounds", joint.rounds),
+            None => "laid on the CAD one by one".into(),
+        }
     )?;
     if let Some(form) = &scan.form {
         writeln!(

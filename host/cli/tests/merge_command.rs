@@ -2,7 +2,7 @@
 
 mod support;
 
-use flankscope_metrology::io::cloud;
+use flankscope_metrology::io::{Unit, cloud};
 use support::{Random, assert_refused, flankscope, json, write_xyz};
 
 #[test]
@@ -53,7 +53,7 @@ fn two_clouds_become_the_centroids_of_their_common_voxels() {
             }
         }
     }
-    let mut merged = cloud::load(&folder.path().join("merged.ply"))
+    let mut merged = cloud::load(&folder.path().join("merged.ply"), Unit::Mm)
         .unwrap()
         .points
         .to_vec();

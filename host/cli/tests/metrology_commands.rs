@@ -5,7 +5,8 @@ mod support;
 use std::path::Path;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing, write_stl};
-use flankscope_metrology::io::mesh::{self, Unit};
+use flankscope_metrology::io::Unit;
+use flankscope_metrology::io::mesh;
 use flankscope_metrology::io::{cloud, ply};
 use flankscope_metrology::surface::Surface;
 use flankscope_test_requisites::shared;
@@ -48,7 +49,7 @@ fn patch(folder: &Path, cad: &str) -> Vec<[f64; 3]> {
     ];
     assert_eq!(flankscope(folder, &args).status.code(), Some(0));
     let mut random = Random(1);
-    cloud::load(&folder.join("all.ply"))
+    cloud::load(&folder.join("all.ply"), Unit::Mm)
         .unwrap()
         .points
         .iter()
@@ -90,7 +91,7 @@ fn run_sampling_is_reproducible_and_on_the_surface(cad: &Path) {
     assert_eq!(first, run("7", "b.ply"));
     assert_ne!(first, run("8", "c.ply"));
     let surface = Surface::new(&mesh::load(cad, Unit::Mm).unwrap()).unwrap();
-    let points = cloud::parse(&first).unwrap().points;
+    let points = cloud::parse(&first, Unit::Mm).unwrap().points;
     assert_eq!(points.len(), 20000);
     for p in points.iter() {
         assert!(surface.closest(*p).signed_distance_mm.abs() < 1e-12);
@@ -132,7 +133,7 @@ fn run_a_moved_patch_is_laid_back(cad: &Path) {
     let weak = report["weak_directions"].as_array().unwrap();
     assert!(weak[0][5].as_f64().unwrap() > 0.999, "{weak:?}");
     assert_eq!(report["weak_prior_share"][0], 0.0);
-    let aligned = cloud::load(&folder.path().join("aligned.ply"))
+    let aligned = cloud::load(&folder.path().join("aligned.ply"), Unit::Mm)
         .unwrap()
         .points;
     let sum: f64 = aligned
@@ -261,7 +262,7 @@ fn run_a_moved_patch_is_laid_back(cad: &Path) {
     ];
     let output = flankscope(folder.path(), &args);
     assert_eq!(json(&output)["status"], "registered", "{output:?}");
-    let laid = cloud::load(&folder.path().join("paper.ply"))
+    let laid = cloud::load(&folder.path().join("paper.ply"), Unit::Mm)
         .unwrap()
         .points;
     let sum: f64 = laid
@@ -348,7 +349,7 @@ fn bad_meshes() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         (
             "foreign.stl",
             b"\x89PNG\r\n\x1a\n and so on".repeat(20),
-            "neither PLY",
+            "an image (PNG)",
         ),
         (
             "text.ply",
@@ -452,12 +453,6 @@ fn damaged_meshes_are_refused_by_every_command() {
                 "out.ply",
             ],
         ] {
-            // `flat.ply` has no area, which sampling says in its own words.
-            let word = if name == "flat.ply" && command[0] == "sample" {
-                "area"
-            } else {
-                word
-            };
             let output = flankscope(folder.path(), &command);
             assert_refused(
                 folder.path(),

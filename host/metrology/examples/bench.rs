@@ -7,7 +7,8 @@ use std::time::Instant;
 
 use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::deviation::deviations;
-use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::Unit;
+use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_metrology::registration::{Options, register};
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::{cloud::outlier, surface::sampling};

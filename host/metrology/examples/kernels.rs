@@ -7,7 +7,8 @@ use std::path::Path;
 use flankscope_metrology::cloud::merge::voxel_centroids;
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::deviations;
-use flankscope_metrology::io::mesh::{self, Unit};
+use flankscope_metrology::io::Unit;
+use flankscope_metrology::io::mesh;
 use flankscope_metrology::registration::{Options, register};
 use flankscope_metrology::surface::Surface;
 

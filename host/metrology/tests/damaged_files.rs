@@ -2,8 +2,9 @@
 
 mod support;
 
+use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::cloud;
-use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_metrology::io::ply;
 use flankscope_metrology::surface::Surface;
 use support::Random;
@@ -93,7 +94,7 @@ fn no_damage_gets_through_or_brings_the_reader_down() {
                     assert!(!error.to_string().is_empty());
                 }
             }
-            if let Ok(cloud) = cloud::parse(&bytes) {
+            if let Ok(cloud) = cloud::parse(&bytes, Unit::Mm) {
                 assert!(cloud.points.iter().flatten().all(|c| c.is_finite()));
             }
         }

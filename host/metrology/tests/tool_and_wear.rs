@@ -5,6 +5,7 @@ mod support;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_metrology::registration::{Contact, Options, Response, register};
 use flankscope_metrology::surface::sampling;
 use flankscope_metrology::tool::{Tool, ToolError};
@@ -498,4 +499,51 @@ fn run_temperature_is_asked_for(cad: PathBuf) {
     );
     let wrong = text.replace("[10.0, 80.0]", "[80.0, 10.0]");
     assert!(load(folder.path(), &wrong, &cad).is_err());
+}
+
+/// A bore without its outer wall is open: only the gear data say on which side of it the die is.
+#[test]
+fn the_cad_of_a_tool_is_wound_as_its_gear_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let solid = support::mesh_of(&support::ring84_spec(), 4e-3);
+    let is_bore = |triangle: &[u32; 3]| {
+        triangle.iter().all(|&i| {
+            let [x, y, _] = solid.vertices[i as usize];
+            x.hypot(y) < 44.0
+        })
+    };
+    let bore = TriMesh {
+        vertices: solid.vertices.clone(),
+        triangles: solid.triangles.iter().copied().filter(is_bore).collect(),
+    };
+    let inverted = |mesh: &TriMesh| {
+        let mut mesh = mesh.clone();
+        mesh.turn_inside_out();
+        mesh
+    };
+    let halved = TriMesh {
+        triangles: bore
+            .triangles
+            .iter()
+            .enumerate()
+            .map(|(i, &[a, b, c])| if i % 2 == 0 { [a, b, c] } else { [a, c, b] })
+            .collect(),
+        ..bore.clone()
+    };
+    let load = |mesh: &TriMesh| {
+        let path = folder.path().join("cad.stl");
+        mesh::write_stl(&mut std::fs::File::create(&path).unwrap(), mesh).unwrap();
+        load(folder.path(), FILE, &path)
+    };
+    // In the gap between two teeth, 0.1 mm from a flank.
+    let gear = load(&solid).unwrap().gear.unwrap();
+    let foot = gear.flank_point(5, Flank::Left, 42.0, 33.0).unwrap();
+    let normal = gear.flank_normal(Flank::Left, foot);
+    let proud: [f64; 3] = std::array::from_fn(|k| foot[k] + 0.1 * normal[k]);
+    for mesh in [&solid, &inverted(&solid), &bore, &inverted(&bore)] {
+        let tool = load(mesh).unwrap();
+        let found = tool.surface.closest(proud).signed_distance_mm;
+        assert!((found - 0.1).abs() < 5e-3, "{found}");
+    }
+    assert!(matches!(load(&halved), Err(ToolError::Unsigned { .. })));
 }

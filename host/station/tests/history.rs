@@ -217,6 +217,99 @@ fn a_go_gives_its_phasors_up_after_some_checks_and_no_other_verdict_does() {
     assert!(error.contains(&stored[1].0.blake3), "{error}");
 }
 
+/// Two checks that saw the same to the last bit share a file: it stays as long as one of them keeps it.
+#[test]
+fn a_file_that_another_check_names_is_not_given_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let mut writer = writer(History::open(&path, &seals()).unwrap());
+    // The first go, a no-go with the same phasors, and goes of their own.
+    let verdicts = ["go", "no-go", "go", "go", "go", "go"].map(word);
+    for (number, verdict) in [1, 1, 3, 4, 5, 6].into_iter().zip(verdicts) {
+        writer.put(&mut inspection(number, verdict, "")).unwrap();
+    }
+    let history = History::read(&path, &seals()).unwrap();
+    let there = |number| {
+        let phasors = &inspection(number, Word::Go, "").phasors[0];
+        history
+            .phasors(&phasors.blake3, phasors.bytes.len())
+            .is_ok()
+    };
+    assert!(there(1), "the no-go needs it");
+    assert!(!there(3) && there(4) && there(5) && there(6));
+}
+
+#[test]
+fn room_is_made_by_rule_and_a_no_go_keeps_its_phasors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let one = {
+        let mut writer = writer(History::open(&path, &seals()).unwrap());
+        writer.put(&mut inspection(1, Word::NoGo, "")).unwrap();
+        let files = std::fs::read_dir(folder.path().join("press.db.phasors")).unwrap();
+        files
+            .map(|file| file.unwrap().metadata().unwrap().len())
+            .sum::<u64>()
+    };
+    // Room for four: of the no-go, and of three more.
+    let history = History::open(&path, &seals()).unwrap();
+    let mut writer =
+        HistoryWriter::new(history, None, 1000, "tester".into()).within(4 * one + one / 2);
+    assert_eq!(writer.room().unwrap(), None);
+    let verdicts = ["indeterminate", "go", "warn", "go", "indeterminate", "go"].map(word);
+    let kept = |numbers: &[u32]| {
+        let history = History::read(&path, &seals()).unwrap();
+        let there = |number: &u32| {
+            let phasors = &inspection(*number, Word::Go, "").phasors[0];
+            history
+                .phasors(&phasors.blake3, phasors.bytes.len())
+                .is_ok()
+        };
+        (1..8).filter(there).collect::<Vec<u32>>() == numbers
+    };
+    for ((number, verdict), left) in (2..).zip(verdicts).zip([
+        &[1, 2][..],
+        &[1, 2, 3],
+        &[1, 2, 3, 4],
+        // The oldest go, then the next, then the warning.
+        &[1, 2, 4, 5],
+        &[1, 2, 4, 6],
+        &[1, 2, 6, 7],
+    ]) {
+        writer.put(&mut inspection(number, verdict, "")).unwrap();
+        assert!(kept(left), "after check {number}: {left:?}");
+    }
+    let said = writer.room().unwrap().unwrap();
+    assert!(
+        said.contains("of 4 checks") && said.contains("a no-go keeps"),
+        "{said}"
+    );
+}
+
+/// As an archive has it, or another user.
+#[test]
+fn a_history_in_a_folder_that_may_only_be_read_is_read() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press 7?.db");
+    let mut history = History::open(&path, &seals()).unwrap();
+    history
+        .record(&inspection(1, Word::Go, "all is well"), None)
+        .unwrap();
+    drop(history);
+    let read_only = |mode| {
+        let rights = std::fs::Permissions::from_mode(mode);
+        std::fs::set_permissions(folder.path(), rights).unwrap();
+    };
+    read_only(0o555);
+    // Root may write everywhere; with the journal's files gone the file is at least read without them.
+    let history = History::read(&path, &seals()).unwrap();
+    history.verify().unwrap();
+    assert_eq!(history.checks("die").unwrap().len(), 1);
+    drop(history);
+    read_only(0o755);
+}
+
 #[test]
 fn what_is_open_ends_with_an_acknowledgement() {
     let folder = tempfile::tempdir().unwrap();

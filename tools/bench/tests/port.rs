@@ -30,7 +30,7 @@ fn capture(config: InstrumentConfig) {
     let (sender, exposures) = channel();
     let instrument = run(config, Counted(sender)).expect("a pseudo-terminal");
     let path = instrument.port().to_string_lossy().into_owned();
-    let mut port = serialport::new(path, 115_200)
+    let mut port = serialport::new(path, Line::HOST.baud)
         .timeout(Duration::from_secs(5))
         .open()
         .expect("the port opens");

@@ -31,6 +31,21 @@ pub fn shared(path: &str) -> Option<PathBuf> {
         .or_else(|| missed(&format!("{} (other people's data)", found.display())))
 }
 
+/// The image of a board, by its folder below `firmware`.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn board_image(board: &str) -> Option<PathBuf> {
+    let name = format!("flankscope-{board}");
+    let folder = format!("firmware/{board}/target/thumbv7em-none-eabihf/release");
+    let image = workspace().join(folder).join(&name);
+    match image.is_file() {
+        true => Some(image),
+        false => missed(&format!("{name}, which cargo xtask firmware builds,")),
+    }
+}
+
 /// A board image of `firmware/mps2-an386` by its file name, where the emulator that runs it is there, too.
 ///
 /// # Panics

@@ -1,5 +1,9 @@
 //! Other people's files: meshes and clouds, checked where they enter. Everything past this floor is finite.
 
 pub mod cloud;
+mod faces;
 pub mod mesh;
 pub mod ply;
+mod unit;
+
+pub use unit::Unit;

@@ -38,6 +38,8 @@ pub struct Options {
     pub teeth: Option<u32>,
     /// Least number of points.
     pub least_points: usize,
+    /// Standard deviation that a point is expected to have, at most: steps far below it end the search.
+    pub noise_mm: f64,
     /// A point farther from the surface than this does not take part.
     pub capture_mm: f64,
     /// A point farther from the surface than this after the fit is no inlier, whatever the noise.
@@ -54,18 +56,29 @@ pub struct Options {
     pub most_iterations: usize,
 }
 
+/// Standard deviation of a point of the heads that this was made for, at most, mm.
+pub const TYPICAL_NOISE_MM: f64 = 0.02;
+
 impl Default for Options {
     fn default() -> Self {
+        Self::for_noise(TYPICAL_NOISE_MM)
+    }
+}
+
+impl Options {
+    /// Limits in proportion to the noise of a point: a cloud of a car is not asked for what one of a tooth is.
+    pub fn for_noise(noise_mm: f64) -> Self {
         Self {
             initial: Rigid::from_isometry(nalgebra::Isometry3::identity()),
             prior: None,
             teeth: None,
             least_points: 100,
-            capture_mm: 5.0,
-            most_inlier_mm: 0.15,
+            noise_mm,
+            capture_mm: 250.0 * noise_mm,
+            most_inlier_mm: 7.5 * noise_mm,
             least_inlier_ratio: 0.5,
-            observed_mm: 1e-3,
-            unobserved_mm: 10e-3,
+            observed_mm: 0.05 * noise_mm,
+            unobserved_mm: 0.5 * noise_mm,
             correlated_points: 1.0,
             most_iterations: 30,
         }

@@ -18,8 +18,10 @@ use flankscope_foundation::rigid::Rigid;
 
 /// Points per level; the last level takes all.
 const LEVELS: [usize; 2] = [1_000, 10_000];
-/// Steps below this end the last level; earlier levels end fifty times sooner.
-const STEP_LIMIT_MM: f64 = 0.02e-3;
+/// Steps below this part of a point's noise end the last level; earlier levels end fifty times sooner.
+const STEP_PER_NOISE: f64 = 1e-3;
+/// From this damping on no step is long enough to lower the cost: it is at its minimum but for kinks between facets.
+const STALLED: f64 = 1e4;
 /// Steps up to this together are taken on the last closest points. A facet of 0.1 mm loses 2 % of its points to its neighbour
 /// by that, whose plane differs by a degree or so: less than 1 nm in the mean.
 const LINEAR_MM: f64 = 2e-3;
@@ -27,9 +29,6 @@ const LINEAR_MM: f64 = 2e-3;
 pub(super) const LEAST_SMOOTHNESS: f64 = 0.985;
 /// Noise is not taken for less than this, so that perfect data do not divide by zero.
 const LEAST_NOISE_MM: f64 = 1e-6;
-/// While the pose is still far off, residuals say nothing about noise: for the decision which directions are observed it is
-/// then taken for no more than this.
-const TYPICAL_NOISE_MM: f64 = 0.02;
 /// Largest Mahalanobis distance from the prior: for six normal variables it is exceeded once in a million.
 const MOST_PRIOR_DISTANCE: f64 = 6.2;
 /// A pose must be clearly nearer to the start than its rival one pitch on.
@@ -198,23 +197,28 @@ impl<'a> Problem<'a> {
             {
                 return Registration::refused(self.options.initial, reason);
             }
+            let last_mm = self.step_limit_mm();
             let limit = if size == self.points.len() {
-                STEP_LIMIT_MM
+                last_mm
             } else {
-                50.0 * STEP_LIMIT_MM
+                50.0 * last_mm
             };
             let mut damping = 0.0;
             settled = false;
             for _ in 0..self.options.most_iterations {
                 // The weights' reach shrinks by at most half per step, so that early steps still see everything.
                 reach = f64::max(0.5 * reach.min(6.0 * current.noise), 3.0 * current.noise);
-                let noise = current.noise.min(TYPICAL_NOISE_MM);
+                // While the pose is still far off, residuals say nothing about noise.
+                let noise = current.noise.min(self.options.noise_mm);
                 let step = self.step(&current, reach, noise, damping);
-                let size_mm = step.norm();
                 iterations += 1;
-                last_step = size_mm;
+                last_step = step.norm();
                 // Only a full step may end the search: a damped one is short for another reason.
-                settled = damping == 0.0 && last_step < limit;
+                if damping > 0.0 && last_step < limit {
+                    last_step = self.step(&current, reach, noise, 0.0).norm();
+                    settled = damping >= STALLED && last_step < self.options.observed_mm;
+                }
+                settled |= last_step < limit;
                 let pose = self.moved(&current.pose, &step);
                 let better = if (current.since + step).norm() < LINEAR_MM {
                     current.since += step;
@@ -300,6 +304,10 @@ impl<'a> Problem<'a> {
             noise,
             since: Vector6::zeros(),
         }
+    }
+
+    fn step_limit_mm(&self) -> f64 {
+        STEP_PER_NOISE * self.options.noise_mm
     }
 
     fn weight(&self, index: u32) -> f64 {
@@ -460,7 +468,7 @@ impl<'a> Problem<'a> {
             Some(Reason::NotConverged {
                 iterations,
                 step_mm: last_step,
-                limit_mm: STEP_LIMIT_MM,
+                limit_mm: self.step_limit_mm(),
             })
         } else if self.prior.is_none() && unobserved > 2 {
             Some(Reason::Unconstrained {
@@ -503,19 +511,23 @@ impl<'a> Problem<'a> {
             .prior
             .as_ref()
             .map_or(&self.options.initial, |prior| &prior.tool_from_cloud);
-        let centre_cloud = fit.pose.inverse_transform_point(&Point3::from(self.centre));
-        let angle = |p: Point3<f64>| p.y.atan2(p.x);
-        let found = angle(fit.pose * centre_cloud);
-        let start = angle(expected.isometry() * centre_cloud);
-        let moved = (found - start + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
-            - std::f64::consts::PI;
+        let step = fit.samples.len().div_ceil(2_000);
+        let probes: Vec<&Sample> = fit.samples.iter().step_by(step).collect();
+        // The turn about the axis that takes the expected places best to those found: of a whole ring its centre would say nothing.
+        let expected_from_found = expected.isometry() * fit.pose.inverse();
+        let (mut sin, mut cos) = (0.0, 0.0);
+        for probe in &probes {
+            let found = Point3::from(probe.arm + self.centre);
+            let start = expected_from_found * found;
+            sin += start.x * found.y - start.y * found.x;
+            cos += start.x * found.x + start.y * found.y;
+        }
+        let moved = sin.atan2(cos);
         let (moved_rad, rival_rad) = (moved.abs(), (pitch - moved.abs()).abs());
         if moved_rad <= RIVAL_RATIO * rival_rad {
             return None;
         }
         let back = Rotation3::from_axis_angle(&Vector3::z_axis(), -pitch * moved.signum());
-        let step = fit.samples.len().div_ceil(2_000);
-        let probes: Vec<&Sample> = fit.samples.iter().step_by(step).collect();
         let near = probes
             .iter()
             .filter(|s| {

@@ -5,6 +5,7 @@
 //! ridges too, where the normal of one face alone misleads. Positive is outside the material.
 
 pub(crate) mod bvh;
+pub mod orientation;
 pub mod sampling;
 pub(crate) mod triangle;
 mod triangle_packet;

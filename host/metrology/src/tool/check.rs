@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use nalgebra::Vector3;
+
 use super::{File, Inspect, Temperature, ToolError};
 use crate::gear::{Flank, GearData};
 use crate::io::mesh::TriMesh;
@@ -276,6 +278,48 @@ pub(super) fn against_mesh(
         lands(path, gear, surface, tooth, height)?;
     }
     Ok(())
+}
+
+/// Whether the mesh's material lies on the other side of all flanks than the gear's. Of a mesh that is not closed only the
+/// gear can tell; a solid that says so is another part.
+///
+/// # Errors
+/// [`ToolError::OtherSide`] where some flanks say so and others not, or the mesh is closed.
+pub(super) fn is_inside_out(
+    path: &Path,
+    gear: &GearData,
+    surface: &Surface,
+    is_closed: bool,
+) -> Result<bool, ToolError> {
+    let height = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
+    let [from, to] = gear.active_flank_mm();
+    let (mut right, mut wrong) = (0, None);
+    for tooth in 1..=gear.teeth {
+        for flank in Flank::BOTH {
+            let Some(point) = gear.flank_point(tooth, flank, 0.5 * (from + to), height) else {
+                continue;
+            };
+            let normals = [
+                gear.flank_normal(flank, point),
+                surface.closest(point).normal,
+            ];
+            let [out, found] = normals.map(Vector3::from);
+            if out.dot(&found) > 0.0 {
+                right += 1;
+            } else {
+                wrong = Some((tooth, flank));
+            }
+        }
+    }
+    match wrong {
+        None => Ok(false),
+        Some(_) if right == 0 && !is_closed => Ok(true),
+        Some((tooth, flank)) => Err(ToolError::OtherSide {
+            path: path.to_owned(),
+            tooth,
+            flank,
+        }),
+    }
 }
 
 /// The middle of a tooth's tip, of the root beside it, and its middle at either end.

@@ -8,8 +8,10 @@ use std::path::{Path, PathBuf};
 pub use as_built::AsBuiltError;
 
 use crate::gear::{Flank, GearData, GearError};
-use crate::io::mesh::{self, MeshError, TriMesh, Unit};
+use crate::io::Unit;
+use crate::io::mesh::{self, MeshError, TriMesh};
 use crate::surface::Surface;
+use crate::surface::orientation::{Unsigned, orient};
 use crate::verdict::flank::{Limits, TipLimits};
 use crate::verdict::{Reason, Rule, Undecided};
 use crate::wear::{AREA_MM2, Settings, Zone, tip_loss_mm2};
@@ -367,6 +369,26 @@ pub enum ToolError {
         /// Limit.
         limit_mm: f64,
     },
+    /// Nothing of the mesh is outside.
+    #[error("{}: CAD mesh {}: {source}", path.display(), cad.display())]
+    Unsigned {
+        /// The file.
+        path: PathBuf,
+        /// The mesh.
+        cad: PathBuf,
+        /// Why.
+        source: Unsigned,
+    },
+    /// The mesh's material lies on the other side of a flank than the gear's.
+    #[error("{}: gear data and CAD mesh disagree: the material of the mesh lies on the other side of the {flank} flank of tooth {tooth}; check gear.kind, and whether the mesh is the die or what is formed in it", path.display())]
+    OtherSide {
+        /// The file.
+        path: PathBuf,
+        /// Tooth.
+        tooth: u32,
+        /// Side.
+        flank: Flank,
+    },
     /// The gear's flanks are not where the mesh is.
     #[error("{}: gear data and CAD mesh disagree: the {flank} flank of tooth {tooth} at radius {radius_mm:.3} mm is {distance_mm:.3} mm off the mesh, allowed are {limit_mm} mm; check module, pressure angle, first_tooth_centre_deg, height and unit", path.display())]
     Disagree {
@@ -409,10 +431,19 @@ impl Tool {
             cad: cad.clone(),
             source,
         };
-        let mesh = mesh::load(&cad, file.cad.unit).map_err(in_mesh)?;
-        let surface = Surface::new(&mesh).map_err(in_mesh)?;
+        let mut mesh = mesh::load(&cad, file.cad.unit).map_err(in_mesh)?;
+        let orientation = orient(&mut mesh);
+        if let Some(source) = orientation.unsigned {
+            return Err(ToolError::Unsigned { path, cad, source });
+        }
+        let mut surface = Surface::new(&mesh).map_err(in_mesh)?;
         if let Some(gear) = &file.gear {
             check::against_mesh(&path, gear, &mesh, &surface)?;
+            let is_closed = orientation.open_edges == 0;
+            if check::is_inside_out(&path, gear, &surface, is_closed)? {
+                mesh.turn_inside_out();
+                surface = Surface::new(&mesh).map_err(in_mesh)?;
+            }
         }
         let as_built_um = match &file.inspect {
             Some(inspect) => as_built::as_built_um(&path, file.gear.as_ref(), inspect)?,

@@ -4,7 +4,8 @@
 use std::path::PathBuf;
 
 use flankscope_gear_cad::{GearKind, GearSpec, Meshing};
-use flankscope_metrology::io::mesh::{self, TriMesh, Unit};
+use flankscope_metrology::io::Unit;
+use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_test_requisites::shared;
 
 /// A small generator (SplitMix64), so that a test's numbers do not depend on the code under test.

@@ -125,6 +125,12 @@ impl HeadModel {
         test.allows(&record.blake3, today)
     }
 
+    /// BLAKE3 of everything that a calibration determines, bit for bit: what `[calibration]` belongs to.
+    #[must_use]
+    pub fn geometry_blake3(&self) -> String {
+        geometry_blake3(self)
+    }
+
     /// The content of a `head.toml`.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)

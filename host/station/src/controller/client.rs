@@ -19,8 +19,6 @@ const ATTEMPTS: u32 = 4;
 pub struct ClientSettings {
     /// Wait for an answer before the same command is sent again.
     pub answer: Duration,
-    /// Speed of a serial port, bit/s: at 921 600, a trigger event of 40 bytes takes 0.4 ms.
-    pub baud: u32,
     /// Time between heartbeats; `None`: a third of what the controller allows.
     pub heartbeat: Option<Duration>,
     /// Longest time by which triggers and frames may be late against the clock of who tells of them; `None`: the controller's
@@ -34,7 +32,6 @@ impl Default for ClientSettings {
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
-            baud: 921_600,
             heartbeat: None,
             stall: Some(Duration::from_secs(2)),
         }
@@ -126,7 +123,7 @@ impl Client {
     /// # Errors
     /// No port, no answer, or a controller of another version.
     pub async fn connect(port: &Path, settings: ClientSettings) -> Result<Self, ClientError> {
-        let link = Link::open(port, settings.baud)?;
+        let link = Link::open(port)?;
         // A session number that an earlier run of the host is unlikely to have used: replies to its commands are then
         // told from replies to ours.
         let session = flankscope_frames::monotonic_ns() as u32 | 1;

@@ -8,8 +8,10 @@ use std::time::Duration;
 
 use flankscope_protocol::frame::Kind;
 use flankscope_protocol::{
-    Command, DecodeError, Decoder, Event, Header, MAX_FRAME_BYTES, Reply, encode,
+    Command, DecodeError, Decoder, Event, FlowControl, Header, Line, MAX_FRAME_BYTES, Parity,
+    Reply, encode,
 };
+use serialport::{DataBits, StopBits};
 use tokio::sync::mpsc;
 
 /// How long the reader waits for bytes before it looks whether the link was closed.
@@ -62,13 +64,13 @@ pub struct Link {
 }
 
 impl Link {
-    /// Opens a serial port at `baud` bit/s, or a pseudo-terminal, which ignores that.
+    /// Opens a serial port, set as [`Line::HOST`] has it; a pseudo-terminal carries bytes at any speed.
     ///
     /// # Errors
     /// There is no such port, or another program holds it.
-    pub fn open(port: &Path, baud: u32) -> Result<Self, LinkError> {
+    pub fn open(port: &Path) -> Result<Self, LinkError> {
         let name = port.to_string_lossy().into_owned();
-        let opened = serialport::new(&name, baud).timeout(POLL).open();
+        let opened = set(&name, Line::HOST).timeout(POLL).open();
         let mut reader = opened.map_err(|source| LinkError::Open {
             port: name.clone(),
             source,
@@ -167,6 +169,28 @@ impl Link {
             }),
         }
     }
+}
+
+/// A port of this name with a line's settings.
+fn set(name: &str, line: Line) -> serialport::SerialPortBuilder {
+    serialport::new(name, line.baud)
+        .data_bits(match line.data_bits {
+            7 => DataBits::Seven,
+            _ => DataBits::Eight,
+        })
+        .parity(match line.parity {
+            Parity::None => serialport::Parity::None,
+            Parity::Even => serialport::Parity::Even,
+            Parity::Odd => serialport::Parity::Odd,
+        })
+        .stop_bits(match line.stop_bits {
+            2 => StopBits::Two,
+            _ => StopBits::One,
+        })
+        .flow_control(match line.flow {
+            FlowControl::None => serialport::FlowControl::None,
+            FlowControl::RtsCts => serialport::FlowControl::Hardware,
+        })
 }
 
 impl Drop for Link {

@@ -21,6 +21,7 @@
 //! | `export` | CSV |
 //! | `parquet` | the same as Apache Parquet, behind a feature |
 //! | `phasors` | what verdicts were computed from, in files beside the store |
+//! | `retention` | which of these are kept |
 //! | `replay` | a stored verdict, computed again |
 
 mod chain;
@@ -35,6 +36,7 @@ mod parquet;
 mod phasors;
 mod remaining;
 mod replay;
+mod retention;
 mod schema;
 mod series;
 mod store;
@@ -51,6 +53,7 @@ pub use hold::Hold;
 pub use parquet::parquet;
 pub use remaining::Passage;
 pub use replay::{Difference, Replay, ReplayError};
+pub use retention::Retention;
 pub use series::{Point, Series, series};
 pub use store::{Acknowledgement, Check, FlankRow, History};
 pub use trend::{LEAST_POINTS, Trend};

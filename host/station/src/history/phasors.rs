@@ -87,13 +87,13 @@ impl History {
         let _ = std::fs::remove_file(self.phasors_file(blake3));
     }
 
-    /// Whether a replay failed because the phasors of a go are gone, as they are after some later checks.
+    /// Whether a replay failed because its phasors were given up, as those of a no-go never are.
     ///
     /// # Errors
     /// The file cannot be read.
     pub fn gave_up_phasors(&self, id: i64, error: &HistoryError) -> Result<bool, HistoryError> {
         let gone = matches!(error, HistoryError::Phasors { source, .. } if source.kind() == io::ErrorKind::NotFound);
-        Ok(gone && self.check(id)?.verdict == Word::Go)
+        Ok(gone && self.check(id)?.verdict != Word::NoGo)
     }
 
     /// The phasors with this hash, `length` bytes of them.

@@ -128,6 +128,19 @@ INSERT INTO audit (who, what, detail) SELECT 'flankscope', 'upgrade',
     count(*) || ' checks of an earlier release are taken over as they are' FROM inspection;
 ";
 
+/// Which checks keep which phasors: no part of what was found, rows go with the files. Of a file without the table, all that
+/// the documents name.
+pub const PHASORS: &str = "
+CREATE TABLE phasors (
+    inspection INTEGER NOT NULL REFERENCES inspection (id),
+    blake3 TEXT NOT NULL,
+    PRIMARY KEY (inspection, blake3)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX phasors_by_hash ON phasors (blake3);
+INSERT OR IGNORE INTO phasors SELECT inspection.id, phasors.value FROM inspection,
+    json_each(document, '$.evidence') AS view, json_each(view.value, '$.phasors') AS phasors;
+";
+
 /// The chain of a history that somebody trusts is made anew.
 pub const CHAIN_ANEW: &str = "
 DROP TRIGGER IF EXISTS chain_keeps_UPDATE;

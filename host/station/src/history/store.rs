@@ -11,7 +11,7 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavio
 use super::chain;
 use super::die::{DieKey, columns, same, same_as_asked};
 use super::error::HistoryError;
-use super::schema::{APPLICATION_ID, FROM_1_TO_2, FROM_2_TO_3, KEPT, TABLES, VERSION};
+use super::schema::{APPLICATION_ID, FROM_1_TO_2, FROM_2_TO_3, KEPT, PHASORS, TABLES, VERSION};
 use crate::inspection::Inspection;
 use crate::origin::{HeadId, Origin};
 use crate::seal::Seals;
@@ -137,7 +137,11 @@ impl History {
     /// # Errors
     /// As [`History::open`].
     pub fn read(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
-        let history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY, seals)?;
+        let mut history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY, seals)?;
+        // In a folder that only may be read no journal can be shared. Where there is none either, nobody writes.
+        if history.number("schema_version").is_err() && journal_is_empty(path) {
+            history = Self::connect_unchanging(path, seals)?;
+        }
         history.check_layout()?;
         history.holds_anchor(seals.anchor(path)?.as_ref())?;
         Ok(history)
@@ -157,6 +161,25 @@ impl History {
             path: path.to_owned(),
             seals: seals.clone(),
         })
+    }
+
+    /// A file that cannot change, with neither lock nor journal.
+    fn connect_unchanging(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
+        use std::fmt::Write;
+        let mut uri = String::from("file:");
+        for byte in path.as_os_str().as_encoded_bytes() {
+            // What means something in a URI, and what is no ASCII, is told by its number.
+            if byte.is_ascii_alphanumeric() || b"/.-_~".contains(byte) {
+                uri.push(char::from(*byte));
+            } else {
+                let _ = write!(uri, "%{byte:02X}");
+            }
+        }
+        uri += "?immutable=1";
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_URI;
+        let mut history = Self::connect(Path::new(&uri), flags, seals)?;
+        history.path = path.to_owned();
+        Ok(history)
     }
 
     pub(super) fn seals(&self) -> &Seals {
@@ -235,12 +258,21 @@ impl History {
                         .pragma_update(None, "user_version", VERSION)?;
                 }
             }
+            let ours = pragma("application_id")? == APPLICATION_ID;
+            if ours && pragma("user_version")? == VERSION && !self.has_table("phasors")? {
+                self.connection.execute_batch(PHASORS)?;
+            }
             self.connection.execute_batch("COMMIT")
         };
         make().map_err(|error| {
             let _ = self.connection.execute_batch("ROLLBACK");
             self.because("make its tables")(error)
         })
+    }
+
+    fn has_table(&self, name: &str) -> rusqlite::Result<bool> {
+        let sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1";
+        self.connection.query_row(sql, [name], |row| row.get(0))
     }
 
     /// Rows of this table are only added.
@@ -463,6 +495,12 @@ impl History {
                     feature.code.map(Code::word)
                 ])?;
             }
+        }
+        for blake3 in inspection.evidence.iter().flat_map(|view| &view.phasors) {
+            transaction.execute(
+                "INSERT OR IGNORE INTO phasors (inspection, blake3) VALUES (?1, ?2)",
+                params![id, blake3],
+            )?;
         }
         chain::link(&transaction, &self.seals, "inspection", &id.to_string())?;
         transaction.commit()?;
@@ -712,16 +750,6 @@ impl History {
             .map_err(self.because("read a baseline"))
     }
 
-    /// Hashes of the phasors of a check that ended in go; none for another verdict, or when there is no such check.
-    pub(super) fn phasors_of_go(&self, id: i64) -> Result<Vec<String>, HistoryError> {
-        self.rows(
-            "SELECT phasors.value FROM inspection, json_each(document, '$.evidence') AS view, \
-             json_each(view.value, '$.phasors') AS phasors WHERE inspection.id = ?1 AND verdict = 'go'",
-            [id],
-            |row| row.get(0),
-        )
-    }
-
     /// The acknowledgements of a tool, in order.
     ///
     /// # Errors
@@ -817,6 +845,13 @@ fn acknowledged() -> String {
         "EXISTS (SELECT 1 FROM acknowledgement AS noted WHERE noted.inspection >= inspection.id AND {})",
         same([a, b, c], [d, e, f])
     )
+}
+
+/// Whether everything is in the file itself.
+fn journal_is_empty(path: &Path) -> bool {
+    let mut journal = path.as_os_str().to_owned();
+    journal.push("-wal");
+    std::fs::metadata(&journal).map_or(true, |meta| meta.len() == 0)
 }
 
 /// A history and its journal are for its user and group: SQLite gives the journal the rights of the file.

@@ -7,6 +7,7 @@ use super::die::DieKey;
 use super::error::HistoryError;
 use super::hold::{Hold, hold};
 use super::phasors::pack;
+use super::retention::Retention;
 use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::Inspection;
@@ -18,15 +19,14 @@ pub struct HistoryWriter {
     history: History,
     /// Cycles of the tool at the next check, where somebody said so.
     tool_cycles: Option<u32>,
-    /// Checks that ended in go keep their phasors until so many later ones are stored.
-    keep_phasors: u32,
+    keep: Retention,
     operator: String,
 }
 
 impl HistoryWriter {
     /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
-    /// better than from the last check. Of a go, the phasors are removed after `keep_phasors` later checks; other verdicts
-    /// keep theirs. `operator` is who runs the instrument.
+    /// better than from the last check. Of a go, the phasors are given up after `keep_phasors` later checks, of a warning and what
+    /// was indeterminate after ten times as many; a no-go keeps them. `operator` is who runs the instrument.
     #[must_use]
     pub fn new(
         history: History,
@@ -37,9 +37,27 @@ impl HistoryWriter {
         Self {
             history,
             tool_cycles,
-            keep_phasors,
+            keep: Retention {
+                checks: keep_phasors,
+                bytes: Retention::BYTES,
+            },
             operator,
         }
+    }
+
+    /// Phasors take at most so many bytes; those of no-gos alone may take more.
+    #[must_use]
+    pub fn within(mut self, bytes: u64) -> Self {
+        self.keep.bytes = bytes;
+        self
+    }
+
+    /// What will be given up next, once the room for phasors is nearly full.
+    ///
+    /// # Errors
+    /// The history cannot be read.
+    pub fn room(&self) -> Result<Option<String>, HistoryError> {
+        self.history.room(self.keep)
     }
 
     /// Notes that the instrument begins to work with this tool, at the simulated bench or not, and keeps the baseline
@@ -76,15 +94,9 @@ impl HistoryWriter {
             history.keep_phasors(&phasors.blake3, &packed)?;
         }
         let id = self.history.record(inspection, self.tool_cycles)?;
-        match self
-            .history
-            .phasors_of_go(id - i64::from(self.keep_phasors))
-        {
-            Ok(old) => old
-                .iter()
-                .for_each(|hash| self.history.forget_phasors(hash)),
-            // The check is stored; that old phasors stay as well does no harm.
-            Err(error) => tracing::warn!(%error, "old phasors are not removed"),
+        // The check is stored; that old phasors stay as well does no harm.
+        if let Err(error) = self.history.give_up(id, self.keep) {
+            tracing::warn!(%error, "old phasors are not removed");
         }
         Ok(id)
     }

@@ -11,7 +11,9 @@ use super::plot::{Axes, Series, binned};
 use super::{chart, colour};
 use crate::inspection::Feature;
 use crate::origin::Origin;
-use crate::scan::{Metrics, OppositeTeeth, Scan, ScanRegistration, percent};
+use crate::scan::{
+    Adjustment, Metrics, OppositeTeeth, Scan, ScanRegistration, StageErrors, percent,
+};
 
 /// Smallest full scale of the pictures, µm.
 const LEAST_FULL_UM: f64 = 20.0;
@@ -36,8 +38,7 @@ struct Page<'a> {
     rms_picture: String,
     rms_lines: String,
     histograms: Vec<Histogram>,
-    axis: String,
-    harmonics: String,
+    joint: Option<Joint<'a>>,
     coverage: String,
     most_views: u32,
     quality: Option<Quality>,
@@ -45,6 +46,13 @@ struct Page<'a> {
     worst: Vec<&'a Feature>,
     spacing: Vec<&'a OppositeTeeth>,
     lost: Vec<(usize, &'a str)>,
+}
+
+/// What all views say of die, head and stages, with pictures.
+struct Joint<'a> {
+    adjustment: &'a Adjustment,
+    axis: String,
+    harmonics: String,
 }
 
 /// What calibration adds over the field of view: a picture, and its darkest tile, µm.
@@ -93,8 +101,11 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         rms_picture: rms_picture(scan),
         rms_lines: rms_lines(scan),
         histograms: histograms(scan, full_um),
-        axis: axis(scan),
-        harmonics: harmonics(scan),
+        joint: scan.adjustment.as_ref().map(|adjustment| Joint {
+            adjustment,
+            axis: axis(&adjustment.found),
+            harmonics: harmonics(scan, &adjustment.found),
+        }),
         coverage: of_cells(scan, "Views of every cell", |cell| {
             colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)))
         }),
@@ -315,8 +326,8 @@ fn histogram(
 }
 
 /// The rotation axis in the die, from its lower to its upper end, seen from above.
-fn axis(scan: &Scan) -> String {
-    let ends = scan.adjustment.found.axis_mm;
+fn axis(found: &StageErrors) -> String {
+    let ends = found.axis_mm;
     let reach = ends.iter().flatten().fold(0.05_f64, |r, c| r.max(c.abs())) * 1.25;
     let line: OverAngle = ends.iter().map(|[x, y]| (*x, Some(*y))).collect();
     let point = |[x, y]: [f64; 2]| [(x, y)];
@@ -336,8 +347,8 @@ fn axis(scan: &Scan) -> String {
 }
 
 /// The encoder's error over a turn: its harmonics as a line, and every view.
-fn harmonics(scan: &Scan) -> String {
-    let pairs = scan.adjustment.found.harmonics_mdeg;
+fn harmonics(scan: &Scan, found: &StageErrors) -> String {
+    let pairs = found.harmonics_mdeg;
     let error_mdeg = |deg: f64| -> f64 {
         (1_u8..)
             .zip(pairs)

@@ -88,7 +88,7 @@ impl Scanner {
             coverage,
             inconsistent_ratio: map.inconsistent(),
             registration: registrations(planned, &stitched, &lost),
-            adjustment: shared_by_all(&stitched, &self.gear),
+            adjustment: Some(shared_by_all(&stitched, &self.gear)),
             stitching: Stitching {
                 relaid_views: stitched.relaid,
                 elapsed_ms: stitched.elapsed_ms,

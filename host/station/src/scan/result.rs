@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
@@ -61,9 +62,9 @@ pub struct Scan {
     pub registration: Vec<ScanRegistration>,
     /// How the views became one map.
     pub stitching: Stitching,
-    /// What all views share.
-    #[serde(rename = "joint")]
-    pub adjustment: Adjustment,
+    /// What all views share; absent where they were laid one by one (`--method paper`).
+    #[serde(rename = "joint", skip_serializing_if = "Option::is_none")]
+    pub adjustment: Option<Adjustment>,
     /// By what share the teeth stand farther apart than the CAD's, in the middle of all views; absent when none tells.
     pub teeth_stretch_ratio: Option<f64>,
     /// How far around the axis the die stands from where stages and head file say, degrees. Teeth that look alike are
@@ -120,12 +121,21 @@ impl Scan {
         let why = "the article's method claims no uncertainty, so it gives no verdict; --method surface does";
         self.invalidate(&Reason::instrument(Code::NoUncertainty, why));
         self.form = figures.form;
+        // What the joint solve found is not what these poses rest on.
+        self.adjustment = None;
+        self.teeth_stretch_ratio = None;
+        let poses: BTreeMap<usize, Rigid<Tool, Camera>> = laid
+            .views
+            .iter()
+            .map(|of| (of.view, Rigid::from_isometry(of.tool_from_camera)))
+            .collect();
         let mut refused: BTreeMap<usize, Reason> = laid.refused.into_iter().collect();
         for (entry, rms_um) in self.registration.iter_mut().zip(&figures.rms_um) {
             let why = refused.remove(&entry.view).map(|why| why.to_string());
             let why = why.or(entry.reason.take());
             (entry.rms_um, entry.residual_um) = (*rms_um, None);
-            entry.rms_about_form_um = None;
+            (entry.rms_about_form_um, entry.residual_turn_mdeg) = (None, None);
+            entry.tool_from_camera = poses.get(&entry.view).map(Rigid::to_rows);
             (entry.status, entry.reason) = match rms_um {
                 Some(_) => ("registered", None),
                 None => ("lost", why),

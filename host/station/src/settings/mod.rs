@@ -19,6 +19,7 @@ use flankscope_metrology::multiview::adjustment::Local;
 use serde::{Deserialize, Serialize};
 
 use crate::controller::ClientSettings;
+use crate::history::Retention;
 
 /// A station's file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -48,8 +49,6 @@ pub struct StationSettings {
 pub struct Controller {
     /// Its port, or `sim` or `qemu`, as `--link` has it.
     pub link: Option<String>,
-    /// Speed of a serial port, bit/s.
-    pub baud: u32,
     /// Wait for an answer before the same order is sent again, ms.
     pub answer_ms: u64,
     /// Longest time by which triggers and frames may be late, ms.
@@ -116,6 +115,8 @@ pub struct Store {
     pub file: Option<PathBuf>,
     /// A go gives its phasors up after so many later checks.
     pub keep_phasors: u32,
+    /// Phasors take at most so much room, GB; those of no-gos alone may take more.
+    pub keep_phasors_gb: f64,
 }
 
 /// Where results are written for people.
@@ -131,7 +132,6 @@ impl Default for Controller {
     fn default() -> Self {
         Self {
             link: None,
-            baud: 921_600,
             answer_ms: 250,
             stall_ms: 2_000,
         }
@@ -188,6 +188,7 @@ impl Default for Store {
         Self {
             file: None,
             keep_phasors: 1_000,
+            keep_phasors_gb: Retention::BYTES as f64 / 1e9,
         }
     }
 }
@@ -256,7 +257,6 @@ impl StationSettings {
     pub fn client(&self) -> ClientSettings {
         ClientSettings {
             answer: Duration::from_millis(self.controller.answer_ms),
-            baud: self.controller.baud,
             stall: Some(Duration::from_millis(self.controller.stall_ms)),
             ..ClientSettings::default()
         }
@@ -274,6 +274,13 @@ impl StationSettings {
         self.press.check()?;
         self.light.check()?;
         self.timing.check()?;
+        let room = "more than 0 and at most 1000000 GB";
+        up_to(
+            "history.keep_phasors_gb",
+            self.history.keep_phasors_gb,
+            1e6,
+            room,
+        )?;
         self.stages.check()
     }
 }
@@ -303,8 +310,6 @@ fn within(
 
 impl Controller {
     fn check(&self) -> Result<(), BadValue> {
-        let speed = "1200 to 12000000 bit/s, as the controller has it";
-        within("controller.baud", self.baud, 1_200..=12_000_000, speed)?;
         let wait = "1 to 60000 ms";
         within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)?;
         within("controller.stall_ms", self.stall_ms, 1..=60_000, wait)

@@ -1,6 +1,6 @@
 //! What can be wrong with a mesh.
 
-use super::Unit;
+use crate::io::Unit;
 use crate::io::ply::PlyError;
 
 /// Why a mesh was refused.
@@ -18,6 +18,14 @@ pub enum MeshError {
         "not a mesh: neither PLY (starts with `ply`), STL (starts with `solid`, or 84 + 50 n bytes) nor OBJ (`v` and `f` lines)"
     )]
     Foreign,
+    /// A format that is known, but not read.
+    #[error("the file is {format}, not PLY, STL or OBJ; {advice}")]
+    OtherFormat {
+        /// Its name.
+        format: &'static str,
+        /// What to do.
+        advice: &'static str,
+    },
     /// A PLY file that is wrong inside.
     #[error(transparent)]
     Ply(#[from] PlyError),
@@ -68,6 +76,16 @@ pub enum MeshError {
         index: i64,
         /// Number of vertices.
         vertices: usize,
+    },
+    /// A face with more than three corners that no triangles cover.
+    #[error(
+        "face {face} has {corners} corners and crosses itself (or is far from flat); right would be a simple polygon, or triangles"
+    )]
+    Polygon {
+        /// Face, from 0.
+        face: usize,
+        /// Its corners.
+        corners: usize,
     },
     /// No triangles.
     #[error(

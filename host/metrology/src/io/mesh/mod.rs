@@ -1,7 +1,9 @@
 //! Triangle meshes from CAD: the type, its border checks and the loaders for PLY, STL and OBJ.
 
 mod error;
+mod foreign;
 mod obj;
+mod polygon;
 mod stl;
 mod weld;
 
@@ -11,39 +13,13 @@ pub use error::MeshError;
 pub use stl::write_stl;
 pub(crate) use weld::weld;
 
-use crate::io::ply;
+use crate::io::{Unit, ply};
+use crate::space::unit_normal;
 
 /// Smallest bounding box diagonal that a die or a feature of one can have, mm.
 const LEAST_DIAGONAL_MM: f64 = 1.0;
 /// Largest bounding box diagonal, mm.
 const MOST_DIAGONAL_MM: f64 = 10_000.0;
-
-/// Length unit of a mesh file; the formats themselves do not say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Unit {
-    /// Millimetres.
-    #[default]
-    Mm,
-    /// Metres.
-    M,
-    /// Micrometres.
-    Um,
-    /// Inches.
-    Inch,
-}
-
-impl Unit {
-    /// Millimetres per unit.
-    pub fn mm(self) -> f64 {
-        match self {
-            Self::Mm => 1.0,
-            Self::M => 1000.0,
-            Self::Um => 1e-3,
-            Self::Inch => 25.4,
-        }
-    }
-}
 
 /// A triangle mesh in millimetres: finite vertices, indices in range, counter-clockwise seen from outside the material.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,6 +61,13 @@ impl TriMesh {
             }
         }
         Ok(())
+    }
+
+    /// Winds all triangles the other way round.
+    pub fn turn_inside_out(&mut self) {
+        for triangle in &mut self.triangles {
+            triangle.swap(1, 2);
+        }
     }
 
     /// Smallest and largest coordinates over the vertices, mm.
@@ -140,6 +123,10 @@ impl TriMesh {
                 unit,
             });
         }
+        let triangles = self.triangles.len();
+        if (0..triangles).all(|index| unit_normal(self.corners(index)).is_none()) {
+            return Err(MeshError::NoArea { triangles });
+        }
         Ok(self)
     }
 }
@@ -162,19 +149,19 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<TriMesh, MeshError> {
         return Err(MeshError::EmptyFile);
     }
     let mesh = if bytes.starts_with(b"ply") {
-        let table = ply::read(bytes, ply::Want::Triangles)?;
+        let table = ply::read(bytes, ply::Want::Faces)?;
         TriMesh {
+            triangles: polygon::into_triangles(table.faces, &table.points)?,
             vertices: table.points,
-            triangles: table.triangles,
         }
     } else if stl::is_binary(bytes) {
         stl::parse_binary(bytes)?
-    } else if bytes.trim_ascii_start().starts_with(b"solid") {
+    } else if stl::is_text(bytes) {
         stl::parse_ascii(bytes)?
     } else if obj::looks_like(bytes) {
         obj::parse(bytes)?
     } else {
-        return Err(stl::explain_foreign(bytes));
+        return Err(foreign::explain(bytes));
     };
     mesh.in_unit(unit)
 }

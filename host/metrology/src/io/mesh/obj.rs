@@ -1,6 +1,7 @@
 //! Wavefront OBJ: `v` and `f` lines; everything else (normals, groups, materials) is skipped.
 
-use super::{MeshError, TriMesh};
+use super::{MeshError, TriMesh, polygon};
+use crate::io::faces::Faces;
 
 /// Whether the first lines hold OBJ statements.
 pub(super) fn looks_like(bytes: &[u8]) -> bool {
@@ -14,8 +15,8 @@ pub(super) fn looks_like(bytes: &[u8]) -> bool {
 
 pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
     let mut vertices: Vec<[f64; 3]> = Vec::new();
-    let mut triangles = Vec::new();
-    let mut polygon = Vec::new();
+    let mut faces = Faces::default();
+    let mut corners = Vec::new();
     for (number, raw) in bytes.split(|&b| b == b'\n').enumerate() {
         let text = String::from_utf8_lossy(raw);
         let refuse = |expected| MeshError::Line {
@@ -37,7 +38,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
                 vertices.push(vertex);
             }
             Some("f") => {
-                polygon.clear();
+                corners.clear();
                 for word in words {
                     // `f v/vt/vn`: only the first number matters here; negative ones count back from the last vertex.
                     let index: i64 = word
@@ -51,25 +52,23 @@ pub(super) fn parse(bytes: &[u8]) -> Result<TriMesh, MeshError> {
                     let Some(corner) = u32::try_from(zero_based).ok().filter(|&i| i < u32::MAX)
                     else {
                         return Err(MeshError::IndexOutOfRange {
-                            triangle: triangles.len(),
+                            triangle: faces.len(),
                             index,
                             vertices: vertices.len(),
                         });
                     };
-                    polygon.push(corner);
+                    corners.push(corner);
                 }
-                if polygon.len() < 3 {
+                if corners.len() < 3 {
                     return Err(refuse("`f` with at least three vertex numbers"));
                 }
-                for pair in polygon[1..].windows(2) {
-                    triangles.push([polygon[0], pair[0], pair[1]]);
-                }
+                faces.push(&corners);
             }
             _ => {}
         }
     }
     Ok(TriMesh {
+        triangles: polygon::into_triangles(faces, &vertices)?,
         vertices,
-        triangles,
     })
 }

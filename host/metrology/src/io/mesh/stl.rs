@@ -54,6 +54,12 @@ fn join(corners: Vec<[[f64; 3]; 3]>) -> Result<TriMesh, MeshError> {
     })
 }
 
+/// Text STL starts with `solid`, in letters of any size.
+pub(super) fn is_text(bytes: &[u8]) -> bool {
+    let start = bytes.trim_ascii_start();
+    start.len() >= 5 && start[..5].eq_ignore_ascii_case(b"solid")
+}
+
 /// Reads text STL.
 pub(super) fn parse_ascii(bytes: &[u8]) -> Result<TriMesh, MeshError> {
     let mut corners = Vec::new();
@@ -69,7 +75,7 @@ pub(super) fn parse_ascii(bytes: &[u8]) -> Result<TriMesh, MeshError> {
             expected,
         };
         let mut words = text.split_ascii_whitespace();
-        match words.next() {
+        match words.next().map(str::to_ascii_lowercase).as_deref() {
             None | Some("solid" | "facet" | "outer" | "endfacet") => {}
             Some("vertex") => {
                 let mut corner = [0.0f64; 3];
@@ -105,21 +111,15 @@ pub(super) fn parse_ascii(bytes: &[u8]) -> Result<TriMesh, MeshError> {
     join(corners)
 }
 
-/// The best explanation for bytes that are no mesh: a damaged binary STL, or something else.
-pub(super) fn explain_foreign(bytes: &[u8]) -> MeshError {
-    // A truncated binary STL still has a printable or zero header; an image or an archive does not.
-    let header_like = bytes.len() >= HEADER_BYTES
-        && bytes[..80]
-            .iter()
-            .all(|&b| b == 0 || b.is_ascii_graphic() || b.is_ascii_whitespace());
-    match declared(bytes) {
-        Some(count) if header_like => MeshError::StlSize {
-            declared: count,
-            need_bytes: size_of(count),
-            have_bytes: bytes.len() as u64,
-        },
-        _ => MeshError::Foreign,
-    }
+/// The size that a file would have that starts like a binary STL; none of one that does not. A truncated one still has a
+/// printable or zero header; an image or an archive does not.
+pub(super) fn declared_size(bytes: &[u8]) -> Option<(u32, u64)> {
+    let is_plain = |b: &u8| *b == 0 || b.is_ascii_graphic() || b.is_ascii_whitespace();
+    let count = declared(bytes)?;
+    bytes[..80]
+        .iter()
+        .all(is_plain)
+        .then(|| (count, size_of(count)))
 }
 
 /// Writes binary STL. Coordinates become f32: at 100 mm that rounds to 4 nm.

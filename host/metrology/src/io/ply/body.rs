@@ -4,12 +4,13 @@ use rayon::prelude::*;
 
 use super::error::{Place, PlyError, shorten};
 use super::header::{self, Element, Encoding, Kind, Scalar};
+use crate::io::faces::Faces;
 
 /// What the caller wants besides the vertices' coordinates; the rest is skipped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Want {
-    /// Faces, as triangles (larger faces are cut into fans).
-    Triangles,
+    /// Faces.
+    Faces,
     /// All further number properties of the vertices.
     Extras,
 }
@@ -41,8 +42,8 @@ pub struct Table {
     pub points: Vec<[f64; 3]>,
     /// Type in which the file holds x.
     pub coordinate: Scalar,
-    /// Triangles with indices in range; empty unless [`Want::Triangles`].
-    pub triangles: Vec<[u32; 3]>,
+    /// Faces, triangles with indices in range; empty unless [`Want::Faces`].
+    pub(crate) faces: Faces,
     /// Further vertex properties; empty unless [`Want::Extras`].
     pub extras: Vec<Extra>,
 }
@@ -56,7 +57,7 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
     let mut table = Table {
         points: Vec::new(),
         coordinate: Scalar::F32,
-        triangles: Vec::new(),
+        faces: Faces::default(),
         extras: Vec::new(),
     };
     let mut seen_vertices = false;
@@ -74,9 +75,9 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
                 seen_vertices = true;
                 body.vertices(element, want == Want::Extras, &mut table)?;
             }
-            "face" if !seen_faces && want == Want::Triangles => {
+            "face" if !seen_faces && want == Want::Faces => {
                 seen_faces = true;
-                body.faces(element, &mut table.triangles)?;
+                body.faces(element, &mut table.faces)?;
             }
             _ => body.skip(element)?,
         }
@@ -87,10 +88,10 @@ pub fn read(bytes: &[u8], want: Want) -> Result<Table, PlyError> {
     if !seen_vertices {
         return Err(PlyError::MissingElement { element: "vertex" });
     }
-    if want == Want::Triangles && !seen_faces {
+    if want == Want::Faces && !seen_faces {
         return Err(PlyError::MissingElement { element: "face" });
     }
-    check_indices(&table.triangles, table.points.len())?;
+    check_indices(&table.faces.triangles, table.points.len())?;
     Ok(table)
 }
 
@@ -350,7 +351,7 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    fn faces(&mut self, element: &Element, triangles: &mut Vec<[u32; 3]>) -> Result<(), PlyError> {
+    fn faces(&mut self, element: &Element, faces: &mut Faces) -> Result<(), PlyError> {
         let corners = element.properties.iter().position(|p| {
             matches!(p.kind, Kind::List { .. })
                 && (p.name == "vertex_indices" || p.name == "vertex_index")
@@ -362,7 +363,7 @@ impl<'a> Body<'a> {
                 expected: "list",
             });
         };
-        triangles.reserve_exact(element.count as usize);
+        faces.triangles.reserve_exact(element.count as usize);
         if element.properties.len() == 1
             && self.encoding == Encoding::LittleEndian
             && let Kind::List {
@@ -370,10 +371,10 @@ impl<'a> Body<'a> {
                 item: Scalar::I32 | Scalar::U32,
             } = element.properties[0].kind
         {
-            self.plain_triangles(element, triangles);
+            self.plain_triangles(element, &mut faces.triangles);
         }
         let mut polygon = Vec::new();
-        for face in triangles.len() as u64..element.count {
+        for face in faces.len() as u64..element.count {
             for (i, property) in element.properties.iter().enumerate() {
                 let Kind::List { length, item } = property.kind else {
                     self.skip_property(property.kind, element, face)?;
@@ -403,9 +404,7 @@ impl<'a> Body<'a> {
                     polygon.push(value as u32);
                 }
             }
-            for pair in polygon[1..].windows(2) {
-                triangles.push([polygon[0], pair[0], pair[1]]);
-            }
+            faces.push(&polygon);
         }
         Ok(())
     }

@@ -1,9 +1,13 @@
 //! Point clouds at the border: PLY or XYZ text in, PLY out.
 
+mod text;
+
 use std::io::{self, Write};
 use std::path::Path;
 
+use crate::io::Unit;
 use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
+use crate::space::Aabb;
 
 /// Points that are known to be finite, mm. Nothing else may feed a tree, a registration or a verdict.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,6 +81,30 @@ pub enum CloudError {
         /// The line, shortened.
         text: String,
     },
+    /// A comma that may be a decimal sign or a separator.
+    #[error(
+        "line {line}: {text:?}: whether commas are decimal signs or separators cannot be told; right would be points as decimal signs, or blanks, tabs or semicolons between columns"
+    )]
+    Comma {
+        /// Line number, from 1.
+        line: usize,
+        /// The line, shortened.
+        text: String,
+    },
+    /// No part has that size.
+    #[error(
+        "the cloud spans {diagonal_mm} mm when read in {unit:?}, right would be {least_mm} to {most_mm} mm: it is probably in another unit; say so with --cloud-unit"
+    )]
+    Size {
+        /// Diagonal of the bounding box.
+        diagonal_mm: f64,
+        /// Limit.
+        least_mm: f64,
+        /// Limit.
+        most_mm: f64,
+        /// Unit assumed.
+        unit: Unit,
+    },
     /// Neither PLY nor text.
     #[error(
         "not a cloud: neither PLY nor text (byte {byte:#04x} at offset {offset}); right would be PLY or `x y z` lines"
@@ -99,19 +127,19 @@ pub enum CloudError {
     },
 }
 
-/// Loads a cloud; PLY is told by its first line, everything else is read as text.
+/// Loads a cloud; PLY is told by its first line, everything else is read as text. No format says its unit.
 ///
 /// # Errors
 /// [`CloudError`] names what is wrong and what would be right.
-pub fn load(path: &Path) -> Result<Cloud, CloudError> {
-    parse(&std::fs::read(path)?)
+pub fn load(path: &Path, unit: Unit) -> Result<Cloud, CloudError> {
+    parse(&std::fs::read(path)?, unit)
 }
 
 /// As [`load`], from memory.
 ///
 /// # Errors
 /// As [`load`].
-pub fn parse(bytes: &[u8]) -> Result<Cloud, CloudError> {
+pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
     if bytes.is_empty() {
         return Err(CloudError::EmptyFile);
     }
@@ -124,49 +152,52 @@ pub fn parse(bytes: &[u8]) -> Result<Cloud, CloudError> {
             extras: table.extras,
         }
     } else {
-        parse_text(bytes)?
+        Cloud {
+            points: FinitePoints(text::parse(bytes)?),
+            coordinate: Scalar::F64,
+            extras: Vec::new(),
+        }
     };
     if cloud.points.is_empty() {
         return Err(CloudError::NoPoints);
     }
-    Ok(cloud)
+    cloud.in_unit(unit)
 }
 
-/// One point per line, separated by blanks, commas or semicolons; further columns, blank lines and `#` or `//` comments are skipped.
-fn parse_text(bytes: &[u8]) -> Result<Cloud, CloudError> {
-    let is_binary = |&byte: &u8| byte < 0x20 && !byte.is_ascii_whitespace();
-    if let Some(offset) = bytes.iter().position(is_binary) {
-        return Err(CloudError::Foreign {
-            byte: bytes[offset],
-            offset,
-        });
-    }
-    let mut points = Vec::new();
-    for (number, raw) in bytes.split(|&b| b == b'\n').enumerate() {
-        let text = String::from_utf8_lossy(raw);
-        let line = text.trim();
-        if line.is_empty() || line.starts_with('#') || line.starts_with("//") {
-            continue;
+/// Points beyond this many that lie within [`LEAST_DIAGONAL_MM`] are no cloud in mm.
+const CHECKED_POINTS: usize = 100;
+/// Smallest diagonal of a cloud of that many points, mm: below what any head's field shows, above a whole die in metres.
+const LEAST_DIAGONAL_MM: f64 = 0.5;
+/// Largest diagonal of the part that a cloud can be of, mm.
+const MOST_DIAGONAL_MM: f64 = 10_000.0;
+
+impl Cloud {
+    fn in_unit(mut self, unit: Unit) -> Result<Self, CloudError> {
+        if unit != Unit::Mm {
+            let scale = unit.mm();
+            for point in &mut self.points.0 {
+                *point = point.map(|c| c * scale);
+            }
+            // Scaled coordinates are no longer the file's rounded ones.
+            self.coordinate = Scalar::F64;
         }
-        let mut numbers = line
-            .split(|c: char| c.is_whitespace() || c == ',' || c == ';')
-            .filter(|word| !word.is_empty())
-            .map(|word| word.parse::<f64>().ok().filter(|v| v.is_finite()));
-        let (Some(Some(x)), Some(Some(y)), Some(Some(z))) =
-            (numbers.next(), numbers.next(), numbers.next())
-        else {
-            return Err(CloudError::Line {
-                line: number + 1,
-                text: line.chars().take(40).collect(),
+        let bounds = Aabb::around(&self.points);
+        let diagonal_mm = (0..3)
+            .map(|k| (bounds.high[k] - bounds.low[k]).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        // A span that overflows is infinite.
+        let is_small = self.points.len() >= CHECKED_POINTS && diagonal_mm < LEAST_DIAGONAL_MM;
+        if is_small || diagonal_mm > MOST_DIAGONAL_MM {
+            return Err(CloudError::Size {
+                diagonal_mm,
+                least_mm: LEAST_DIAGONAL_MM,
+                most_mm: MOST_DIAGONAL_MM,
+                unit,
             });
-        };
-        points.push([x, y, z]);
+        }
+        Ok(self)
     }
-    Ok(Cloud {
-        points: FinitePoints(points),
-        coordinate: Scalar::F64,
-        extras: Vec::new(),
-    })
 }
 
 /// Writes points in their order as binary little-endian PLY with further `float` columns, for example `("deviation", ..)` in mm.

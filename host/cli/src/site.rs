@@ -1,0 +1,225 @@
+//! Where it is looked, and for whom; and what a real press demands before anything is believed or moved.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use flankscope_profilometry::HeadModel;
+use flankscope_station::acquisition::Recording;
+use flankscope_station::inspection::Subject;
+use flankscope_station::origin::{Link, RecordingId, Setting};
+use flankscope_station::settings::StationSettings;
+
+/// Where it is looked, and for whom: every result says so.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Place {
+    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
+    /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
+    #[arg(long, value_name = "sim|qemu|PORT")]
+    link: Option<Link>,
+    /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
+    #[arg(long, value_name = "NAME|STATION.toml")]
+    station: Option<String>,
+    /// Who measures, in every result [default: the user, as the system says]
+    #[arg(long, value_name = "NAME")]
+    operator: Option<String>,
+}
+
+impl Place {
+    /// The site. With one of the options in `real`, each by its name and whether it was given, it is not for the
+    /// built-in demo any more, and the link must have been named, here or in the station's file.
+    pub fn site(&self, real: &[(&str, bool)]) -> anyhow::Result<Site> {
+        let (file, settings, hash) = self.file()?;
+        let in_file = settings.controller.link.as_deref().map(str::parse);
+        let in_file = in_file.transpose().context("controller.link")?;
+        // A station's file is of an instrument at a press, and may name a history.
+        let of_station = [("--station", file.is_some())];
+        let given = real.iter().chain(&of_station).find(|(_, given)| *given);
+        let link = match (self.link.clone().or(in_file), given) {
+            (Some(link), _) => link,
+            (None, None) => Link::Sim,
+            (None, Some((option, _))) => anyhow::bail!(
+                "{option} without --link: is the die real or simulated? Add --link PORT, the controller's port such as \
+                 /dev/ttyACM0, or --link sim (or qemu) for the simulated bench"
+            ),
+        };
+        Ok(self.at(link, settings, hash))
+    }
+
+    /// The site of frames that were recorded: there is no controller, whatever the station's file says of one.
+    pub fn of_recording(&self, recording: &Recording) -> anyhow::Result<Site> {
+        if let Some(link) = &self.link {
+            anyhow::bail!(
+                "--link {link} beside --frames: recorded frames come from no controller; leave one of them out"
+            );
+        }
+        let (_, settings, hash) = self.file()?;
+        let link = Link::Recorded(RecordingId {
+            taken: recording.index.taken,
+            blake3: recording.blake3.clone(),
+            simulated: recording.index.simulated,
+        });
+        Ok(self.at(link, settings, hash))
+    }
+
+    /// The station's file, if it has one, what it says, and its hash.
+    fn file(&self) -> anyhow::Result<(Option<&Path>, StationSettings, Option<String>)> {
+        let file = self.station.as_deref().filter(|text| is_file(text));
+        let file = file.map(Path::new);
+        let (settings, hash) = station_file(file)?;
+        Ok((file, settings, hash))
+    }
+
+    fn at(&self, link: Link, settings: StationSettings, hash: Option<String>) -> Site {
+        let named = self.station.as_deref().filter(|text| !is_file(text));
+        let named = named.map(str::to_owned);
+        Site {
+            setting: Setting {
+                link,
+                station: named
+                    .or_else(|| settings.name.clone())
+                    .unwrap_or_else(host_name),
+                operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+            },
+            settings: Arc::new(settings),
+            hash,
+        }
+    }
+}
+
+/// Whether what names a station is its file.
+fn is_file(station: &str) -> bool {
+    Path::new(station)
+        .extension()
+        .is_some_and(|is| is == "toml")
+}
+
+/// What a station's file says, and its hash; without one, what holds without.
+pub fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Option<String>)> {
+    let Some(path) = file else {
+        return Ok((StationSettings::default(), None));
+    };
+    let settings = StationSettings::load(path)?;
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok((settings, Some(flankscope_station::files::hash(&bytes))))
+}
+
+/// Where it is looked, for whom, and with what instrument.
+pub struct Site {
+    /// Link, station and operator.
+    pub setting: Setting,
+    /// The instrument.
+    pub settings: Arc<StationSettings>,
+    /// BLAKE3 of its file, if it has one.
+    hash: Option<String>,
+}
+
+impl Site {
+    /// Through which link.
+    pub fn link(&self) -> &Link {
+        &self.setting.link
+    }
+
+    /// Station and link, for people.
+    pub fn words(&self) -> String {
+        let Setting {
+            link,
+            station,
+            operator,
+        } = &self.setting;
+        let what = if link.is_simulated() {
+            "the simulated bench"
+        } else {
+            "a real press"
+        };
+        let operator = operator.as_deref().unwrap_or("unknown");
+        format!("station  {station}, link {link} ({what}), operator {operator}")
+    }
+
+    /// A real die is judged by a tool file and a head of its own, never by what is built in. The files are the tool's folder
+    /// and a head file instead of the one in it.
+    ///
+    /// # Errors
+    /// There is a real press, and one of them was not named.
+    pub fn demands(&self, [tool, head]: [Option<&Path>; 2]) -> anyhow::Result<()> {
+        let link @ Link::Port(_) = self.link() else {
+            return Ok(());
+        };
+        let Some(folder) = tool else {
+            anyhow::bail!(
+                "--link {link} without --tool: a die in a press is not the built-in demo; add --tool DIR, the folder with \
+                 its tool.toml and CAD"
+            );
+        };
+        anyhow::ensure!(
+            head.is_some() || folder.join("head.toml").exists() || !folder.is_dir(),
+            "--link {link}, but {} has no head.toml: the head in a press is not the built-in one; calibrate it (flankscope \
+             calibrate --link {link} --target DIR -o HEAD.toml), and name the result by --head or put it there",
+            folder.display()
+        );
+        Ok(())
+    }
+
+    /// A head is calibrated with a target of its own.
+    ///
+    /// # Errors
+    /// There is a real press, and no target was named.
+    pub fn demands_target(&self, target: Option<&Path>) -> anyhow::Result<()> {
+        let link = self.link();
+        anyhow::ensure!(
+            target.is_some() || !matches!(link, Link::Port(_)),
+            "--link {link} without --target: plates at a press are not the built-in ones; add --target DIR, the folder with \
+             their target.toml and the head.toml to start from"
+        );
+        Ok(())
+    }
+
+    /// A head that was calibrated on the simulated bench knows nothing of a real press, and there one that was never
+    /// calibrated knows nothing at all.
+    ///
+    /// # Errors
+    /// There is a real press, and this head is not calibrated for one.
+    pub fn takes_head(&self, head: &HeadModel) -> anyhow::Result<()> {
+        let link = self.link();
+        let made = head.calibration.as_ref();
+        anyhow::ensure!(
+            link.is_simulated() || made.and_then(|made| made.simulated) != Some(true),
+            "head \"{}\" was calibrated on the simulated bench, {link} is a real press: calibrate it there \
+             (flankscope calibrate --link {link} --target DIR -o HEAD.toml)",
+            head.name
+        );
+        anyhow::ensure!(
+            made.is_some() || !matches!(link, Link::Port(_)),
+            "head \"{}\" has no [calibration], {link} is a real press: calibrate it there (flankscope calibrate \
+             --link {link} --target DIR -o HEAD.toml), and name the result by --head or put it into the tool's folder as \
+             head.toml",
+            head.name
+        );
+        Ok(())
+    }
+
+    /// Puts the instrument before what is inspected.
+    pub fn stand_before(&self, subject: &mut Subject) {
+        subject.station = Arc::clone(&self.settings);
+        if let Some(hash) = &self.hash {
+            subject.hashes.insert("station", hash.clone());
+        }
+    }
+}
+
+/// This host, as the system says.
+fn host_name() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    match name.trim() {
+        "" => "unknown".into(),
+        name => name.to_owned(),
+    }
+}
+
+/// Who runs this program, as the system says.
+pub fn user_name() -> String {
+    let name = ["USER", "LOGNAME"]
+        .into_iter()
+        .find_map(|name| std::env::var(name).ok());
+    name.unwrap_or_else(|| "unknown".into())
+}
