@@ -96,6 +96,8 @@ struct Document<'a> {
     min_modulation_dn: &'a [f64],
     /// By how much frames scatter more than [sensor] predicts, in the median; limits and uncertainties are raised by it.
     frame_noise_ratio: f64,
+    /// Median contrast of each frequency over the cells with a point, low to high.
+    contrast: &'a [f64],
     /// Median of the predicted standard uncertainties of the depth.
     sigma_z_median_mm: Option<f32>,
     elapsed_ms: Elapsed,
@@ -162,6 +164,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         sensor_assumed,
         min_modulation_dn: decoder.floors_dn(),
         frame_noise_ratio: decoded.frame_noise_ratio,
+        contrast: &decoded.contrast,
         sigma_z_median_mm: median_of(cloud.sigma_z_mm.iter().map(|&s| f64::from(s)))
             .map(|s| s as f32),
         elapsed_ms: Elapsed {

@@ -114,4 +114,8 @@ pub struct Decoded {
     /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and
     /// uncertainties have been raised by it. 1 unless [`crate::decode::ConsistencyOptions::relative_to_view`].
     pub frame_noise_ratio: f64,
+    /// Median contrast (amplitude over mean) of each frequency over the cells with a point, low to high; empty without points.
+    /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
+    /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.
+    pub contrast: Vec<f64>,
 }

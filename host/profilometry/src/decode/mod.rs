@@ -23,6 +23,7 @@ use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
+use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
 pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
@@ -230,7 +231,11 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
-        Ok(self.collect(&results, fringes_dn.as_deref(), view.frame_noise_ratio))
+        Ok(Decoded {
+            frame_noise_ratio: view.frame_noise_ratio,
+            contrast: self.contrasts(accumulator, &results),
+            ..self.collect(&results, fringes_dn.as_deref())
+        })
     }
 
     fn depths(&self, view: &Conditioned<'_>) -> Vec<CellResult> {
@@ -276,15 +281,33 @@ impl Decoder {
             (0..band.cells).filter_map(cell).collect()
         };
         let ratios: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
-        let mut ratios = ratios.concat();
-        let middle = ratios.len() / 2;
-        if ratios.is_empty() {
-            return 1.0;
-        }
-        ratios
-            .select_nth_unstable_by(middle, f64::total_cmp)
-            .1
-            .sqrt()
+        median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
+    }
+
+    /// Median contrast of each frequency over the cells with a point.
+    fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
+        let of_set = |set: usize| -> Option<f64> {
+            let of_band = |band: &Band| -> Vec<f64> {
+                let cell = |index: usize| {
+                    let noise = self.noise(band, index);
+                    let seen = results[band.first_cell + index].fate == Fate::Point;
+                    let estimate = seen.then(|| self.estimate(band, index, set, &noise).ok())??;
+                    Some(estimate.contrast())
+                };
+                (0..band.cells).filter_map(cell).collect()
+            };
+            let bands: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
+            median(&mut bands.concat())
+        };
+        (0..self.patterns.sets.len()).filter_map(of_set).collect()
+    }
+
+    /// How many orders of the finest fringes lie between two points of a camera ray: what tells whether a point has the order that
+    /// was expected. None behind the projector.
+    pub fn orders_between(&self, from_mm: [f64; 3], to_mm: [f64; 3]) -> Option<f64> {
+        let column = |[x, y, z]: [f64; 3]| self.triangulator.column([x / z, y / z], z);
+        let apart_px = column(to_mm)?.0 - column(from_mm)?.0;
+        Some(apart_px * self.patterns.finest().periods / self.projector_width_px)
     }
 
     /// Chi-square and degrees of freedom of every cell of a complete view, in the grid's order; zeros where nothing is
@@ -348,12 +371,7 @@ impl Decoder {
         self.rays.get(cell as usize).map(|ray| ray.direction)
     }
 
-    fn collect(
-        &self,
-        results: &[CellResult],
-        fringes_dn: Option<&[f32]>,
-        frame_noise_ratio: f64,
-    ) -> Decoded {
+    fn collect(&self, results: &[CellResult], fringes_dn: Option<&[f32]>) -> Decoded {
         let grid = &self.layout.grid;
         let mut rejected = Rejected::default();
         let points = results
@@ -397,7 +415,8 @@ impl Decoder {
             cells: results.len(),
             without_point,
             rejected,
-            frame_noise_ratio,
+            frame_noise_ratio: 1.0,
+            contrast: Vec::new(),
         }
     }
 }
