@@ -12,7 +12,7 @@
 //!
 //! All inputs are levels, never edges, so a wait may be dropped and begun again without losing anything.
 
-use crate::sequence::{Awaiting, Input};
+use crate::sequence::{Awaiting, CameraWait, Input};
 use core::convert::Infallible;
 use core::future::pending;
 use embassy_futures::select::{Either3, select3};
@@ -42,15 +42,6 @@ pub trait Dmd {
     fn trigger(&mut self, level: bool);
     /// Completes when ready is high.
     async fn ready(&mut self);
-}
-
-/// What to wait for at the camera.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CameraWait {
-    /// Ready is high.
-    Ready,
-    /// Exposing has this level.
-    Exposing(bool),
 }
 
 /// The camera, in trigger-width mode.

@@ -2,13 +2,13 @@
 //!
 //! ```text
 //!            bytes                 commands                                  actions
-//! host ──► link::receive ──► run::sequencer( CommandHandler ► Sequence ) ──► LED, DMD, camera pins
-//! host ◄── link::transmit ◄── replies, events ◄──────────────┘ ▲ └─────────► stage::run ──► stage driver (UART)
+//! host ──► link::receive ──► tasks::sequencer( CommandHandler ► Sequence ) ──► LED, DMD, camera pins
+//! host ◄── link::transmit ◄── replies, events ◄──────────────┘ ▲ └─────────► serve_stage ──► stage driver (UART)
 //!                                                              └──────────── pin levels, in position, deadlines
 //! ```
 //! [`sequence::Sequence`] and what it is made of ([`lamp::Lamp`], [`budget::LedBudget`], [`session::Session`]) are
 //! pure: time comes in as an argument, what to do comes out as a list of [`sequence::Action`]s. They are tested by
-//! hand-stepped time. The tasks in [`link`], [`run`] and [`stage`] only carry: they wait, ask, and do what they are
+//! hand-stepped time. The tasks in [`tasks`] only carry: they wait, ask, and do what they are
 //! told. A board image or the simulator supplies pins, UARTs and the time driver.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -32,18 +32,17 @@ mod diagrams;
 pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
-pub mod link;
 pub mod liveness;
 pub mod mailbox;
 pub mod press;
-pub mod run;
 pub mod sequence;
 pub mod session;
 pub mod stage;
+pub mod tasks;
 
 pub use command_handler::CommandHandler;
-pub use devices::{Camera, CameraWait, Dmd, Led, Optics};
-pub use liveness::{Watchdog, supervise};
+pub use devices::{Camera, Dmd, Led, Optics};
+pub use liveness::Watchdog;
 pub use press::{NoPress, PinPress, Press};
-pub use run::{Mailboxes, press_sequencer, sequencer};
 pub use sequence::{Action, Actions, Config, Input, Sequence};
+pub use tasks::{Mailboxes, link, press_sequencer, sequencer, serve_stage, supervise};

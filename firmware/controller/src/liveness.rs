@@ -10,7 +10,7 @@ use embassy_time::{Duration, Timer};
 
 /// The tasks that must show life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[allow(missing_docs)] // the tasks of `link`, `run` and `stage`
+#[allow(missing_docs)] // the tasks of `tasks`
 pub enum Task {
     Receive,
     Transmit,
@@ -73,7 +73,7 @@ impl Liveness {
     }
 
     /// Every task has shown life; forgets it.
-    fn all(&self) -> bool {
+    pub(crate) fn all(&self) -> bool {
         let all = self.seen.iter().all(|seen| seen.load(Ordering::Relaxed));
         if all {
             for seen in &self.seen {
@@ -81,15 +81,5 @@ impl Liveness {
             }
         }
         all
-    }
-}
-
-/// Feeds the watchdog for ever, as long as every task shows life.
-pub async fn supervise(mut watchdog: impl Watchdog, mail: &crate::Mailboxes) -> ! {
-    loop {
-        if mail.liveness.all() {
-            watchdog.feed();
-        }
-        Timer::after(BEAT).await;
     }
 }

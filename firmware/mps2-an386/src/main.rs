@@ -25,10 +25,9 @@ use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
 use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
-use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Optics, Sequence, link, sequence, stage, supervise,
+    CommandHandler, Mailboxes, Optics, Sequence, link, press_sequencer, sequence, serve_stage, supervise,
 };
 use flankscope_protocol::{Line, LineRecord, Microseconds};
 
@@ -96,7 +95,7 @@ async fn transmit() {
 #[embassy_executor::task]
 async fn stages() {
     let driver = Esp301::new(Port(&STAGE), Axes::DEFAULT);
-    fault_injection::exposed(Task::Stage, stage::run(driver, &MAIL)).await;
+    fault_injection::exposed(Task::Stage, serve_stage(driver, &MAIL)).await;
 }
 
 #[embassy_executor::task]

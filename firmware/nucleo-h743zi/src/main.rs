@@ -13,10 +13,9 @@ use embassy_executor::{Executor, InterruptExecutor};
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
-use flankscope_controller::run::press_sequencer;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Sequence, link, sequence, stage, supervise,
+    CommandHandler, Mailboxes, Sequence, link, press_sequencer, sequence, serve_stage, supervise,
 };
 use static_cell::StaticCell;
 
@@ -38,7 +37,7 @@ async fn transmit(port: BufferedUartTx<'static>) {
 
 #[embassy_executor::task]
 async fn stages(port: BufferedUart<'static>) {
-    stage::run(Esp301::new(port, Axes::DEFAULT), &MAIL).await;
+    serve_stage(Esp301::new(port, Axes::DEFAULT), &MAIL).await;
 }
 
 #[embassy_executor::task]

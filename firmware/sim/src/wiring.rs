@@ -13,7 +13,8 @@ use flankscope_controller::devices::{
 use flankscope_controller::liveness::Task;
 use flankscope_controller::stage::esp301::{Axes, Esp301};
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence, stage,
+    CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence,
+    serve_stage,
 };
 use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
@@ -268,7 +269,7 @@ pub(crate) fn tasks(
         ),
         (
             Task::Stage,
-            Box::pin(async move { stage::run(stages, mail).await }),
+            Box::pin(async move { serve_stage(stages, mail).await }),
         ),
         (
             Task::Sequencer,

@@ -1,8 +1,8 @@
-//! A stage of somebody else's: one `impl Stage`, handed to `stage::run`, and the sequence's requests are served by it.
+//! A stage of somebody else's: one `impl Stage`, handed to `serve_stage`, and the sequence's requests are served by it.
 
 use embassy_time::{Duration, Instant, Timer};
-use flankscope_controller::run::Mailboxes;
-use flankscope_controller::stage::{self, Pose, Stage, StageFault, StageRequest};
+use flankscope_controller::stage::{Pose, Stage, StageFault, StageRequest};
+use flankscope_controller::{Mailboxes, serve_stage};
 use flankscope_protocol::{Fault, Micrometres, Microradians, View};
 use flankscope_sim::{Clock, Sim, now_us};
 use std::cell::RefCell;
@@ -56,7 +56,7 @@ fn a_driver_of_your_own_serves_the_sequence() {
             going_to: HOME,
             there_at: Instant::MIN,
         };
-        stage::run(slide, mail).await;
+        serve_stage(slide, mail).await;
     });
     let view = View {
         rotation: Microradians(12_345),

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use flankscope_station::acquisition::{Progress, Recording};
-use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::Origin;
 use flankscope_station::report::{ReportFolder, figure};
@@ -91,7 +90,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     complaints.hear_of(args.common.document(), &mut inspection);
     complaints.hear(args.write_report(report, &mut inspection));
     if let Some(path) = &args.record_baseline {
-        let recorded = Baseline::of(&inspection).and_then(|baseline| baseline.save(path, &seals));
+        let recorded = inspection
+            .baseline()
+            .and_then(|baseline| baseline.save(path, &seals));
         complaints.hear(recorded.map_err(Into::into));
     }
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))

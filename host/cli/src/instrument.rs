@@ -11,7 +11,7 @@ use flankscope_profilometry::HeadModel;
 use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::controller::ClientSettings;
-use flankscope_station::history::{History, HistoryWriter};
+use flankscope_station::history::{History, HistoryWriter, Retention};
 use flankscope_station::inspection::{RecordedCheck, Station, Subject};
 use flankscope_station::origin::Link;
 use flankscope_station::seal::{Kind, SealError, Seals};
@@ -102,15 +102,18 @@ impl Source {
                 path.display()
             ));
         }
-        let keep_phasors = site.settings.history.keep_phasors;
+        let said = &site.settings.history;
+        let keep = Retention {
+            checks: self.keep_phasors.unwrap_or(said.keep_phasors),
+            bytes: (1e9 * said.keep_phasors_gb) as u64,
+        };
         let operator = site.setting.operator.clone();
         let mut opened = HistoryWriter::new(
             history,
             self.tool_cycles,
-            self.keep_phasors.unwrap_or(keep_phasors),
+            keep,
             operator.unwrap_or_else(user_name),
-        )
-        .within((1e9 * site.settings.history.keep_phasors_gb) as u64);
+        );
         if let Some(room) = opened.room()? {
             say(&room);
         }
@@ -472,7 +475,7 @@ pub fn seals() -> anyhow::Result<Seals> {
 }
 
 /// The head's file: the one named, else the one in the tool's folder, else the demo's.
-fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
+pub fn head_path(tool: &Tool, named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
     if let Some(head) = named {
         return Ok(head.to_path_buf());
     }

@@ -10,6 +10,7 @@ mod bench_link;
 mod calibrate;
 mod decode;
 mod deviation;
+mod doctor;
 mod gear;
 mod geometry;
 mod grid;
@@ -56,6 +57,7 @@ enum Command {
     History(history::Args),
     Replay(replay::Args),
     Trust(trust::Args),
+    Doctor(doctor::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true, subcommand)]
@@ -99,6 +101,7 @@ fn main() -> ExitCode {
         Command::History(args) => history::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Trust(args) => trust::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };

@@ -136,20 +136,29 @@ impl Site {
         format!("station  {station}, link {link} ({what}), operator {operator}")
     }
 
-    /// A real die is judged by a tool file and a head of its own, never by what is built in. The files are the tool's folder
-    /// and a head file instead of the one in it.
+    /// A real die is judged by a tool file of its own, never by what is built in.
+    ///
+    /// # Errors
+    /// There is a real press, and no tool was named.
+    pub fn demands_tool(&self, tool: Option<&Path>) -> anyhow::Result<()> {
+        let link = self.link();
+        anyhow::ensure!(
+            tool.is_some() || !matches!(link, Link::Port(_)),
+            "--link {link} without --tool: a die in a press is not the built-in demo; add --tool DIR, the folder with \
+             its tool.toml and CAD"
+        );
+        Ok(())
+    }
+
+    /// As [`Site::demands_tool`], and a head of its own. The files are the tool's folder and a head file instead of the one in
+    /// it.
     ///
     /// # Errors
     /// There is a real press, and one of them was not named.
     pub fn demands(&self, [tool, head]: [Option<&Path>; 2]) -> anyhow::Result<()> {
-        let link @ Link::Port(_) = self.link() else {
+        self.demands_tool(tool)?;
+        let (link @ Link::Port(_), Some(folder)) = (self.link(), tool) else {
             return Ok(());
-        };
-        let Some(folder) = tool else {
-            anyhow::bail!(
-                "--link {link} without --tool: a die in a press is not the built-in demo; add --tool DIR, the folder with \
-                 its tool.toml and CAD"
-            );
         };
         anyhow::ensure!(
             head.is_some() || folder.join("head.toml").exists() || !folder.is_dir(),

@@ -42,4 +42,4 @@ pub use private::{RunFolder, default_base};
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};
 pub use sender::{FrameSender, LoanedFrame, Overflow};
-pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, ServiceError};
+pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, SEGMENT_BYTES, ServiceError};

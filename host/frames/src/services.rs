@@ -17,6 +17,10 @@ pub const LOANED_FRAMES: usize = 2;
 /// Largest frame, px: 1920 x 1200. The segment is laid out for it once, nothing is allocated later.
 pub const MAX_FRAME_PIXELS: usize = 1920 * 1200;
 
+/// Bytes of shared memory that the frames of a capture take.
+pub const SEGMENT_BYTES: usize =
+    (BUFFERED_FRAMES + BORROWED_FRAMES + LOANED_FRAMES) * MAX_FRAME_PIXELS * size_of::<u16>();
+
 /// Why a service cannot be had.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

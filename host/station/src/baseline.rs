@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::files;
-use crate::inspection::Inspection;
 use crate::origin::looked_at;
 use crate::seal::{Kind, SealError, Seals};
 
@@ -154,26 +153,6 @@ pub enum BaselineError {
 }
 
 impl Baseline {
-    /// The baseline that a check of a new tool makes.
-    ///
-    /// # Errors
-    /// The check did not end in go.
-    pub fn of(inspection: &Inspection) -> Result<Self, BaselineError> {
-        if inspection.verdict != Word::Go {
-            return Err(BaselineError::NotNew {
-                verdict: inspection.verdict,
-            });
-        }
-        let hash = |(name, hash): (&&str, &String)| ((*name).to_owned(), hash.clone());
-        Ok(Self {
-            tool: inspection.tool.clone(),
-            hashes: inspection.hashes.iter().map(hash).collect(),
-            simulated: inspection.origin.simulated,
-            flanks: inspection.fields.clone(),
-            poses: inspection.poses.clone(),
-        })
-    }
-
     /// Reads a baseline for an instrument with these files, at the simulated bench or not.
     ///
     /// # Errors

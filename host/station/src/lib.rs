@@ -10,6 +10,8 @@ pub mod acquisition;
 pub mod baseline;
 pub mod calibration;
 pub mod controller;
+pub mod die;
+pub mod doctor;
 pub mod files;
 pub mod history;
 pub mod inspection;

@@ -3,7 +3,8 @@
 mod inspections;
 
 use flankscope_metrology::verdict::{Code, Word};
-use flankscope_station::history::{DieKey, History, HistoryError, HistoryWriter, csv, series};
+use flankscope_station::die::DieKey;
+use flankscope_station::history::{History, HistoryError, HistoryWriter, Retention, csv, series};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::{HeadId, Link, Origin, Setting};
 use flankscope_station::sink::ResultSink;
@@ -11,7 +12,15 @@ use inspections::{inspection, seals};
 use rusqlite::Connection;
 
 fn writer(history: History) -> HistoryWriter {
-    HistoryWriter::new(history, None, 3, "tester".into())
+    HistoryWriter::new(
+        history,
+        None,
+        Retention {
+            checks: 3,
+            bytes: 10_000_000_000,
+        },
+        "tester".into(),
+    )
 }
 
 fn word(text: &str) -> Word {
@@ -253,8 +262,15 @@ fn room_is_made_by_rule_and_a_no_go_keeps_its_phasors() {
     };
     // Room for four: of the no-go, and of three more.
     let history = History::open(&path, &seals()).unwrap();
-    let mut writer =
-        HistoryWriter::new(history, None, 1000, "tester".into()).within(4 * one + one / 2);
+    let mut writer = HistoryWriter::new(
+        history,
+        None,
+        Retention {
+            checks: 1000,
+            bytes: 4 * one + one / 2,
+        },
+        "tester".into(),
+    );
     assert_eq!(writer.room().unwrap(), None);
     let verdicts = ["indeterminate", "go", "warn", "go", "indeterminate", "go"].map(word);
     let kept = |numbers: &[u32]| {

@@ -12,7 +12,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use flankscope_metrology::verdict::Word;
-use flankscope_station::history::{History, HistoryWriter};
+use flankscope_station::history::{History, HistoryWriter, Retention};
 use flankscope_station::sink::ResultSink;
 use inspections::inspection;
 use rand::{RngExt, SeedableRng};
@@ -39,7 +39,15 @@ fn store(path: &Path, checks: u32) {
         Ok(history) => history,
         Err(error) => return println!("none could-not-run {error}"),
     };
-    let mut writer = HistoryWriter::new(history, None, u32::MAX, "tester".into());
+    let mut writer = HistoryWriter::new(
+        history,
+        None,
+        Retention {
+            checks: u32::MAX,
+            bytes: u64::MAX,
+        },
+        "tester".into(),
+    );
     let process = std::process::id();
     for number in 0..checks {
         let mut check = inspection(number, Word::Go, &format!("{number} of {process}"));

@@ -5,7 +5,8 @@ mod inspections;
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::verdict::{Shown, Word};
-use flankscope_station::history::{DieKey, History, HistoryError, HistoryWriter, Replay};
+use flankscope_station::die::DieKey;
+use flankscope_station::history::{History, HistoryError, HistoryWriter, Replay, Retention};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::sink::ResultSink;
 use inspections::{inspection, seals};
@@ -33,6 +34,13 @@ fn written(folder: &Path) -> PathBuf {
     history.record(&go(3, "all is well again"), None).unwrap();
     drop(history);
     path
+}
+
+fn keep() -> Retention {
+    Retention {
+        checks: 3,
+        bytes: 10_000_000_000,
+    }
 }
 
 fn die() -> DieKey {
@@ -342,7 +350,7 @@ fn one_watch_at_a_time_holds_a_die() {
     let path = folder.path().join("press.db");
     let writer = || {
         let history = History::open(&path, &seals()).unwrap();
-        HistoryWriter::new(history, None, 3, "tester".into())
+        HistoryWriter::new(history, None, keep(), "tester".into())
     };
     let mut first = writer();
     first
@@ -383,7 +391,7 @@ fn a_history_is_not_for_everybodys_eyes() {
     let mut writer = HistoryWriter::new(
         History::open(&path, &seals()).unwrap(),
         None,
-        3,
+        keep(),
         "tester".into(),
     );
     writer

@@ -5,7 +5,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Libraries that are built in floors.
-const LIBRARIES: &[&str] = &["host/profilometry", "host/metrology"];
+const LIBRARIES: &[&str] = &[
+    "protocol",
+    "firmware/controller",
+    "host/foundation",
+    "host/profilometry",
+    "host/metrology",
+    "host/station",
+    "tools/bench",
+];
 
 /// Which floors a floor imports.
 type Floors = BTreeMap<String, BTreeSet<String>>;

@@ -25,10 +25,9 @@ mod signals;
 mod view;
 
 pub use config::Config;
-pub use signals::{Action, Actions, Awaiting, Input, MAX_ACTIONS};
+pub use signals::{Action, Actions, Awaiting, CameraWait, Input, MAX_ACTIONS};
 pub use view::earliest_trigger;
 
-use crate::devices::CameraWait;
 use crate::interlock::{Head, Position};
 use crate::lamp::{Confirmed, Lamp};
 use flankscope_protocol::{

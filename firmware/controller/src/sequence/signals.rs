@@ -1,6 +1,5 @@
 //! What goes into the sequence and what comes out.
 
-use crate::devices::CameraWait;
 use flankscope_protocol::{Event, Fault, Micrometres, Microradians, Milliamps, View};
 
 /// Most actions of one step: the longest chain is a fault (event, LED, event, camera, DMD, stop, retract, event).
@@ -8,6 +7,15 @@ pub const MAX_ACTIONS: usize = 16;
 
 /// What one step wants done, in this order.
 pub type Actions = heapless::Vec<Action, MAX_ACTIONS>;
+
+/// What to wait for at the camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CameraWait {
+    /// Ready is high.
+    Ready,
+    /// Exposing has this level.
+    Exposing(bool),
+}
 
 /// Something the outside did, or found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

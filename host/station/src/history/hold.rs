@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{FlockOperation, flock};
 use serde::{Deserialize, Serialize};
 
-use super::die::DieKey;
 use super::error::HistoryError;
+use crate::die::DieKey;
 
 /// Who watches, for others to read.
 #[derive(Serialize, Deserialize)]

@@ -10,7 +10,7 @@
 //! | `store` | the file: made, opened, written in whole transactions, read |
 //! | `schema` | its tables, and which version of them this is |
 //! | `chain` | a keyed digest over every row and the one before it |
-//! | `die` | which die a check is of |
+//! | `same_die` | which checks are of one die |
 //! | `hold` | one watch at a time holds a die |
 //! | `writer` | the sink that a verdict waits for: stores checks, and takes back a verdict that cannot be stored |
 //! | `series` | wear of each flank against cycles, over the tool's present life |
@@ -26,7 +26,6 @@
 
 mod chain;
 mod change;
-mod die;
 mod error;
 mod export;
 mod forecast;
@@ -37,6 +36,7 @@ mod phasors;
 mod remaining;
 mod replay;
 mod retention;
+mod same_die;
 mod schema;
 mod series;
 mod store;
@@ -44,7 +44,6 @@ mod trend;
 mod writer;
 
 pub use change::changes;
-pub use die::DieKey;
 pub use error::HistoryError;
 pub use export::csv;
 pub use forecast::Forecast;

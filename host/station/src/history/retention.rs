@@ -23,11 +23,6 @@ pub struct Retention {
     pub bytes: u64,
 }
 
-impl Retention {
-    /// Room for phasors unless somebody says otherwise: 10 GB are those of some 1600 checks of three teeth.
-    pub const BYTES: u64 = 10_000_000_000;
-}
-
 impl History {
     /// Gives up what need not be kept once check `newest` is stored.
     pub(super) fn give_up(&self, newest: i64, keep: Retention) -> Result<(), HistoryError> {

@@ -9,9 +9,10 @@ use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavior, params};
 
 use super::chain;
-use super::die::{DieKey, columns, same, same_as_asked};
 use super::error::HistoryError;
+use super::same_die::{columns, same, same_as_asked};
 use super::schema::{APPLICATION_ID, FROM_1_TO_2, FROM_2_TO_3, KEPT, PHASORS, TABLES, VERSION};
+use crate::die::DieKey;
 use crate::inspection::Inspection;
 use crate::origin::{HeadId, Origin};
 use crate::seal::Seals;

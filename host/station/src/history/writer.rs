@@ -3,13 +3,13 @@
 use flankscope_metrology::verdict::{Code, Latch, Reason};
 use rayon::prelude::*;
 
-use super::die::DieKey;
 use super::error::HistoryError;
 use super::hold::{Hold, hold};
 use super::phasors::pack;
 use super::retention::Retention;
 use super::store::History;
 use crate::baseline::Baseline;
+use crate::die::DieKey;
 use crate::inspection::Inspection;
 use crate::sink::{ResultSink, SinkError};
 
@@ -25,31 +25,20 @@ pub struct HistoryWriter {
 
 impl HistoryWriter {
     /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
-    /// better than from the last check. Of a go, the phasors are given up after `keep_phasors` later checks, of a warning and what
-    /// was indeterminate after ten times as many; a no-go keeps them. `operator` is who runs the instrument.
+    /// better than from the last check. `operator` is who runs the instrument.
     #[must_use]
     pub fn new(
         history: History,
         tool_cycles: Option<u32>,
-        keep_phasors: u32,
+        keep: Retention,
         operator: String,
     ) -> Self {
         Self {
             history,
             tool_cycles,
-            keep: Retention {
-                checks: keep_phasors,
-                bytes: Retention::BYTES,
-            },
+            keep,
             operator,
         }
-    }
-
-    /// Phasors take at most so many bytes; those of no-gos alone may take more.
-    #[must_use]
-    pub fn within(mut self, bytes: u64) -> Self {
-        self.keep.bytes = bytes;
-        self
     }
 
     /// What will be given up next, once the room for phasors is nearly full.

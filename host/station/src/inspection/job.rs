@@ -20,7 +20,7 @@ use crate::acquisition::{
 };
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
-use crate::history::DieKey;
+use crate::die::DieKey;
 use crate::origin::{HeadId, Origin, Setting};
 use crate::seal::Seals;
 use crate::settings::StationSettings;

@@ -88,19 +88,6 @@ pub enum PlanningError {
         /// The tooth.
         tooth: u32,
     },
-    /// A view of a scan's recording that is not of its grid.
-    #[error(
-        "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
-    )]
-    OffGrid {
-        /// View, from 1.
-        view: usize,
-        /// The grid.
-        grid: String,
-    },
-    /// The index's grid is none.
-    #[error("grid of the recording: {0}")]
-    Grid(#[from] crate::scan::GridError),
     /// Too many views for one plan.
     #[error("{got} teeth are too many for one check; at most {limit}")]
     TooMany {

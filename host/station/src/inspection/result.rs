@@ -8,8 +8,8 @@ use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_profilometry::decode::Rejected;
 use serde::Serialize;
 
-use crate::baseline::Reference;
-use crate::history::DieKey;
+use crate::baseline::{Baseline, BaselineError, Reference};
+use crate::die::DieKey;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
@@ -310,6 +310,26 @@ pub struct Inspection {
 }
 
 impl Inspection {
+    /// What a check of a new tool says of it.
+    ///
+    /// # Errors
+    /// The check did not end in go.
+    pub fn baseline(&self) -> Result<Baseline, BaselineError> {
+        if self.verdict != Word::Go {
+            return Err(BaselineError::NotNew {
+                verdict: self.verdict,
+            });
+        }
+        let hash = |(name, hash): (&&str, &String)| ((*name).to_owned(), hash.clone());
+        Ok(Baseline {
+            tool: self.tool.clone(),
+            hashes: self.hashes.iter().map(hash).collect(),
+            simulated: self.origin.simulated,
+            flanks: self.fields.clone(),
+            poses: self.poses.clone(),
+        })
+    }
+
     /// The verdict and its reason.
     #[must_use]
     pub fn sentence(&self) -> String {

@@ -19,7 +19,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use super::cell_observations::layout;
 use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
-use super::grid::Grid;
+use super::grid::{Grid, GridError};
 use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
 use super::reference::{Reference, ReferenceError};
@@ -52,6 +52,19 @@ pub enum ScanError {
     /// The session folder is unusable.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// The recording's grid is none.
+    #[error("grid of the recording: {0}")]
+    Grid(#[from] GridError),
+    /// A view of a recording that is not of its grid.
+    #[error(
+        "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
+    )]
+    OffGrid {
+        /// View, from 1.
+        view: usize,
+        /// The grid.
+        grid: String,
+    },
     /// No common solution.
     #[error(transparent)]
     Adjustment(#[from] AdjustmentError),

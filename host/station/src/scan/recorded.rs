@@ -47,7 +47,7 @@ impl RecordedScan {
     ) -> Result<Self, ScanError> {
         let recorded = recording.views(&subject.head);
         let recorded = recorded.map_err(InspectError::from)?;
-        let (planned, of) = planned(&subject, recording).map_err(InspectError::from)?;
+        let (planned, of) = planned(&subject, recording)?;
         let camera = &subject.head.camera;
         let size_px = [camera.width_px, camera.height_px];
         let sensor = recording.sensor(&subject.head);
@@ -140,17 +140,19 @@ impl RecordedScan {
 fn planned(
     subject: &Subject,
     recording: &Recording,
-) -> Result<(PlannedScan, Vec<usize>), PlanningError> {
+) -> Result<(PlannedScan, Vec<usize>), ScanError> {
     let (tool, index) = (&subject.tool, &recording.index);
-    let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
+    let gear = tool.gear.as_ref();
+    let gear = gear.ok_or(InspectError::from(PlanningError::NoGear))?;
     let mut views: Vec<PlannedView> = Vec::new();
     if let Some(grid) = &index.grid {
         views = grid.parse::<Grid>()?.views(gear);
     }
     let mut of = Vec::with_capacity(index.view.len());
     for (at, said) in index.view.iter().enumerate() {
-        let tooth = tooth_in_middle(gear, at, said)?;
-        let nominal = ViewPlan::nominal(tool, &[tooth])?.swap_remove(0);
+        let tooth = tooth_in_middle(gear, at, said).map_err(InspectError::from)?;
+        let nominal = ViewPlan::nominal(tool, &[tooth]);
+        let nominal = nominal.map_err(InspectError::from)?.swap_remove(0);
         let stood = PlannedView {
             tooth,
             rotation_rad: said.rotation_rad.unwrap_or(nominal.rotation_rad),
@@ -167,7 +169,7 @@ fn planned(
                 views.len() - 1
             }
             (None, Some(grid)) => {
-                return Err(PlanningError::OffGrid {
+                return Err(ScanError::OffGrid {
                     view: at + 1,
                     grid: grid.clone(),
                 });

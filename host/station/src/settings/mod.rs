@@ -19,7 +19,6 @@ use flankscope_metrology::multiview::adjustment::Local;
 use serde::{Deserialize, Serialize};
 
 use crate::controller::ClientSettings;
-use crate::history::Retention;
 
 /// A station's file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -188,7 +187,7 @@ impl Default for Store {
         Self {
             file: None,
             keep_phasors: 1_000,
-            keep_phasors_gb: Retention::BYTES as f64 / 1e9,
+            keep_phasors_gb: 10.0,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Results of checks that nobody made.
 
 use flankscope_metrology::verdict::Word;
-use flankscope_station::history::DieKey;
+use flankscope_station::die::DieKey;
 use flankscope_station::inspection::{
     Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };

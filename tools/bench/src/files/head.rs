@@ -6,10 +6,7 @@ use nalgebra::Isometry3;
 use serde::Deserialize;
 
 use super::{FileError, Placement, read};
-use crate::world::{HeadOptics, Pinhole, Unevenness};
-
-/// Coefficients of a [`Remainder`] along a side.
-pub const SIDE: usize = 10;
+use crate::world::{HeadOptics, Pinhole, Remainder, Unevenness};
 
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
@@ -38,19 +35,6 @@ pub struct Lens {
     pub distortion: [f64; 5],
     /// What the lens does beyond that.
     pub residual: Option<Box<Remainder>>,
-}
-
-/// A shift of the image over a square of the plane `z = 1`: uniform cubic B-splines along both axes.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct Remainder {
-    /// Middle of the square.
-    pub centre: [f64; 2],
-    /// Half its side.
-    pub half_side: f64,
-    /// Shift along the columns; coefficients of the least y first.
-    pub columns_px: [[f64; SIDE]; SIDE],
-    /// Shift along the rows.
-    pub rows_px: Option<[[f64; SIDE]; SIDE]>,
 }
 
 impl HeadFile {

@@ -13,7 +13,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-pub use head::{HeadFile, Lens, Remainder, SIDE};
+pub use head::{HeadFile, Lens};
 pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 

@@ -43,7 +43,7 @@ pub use rays::{Hit, RayCaster};
 pub use scene::CoreTruth;
 pub use sensor::SensorSpec;
 pub use surface::Surface;
-pub use unevenness::Unevenness;
+pub use unevenness::{Remainder, Unevenness};
 pub use wear::{
     FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
 };

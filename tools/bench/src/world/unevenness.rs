@@ -3,14 +3,30 @@
 use std::f64::consts::TAU;
 
 use nalgebra::Vector2;
+use serde::Deserialize;
 
 use super::random::{Normals, Purpose, stream};
-use crate::files::{Remainder, SIDE};
 
 /// Waves that one lens is made of.
 const WAVES: usize = 6;
 /// Their lengths over the field's diameter: too short for the distortion's polynomial, as long as polishing and index leave.
 const LENGTHS: [f64; 2] = [0.4, 0.8];
+
+/// Coefficients of a [`Remainder`] along a side.
+pub const SIDE: usize = 10;
+
+/// A shift of the image over a square of the plane `z = 1`: uniform cubic B-splines along both axes.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Remainder {
+    /// Middle of the square.
+    pub centre: [f64; 2],
+    /// Half its side.
+    pub half_side: f64,
+    /// Shift along the columns; coefficients of the least y first.
+    pub columns_px: [[f64; SIDE]; SIDE],
+    /// Shift along the rows.
+    pub rows_px: Option<[[f64; SIDE]; SIDE]>,
+}
 
 /// Where light goes astray, over the undistorted image plane `z = 1`.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! The link's two tasks: bytes to commands, replies and events to bytes.
 
+use super::{Mailboxes, Outgoing, Request};
 use crate::liveness::Task;
-use crate::run::{Mailboxes, Outgoing, Request};
 use core::sync::atomic::Ordering;
 use embedded_io_async::{Read, Write};
 use flankscope_protocol::{Command, Decoder, Header, Kind, MAX_FRAME_BYTES, encode};

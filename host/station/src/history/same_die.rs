@@ -1,46 +1,6 @@
-//! Which die a check is of: a no-go stands against the die, whatever its tool file calls it.
+//! [`DieKey::is_same`](crate::die::DieKey::is_same) in SQL.
 
-use serde::Serialize;
-
-/// What a die is known by.
-///
-/// Two checks are of the same die when both name a serial number and it is the same; where one of them names none, when
-/// either the tool's name or its geometry is the same. So a no-go is not shed by another name, nor by another CAD alone;
-/// dies of one design are told apart by their serial numbers.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct DieKey {
-    /// Name of the tool.
-    pub tool: String,
-    /// BLAKE3 of CAD and gear data; checks of earlier releases have none.
-    pub geometry: Option<String>,
-    /// Serial number in the tool file.
-    pub serial: Option<String>,
-}
-
-impl DieKey {
-    /// A die of which only the name is known.
-    #[must_use]
-    pub fn named(tool: &str) -> Self {
-        Self {
-            tool: tool.into(),
-            ..Self::default()
-        }
-    }
-
-    /// Whether it may be the same die.
-    #[must_use]
-    pub fn is_same(&self, other: &Self) -> bool {
-        match (&self.serial, &other.serial) {
-            (Some(one), Some(two)) => one == two,
-            _ => {
-                self.tool == other.tool
-                    || self.geometry.is_some() && self.geometry == other.geometry
-            }
-        }
-    }
-}
-
-/// The same in SQL, of two rows or parameters that have `tool`, `geometry` and `serial`.
+/// Whether two rows or parameters are of the same die, that have `tool`, `geometry` and `serial`.
 pub(super) fn same(
     [tool, geometry, serial]: [&str; 3],
     [other, other_geometry, other_serial]: [&str; 3],
@@ -65,6 +25,7 @@ pub(super) fn same_as_asked(table: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::die::DieKey;
 
     #[test]
     fn database_and_program_agree_on_what_is_the_same_die() {

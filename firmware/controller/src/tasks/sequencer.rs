@@ -1,89 +1,21 @@
-//! The sequencer task and the mailboxes between the tasks.
+//! The sequencer task: carries what happened to the sequence, and does what the sequence says.
 
+use super::{Mailboxes, Outgoing, Request};
 use crate::command_handler::{CommandHandler, LinkCounts};
 use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::interlock::Position;
-use crate::liveness::{Liveness, Task};
-use crate::mailbox::Mailbox;
+use crate::liveness::Task;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};
-use crate::stage::{StageReport, StageRequest};
-use core::sync::atomic::{AtomicU32, Ordering};
+use crate::stage::StageRequest;
+use core::sync::atomic::Ordering;
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use flankscope_protocol::message::Boot;
-use flankscope_protocol::{Command, Event, Header, Reply, Timestamp};
+use flankscope_protocol::{Event, Timestamp};
 
-/// Events waiting for the link: about two views' worth of triggers.
-pub const EVENTS_QUEUED: usize = 64;
 /// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
 const SELECT_TIMEOUT: Duration = Duration::from_millis(20);
-
-/// A command as it came off the link; `None` when the payload could not be read.
-#[derive(Debug, Clone)]
-pub struct Request {
-    /// Addressing of its frame.
-    pub header: Header,
-    /// The command.
-    pub command: Option<Command>,
-}
-
-/// A message on its way to the host.
-#[derive(Debug, Clone)]
-#[allow(clippy::large_enum_variant)] // queued in static memory
-pub enum Outgoing {
-    /// To the command with this addressing.
-    Reply(Header, Reply),
-    /// In the open session.
-    Event(Event),
-}
-
-/// Everything the tasks share; one static per controller.
-pub struct Mailboxes {
-    pub(crate) requests: Mailbox<Request, 2>,
-    pub(crate) outgoing: Mailbox<Outgoing, EVENTS_QUEUED>,
-    /// What the sequence asks of the stages: [`crate::stage::run`] takes it from here.
-    pub stage_requests: Mailbox<StageRequest, 4>,
-    /// What became of it.
-    pub stage_reports: Mailbox<StageReport, 4>,
-    pub(crate) liveness: Liveness,
-    pub(crate) session: AtomicU32,
-    pub(crate) frames_dropped: AtomicU32,
-    pub(crate) events_lost: AtomicU32,
-}
-
-impl Mailboxes {
-    /// Empty, without a watchdog.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self::with(false)
-    }
-
-    /// Empty; [`crate::supervise`] must run, and every task wakes up to show life.
-    #[must_use]
-    pub const fn supervised() -> Self {
-        Self::with(true)
-    }
-
-    const fn with(supervised: bool) -> Self {
-        Self {
-            liveness: Liveness::new(supervised),
-            requests: Mailbox::new(),
-            outgoing: Mailbox::new(),
-            stage_requests: Mailbox::new(),
-            stage_reports: Mailbox::new(),
-            session: AtomicU32::new(0),
-            frames_dropped: AtomicU32::new(0),
-            events_lost: AtomicU32::new(0),
-        }
-    }
-}
-
-impl Default for Mailboxes {
-    fn default() -> Self {
-        Self::new()
-    }
-}
 
 /// The controller's clock.
 #[must_use]

@@ -1,0 +1,252 @@
+//! `flankscope doctor`: what is installed, connected, calibrated, expired.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use flankscope_frames::{FrameReceiver, default_base};
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+use flankscope_station::doctor::{self, Finding, healthy};
+use flankscope_station::origin::Link;
+use flankscope_station::seal::Seals;
+use serde::Serialize;
+
+use crate::bench_link::{BenchArgs, demo_tool};
+use crate::instrument::{Instrument, Scene, head_path, scratch};
+use crate::output::{Common, Outcome, in_words, say};
+use crate::site::{Place, Site};
+
+/// How long a camera process may take to come.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
+
+/// Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.
+///
+/// One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what would
+/// make it right. What needs attention works today. With a real port everything that a check there needs is looked at; without
+/// one, the simulated bench.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope doctor --link /dev/ttyACM0 --tool DIR --history press.db\n\n\
+    Exit code: 0 nothing has failed, 3 something has"
+)]
+pub struct Args {
+    /// Folder with tool.toml, and head.toml unless --head names one [default: the demo die, on the bench only]
+    #[arg(long, value_name = "DIR")]
+    tool: Option<PathBuf>,
+    /// Head file instead of the tool folder's
+    #[arg(long, value_name = "HEAD.toml")]
+    head: Option<PathBuf>,
+    /// History that checks are stored in [default: the station's]
+    #[arg(long, value_name = "FILE")]
+    history: Option<PathBuf>,
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    bench: BenchArgs,
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    healthy: bool,
+    version: &'a str,
+    station: &'a str,
+    operator: Option<&'a str>,
+    link: String,
+    simulated: bool,
+    findings: &'a [Finding],
+}
+
+/// Runs the subcommand.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    args.common.try_json()?;
+    let site = args.place.site(&[
+        ("--tool", args.tool.is_some()),
+        ("--history", args.history.is_some()),
+    ])?;
+    if !args.common.quiet {
+        say(&site.words());
+    }
+    let mut findings = vec![program()];
+    let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder));
+    findings.push(doctor::key(&seals));
+    let seals = seals.ok();
+    let own = scratch()?;
+    let tool = args.tool(&site, own.path());
+    let mut made = Vec::new();
+    findings.extend(args.head(&site, &tool, seals.as_ref(), own.path(), &mut made));
+    findings.extend(args.instrument(&site, tool.folder.as_deref()));
+    findings.insert(2, tool.finding);
+    let history = args
+        .history
+        .as_ref()
+        .or(site.settings.history.file.as_ref());
+    if let (Some(path), Some(seals)) = (history, &seals) {
+        let (finding, last) = doctor::history(path, seals);
+        findings.push(finding);
+        made.extend(last.map(|day| ("the last check of the history", day)));
+    }
+    findings.push(doctor::shared_memory(&default_base()?));
+    findings.push(doctor::disk(
+        history.map_or(Path::new("."), PathBuf::as_path),
+    ));
+    findings.push(doctor::clock(&made));
+
+    let healthy = healthy(&findings);
+    if args.common.shows_table() {
+        let mut out = std::io::stdout().lock();
+        for finding in &findings {
+            writeln!(out, "{}", finding.line())?;
+        }
+    }
+    args.common.write_json(&Document {
+        healthy,
+        version: env!("CARGO_PKG_VERSION"),
+        station: &site.setting.station,
+        operator: site.setting.operator.as_deref(),
+        link: site.link().to_string(),
+        simulated: site.link().is_simulated(),
+        findings: &findings,
+    })?;
+    Ok(match healthy {
+        true => Outcome::Done,
+        false => Outcome::CouldNotRun,
+    })
+}
+
+fn program() -> Finding {
+    let bench = match cfg!(feature = "bench") {
+        true => "with the simulated bench",
+        false => "without the simulated bench",
+    };
+    let version = env!("CARGO_PKG_VERSION");
+    Finding::ok("program", format!("flankscope {version}, {bench}"))
+}
+
+/// The tool that was asked for, as far as it could be read.
+struct Looked {
+    tool: Option<Tool>,
+    /// Where it lies; a bench needs no more.
+    folder: Option<PathBuf>,
+    finding: Finding,
+}
+
+impl Args {
+    fn tool(&self, site: &Site, scratch: &Path) -> Looked {
+        let refused = |why: anyhow::Error| Looked {
+            tool: None,
+            folder: None,
+            finding: Finding::failed(
+                "tool",
+                in_words(&why),
+                "name the folder of the tool by --tool DIR",
+            ),
+        };
+        if let Err(why) = site.demands_tool(self.tool.as_deref()) {
+            return refused(why);
+        }
+        let folder = match &self.tool {
+            Some(folder) => Ok(folder.clone()),
+            None => demo_tool(scratch),
+        };
+        let folder = match folder {
+            Ok(folder) => folder,
+            Err(why) => return refused(why),
+        };
+        let tool = Tool::load(&folder);
+        let finding = doctor::tool(&tool);
+        Looked {
+            folder: tool.is_ok().then_some(folder),
+            tool: tool.ok(),
+            finding,
+        }
+    }
+
+    fn head(
+        &self,
+        site: &Site,
+        looked: &Looked,
+        seals: Option<&Seals>,
+        scratch: &Path,
+        made: &mut Vec<(&'static str, flankscope_foundation::date::Date)>,
+    ) -> Option<Finding> {
+        const REMEDY: &str = "name a head file by --head, made by flankscope calibrate";
+        let path = match (&self.head, &looked.tool) {
+            (Some(head), _) => Ok(head.clone()),
+            (None, Some(tool)) => site
+                .demands([self.tool.as_deref(), None])
+                .and_then(|()| head_path(tool, None, scratch)),
+            (None, None) => {
+                return Some(Finding::not_asked(
+                    "head",
+                    "it is looked for beside the tool",
+                ));
+            }
+        };
+        let head = path.and_then(|path| Ok((HeadModel::load(&path)?, path)));
+        let (head, path) = match head {
+            Ok(head) => head,
+            Err(why) => return Some(Finding::failed("head", in_words(&why), REMEDY)),
+        };
+        made.extend(
+            head.calibration
+                .as_ref()
+                .map(|of| ("the head's calibration", of.date)),
+        );
+        let fits = site.takes_head(&head).map_err(|why| in_words(&why));
+        Some(doctor::head(&path, &head, fits, seals))
+    }
+
+    /// Controller, stages, press and camera, by the bench where there is one.
+    fn instrument(&self, site: &Site, folder: Option<&Path>) -> Vec<Finding> {
+        const ASKED: [&str; 4] = ["controller", "stages", "press", "camera"];
+        let unasked = |why: &str| ASKED.map(|check| Finding::not_asked(check, why)).to_vec();
+        let folder = match (folder, site.link()) {
+            (Some(folder), _) => folder,
+            (None, Link::Port(_)) => Path::new("."),
+            (None, _) => return unasked("the bench needs a tool to stand on it"),
+        };
+        let started = scratch().and_then(|scratch| {
+            let scene = Scene::default();
+            Instrument::before(folder, site, &self.bench, scene, true, scratch, |root| {
+                Ok(FrameReceiver::create(&root)?)
+            })
+        });
+        let instrument = match started {
+            Ok(instrument) => instrument,
+            Err(why) => {
+                let mut findings = unasked("it could not be started");
+                findings[0] =
+                    Finding::failed("controller", in_words(&why), "see what it said above");
+                return findings;
+            }
+        };
+        let mut findings = doctor::controller(&instrument.port, instrument.settings).to_vec();
+        findings.push(camera(&instrument.station, site));
+        findings
+    }
+}
+
+fn camera(receiver: &FrameReceiver, site: &Site) -> Finding {
+    const CHECK: &str = "camera";
+    let begun = Instant::now();
+    while site.link().is_simulated() && begun.elapsed() < CAMERA_PATIENCE {
+        if receiver.camera_connected() {
+            return Finding::ok(CHECK, "its process has come");
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    match site.link() {
+        Link::Port(_) => Finding::attention(
+            CHECK,
+            "its process is started when a check begins",
+            "give it the folder that the check names",
+        ),
+        _ => {
+            let seen = format!("no process came within {} s", CAMERA_PATIENCE.as_secs());
+            Finding::failed(CHECK, seen, "look at what it said above")
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! The controller: whether it answers, and as what.
+
+use std::path::Path;
+use std::time::Instant;
+
+use flankscope_protocol::message::Boot;
+use flankscope_protocol::{Identity, Line, PROTOCOL_VERSION, State, Status};
+use serde_json::json;
+
+use super::Finding;
+use crate::controller::{Client, ClientError, ClientSettings, LinkError};
+
+const CHECK: &str = "controller";
+
+/// Says hello and asks for the status; nothing moves. The second finding is of the stages, the third of the press.
+#[must_use]
+pub fn controller(port: &Path, settings: ClientSettings) -> [Finding; 3] {
+    let unasked = |why: &str| {
+        [
+            Finding::not_asked("stages", why),
+            Finding::not_asked("press", why),
+        ]
+    };
+    match ask(port, settings) {
+        Ok((identity, status, answer_ms)) => [
+            answered(&identity, &status, answer_ms),
+            stages(&status),
+            press(&status),
+        ],
+        Err(error) => {
+            let [stages, press] = unasked("the controller does not answer");
+            [
+                Finding::failed(CHECK, error.to_string(), remedy(&error)),
+                stages,
+                press,
+            ]
+        }
+    }
+}
+
+fn ask(port: &Path, settings: ClientSettings) -> Result<(Identity, Status, u128), ClientError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    let runtime = runtime.map_err(|error| LinkError::Gone {
+        reason: error.to_string(),
+    })?;
+    runtime.block_on(async {
+        let begun = Instant::now();
+        let mut client = Client::connect(port, settings).await?;
+        let answer_ms = begun.elapsed().as_millis();
+        let status = client.status().await?;
+        Ok((*client.identity(), status, answer_ms))
+    })
+}
+
+fn remedy(error: &ClientError) -> String {
+    match error {
+        ClientError::Link(LinkError::Open { source, .. }) => match source.kind {
+            serialport::ErrorKind::NoDevice
+            | serialport::ErrorKind::Io(std::io::ErrorKind::NotFound) => "plug the controller in; ls /dev/tty* names the ports".into(),
+            serialport::ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => {
+                "let this user open the port: add it to the group dialout (usermod -aG dialout USER), log in again".into()
+            }
+            _ => "free the port: another program may hold it".into(),
+        },
+        ClientError::Silent { .. } => format!(
+            "flash the board (firmware/README.md), and see that its line is {}",
+            Line::HOST
+        ),
+        ClientError::Version { .. } => "install host and firmware of one release".into(),
+        _ => "unplug the controller, plug it in again, and look at its power and cable".into(),
+    }
+}
+
+fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
+    let [major, minor, patch] = identity.firmware;
+    let boot = match identity.boot {
+        Boot::PowerUp => "power-up",
+        Boot::Watchdog => "watchdog reset",
+        Boot::Panic => "panic",
+        Boot::Requested => "requested reset",
+    };
+    let figures = json!({
+        "firmware": format!("{major}.{minor}.{patch}"),
+        "protocol": PROTOCOL_VERSION,
+        "line": Line::HOST.to_string(),
+        "baud": Line::HOST.baud,
+        "answer_ms": answer_ms as u64,
+        "boot": boot,
+        "frames_dropped": status.frames_dropped,
+        "events_lost": status.events_lost,
+    });
+    let seen = format!(
+        "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}",
+        Line::HOST
+    );
+    let finding = match (status.fault, identity.boot) {
+        (Some(fault), _) => Finding::failed(
+            CHECK,
+            format!("{seen}; {fault} is not acknowledged"),
+            "remove its cause; the next check acknowledges it",
+        ),
+        (None, Boot::Watchdog | Boot::Panic) => Finding::attention(
+            CHECK,
+            seen,
+            "report it: the controller reset itself because its program had gone wrong",
+        ),
+        (None, Boot::PowerUp | Boot::Requested) => Finding::ok(CHECK, seen),
+    };
+    finding.with(figures)
+}
+
+fn stages(status: &Status) -> Finding {
+    let [rotation_deg, vertical_mm] = [
+        f64::from(status.rotation.get()).to_degrees() / 1e6,
+        f64::from(status.vertical.get()) / 1e3,
+    ];
+    let figures = json!({
+        "homed": status.homed,
+        "rotation_deg": rotation_deg,
+        "vertical_mm": vertical_mm,
+    });
+    let seen = match status.homed {
+        true => format!("referenced, at {rotation_deg:.3} deg and {vertical_mm:.3} mm"),
+        false => {
+            "not referenced since the controller started: the next check references them".into()
+        }
+    };
+    Finding::ok("stages", seen).with(figures)
+}
+
+fn press(status: &Status) -> Finding {
+    let press = status.press;
+    let word = |is: bool, yes: &'static str, no: &'static str| if is { yes } else { no };
+    let seen = format!(
+        "{}, {}, {} cycles since the controller started",
+        word(press.open, "open", "closed"),
+        word(press.head_clear, "may stroke", "may not stroke"),
+        press.cycles
+    );
+    let figures = json!({
+        "open": press.open,
+        "head_clear": press.head_clear,
+        "cycles": press.cycles,
+    });
+    let idle = matches!(status.state, State::Unhomed | State::Ready | State::Faulted);
+    if idle {
+        Finding::ok("press", seen).with(figures)
+    } else {
+        let busy = format!("{seen}; the controller is {:?}", status.state);
+        Finding::attention(
+            "press",
+            busy,
+            "another program may be measuring: let it end",
+        )
+        .with(figures)
+    }
+}

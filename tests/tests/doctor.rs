@@ -1,0 +1,154 @@
+//! `flankscope doctor`: everything is looked at, nothing moves, and what has failed says what would be right.
+
+use flankscope_protocol::Line;
+use flankscope_tests::{Run, flankscope, inspect, press_tool, run};
+use serde_json::Value;
+
+fn doctor(arguments: &[&str]) -> Run {
+    run(flankscope()
+        .args(["doctor", "--quiet", "--json", "-"])
+        .args(arguments))
+}
+
+fn finding<'a>(run: &'a Run, check: &str) -> &'a Value {
+    let findings = run.json["findings"].as_array().expect("findings");
+    let of = |finding: &&Value| finding["check"] == check;
+    findings
+        .iter()
+        .find(of)
+        .unwrap_or_else(|| panic!("{check}: {}", run.json))
+}
+
+fn expect(run: &Run, check: &str, health: &str, seen: &str, remedy: &str) {
+    let finding = finding(run, check);
+    assert_eq!(finding["health"], health, "{finding}");
+    for (key, words) in [("seen", seen), ("remedy", remedy)] {
+        let said = finding[key].as_str().unwrap_or_default();
+        assert!(said.contains(words), "{words}: {finding}");
+    }
+}
+
+#[test]
+fn the_bench_is_healthy_and_says_what_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = folder.path().join("bench.db");
+    let history = history.to_str().unwrap();
+    let check = inspect(&["--teeth", "40", "--link", "sim", "--history", history]);
+    assert_eq!(check.code, 0, "{}", check.stderr);
+    let healthy = doctor(&[
+        "--link",
+        "sim",
+        "--history",
+        history,
+        "--station",
+        "bench 1",
+    ]);
+    assert_eq!(healthy.code, 0, "{} {}", healthy.json, healthy.stderr);
+    assert_eq!(healthy.json["healthy"], true);
+    assert_eq!(healthy.json["station"], "bench 1");
+    for check in [
+        "program",
+        "key",
+        "tool",
+        "controller",
+        "stages",
+        "press",
+        "camera",
+        "history",
+        "shared memory",
+        "disk",
+        "clock",
+    ] {
+        expect(&healthy, check, "ok", "", "");
+    }
+    // Of the demo head nobody claims that it was calibrated.
+    expect(
+        &healthy,
+        "head",
+        "attention",
+        "not calibrated",
+        "flankscope calibrate",
+    );
+    let controller = &finding(&healthy, "controller")["figures"];
+    assert_eq!(controller["baud"], Line::HOST.baud);
+    assert_eq!(controller["firmware"], check.json["versions"]["firmware"]);
+    assert_eq!(finding(&healthy, "history")["figures"]["checks"], 1);
+    let id = finding(&healthy, "key")["figures"]["id"].as_str().unwrap();
+    assert!(id.len() == 16, "{id}");
+
+    let shown = flankscope().args(["doctor"]).output().unwrap();
+    let table = String::from_utf8(shown.stdout).unwrap();
+    assert_eq!(table.lines().count(), 11, "one line each: {table}");
+}
+
+/// Whatever is wrong is named with its remedy, beside everything else.
+#[test]
+fn what_has_failed_says_what_would_be_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let tool = press_tool(&folder.path().join("die"));
+    let nowhere = "/dev/flankscope-is-not-here";
+    let absent = doctor(&["--link", nowhere, "--tool", &tool]);
+    assert_eq!(absent.code, 3, "{}", absent.json);
+    assert_eq!(absent.json["healthy"], false);
+    expect(
+        &absent,
+        "controller",
+        "failed",
+        nowhere,
+        "plug the controller in",
+    );
+    expect(&absent, "stages", "not_asked", "controller", "");
+    expect(&absent, "tool", "ok", "demo die", "");
+    expect(&absent, "head", "ok", "self-test due", "");
+
+    let bare = doctor(&["--link", nowhere]);
+    assert_eq!(bare.code, 3);
+    expect(&bare, "tool", "failed", "without --tool", "--tool DIR");
+    expect(&bare, "head", "not_asked", "", "");
+    expect(&bare, "shared memory", "ok", "", "");
+
+    let head = folder.path().join("die/head.toml");
+    let text = std::fs::read_to_string(&head).unwrap();
+    let edited: String = text
+        .lines()
+        .map(|line| match line.split(' ').next() {
+            Some("date") => "date = \"2001-01-01\"\n".into(),
+            Some("expires") => "expires = \"2001-06-30\"\n".into(),
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    std::fs::write(&head, edited).unwrap();
+    let changed = doctor(&["--link", nowhere, "--tool", &tool]);
+    expect(
+        &changed,
+        "head",
+        "failed",
+        "not believed",
+        "flankscope trust",
+    );
+    let trusted = run(flankscope()
+        .arg("trust")
+        .arg(&head)
+        .args(["--quiet", "--name", "tester"]));
+    assert_eq!(trusted.code, 0, "{}", trusted.stderr);
+    let expired = doctor(&["--link", nowhere, "--tool", &tool]);
+    expect(
+        &expired,
+        "head",
+        "failed",
+        "expired after 2001-06-30",
+        "flankscope calibrate",
+    );
+
+    let history = folder.path().join("no.db");
+    std::fs::write(&history, "no history").unwrap();
+    let broken = doctor(&["--link", "sim", "--history", history.to_str().unwrap()]);
+    assert_eq!(broken.code, 3);
+    expect(&broken, "history", "failed", "no.db", "");
+    expect(&broken, "controller", "ok", "", "");
+
+    let bad = doctor(&["--link", "sim", "--tool", folder.path().to_str().unwrap()]);
+    assert_eq!(bad.code, 3);
+    expect(&bad, "tool", "failed", "tool.toml", "docs/formats.md");
+    expect(&bad, "controller", "not_asked", "", "");
+}
