@@ -201,7 +201,7 @@ pub struct ViewRegistration {
     pub reason: Option<String>,
     /// Points decoded.
     pub points: usize,
-    /// Part of the cells that would be points, but whose frames do not follow one fringe.
+    /// Part of the cells with fringes whose frames do not follow one.
     pub inconsistent_ratio: f64,
     /// What the view says of its light; absent where it was not decoded.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -654,10 +654,11 @@ pub(crate) fn rays_without_point<'a>(
     directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
 }
 
-/// Part of the cells with a fringe and an order whose frames contradict each other.
+/// Part of the cells with fringes whose frames contradict each other. Where frequencies disagree frames are not asked; the few
+/// cells that are left of such a view are not what it is like.
 fn inconsistent_ratio(decoded: &Decoded) -> f64 {
-    let lost = decoded.rejected.inconsistent as f64;
-    lost / (lost + decoded.cloud.len() as f64).max(1.0)
+    let [lost, disagreeing] = [decoded.rejected.inconsistent, decoded.rejected.disagreeing];
+    lost as f64 / (lost + disagreeing + decoded.cloud.len()).max(1) as f64
 }
 
 fn summary(
