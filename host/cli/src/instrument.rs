@@ -20,14 +20,15 @@ use crate::bench_link::{
     Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
 };
 use crate::grid::Grid;
+use crate::help;
+use crate::interrupt;
 use crate::output::say;
 use crate::site::{Place, Site, station_file, user_name};
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Source {
-    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::TOOL)]
     pub tool: Option<PathBuf>,
     /// Head file instead of the tool folder's, for example a fresh calibration
     #[arg(long, value_name = "HEAD.toml")]
@@ -284,6 +285,7 @@ impl<S> Instrument<S> {
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
+        let interrupt = interrupt::on_signals()?;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
@@ -292,7 +294,10 @@ impl<S> Instrument<S> {
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),
-                settings: bench.client_settings(&site.settings),
+                settings: ClientSettings {
+                    interrupt,
+                    ..bench.client_settings(&site.settings)
+                },
                 bench: Some(bench),
                 _root: root,
                 _scratch: scratch,
@@ -304,7 +309,10 @@ impl<S> Instrument<S> {
         Ok(Self {
             station,
             port: port.clone(),
-            settings: site.settings.client(),
+            settings: ClientSettings {
+                interrupt,
+                ..site.settings.client()
+            },
             bench: None,
             _root: root,
             _scratch: scratch,

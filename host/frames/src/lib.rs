@@ -38,7 +38,7 @@ pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monot
 pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
-pub use private::{RunFolder, default_base};
+pub use private::{RunFolder, default_base, remove_run_folders};
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};
 pub use sender::{FrameSender, LoanedFrame, Overflow};

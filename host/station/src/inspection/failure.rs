@@ -39,9 +39,9 @@ impl From<&Stop> for Reason {
             )) => Code::EventsLost,
             Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
             Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
+            Stop::Interrupted | Stop::Broken(AcquisitionError::Interrupted) => Code::Interrupted,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
             Stop::HoldLimit => Code::HoldTime,
-            Stop::Interrupted => Code::NotCaptured,
         };
         Self::instrument(code, stop)
     }
