@@ -21,11 +21,13 @@ mod instrument;
 mod interrupt;
 mod merge;
 mod output;
+mod progress;
 mod register;
 mod replay;
 mod sample;
 mod scan;
 mod site;
+mod terminal;
 mod trust;
 mod watch;
 

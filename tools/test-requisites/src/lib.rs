@@ -5,6 +5,9 @@
 
 use std::path::{Path, PathBuf};
 
+/// Where [`stage_clients`] looks, from the repository.
+pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
+
 /// Whether everything must run: nothing may be missed, and campaigns draw as many cases as they state.
 #[must_use]
 pub fn everything() -> bool {
@@ -60,6 +63,19 @@ pub fn emulated_image(name: &str) -> Option<PathBuf> {
         (true, true) => Some(image),
         (false, _) => missed(&format!("{name}, which cargo xtask firmware builds,")),
         (_, false) => missed("qemu-system-arm"),
+    }
+}
+
+/// Python with two clients of other people for the stage controller.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn stage_clients() -> Option<PathBuf> {
+    let python = workspace().join(STAGE_CLIENTS);
+    match python.is_file() {
+        true => Some(python),
+        false => missed(&format!("{STAGE_CLIENTS} (tools/peers/README.md)")),
     }
 }
 
