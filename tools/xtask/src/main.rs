@@ -123,8 +123,8 @@ fn test(all: bool) -> Result<(), String> {
     }
     if !all {
         eprintln!(
-            "  --all adds                 10 times the kills (2 000), 300 damaged dies instead of 8, 100 000 drawn flanks instead of \
-             3 000; and fails where something cannot run"
+            "  --all adds                 10 times the kills (2 000), 20 seeds instead of 4, 300 damaged dies instead of 8, \
+             100 000 drawn flanks instead of 3 000; and fails where something cannot run"
         );
     }
     match (tests, arrows) {
