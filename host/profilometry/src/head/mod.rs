@@ -206,7 +206,7 @@ impl HeadModel {
             return Err(BadValue::new(
                 "pattern_set",
                 name,
-                "must be article8, insitu12 or scan16",
+                crate::pattern::KNOWN_SETS,
             ));
         }
         Ok(())
