@@ -19,6 +19,7 @@ mod inspect;
 mod instrument;
 mod merge;
 mod output;
+mod patterns;
 mod register;
 mod replay;
 mod sample;
@@ -58,6 +59,7 @@ enum Command {
     Replay(replay::Args),
     Trust(trust::Args),
     Doctor(doctor::Args),
+    Patterns(patterns::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true, subcommand)]
@@ -102,6 +104,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Trust(args) => trust::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Patterns(args) => patterns::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };
