@@ -19,6 +19,7 @@ use flankscope_station::seal::{Kind, SealError, Seals};
 use crate::bench_link::{
     Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
 };
+use crate::camera_process::CameraProcess;
 use crate::grid::Grid;
 use crate::output::say;
 use crate::site::{Place, Site, station_file, user_name};
@@ -157,6 +158,7 @@ pub struct Instrument<S = Station> {
     /// How patiently to talk to it.
     pub settings: ClientSettings,
     bench: Option<Bench>,
+    _camera: Option<CameraProcess>,
     _root: Arc<SharedRoot>,
     _scratch: RunFolder,
 }
@@ -294,11 +296,14 @@ impl<S> Instrument<S> {
                 port: bench.port().to_path_buf(),
                 settings: bench.client_settings(&site.settings),
                 bench: Some(bench),
+                _camera: None,
                 _root: root,
                 _scratch: scratch,
             });
         };
-        if !quiet {
+        let command = &site.settings.camera.command;
+        let camera = CameraProcess::start(command, root.path())?;
+        if camera.is_none() && !quiet {
             say(&format!("frames are expected in {}", root.path().display()));
         }
         Ok(Self {
@@ -306,6 +311,7 @@ impl<S> Instrument<S> {
             port: port.clone(),
             settings: site.settings.client(),
             bench: None,
+            _camera: camera,
             _root: root,
             _scratch: scratch,
         })

@@ -1,5 +1,6 @@
 //! `patterns` as a user runs it.
 
+#[allow(dead_code)] // clouds, which nobody needs here
 mod support;
 
 use support::{assert_refused, flankscope, json};

@@ -40,6 +40,7 @@ impl From<&Stop> for Reason {
             Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
             Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
+            Stop::Camera(_) => Code::CameraUnusable,
             Stop::HoldLimit => Code::HoldTime,
             Stop::Interrupted => Code::NotCaptured,
         };
