@@ -18,6 +18,7 @@ mod grid;
 mod history;
 mod inspect;
 mod instrument;
+mod manual;
 mod merge;
 mod output;
 mod patterns;
@@ -61,6 +62,8 @@ enum Command {
     Trust(trust::Args),
     Doctor(doctor::Args),
     Patterns(patterns::Args),
+    #[command(hide = true)]
+    Manual(manual::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true, subcommand)]
@@ -106,6 +109,7 @@ fn main() -> ExitCode {
         Command::Trust(args) => trust::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Patterns(args) => patterns::run(&args),
+        Command::Manual(args) => manual::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };
