@@ -54,7 +54,7 @@ fn interrupted_after_the_first_capture(session: &Path) -> u64 {
         .status();
     assert!(stopped.unwrap().success());
     let last: Vec<String> = lines.map(Result::unwrap).collect();
-    assert_eq!(running.wait().unwrap().code(), Some(3), "{last:?}");
+    assert_eq!(running.wait().unwrap().code(), Some(130), "{last:?}");
     let said = last.iter().find(|line| line.contains("interrupted after"));
     let said = said.unwrap_or_else(|| panic!("{last:?}"));
     let words: Vec<&str> = said.split_whitespace().collect();

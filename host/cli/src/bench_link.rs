@@ -1,6 +1,7 @@
 //! The simulated bench as a process of its own: this very program, started again.
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{self, Child, ChildStdout, Stdio};
 
@@ -152,6 +153,8 @@ impl Bench {
             std::env::current_exe().context("cannot find this program to start the bench")?;
         let mut child = process::Command::new(program)
             .args(["bench", "run"])
+            // Ctrl-C is for the host: it ends the bench when the head is out.
+            .process_group(0)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

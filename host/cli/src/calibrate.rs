@@ -19,32 +19,33 @@ use flankscope_station::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
+use crate::help;
 use crate::inspect::Watcher;
 use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
+use crate::interrupt;
 use crate::output::{Common, Outcome, say};
 use crate::site::{Place, Site};
 
-/// Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.
-///
-/// The target sits where the die does: plates with printed dots, a blank one beside them. Its folder holds target.toml and
-/// head.toml, the values of the drawing to start from. Without options the demo target on the simulated bench is used. Plates
-/// that took no part in the adjustment are measured with the result; what they show is in the head file, with the day on which
-/// the calibration expires. A self-test on a plane and a sphere follows; it is due again every few days, by --check. A check with
-/// a head whose calibration expired, or whose self-test failed or is overdue, is indeterminate.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope calibrate --speed max -o head.toml\n  flankscope inspect --head head.toml\n\
-    calibrates the demo head and checks the demo die with it\n\n  \
-    flankscope calibrate --check head.toml\n\
-    says whether the head is fit today\n\n  \
-    flankscope bench demo-captures --out captures\n  \
-    flankscope calibrate --target captures --images captures -o head.toml\n\
-    calibrates from images\n\n\
-    Exit code: 0 done or fit, 2 not fit, 3 could not run or no calibration"
+    about = "Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file",
+    long_about = format!(
+        "Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.\n\n\
+        The target sits where the die does: plates with printed dots, a blank one beside them. Its folder holds target.toml and \
+        head.toml, the values of the drawing to start from.{} Plates that took no part in the adjustment are measured with the \
+        result; what they show is in the head file, with the day on which the calibration expires. A self-test on a plane and a \
+        sphere follows; it is due again every few days, by --check. A check with a head whose calibration expired, or whose \
+        self-test failed or is overdue, is indeterminate.",
+        help::CALIBRATE_DEFAULT
+    ),
+    after_help = format!(
+        "{}\n\n\
+        Exit code: 0 done or fit, 2 not fit, 3 could not run or no calibration",
+        help::CALIBRATE_EXAMPLE
+    )
 )]
 pub struct Args {
-    /// Folder with target.toml and the head.toml to start from [default: the demo target]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::TARGET)]
     target: Option<PathBuf>,
     /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml [default: none]
     #[arg(long, value_name = "DIR", conflicts_with = "check")]
@@ -129,6 +130,7 @@ struct Elapsed {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    interrupt::on_signals()?;
     let passing = scratch()?;
     let folder = match &args.target {
         Some(folder) => folder.clone(),
@@ -238,7 +240,7 @@ fn self_test(
     let mut watcher = Watcher::new(quiet);
     let test = survey
         .station
-        .test(&survey.port, survey.settings, Date::today(), |p| {
+        .test(&survey.port, survey.settings.clone(), Date::today(), |p| {
             watcher.show(p);
         })?;
     watcher.finish();
@@ -282,7 +284,7 @@ impl Job<'_> {
             let mut watcher = Watcher::new(quiet);
             let map = search
                 .station
-                .find(&search.port, search.settings, |p| watcher.show(p))?;
+                .find(&search.port, search.settings.clone(), |p| watcher.show(p))?;
             watcher.finish();
             search.close(true)?;
             head.core_map = Some(map.into());
@@ -295,7 +297,7 @@ impl Job<'_> {
         let mut watcher = Watcher::new(quiet);
         let calibrated = survey
             .station
-            .calibrate(&survey.port, survey.settings, |p| watcher.show(p))?;
+            .calibrate(&survey.port, survey.settings.clone(), |p| watcher.show(p))?;
         watcher.finish();
         let truth = survey.close(quiet)?;
         let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;

@@ -10,6 +10,7 @@ use flankscope_station::history::{Check, Forecast, History, LEAST_POINTS, csv, s
 use flankscope_station::report::{figure, history_html, rate, remaining};
 use serde_json::json;
 
+use crate::help;
 use crate::inspect::write_origin;
 use crate::instrument::seals;
 use crate::output::{Common, Outcome, write_whole};
@@ -17,11 +18,12 @@ use crate::output::{Common, Outcome, write_whole};
 /// Show how the flanks of a tool wore, how fast they wear, and how many cycles are left.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --link sim --history bench.db\n  \
-    flankscope history bench.db --report out\n\
-    writes out/history.html with wear against cycles of every flank\n\n\
-    The history may be read while a watch writes to it.\n\n\
-    Exit code: 0 done, 3 could not run"
+    after_help = format!(
+        "{}\n\n\
+        The history may be read while a watch writes to it.\n\n\
+    Exit code: 0 done, 3 could not run",
+        help::HISTORY_EXAMPLE
+    )
 )]
 pub struct Args {
     /// File that inspect or watch wrote with --history

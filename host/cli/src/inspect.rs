@@ -11,29 +11,27 @@ use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
+use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
-use crate::output::{Common, Complaints, Outcome, try_folder, try_place, try_recording};
+use crate::interrupt;
+use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
 use crate::site::Site;
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
     format!(
-        "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
-        checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n  \
-        flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
-        checks a die in a press and keeps what was found. With --tool or --history the link is named: what a result says of\n\
-        a press must not come from the simulated bench. A history holds checks of one of them, never of both.\n\n\
+        "{}\n\n\
         The exit code is the verdict's, also when a report cannot be written; that is said on standard error.\n\
         Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn\n\n{}",
+        help::INSPECT_EXAMPLE,
         flankscope_station::report::DEFINITIONS
     )
 });
 
-/// Check the critical teeth now: position, capture, register, judge.
-///
-/// Without options the built-in demo die is checked on the simulated bench.
 #[derive(clap::Args)]
 #[command(
+    about = "Check the critical teeth now: position, capture, register, judge",
+    long_about = help::INSPECT,
     after_help = AFTER_HELP.as_str()
 )]
 pub struct Args {
@@ -60,6 +58,7 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    interrupt::on_signals()?;
     let quiet = args.common.quiet;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
@@ -95,7 +94,21 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             .and_then(|baseline| baseline.save(path, &seals));
         complaints.hear(recorded.map_err(Into::into));
     }
+    if interrupt::is_requested() {
+        say(&what_is_kept(&inspection));
+    }
     Ok(complaints.end(inspection.verdict, &inspection.sentence(), quiet))
+}
+
+/// What an interrupted check leaves.
+fn what_is_kept(inspection: &Inspection) -> String {
+    let seen = inspection.registration.len();
+    let of = inspection.recipe.teeth.len();
+    let kept = match inspection.id {
+        Some(id) => format!("it is check {id} of the history, {}", inspection.verdict),
+        None => "no history keeps it (--history FILE)".into(),
+    };
+    format!("interrupted after {seen} of {of} views; {kept}")
 }
 
 impl Args {
@@ -116,7 +129,7 @@ impl Args {
         let mut watcher = Watcher::new(quiet);
         let inspection = instrument.station.inspect(
             &instrument.port,
-            instrument.settings,
+            instrument.settings.clone(),
             &mut writer,
             |progress| watcher.show(progress),
         )?;

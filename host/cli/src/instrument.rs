@@ -21,14 +21,15 @@ use crate::bench_link::{
 };
 use crate::camera_process::CameraProcess;
 use crate::grid::Grid;
+use crate::help;
+use crate::interrupt;
 use crate::output::say;
 use crate::site::{Place, Site, station_file, user_name};
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Source {
-    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::TOOL)]
     pub tool: Option<PathBuf>,
     /// Head file instead of the tool folder's, for example a fresh calibration
     #[arg(long, value_name = "HEAD.toml")]
@@ -286,6 +287,7 @@ impl<S> Instrument<S> {
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
+        let interrupt = interrupt::on_signals()?;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
@@ -294,7 +296,10 @@ impl<S> Instrument<S> {
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),
-                settings: bench.client_settings(&site.settings),
+                settings: ClientSettings {
+                    interrupt,
+                    ..bench.client_settings(&site.settings)
+                },
                 bench: Some(bench),
                 _camera: None,
                 _root: root,
@@ -309,7 +314,10 @@ impl<S> Instrument<S> {
         Ok(Self {
             station,
             port: port.clone(),
-            settings: site.settings.client(),
+            settings: ClientSettings {
+                interrupt,
+                ..site.settings.client()
+            },
             bench: None,
             _camera: camera,
             _root: root,

@@ -1,6 +1,6 @@
 //! The `flankscope` command: arguments in, exit code out, nothing else.
 //!
-//! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn.
+//! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn · 130 interrupted.
 
 #[cfg(feature = "bench")]
 mod bench_link;
@@ -15,9 +15,11 @@ mod doctor;
 mod gear;
 mod geometry;
 mod grid;
+mod help;
 mod history;
 mod inspect;
 mod instrument;
+mod interrupt;
 mod manual;
 mod merge;
 mod output;
@@ -38,8 +40,10 @@ use output::Outcome;
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
 #[command(name = "flankscope", version, propagate_version = true)]
-#[command(after_help = "Start with: flankscope inspect --report out\n\n\
-    Exit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn")]
+#[command(after_help = format!(
+    "{}\n\nExit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn, 130 interrupted",
+    help::START
+))]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -114,10 +118,37 @@ fn main() -> ExitCode {
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };
     match result {
+        Err(error) if interrupt::is_requested() => {
+            output::say(&output::in_words(&error));
+            interrupt::EXIT_CODE.into()
+        }
+        Ok(_) if interrupt::is_requested() => interrupt::EXIT_CODE.into(),
         Ok(outcome) => outcome.into(),
         Err(error) => {
             output::say(&format!("error: {}", output::in_words(&error)));
             Outcome::CouldNotRun.into()
+        }
+    }
+}
+
+#[cfg(all(test, not(feature = "bench")))]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn without_a_bench_help_offers_none() {
+        let mut program = Cli::command();
+        let mut texts = vec![program.render_long_help().to_string()];
+        for command in program.get_subcommands_mut() {
+            texts.push(command.render_long_help().to_string());
+        }
+        assert!(texts.len() > 10);
+        for word in ["bench", "simulat", "demo", "qemu", "sim|", "`sim`"] {
+            for text in &texts {
+                let line = text.lines().find(|line| line.contains(word));
+                assert_eq!(line, None, "a deployment offers \"{word}\"");
+            }
         }
     }
 }

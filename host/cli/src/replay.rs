@@ -8,6 +8,7 @@ use flankscope_station::history::{Difference, History, Replay, ReplayError};
 use flankscope_station::inspection::Subject;
 use serde_json::json;
 
+use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{self, seals};
 use crate::output::{Common, Outcome};
@@ -17,10 +18,12 @@ use crate::output::{Common, Outcome};
 /// Tool, head and CAD are read from --tool as they are now; teeth, temperature, grid and baseline are those of the check.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope replay bench.db 1\n\
-    computes the first check of the history again\n\n\
-    Exit code: that of the verdict when nothing differs: 0 go, 1 no-go, 2 indeterminate, 4 warn; 2 when something differs, \
-    3 could not run: phasors are missing or damaged"
+    after_help = format!(
+        "{}\n\n\
+        Exit code: that of the verdict when nothing differs: 0 go, 1 no-go, 2 indeterminate, 4 warn; 2 when something differs, \
+    3 could not run: phasors are missing or damaged",
+        help::REPLAY_EXAMPLE
+    )
 )]
 pub struct Args {
     /// File that inspect or watch wrote with --history
@@ -31,8 +34,7 @@ pub struct Args {
     /// Every check of the history: its chain, its rows against their documents, and what still has its phasors computed again
     #[arg(long, conflicts_with = "id")]
     all: bool,
-    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
     /// Head file instead of the tool folder's, as inspect was given it
     #[arg(long, value_name = "HEAD.toml")]

@@ -11,33 +11,35 @@ use flankscope_station::acquisition::Recording;
 use flankscope_station::origin::Link;
 use flankscope_station::report::{ReportFolder, figure};
 use flankscope_station::scan::{
-    Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, Scanner, percent,
+    Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner,
+    percent,
 };
 use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
+use crate::help;
 use crate::inspect::write_origin;
 use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
+use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
 use crate::site::{Place, Site};
 
-/// Scan the whole die: many views, laid on the CAD together, merged into one map.
-///
-/// Without options the built-in demo die is scanned on the simulated bench, where it stands eccentric and tilted, with a
-/// hand-eye known only roughly. With --session a scan that was killed goes on where it was.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope scan --views 12x2 --speed max --ovality-um 20 --taper-um 15 --report out\n\
-    scans the demo die, 20 um oval and 15 um conical, and writes out/report.html, out/scan.json and out/map.ply\n\n\
-    A verdict is for the teeth and heights of --views, and says what share of the bore that is. Less seen than asked for is\n\
+    about = "Scan the whole die: many views, laid on the CAD together, merged into one map",
+    long_about = help::SCAN,
+    after_help = format!(
+        "{}\n\n\
+        A verdict is for the teeth and heights of --views, and says what share of the bore that is. Less seen than asked for is\n\
     indeterminate. With --tool the link is named.\n\n\
-    Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn"
+    Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn",
+        help::SCAN_EXAMPLE
+    )
 )]
 pub struct Args {
-    /// Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
     /// Head file instead of the tool folder's, for example a fresh calibration
     #[arg(long, value_name = "HEAD.toml")]
@@ -165,6 +167,7 @@ impl Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    interrupt::on_signals()?;
     let quiet = args.common.quiet;
     let (method, paper) = args.paper.settings(seed(&args.bench))?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
@@ -200,8 +203,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         Scanning::Recorded(recorded) => recorded.scan(watch)?,
         Scanning::Live(instrument) => {
             let saved = args.begin_saving(instrument)?;
-            let (port, settings) = (&instrument.port, instrument.settings);
-            let scan = instrument.station.scan(port, settings, watch)?;
+            let (port, settings) = (&instrument.port, instrument.settings.clone());
+            let scan = instrument.station.scan(port, settings, watch);
+            let scan = scan.map_err(|error| match error {
+                ScanError::Interrupted { done, of, .. } if passing.is_some() => anyhow::anyhow!(
+                    "interrupted after {done} of {of} views; none is kept: with --session DIR a scan goes on where it was"
+                ),
+                error => error.into(),
+            })?;
             if let Some((folder, head)) = saved {
                 let recorded = instrument.station.record(folder, &head);
                 complaints.hear(recorded.map_err(Into::into));

@@ -10,12 +10,12 @@ use flankscope_station::inspection::Subject;
 use flankscope_station::origin::{Link, RecordingId, Setting};
 use flankscope_station::settings::StationSettings;
 
+use crate::help;
+
 /// Where it is looked, and for whom: every result says so.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Place {
-    /// Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial
-    /// port such as /dev/ttyACM0 [default: sim, for the built-in demo alone]
-    #[arg(long, value_name = "sim|qemu|PORT")]
+    #[arg(long, value_name = help::LINK_VALUES, help = help::LINK)]
     link: Option<Link>,
     /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
     #[arg(long, value_name = "NAME|STATION.toml")]

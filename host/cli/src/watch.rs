@@ -14,8 +14,10 @@ use flankscope_station::watch::{Checked, Told, WatchSettings};
 use serde_json::{Value, json};
 
 use crate::bench_link::{BenchArgs, PressArgs};
+use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
+use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder};
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
@@ -25,9 +27,11 @@ use crate::output::{Common, Complaints, Outcome, say, try_folder};
 /// no-go there when this program stops.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\
-    lets the simulated press wear 2 um per cycle off one flank: go, then warn, then no-go\n\n\
-    Exit code: that of the last verdict shown: 0 go, 1 no-go, 2 indeterminate or none, 3 could not run, 4 warn"
+    after_help = format!(
+        "{}\n\n\
+        Exit code: that of the last verdict shown: 0 go, 1 no-go, 2 indeterminate or none, 3 could not run, 4 warn",
+        help::WATCH_EXAMPLE
+    )
 )]
 pub struct Args {
     #[command(flatten)]
@@ -54,6 +58,7 @@ pub struct Args {
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    interrupt::on_signals()?;
     let site = args.source.site()?;
     let hold_limit_s = args
         .hold_limit_s
@@ -88,12 +93,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let shown = instrument.station.watch(
         &instrument.port,
-        instrument.settings,
+        instrument.settings.clone(),
         &settings,
         writer.as_mut(),
         &acknowledged,
         |told| log.take(told),
     )?;
+    if interrupt::is_requested() {
+        say(&format!(
+            "interrupted after {} checks; the press takes what nobody repeats for a no-go",
+            log.checks.len()
+        ));
+    }
     let mut complaints = Complaints::default();
     let truth = complaints.hear(instrument.close(quiet)).flatten();
     complaints.hear(args.common.write_json(&json!({

@@ -39,7 +39,7 @@ pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monot
 pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
-pub use private::{RunFolder, default_base};
+pub use private::{RunFolder, default_base, remove_run_folders};
 pub use ready::Ready;
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};

@@ -13,6 +13,7 @@ use std::fs::{DirBuilder, DirEntry, File, Metadata, OpenOptions, Permissions};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, OFlags, flock};
@@ -28,6 +29,9 @@ const LOCK_FILE: &str = "owner.lock";
 const BASE_LOCK: &str = ".lock";
 /// Making and sweeping take milliseconds; who waits longer for the base's lock waits for a process that stands still.
 const PATIENCE: Duration = Duration::from_secs(20);
+
+/// The folders that this process has made and not removed yet.
+static MADE: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// A folder of this run alone, with a lock on it; gone when the run ends, or swept away by the next one's start.
 #[derive(Debug)]
@@ -64,8 +68,12 @@ impl RunFolder {
             .open(folder.path().join(LOCK_FILE))
             .map_err(failed)?;
         flock(&lock, FlockOperation::NonBlockingLockShared).map_err(|e| failed(e.into()))?;
+        let path = folder.keep();
+        if let Ok(mut made) = MADE.lock() {
+            made.push(path.clone());
+        }
         Ok(Self {
-            path: folder.keep(),
+            path,
             _lock: lock,
             made: true,
         })
@@ -106,7 +114,20 @@ impl Drop for RunFolder {
     fn drop(&mut self) {
         if self.made {
             remove(&self.path, &self.name());
+            if let Ok(mut made) = MADE.lock() {
+                made.retain(|path| *path != self.path);
+            }
         }
+    }
+}
+
+/// Removes the folders that this process has made, and their shared memory: for one that ends at once. Whoever still works in
+/// them gets errors.
+pub fn remove_run_folders() {
+    let Ok(mut made) = MADE.lock() else { return };
+    for path in made.drain(..) {
+        let name = path.file_name().map(OsStr::to_string_lossy);
+        remove(&path, &name.unwrap_or_default());
     }
 }
 

@@ -1,20 +1,4 @@
-//! `cargo xtask`: every check and chore of the repository.
-//!
-//! | command | does |
-//! |---|---|
-//! | `test [--all]` | every test that this machine can run; says what it could not and how to get it; `--all`: fails instead |
-//! | `deps` | the arrows between the rooms: who may depend on whom |
-//! | `lint` | rustfmt and clippy, warnings are errors |
-//! | `doc` | documentation, warnings are errors |
-//! | `firmware` | both board images, with their budgets |
-//! | `qemu` | the check through the emulated image: same verdict as in-process, and its timing |
-//! | `bench [--peers VENV]` | our figures beside other tools', on the same data in one run (`BENCHMARK.md`) |
-//! | `bench --instructions` | instructions of the hot kernels, counted by valgrind; fails where one became dearer |
-//! | `bench --checks N` | N in-situ checks of one tooth: how long the press waits after the last exposure |
-//! | `study [--blocks N --captures N --seed S --only TEXT]` | how often the verdict is right, on the bench: tables and plots in `docs/study` |
-//! | `study --scan` | what a scan keeps of the die's form by either method, five seeds: `docs/study/scan.md` |
-//! | `demo` | the README's first command, as a newcomer runs it |
-//! | `ci` | all of it, in the order of `.ci/run` |
+//! `cargo xtask`: every check and chore of the repository; [`HELP`] lists them.
 
 mod bench;
 mod circles;
@@ -26,6 +10,26 @@ mod scan_study;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
+
+const HELP: &str = "\
+cargo xtask COMMAND
+
+  test [--all]           every test that this machine can run, and the arrows between the rooms; says what it could not run
+                         and how to get it; --all: fails instead, and runs the long campaigns
+  deps                   the arrows between the rooms: who may depend on whom
+  lint                   rustfmt and clippy, warnings are errors
+  doc                    documentation, warnings are errors
+  firmware               both board images, with their budgets
+  qemu                   the check through the emulated image: same verdict as in-process, and its timing
+  demo                   the README's first command, as a newcomer runs it
+  bench [--peers VENV]   our figures beside other tools', on the same data in one run (BENCHMARK.md)
+  bench --instructions   instructions of the hot kernels, counted by valgrind; fails where one became dearer
+  bench --checks N       N in-situ checks of one tooth: how long the press waits after the last exposure
+  study [--blocks N --captures N --seed S --only TEXT]
+                         how often the verdict is right, on the bench: tables and plots in docs/study
+  study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
+  ci                     all of it, in the order of .ci/run
+";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -49,9 +53,11 @@ fn main() -> ExitCode {
         ["study", rest @ ..] => study(rest),
         ["demo"] => demo(),
         ["ci"] => ci(),
-        _ => Err("usage: cargo xtask test [--all] | deps | lint | doc | firmware | qemu | bench [--peers VENV | \
-             --instructions | --checks N] | study [--blocks N --captures N --seed S --only TEXT | --scan] | demo | ci"
-            .into()),
+        [] | ["help" | "--help" | "-h"] => {
+            print!("{HELP}");
+            Ok(())
+        }
+        other => Err(format!("no command \"{}\"\n\n{HELP}", other.join(" "))),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -87,15 +93,38 @@ fn test(all: bool) -> Result<(), String> {
         // Tests that look for something themselves fail instead of skipping.
         cargo.env("FLANKSCOPE_TEST_ALL", "1");
     }
-    run(cargo)?;
-    arrows(&root())?;
+    // What a press gets, where there is no bench.
+    let mut deployment = self::cargo(&[
+        "test",
+        "-p",
+        "flankscope",
+        "--no-default-features",
+        "--bins",
+    ]);
+    deployment.args(["--", "--quiet"]);
+    // The one does not keep the other back: who mends wants to know of both.
+    let tests = run(cargo).and(run(deployment));
+    let arrows = arrows(&root());
+    eprintln!("\nsummary");
+    let state = |result: &Result<(), String>| match result {
+        Ok(()) => "passed",
+        Err(_) => "FAILED",
+    };
+    eprintln!("  tests                      {}", state(&tests));
+    eprintln!("  arrows between the rooms   {}", state(&arrows));
     match missing.len() {
-        0 => eprintln!("every test ran"),
-        count => eprintln!(
-            "every test that this machine can run has passed; {count} group(s) listed above did not run"
-        ),
+        0 => eprintln!("  not run                    nothing"),
+        count => eprintln!("  not run                    {count} group(s), listed at the top"),
     }
-    Ok(())
+    if !all {
+        eprintln!(
+            "  --all adds                 the long campaigns, and fails where something cannot run"
+        );
+    }
+    match (tests, arrows) {
+        (Err(tests), Err(arrows)) => Err(format!("{tests}; {arrows}")),
+        (tests, arrows) => tests.and(arrows),
+    }
 }
 
 fn lint() -> Result<(), String> {

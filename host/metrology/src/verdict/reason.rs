@@ -96,6 +96,8 @@ codes! {
     TriggerMismatch = "trigger_mismatch", "check the trigger line, and the camera's exposure mode";
     /// Something stood still between trigger, exposure and frame.
     Stalled = "stalled", "see what stopped controller, camera process or host; see that the host is not overloaded";
+    /// Somebody interrupted the check.
+    Interrupted = "interrupted", "check again";
     /// The view was not captured.
     NotCaptured = "not_captured", "see why the capture ended early";
     /// The controller stopped.

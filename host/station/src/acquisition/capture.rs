@@ -37,8 +37,16 @@ impl<O: Send + 'static> Acquisition<O> {
         }
         watch(Progress::Homing);
         client.order(&Command::Home).await?;
+        let mut interrupt = client.interrupt();
         loop {
-            match client.event(EVENT_PATIENCE).await? {
+            let event = tokio::select! {
+                event = client.event(EVENT_PATIENCE) => event?,
+                () = interrupt.requested() => {
+                    client.order(&Command::Abort).await?;
+                    return Err(AcquisitionError::Interrupted);
+                }
+            };
+            match event {
                 Event::StateChanged {
                     next: State::Ready, ..
                 } => return Ok(()),
@@ -57,6 +65,9 @@ impl<O: Send + 'static> Acquisition<O> {
         limits: &flankscope_protocol::Limits,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, AcquisitionError> {
+        if client.interrupt().is_requested() {
+            return Ok(Some(Stop::Interrupted));
+        }
         let plan = self.program.capture_plan(views, limits)?;
         plan.validate(limits)?;
         run.begin_session(views);
@@ -112,6 +123,7 @@ impl<O: Send + 'static> Acquisition<O> {
         // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
         let mut captured: Option<Instant> = None;
         let (mut closing, mut closed) = (false, false);
+        let mut interrupt = client.interrupt();
         loop {
             self.evaluate_whole_views(run, frames, client.stall_limit())?;
             match captured {
@@ -134,6 +146,11 @@ impl<O: Send + 'static> Acquisition<O> {
                     run.evaluated(view, *outcome);
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
+                () = interrupt.requested(), if captured.is_none() && failure.is_none() => {
+                    // The head comes out; what the controller says of that is followed to its end.
+                    failure = Some(Stop::Interrupted);
+                    client.order(&Command::Abort).await?;
+                }
                 event = client.event(EVENT_PATIENCE), if captured.is_none() => {
                     let (mut done, mut retracting) = (false, false);
                     match event {

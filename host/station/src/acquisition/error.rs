@@ -31,6 +31,9 @@ pub enum AcquisitionError {
         /// Which.
         thread: &'static str,
     },
+    /// Somebody asked for it.
+    #[error("interrupted")]
+    Interrupted,
     /// The controller waits for somebody.
     #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
     Faulted {

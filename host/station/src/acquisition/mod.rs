@@ -38,7 +38,7 @@ pub(crate) use capture::RETRACT_RESERVE;
 pub use error::{AcquisitionError, Progress, Stop, ViewError};
 pub use pairing::{PairingError, pair};
 pub use program::{Program, ProgramError, StagePosition};
-pub(crate) use recapture::{AfterStop, never};
+pub(crate) use recapture::AfterStop;
 pub use recorder::Picture;
 pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
 pub(crate) use recording::{Playback, RecordedView, SavedView};

@@ -1,7 +1,5 @@
 //! What is captured once more: one policy for checks, scans and calibrations.
 
-use std::future::Future;
-
 use flankscope_protocol::Limits;
 
 use super::error::{AcquisitionError, Progress, Stop};
@@ -22,21 +20,16 @@ pub(crate) enum AfterStop {
     GoOn,
 }
 
-/// Nobody interrupts.
-pub(crate) fn never() -> std::future::Pending<()> {
-    std::future::pending()
-}
-
 impl<O: Send + 'static> Acquisition<O> {
     /// Captures `views`, and once more those that `settle` returns: it is told the views of an attempt and why that ended
     /// early, if it did, and says which of them are still without a result. Returns why the last attempt ended early, if it
-    /// did; once `interrupted` is over, it is ended, and `settle` is told.
+    /// did; after an interruption there is no other.
     pub(crate) async fn capture_settled<E: From<AcquisitionError>>(
         &mut self,
         client: &mut Client,
         run: &mut Run<O>,
         views: &[usize],
-        (after_stop, interrupted): (AfterStop, &mut (impl Future<Output = ()> + Unpin)),
+        after_stop: AfterStop,
         mut settle: impl FnMut(&mut Run<O>, &[usize], Option<&Stop>) -> Result<Vec<usize>, E>,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, E> {
@@ -50,10 +43,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 }
                 run.counts.recaptured += open.len() as u32;
             }
-            stopped = tokio::select! {
-                stopped = self.capture(client, run, &open, &limits, watch) => stopped?,
-                () = &mut *interrupted => Some(Stop::Interrupted),
-            };
+            stopped = self.capture(client, run, &open, &limits, watch).await?;
             open = settle(run, &open, stopped.as_ref())?;
             let ends = match stopped {
                 Some(Stop::Interrupted) => true,

@@ -10,7 +10,7 @@ use flankscope_profilometry::{
 };
 
 use crate::acquisition::{
-    Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop, never,
+    Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop,
 };
 use crate::controller::{Client, ClientSettings};
 use crate::settings::StationSettings;
@@ -35,6 +35,14 @@ pub enum SurveyError {
     /// The head model cannot decode.
     #[error(transparent)]
     Decode(#[from] DecodeError),
+    /// Somebody stopped it.
+    #[error("interrupted after {done} of {of} views; no head is written")]
+    Interrupted {
+        /// Views that were captured.
+        done: usize,
+        /// Of how many.
+        of: usize,
+    },
     /// A view that could not be captured, twice.
     #[error("view {view} was lost: {why}")]
     Lost {
@@ -122,16 +130,21 @@ impl<O: Send + 'static> Surveyor<O> {
                 let missing = |run: &mut Run<O>, views: &[usize], _: Option<&Stop>| {
                     Ok::<_, AcquisitionError>(run.without_outcome(views))
                 };
-                let policy = (AfterStop::End, &mut never());
                 let captured = self.acquisition.capture_settled(
                     &mut client,
                     &mut run,
                     views,
-                    policy,
+                    AfterStop::End,
                     missing,
                     &mut watch,
                 );
                 let stopped = captured.await?;
+                if let Some(Stop::Interrupted) = stopped {
+                    return Err(SurveyError::Interrupted {
+                        done: run.outcomes.len(),
+                        of: self.views,
+                    });
+                }
                 let lost = run.without_outcome(views).first().copied();
                 if let Some(view) = lost.or(stopped.is_some().then_some(views[0])) {
                     let why = match (stopped, run.problems.get(&view)) {

@@ -9,13 +9,14 @@ use flankscope_protocol::{
 };
 use tokio::time::{Instant, timeout_at};
 
+use super::interrupt::Interrupt;
 use super::link::{Incoming, Link, LinkError};
 
 /// Attempts at one command, the first included.
 const ATTEMPTS: u32 = 4;
 
 /// How patiently the client talks.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct ClientSettings {
     /// Wait for an answer before the same command is sent again.
     pub answer: Duration,
@@ -24,6 +25,8 @@ pub struct ClientSettings {
     /// Longest time by which triggers and frames may be late against the clock of who tells of them; `None`: the controller's
     /// clock is not real time.
     pub stall: Option<Duration>,
+    /// Who may wish that what runs ends.
+    pub interrupt: Interrupt,
 }
 
 impl Default for ClientSettings {
@@ -34,6 +37,7 @@ impl Default for ClientSettings {
             answer: Duration::from_millis(250),
             heartbeat: None,
             stall: Some(Duration::from_secs(2)),
+            interrupt: Interrupt::never(),
         }
     }
 }
@@ -129,7 +133,6 @@ impl Client {
         let session = flankscope_frames::monotonic_ns() as u32 | 1;
         let mut client = Self {
             link,
-            settings,
             identity: Identity {
                 protocol: PROTOCOL_VERSION,
                 schema: SCHEMA_HASH,
@@ -143,6 +146,7 @@ impl Client {
             sequence: 0,
             heartbeat: settings.answer,
             next_heartbeat: Instant::now() + settings.answer,
+            settings,
             events: VecDeque::new(),
             last_event: None,
             dropped: 0,
@@ -169,7 +173,8 @@ impl Client {
             ));
         }
         let allowed = Duration::from_micros(u64::from(client.identity.host_silence.get()));
-        client.heartbeat = settings
+        client.heartbeat = client
+            .settings
             .heartbeat
             .unwrap_or(allowed / 3)
             .max(Duration::from_millis(1));
@@ -209,6 +214,12 @@ impl Client {
             Reply::Status(status) => Ok(status),
             _ => Err(ClientError::Unfitting),
         }
+    }
+
+    /// Who may wish that what runs ends.
+    #[must_use]
+    pub fn interrupt(&self) -> Interrupt {
+        self.settings.interrupt.clone()
     }
 
     /// Longest time by which triggers and frames may be late; none where the controller's clock is not real time.

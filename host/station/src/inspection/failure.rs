@@ -39,10 +39,10 @@ impl From<&Stop> for Reason {
             )) => Code::EventsLost,
             Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
             Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
+            Stop::Interrupted | Stop::Broken(AcquisitionError::Interrupted) => Code::Interrupted,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
             Stop::Camera(_) => Code::CameraUnusable,
             Stop::HoldLimit => Code::HoldTime,
-            Stop::Interrupted => Code::NotCaptured,
         };
         Self::instrument(code, stop)
     }

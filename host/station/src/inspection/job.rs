@@ -16,7 +16,7 @@ use super::plan::{PlanningError, ViewPlan};
 use super::result::{FrameCount, Inspection, Pictures, Timing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::acquisition::{
-    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Run, Stop, never,
+    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Run, Stop,
 };
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
@@ -245,10 +245,9 @@ impl Station {
         let missing = |run: &mut Run<ViewOutcome>, views: &[usize], _: Option<&Stop>| {
             Ok::<_, AcquisitionError>(run.without_outcome(views))
         };
-        let policy = (AfterStop::End, &mut never());
-        let captured = self
-            .acquisition
-            .capture_settled(client, run, order, policy, missing, watch);
+        let captured =
+            self.acquisition
+                .capture_settled(client, run, order, AfterStop::End, missing, watch);
         if let Some(stopped) = captured.await? {
             return Ok(Some(stopped));
         }

@@ -81,7 +81,12 @@ impl Station {
             let end = Instant::now() + patience;
             loop {
                 let patience = end.saturating_duration_since(Instant::now());
-                match client.event(patience).await {
+                let mut interrupt = client.interrupt();
+                let event = tokio::select! {
+                    event = client.event(patience) => event,
+                    () = interrupt.requested() => return Ok(Captured::Stopped(Stop::Interrupted)),
+                };
+                match event {
                     Ok(Event::PressOpen { open: true, .. }) => break,
                     Ok(_) => {}
                     Err(ClientError::NoEvent { .. }) => return Ok(Captured::NotLetIn),

@@ -13,8 +13,6 @@ use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
 use flankscope_profilometry::head::Unfit;
-use flankscope_protocol::Command;
-use tokio::signal::unix::{SignalKind, signal};
 
 use super::cell_observations::layout;
 use super::comparison::{self, Method};
@@ -305,15 +303,6 @@ impl Scanner {
         let mut run = Run::new(wanted.clone(), None);
         let mut lost = BTreeMap::new();
         let begun = Instant::now();
-        let signalled = |kind| signal(kind).map_err(|_| AcquisitionError::Thread { thread: "I/O" });
-        let mut stop_key = signalled(SignalKind::interrupt())?;
-        let mut stop_order = signalled(SignalKind::terminate())?;
-        let mut interrupted = std::pin::pin!(async {
-            tokio::select! {
-                _ = stop_key.recv() => {}
-                _ = stop_order.recv() => {}
-            }
-        });
         for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
             let store = &mut self.store;
             let keep = |run: &mut Run<ScannedView>, views: &[usize], stopped: Option<&Stop>| {
@@ -326,13 +315,15 @@ impl Scanner {
                     watch(Progress::Recapture(view));
                 }
             };
-            let policy = (AfterStop::GoOn, &mut interrupted);
-            let captured = self
-                .acquisition
-                .capture_settled(client, &mut run, views, policy, keep, &mut again);
+            let captured = self.acquisition.capture_settled(
+                client,
+                &mut run,
+                views,
+                AfterStop::GoOn,
+                keep,
+                &mut again,
+            );
             if let Some(Stop::Interrupted) = captured.await? {
-                // The head comes out; a link that is gone has already seen to that.
-                let _ = client.order(&Command::Abort).await;
                 return Err(ScanError::Interrupted {
                     done: self.store.session.views().count(),
                     of,

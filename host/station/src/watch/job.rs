@@ -201,7 +201,12 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
             .saturating_duration_since(Instant::now())
             .max(Duration::from_millis(1));
         let mut opened = false;
-        match self.client.event(patience).await {
+        let mut interrupt = self.client.interrupt();
+        let event = tokio::select! {
+            event = self.client.event(patience) => event,
+            () = interrupt.requested() => return Ok(ControlFlow::Break(())),
+        };
+        match event {
             Ok(Event::Cycle { count, .. }) => {
                 self.cycle = count;
                 let most = self.settings.cycles;

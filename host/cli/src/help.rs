@@ -1,0 +1,98 @@
+//! What `--help` says differently where there is a simulated bench to try things on, and where there is none.
+
+/// A text for builds with the bench, and one for those without.
+macro_rules! text {
+    ($(#[$doc:meta])* $name:ident: $with:expr, $without:expr $(,)?) => {
+        $(#[$doc])*
+        pub const $name: &str = if cfg!(feature = "bench") { $with } else { $without };
+    };
+}
+
+text!(
+    /// The first command.
+    START: "Start with: flankscope inspect --report out",
+    "Start with: flankscope inspect --link PORT --tool DIR --report out"
+);
+text!(
+    /// Of `--link`.
+    LINK: "Controller: `sim` for the simulated bench, `qemu` for the bench with the emulated firmware image, else a serial port \
+           such as /dev/ttyACM0 [default: sim, for the built-in demo alone]",
+    "Controller: a serial port such as /dev/ttyACM0"
+);
+text!(LINK_VALUES: "sim|qemu|PORT", "PORT");
+text!(
+    /// Of `--tool`.
+    TOOL: "Folder with tool.toml, and head.toml unless the demo head is meant [default: the demo die]",
+    "Folder with tool.toml and head.toml"
+);
+text!(
+    /// Of `--target`.
+    TARGET: "Folder with target.toml and the head.toml to start from [default: the demo target]",
+    "Folder with target.toml and the head.toml to start from"
+);
+text!(
+    INSPECT: "Check the critical teeth now: position, capture, register, judge.\n\n\
+              Without options the built-in demo die is checked on the simulated bench.",
+    "Check the critical teeth now: position, capture, register, judge."
+);
+text!(
+    INSPECT_EXAMPLE: "Example:\n  flankscope inspect --wear 40:left:80 --report out\n\
+        checks the demo die with 80 um worn off the left flank of tooth 40 and writes out/report.html\n\n  \
+        flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
+        checks a die in a press and keeps what was found. With --tool or --history the link is named: what a result says of\n\
+        a press must not come from the simulated bench. A history holds checks of one of them, never of both.",
+    "Example:\n  flankscope inspect --tool DIR --link /dev/ttyACM0 --history press.db\n\
+        checks a die in a press and keeps what was found."
+);
+text!(
+    SCAN: "Scan the whole die: many views, laid on the CAD together, merged into one map.\n\n\
+        Without options the built-in demo die is scanned on the simulated bench, where it stands eccentric and tilted, with a \
+        hand-eye known only roughly. With --session a scan that was killed goes on where it was.",
+    "Scan the whole die: many views, laid on the CAD together, merged into one map.\n\n\
+        With --session a scan that was killed goes on where it was."
+);
+text!(
+    SCAN_EXAMPLE: "Example:\n  flankscope scan --views 12x2 --speed max --ovality-um 20 --taper-um 15 --report out\n\
+        scans the demo die, 20 um oval and 15 um conical, and writes out/report.html, out/scan.json and out/map.ply",
+    "Example:\n  flankscope scan --views 84x7 --tool DIR --link /dev/ttyACM0 --session scan-1 --report out\n\
+        scans a die and writes out/report.html, out/scan.json and out/map.ply"
+);
+text!(
+    WATCH_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\
+        lets the simulated press wear 2 um per cycle off one flank: go, then warn, then no-go",
+    "Example:\n  flankscope watch --every 500 --tool DIR --link /dev/ttyACM0 --history press.db\n\
+        checks the die every 500 cycles, and holds the press meanwhile"
+);
+text!(
+    HISTORY_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 60 --wear-rate 40:left:0.8 --speed 10 --link sim --history bench.db\n  \
+        flankscope history bench.db --report out\n\
+        writes out/history.html with wear against cycles of every flank",
+    "Example:\n  flankscope history press.db --report out\n\
+        writes out/history.html with wear against cycles of every flank"
+);
+text!(
+    REPLAY_EXAMPLE: "Example:\n  flankscope inspect --link sim --history bench.db\n  flankscope replay bench.db 1\n\
+        computes the first check of the history again",
+    "Example:\n  flankscope replay press.db 1 --tool DIR\n\
+        computes the first check of the history again"
+);
+text!(
+    /// Ends of the paragraph on where a calibration starts.
+    CALIBRATE_DEFAULT: " Without options the demo target on the simulated bench is used.",
+    ""
+);
+text!(
+    CALIBRATE_EXAMPLE: "Example:\n  flankscope calibrate --speed max -o head.toml\n  flankscope inspect --head head.toml\n\
+        calibrates the demo head and checks the demo die with it\n\n  \
+        flankscope calibrate --check head.toml\n\
+        says whether the head is fit today\n\n  \
+        flankscope bench demo-captures --out captures\n  \
+        flankscope calibrate --target captures --images captures -o head.toml\n\
+        calibrates from images",
+    "Example:\n  flankscope calibrate --target DIR --link /dev/ttyACM0 -o head.toml\n\
+        calibrates the head before a target that sits where the die does\n\n  \
+        flankscope calibrate --check head.toml --target DIR --link /dev/ttyACM0\n\
+        says whether the head is fit today\n\n  \
+        flankscope calibrate --target DIR --images captures -o head.toml\n\
+        calibrates from images"
+);
