@@ -121,7 +121,7 @@ fn an_interrupted_check_is_indeterminate_and_kept() {
             "--history",
             store_at,
         ],
-        "moves to view 2",
+        "(view 2 of",
         "-INT",
     );
     says(&said, "head retracts");
@@ -163,7 +163,7 @@ fn an_interrupted_calibration_writes_nothing() {
     let head = folder.path().join("head.toml");
     let said = interrupted(
         &["calibrate", "-o", head.to_str().unwrap()],
-        "moves to view",
+        "head moves to",
         "-INT",
     );
     says(&said, "no head is written");
@@ -186,7 +186,7 @@ fn a_scan_without_a_session_does_not_name_a_folder_that_is_gone() {
 
 #[test]
 fn a_second_signal_ends_at_once() {
-    let running = Running::until(&["inspect", "--speed", "1"], "moves to view 1");
+    let running = Running::until(&["inspect", "--speed", "1"], "(view 1 of");
     let folders = running.folders();
     running.signal("-INT");
     let mut said = running.said;

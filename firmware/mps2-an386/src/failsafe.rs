@@ -14,27 +14,35 @@ use flankscope_pin_wire::Subject;
 /// Survives a reset, not a power cycle.
 #[repr(C)]
 struct Kept {
-    /// Why, as [`PANIC`] or [`WATCHDOG`]; anything else: nothing was kept.
+    /// Why, as [`PANIC`] or [`WATCHDOG`], or [`RUNNING`]; anything else: the power was off.
     mark: u32,
     cause: u32,
 }
 
 const PANIC: u32 = 0x5AFE_B007;
 const WATCHDOG: u32 = 0x5AFE_D069;
+/// It ran, and nothing was wrong that it knew of.
+const RUNNING: u32 = 0x5AFE_0009;
+/// Cause: the watchdog reset by itself, before its interrupt was served.
+const BY_ITSELF: u32 = 1;
 
 #[unsafe(link_section = ".uninit.KEPT")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-/// Why the controller started, and the cause that was kept (0: none). Forgets it.
+/// Why the controller started, and the cause that was kept (0: none). From here on it is running.
+///
+/// Whatever resets a running controller and says nothing is the watchdog, out of patience twice: on a busy machine the emulator
+/// may pass over both windows at once.
 pub fn boot() -> (Boot, u32) {
     let kept = addr_of_mut!(KEPT).cast::<Kept>();
     // SAFETY: called once, before interrupts are on; any content is a valid `Kept`.
     let Kept { mark, cause } = unsafe { kept.read_volatile() };
     // SAFETY: as above.
-    unsafe { kept.write_volatile(Kept { mark: 0, cause: 0 }) };
+    unsafe { kept.write_volatile(Kept { mark: RUNNING, cause: 0 }) };
     match mark {
         PANIC => (Boot::Panic, cause),
         WATCHDOG => (Boot::Watchdog, cause),
+        RUNNING => (Boot::Watchdog, BY_ITSELF),
         _ => (Boot::PowerUp, 0),
     }
 }

@@ -20,10 +20,10 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::help;
-use crate::inspect::Watcher;
 use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Outcome, say};
+use crate::progress::Watcher;
 use crate::site::{Place, Site};
 
 #[derive(clap::Args)]
@@ -237,13 +237,12 @@ fn self_test(
         let settings = &site.settings;
         Ok(FitnessSurvey::open(head.clone(), target, settings, root)?)
     })?;
-    let mut watcher = Watcher::new(quiet);
+    let mut watcher = Watcher::new(quiet, Vec::new());
     let test = survey
         .station
         .test(&survey.port, survey.settings.clone(), Date::today(), |p| {
             watcher.show(p);
         })?;
-    watcher.finish();
     Ok((test, survey.close(quiet)?))
 }
 
@@ -281,11 +280,10 @@ impl Job<'_> {
             let mut search = open(args, site, folder, |root| {
                 Ok(CoreSearch::open(&head, target, settings, root)?)
             })?;
-            let mut watcher = Watcher::new(quiet);
+            let mut watcher = Watcher::new(quiet, Vec::new());
             let map = search
                 .station
                 .find(&search.port, search.settings.clone(), |p| watcher.show(p))?;
-            watcher.finish();
             search.close(true)?;
             head.core_map = Some(map.into());
         }
@@ -294,11 +292,10 @@ impl Job<'_> {
             let (head, target) = (head.clone(), target.clone());
             Ok(PlateSurvey::open(head, target, settings, root)?)
         })?;
-        let mut watcher = Watcher::new(quiet);
+        let mut watcher = Watcher::new(quiet, Vec::new());
         let calibrated = survey
             .station
             .calibrate(&survey.port, survey.settings.clone(), |p| watcher.show(p))?;
-        watcher.finish();
         let truth = survey.close(quiet)?;
         let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;
         seals()?.seal_toml(Kind::Head, output)?;

@@ -2,9 +2,9 @@
 
 use std::io::Write;
 use std::path::PathBuf;
-use std::time::Instant;
 
-use flankscope_station::acquisition::{Progress, Recording};
+use flankscope_metrology::verdict::Word;
+use flankscope_station::acquisition::Recording;
 use flankscope_station::inspection::Inspection;
 use flankscope_station::origin::Origin;
 use flankscope_station::report::{ReportFolder, figure};
@@ -15,7 +15,9 @@ use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
+use crate::progress::Watcher;
 use crate::site::Site;
+use crate::terminal::Terminal;
 
 /// The example, and what the figures are.
 static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
@@ -126,14 +128,13 @@ impl Args {
             saved = Some((folder, instrument.copy_head(files, folder)?));
             instrument.station.save_frames(folder)?;
         }
-        let mut watcher = Watcher::new(quiet);
+        let mut watcher = Watcher::of_teeth(quiet, instrument.station.teeth());
         let inspection = instrument.station.inspect(
             &instrument.port,
             instrument.settings.clone(),
             &mut writer,
             |progress| watcher.show(progress),
         )?;
-        watcher.finish();
         if let Some((folder, head)) = saved {
             let recorded = instrument.station.record(&inspection, folder, &head);
             complaints.hear(recorded.map_err(Into::into));
@@ -149,9 +150,8 @@ impl Args {
             site,
             self.common.quiet,
         )?;
-        let mut watcher = Watcher::new(self.common.quiet);
+        let mut watcher = Watcher::of_teeth(self.common.quiet, check.teeth());
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
-        watcher.finish();
         Ok(inspection)
     }
 
@@ -186,81 +186,6 @@ impl Args {
     }
 }
 
-/// Tells on standard error how far the check is.
-pub struct Watcher {
-    quiet: bool,
-    start: Instant,
-    open_line: bool,
-}
-
-impl Watcher {
-    /// Silent if `quiet`.
-    pub fn new(quiet: bool) -> Self {
-        Self {
-            quiet,
-            start: Instant::now(),
-            open_line: false,
-        }
-    }
-
-    /// Tells of a step.
-    pub fn show(&mut self, progress: Progress) {
-        if self.quiet {
-            return;
-        }
-        let line = match progress {
-            Progress::Connected => "controller answered".to_string(),
-            Progress::Homing => "stages reference".to_string(),
-            Progress::Moving(view, views) => format!("head moves to view {} of {views}", view + 1),
-            Progress::Exposed(frame, frames) => {
-                // One line per view, drawn as it grows: a mark for every frame.
-                if frame == 0 {
-                    self.begin_line("LED on, frames ");
-                }
-                write(if frame == 0 { "." } else { "|" });
-                if frame + 1 == frames {
-                    write(&format!(" {frames}\n"));
-                    self.open_line = false;
-                }
-                return;
-            }
-            Progress::Recapture(view) => format!("view {} is captured again", view + 1),
-            Progress::Repeat(view) => {
-                format!(
-                    "view {} is too near to a limit, it is measured again",
-                    view + 1
-                )
-            }
-            Progress::Retracting => "head retracts".to_string(),
-            Progress::Evaluated(view) => format!("view {} evaluated", view + 1),
-        };
-        self.begin_line(&line);
-        write("\n");
-        self.open_line = false;
-    }
-
-    fn begin_line(&mut self, text: &str) {
-        self.finish();
-        write(&format!(
-            "{:6.2} s  {text}",
-            self.start.elapsed().as_secs_f64()
-        ));
-        self.open_line = true;
-    }
-
-    /// Ends the open line.
-    pub fn finish(&mut self) {
-        if std::mem::take(&mut self.open_line) {
-            write("\n");
-        }
-    }
-}
-
-/// Writes to standard error, if anybody listens.
-fn write(text: &str) {
-    let _ = std::io::stderr().write_all(text.as_bytes());
-}
-
 /// Said of every result of the simulated bench.
 pub const SIMULATED: &str = "SIMULATED BENCH: no real die was looked at";
 
@@ -276,18 +201,17 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
     writeln!(out, "{date}, {}", named.join(", "))
 }
 
+/// The figures of every flank, within 80 columns; then why one is no go.
 fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
+    let terminal = Terminal::of_stdout();
     let mut out = std::io::stdout().lock();
-    writeln!(
-        out,
-        "\ntooth  flank   wear/um   ±U95  mean/um  proud/um  cell/um  tip/mm  detects/um  warn  stop  seen  verdict"
-    )?;
+    let header = "tooth flank   wear  ±U95  mean proud  cell  tip/mm  detects  seen  verdict";
+    writeln!(out, "\n{}", terminal.text(header))?;
     for f in &inspection.features {
         let detail = f.detail.as_ref();
         let tip = detail.and_then(|d| d.tip_edge_radius_mm);
-        writeln!(
-            out,
-            "{:>5}  {:<6} {:>8} {:>6} {:>8} {:>9} {:>8} {:>7} {:>11} {:>5.0} {:>5.0} {:>4.0}%  {}{}",
+        let line = format!(
+            "{:>5} {:<6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>7} {:>8} {:>4.0}%  ",
             f.tooth,
             f.flank,
             figure(f.wear_um),
@@ -297,31 +221,38 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
             figure(detail.and_then(|d| d.cell_um).map(|cell| cell.value)),
             tip.map_or_else(|| "–".into(), |tip| format!("{:.2}", tip.value)),
             figure(detail.map(|d| d.detection_limit_um)),
-            f.warn_um,
-            f.limit_um,
             100.0 * f.coverage_ratio,
-            f.verdict,
-            f.reason
-                .as_ref()
-                .map(|reason| format!(": {reason}"))
-                .unwrap_or_default(),
-        )?;
+        );
+        let verdict = terminal.in_colour(f.verdict, f.verdict.as_str());
+        writeln!(out, "{}{verdict}", terminal.text(&line))?;
     }
-    let timing = inspection.timing_ms;
-    let frames = inspection.frames;
+    if let Some(f) = inspection.features.first() {
+        let units = format!(
+            "wear and what follows in µm unless said otherwise; warn {:.0} µm, stop {:.0} µm",
+            f.warn_um, f.limit_um
+        );
+        writeln!(out, "{}", terminal.text(&units))?;
+    }
+    for f in &inspection.features {
+        if let Some(reason) = &f.reason {
+            let why = format!("tooth {} {}: {reason}", f.tooth, f.flank);
+            writeln!(out, "{}", terminal.text(&why))?;
+        }
+    }
     writeln!(
         out,
-        "\n{}: {}",
-        inspection.verdict.as_str().to_uppercase(),
-        inspection.reason
+        "\n{}",
+        in_words(terminal, inspection.verdict, &inspection.reason.to_string())
     )?;
     write_origin(&mut out, &inspection.origin, &inspection.date)?;
     if let Some(id) = inspection.id {
         writeln!(out, "stored as check {id} of its history")?;
     }
+    let (timing, frames) = (inspection.timing_ms, inspection.frames);
     writeln!(
         out,
-        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), last exposure to verdict {:.0} ms, {} of {} frames, {} bytes copied, {} MB",
+        "check {:.2} s (positioning {:.2} s, exposure {:.2} s), \
+         last exposure to verdict {:.0} ms\n{} of {} frames, {} bytes copied, {} MB",
         timing.total / 1000.0,
         timing.positioning / 1000.0,
         timing.exposure / 1000.0,
@@ -332,4 +263,10 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         figure(inspection.peak_memory_mb),
     )?;
     Ok(())
+}
+
+/// A verdict and its reason, as a terminal can show them.
+pub fn in_words(terminal: Terminal, verdict: Word, reason: &str) -> String {
+    let word = terminal.in_colour(verdict, &verdict.as_str().to_uppercase());
+    format!("{word}: {}", terminal.text(reason))
 }

@@ -24,11 +24,13 @@ mod manual;
 mod merge;
 mod output;
 mod patterns;
+mod progress;
 mod register;
 mod replay;
 mod sample;
 mod scan;
 mod site;
+mod terminal;
 mod trust;
 mod watch;
 

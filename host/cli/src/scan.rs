@@ -20,11 +20,12 @@ use flankscope_station::sink::ResultSink;
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::help;
-use crate::inspect::write_origin;
+use crate::inspect::{self, write_origin};
 use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
 use crate::site::{Place, Site};
+use crate::terminal::Terminal;
 
 #[derive(clap::Args)]
 #[command(
@@ -364,7 +365,7 @@ fn show(progress: Progress) {
             "{done:>4} of {of} views, {} s to go",
             remaining.as_secs_f64().round()
         )),
-        Progress::Recapture(view) => say(&format!("view {view} is captured again")),
+        Progress::Recapture(view) => say(&format!("view {} is captured again", view + 1)),
         Progress::Stitching => say("all views are laid on the CAD together"),
     }
 }
@@ -409,12 +410,9 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     if let [_, _, ..] = &scan.methods[..] {
         print_methods(&mut out, &scan.methods)?;
     }
-    writeln!(
-        out,
-        "\n{}: {}",
-        scan.verdict.as_str().to_uppercase(),
-        scan.reason
-    )?;
+    let reason = scan.reason.to_string();
+    let said = inspect::in_words(Terminal::of_stdout(), scan.verdict, &reason);
+    writeln!(out, "\n{said}")?;
     write_origin(&mut out, &scan.origin, &scan.date)?;
     writeln!(
         out,

@@ -10,7 +10,7 @@ use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_station::inspection::Inspection;
 use flankscope_station::report::{LatestPage, ReportFolder, figure};
 use flankscope_station::sink::LinesFile;
-use flankscope_station::watch::{Checked, Told, WatchSettings};
+use flankscope_station::watch::{Checked, WatchEvent, WatchSettings};
 use serde_json::{Value, json};
 
 use crate::bench_link::{BenchArgs, PressArgs};
@@ -19,6 +19,7 @@ use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_folder};
+use crate::terminal::Terminal;
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
 ///
@@ -172,20 +173,22 @@ impl<'a> Log<'a> {
     }
 
     /// Takes one message; false stops the watch.
-    fn take(&mut self, told: Told) -> bool {
+    fn take(&mut self, told: WatchEvent) -> bool {
         match told {
-            Told::Cycle(_) => {}
-            Told::Checking(cycle) => self.say(&format!("cycle {cycle}: press held, checking")),
-            Told::Missed(cycle, fault) => self.say(&format!(
+            WatchEvent::Cycle(_) => {}
+            WatchEvent::Checking(cycle) => {
+                self.say(&format!("cycle {cycle}: press held, checking"))
+            }
+            WatchEvent::Missed(cycle, fault) => self.say(&format!(
                 "cycle {cycle}: not let in ({fault}), next opening"
             )),
-            Told::Resumed(shown) => self.say(&format!(
+            WatchEvent::Resumed(shown) => self.say(&format!(
                 "{} from before stays until it is acknowledged (press Enter)",
                 shown.word()
             )),
-            Told::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
-            Told::Acknowledged => self.say("acknowledged: the next check starts afresh"),
-            Told::Checked(mut checked) => self.keep(&mut checked),
+            WatchEvent::NotAcknowledged(error) => self.say(&format!("NOT acknowledged: {error}")),
+            WatchEvent::Acknowledged => self.say("acknowledged: the next check starts afresh"),
+            WatchEvent::Checked(mut checked) => self.keep(&mut checked),
         }
         true
     }
@@ -211,12 +214,15 @@ impl<'a> Log<'a> {
             )
         });
         let held_s = inspection.timing_ms.total / 1000.0;
-        self.say(&format!(
-            "cycle {cycle}: {} (shown: {}){worst}, press held {held_s:.2} s: {}",
-            inspection.verdict.as_str().to_uppercase(),
+        let on = Terminal::of_stderr();
+        let verdict = inspection.verdict;
+        let word = on.in_colour(verdict, &verdict.as_str().to_uppercase());
+        let rest = format!(
+            "(shown: {}){worst}, press held {held_s:.2} s: {}",
             shown.word(),
             inspection.reason
-        ));
+        );
+        self.say(&format!("cycle {cycle}: {word} {}", on.text(&rest)));
         if *needs_maintenance {
             self.say(
                 "MAINTENANCE: several checks in a row gave no result; is the head soiled or moved?",

@@ -7,7 +7,7 @@
 //! | [`order`] | quantiles and medians |
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
 //! | [`seal`] | whose word a file is |
-//! | [`told`] | figures in sentences |
+//! | [`display`] | figures in sentences |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
 //!
 //! It depends on no room of this workspace; every library and program of the host may depend on it.
@@ -22,9 +22,9 @@
 //! ```
 
 pub mod date;
+pub mod display;
 pub mod normal;
 pub mod order;
 pub mod rigid;
 pub mod seal;
 pub mod textfile;
-pub mod told;

@@ -1,4 +1,4 @@
-//! A thousand kills at random moments leave nothing after the next start: no folder, no shared memory.
+//! Kills at random moments, a thousand where everything runs, leave nothing after the next start: no folder, no shared memory.
 //!
 //! The test starts itself: as an owner, which starts itself as a camera process that ends with it.
 
@@ -8,9 +8,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use flankscope_frames::{FrameReceiver, FrameSender, Overflow, RunFolder, SharedRoot};
+use flankscope_test_requisites::everything;
 use rustix::process::{Signal, set_parent_process_death_signal};
-
-const KILLS: u32 = 1_000;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
@@ -18,7 +17,7 @@ fn main() {
     match words[1..] {
         ["owner", base] => owner(Path::new(base)),
         ["camera", root] => camera(Path::new(root)),
-        _ => a_thousand_kills_leave_nothing(),
+        _ => kills_leave_nothing(if everything() { 1_000 } else { 100 }),
     }
 }
 
@@ -61,7 +60,7 @@ fn names(folder: &Path, with: &str) -> Vec<String> {
     names.filter(|name| name.starts_with(with)).collect()
 }
 
-fn a_thousand_kills_leave_nothing() {
+fn kills_leave_nothing(kills: usize) {
     let base = tempfile::Builder::new()
         .prefix("k")
         .tempdir_in("/tmp")
@@ -71,7 +70,7 @@ fn a_thousand_kills_leave_nothing() {
     let mut state = u64::from(std::process::id()) | 1;
     let mut seen = std::collections::BTreeSet::new();
     let (mut litter, mut cut_short) = (0, 0);
-    for _ in 0..KILLS {
+    for _ in 0..kills {
         state = state
             .wrapping_mul(6_364_136_223_846_793_005)
             .wrapping_add(1);
@@ -92,7 +91,7 @@ fn a_thousand_kills_leave_nothing() {
     }
     // With nothing left behind, nothing would have been tested.
     assert!(
-        cut_short > KILLS as usize / 20,
+        cut_short > kills / 20,
         "only {cut_short} kills left anything"
     );
     // The next start; a camera process that was killed with its owner needs a moment to be gone.
@@ -112,6 +111,6 @@ fn a_thousand_kills_leave_nothing() {
         .collect();
     assert_eq!(shared, Vec::<String>::new());
     println!(
-        "{KILLS} kills, {cut_short} of them left {litter} folders for a time; after the next start nothing is left"
+        "{kills} kills, {cut_short} of them left {litter} folders for a time; after the next start nothing is left"
     );
 }

@@ -187,6 +187,30 @@ fn every_value_of_every_row_is_held_by_the_chain() {
 }
 
 /// The column says go, the document no-go; the chain apart, a replay compares them.
+/// Elsewhere than where the station wrote it, a history that says it is of an earlier release would be taken as it is.
+#[test]
+fn a_layout_that_is_set_back_frees_nobody_from_the_chain() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let copy = folder.path().join("copy.db");
+    for layout in [1, 2] {
+        changed(&path, &copy, |connection| {
+            connection
+                .pragma_update(None, "user_version", layout)
+                .unwrap();
+            let edit = "UPDATE inspection SET verdict = 'go', reason = 'all is well'";
+            connection.execute_batch(edit).unwrap();
+        });
+        for found in [
+            History::read(&copy, &seals()),
+            History::open(&copy, &seals()),
+        ] {
+            let error = found.expect_err("refused").to_string();
+            assert!(error.contains("chain"), "layout {layout}: {error}");
+        }
+    }
+}
+
 #[test]
 fn a_row_that_says_otherwise_than_its_document_is_a_difference() {
     let folder = tempfile::tempdir().unwrap();

@@ -46,8 +46,8 @@ fn the_questions_that_clients_ask_when_they_connect_have_answers() {
     let mut client = Client::open(&stages);
     assert!(client.ask("VE?").starts_with("ESP301 Version"));
     for (axis, name, unit, low, high) in [
-        (1, "URS150BCC", "7", "-361", "361"),
-        (2, "IMS300V", "2", "-150", "150"),
+        (1, "URS150BCC", "7", "-361.0", "361.0"),
+        (2, "IMS300V", "2", "-150.0", "150.0"),
     ] {
         assert!(client.ask(&format!("{axis}ID?")).starts_with(name));
         assert_eq!(client.ask(&format!("{axis}SN?")), unit);
@@ -106,4 +106,53 @@ fn errors_have_their_numbers_and_move_nothing() {
     }
     assert_eq!(client.ask("1TP?"), "0.000000");
     assert_eq!(client.ask("2TP?"), "100.000000");
+}
+
+/// A carriage return ends a line; a line feed means nothing, wherever it stands.
+#[test]
+fn lines_end_with_a_carriage_return() {
+    let stages = esp301::run(20.0, 1).expect("a pseudo-terminal");
+    let mut client = Client::open(&stages);
+    for text in ["1SN?\r", "1SN?\r\n", "1SN?\n\r", "\n1S\nN?\r", " 1 sn ? \r"] {
+        client.0.write_all(text.as_bytes()).expect("written");
+        assert_eq!(client.answer(), "7", "{text:?}");
+    }
+    // Nothing is carried out, or answered, before there is one.
+    client.0.write_all(b"1MO\n1MO?\n").expect("written");
+    assert_eq!(client.ask(";2SN?"), "2");
+    assert_eq!(client.ask("TE?"), "6");
+}
+
+#[test]
+fn what_waits_holds_back_what_comes_after_it() {
+    let stages = esp301::run(20.0, 1).expect("a pseudo-terminal");
+    let mut client = Client::open(&stages);
+    client.say("1MO;1PA20;1WP10");
+    let passed: f64 = client.ask("1TP?").parse().expect("a position");
+    assert!((10.0..20.0).contains(&passed), "{passed}");
+    assert_eq!(client.ask("1WS;1WP5;TE?"), "101");
+    client.say("3XX;3EP;1PA4;1WS;QP");
+    assert_eq!(client.ask("1TP?"), "20.000000");
+    assert_eq!(client.ask("3EX;1TP?"), "4.000000");
+    assert_eq!(client.ask("4EX;TE?"), "35");
+    assert_eq!(client.ask("WT70000;TE?"), "7");
+}
+
+/// PyMeasure's and InstrumentKit's whole interfaces: every public method and attribute of either is used.
+#[test]
+fn clients_of_other_people_find_everything_they_ask_for() {
+    let Some(python) = flankscope_test_requisites::stage_clients() else {
+        return;
+    };
+    let stages = esp301::run(20.0, 1).expect("a pseudo-terminal");
+    let script = flankscope_test_requisites::workspace().join("tools/peers/stage_clients.py");
+    let output = std::process::Command::new(python)
+        .arg(script)
+        .arg(stages.port())
+        .output()
+        .expect("Python starts");
+    let said = String::from_utf8_lossy(&output.stdout);
+    let complaints = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}\n{complaints}");
+    println!("{said}");
 }

@@ -106,6 +106,8 @@ fn inject(image: &Path, fault: FaultInjection, expected: Boot) {
         .iter()
         .position(|told| told.subject == Subject::Started)
         .expect("started again");
+    // Where the machine had no time for the interrupt, the watchdog reset by itself.
+    let by_itself = expected == Boot::Watchdog && after[restart].value == 1;
     for output in [
         Subject::LedEnable,
         Subject::CameraTrigger,
@@ -114,9 +116,8 @@ fn inject(image: &Path, fault: FaultInjection, expected: Boot) {
     ] {
         // Dropped before the reset, not only by the start after it.
         let before = after[..restart].iter().rfind(|told| told.subject == output);
-        assert_eq!(
-            before.map(|told| told.value),
-            Some(0),
+        assert!(
+            by_itself || before.is_some_and(|told| told.value == 0),
             "{fault:?}: {output:?}"
         );
         let last = after.iter().rfind(|told| told.subject == output);

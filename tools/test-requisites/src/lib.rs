@@ -5,6 +5,9 @@
 
 use std::path::{Path, PathBuf};
 
+/// Where [`stage_clients`] looks, from the repository.
+pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
+
 /// Whether everything must run: nothing may be missed, and campaigns draw as many cases as they state.
 #[must_use]
 pub fn everything() -> bool {
@@ -83,6 +86,19 @@ pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
     let mut candidates = candidates.chain([PathBuf::from("python3")]);
     let found = candidates.find(has);
     found.or_else(|| missed(&format!("Python with {}", modules.join(", "))))
+}
+
+/// Python with two clients of other people for the stage controller.
+///
+/// # Panics
+/// It is missing although everything must run.
+#[must_use]
+pub fn stage_clients() -> Option<PathBuf> {
+    let python = workspace().join(STAGE_CLIENTS);
+    match python.is_file() {
+        true => Some(python),
+        false => missed(&format!("{STAGE_CLIENTS} (tools/peers/README.md)")),
+    }
 }
 
 fn missed(what: &str) -> Option<PathBuf> {

@@ -21,6 +21,7 @@ const STATION: &str = "host/station";
 const CLI: &str = "host/cli";
 const BENCH: &str = "tools/bench";
 const DEMO: &str = "tools/demo";
+const CAMPAIGN: &str = "tools/campaign";
 const STUDY: &str = "tools/study";
 const GEAR_CAD: &str = "tools/gear-cad";
 const TEST_REQUISITES: &str = "tools/test-requisites";
@@ -90,6 +91,7 @@ const ROOMS: &[Room] = &[
             GEAR_CAD,
         ],
     ),
+    (CAMPAIGN, &[METROLOGY, PROFILOMETRY, STATION]),
     (STUDY, EVERYTHING),
     (GEAR_CAD, &[]),
     (TEST_REQUISITES, &[]),
@@ -102,6 +104,8 @@ const ROOMS: &[Room] = &[
 /// takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
+    (FRAMES, &[TEST_REQUISITES]),
+    (STATION, &[TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[STATION, TEST_REQUISITES]),
 ];

@@ -28,6 +28,9 @@ cargo xtask COMMAND
   study [--blocks N --captures N --seed S --only TEXT]
                          how often the verdict is right, on the bench: tables and plots in docs/study
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
+  campaign [--mutants N | --seconds S] [--seed S]
+                         mutants of every file that the instrument reads, 100 000 unless said otherwise
+  deny                   licences, sources and advisories of what is linked: cargo-deny with deny.toml
   ci                     all of it, in the order of .ci/run
 ";
 
@@ -51,6 +54,8 @@ fn main() -> ExitCode {
         ["bench", "--peers", environment] => bench::run(&root(), Some(environment)),
         ["study", "--scan"] => scan_study::run(&root()),
         ["study", rest @ ..] => study(rest),
+        ["campaign", rest @ ..] => campaign(rest),
+        ["deny"] => deny(),
         ["demo"] => demo(),
         ["ci"] => ci(),
         [] | ["help" | "--help" | "-h"] => {
@@ -118,7 +123,8 @@ fn test(all: bool) -> Result<(), String> {
     }
     if !all {
         eprintln!(
-            "  --all adds                 the long campaigns, and fails where something cannot run"
+            "  --all adds                 10 times the kills (2 000), 20 seeds instead of 4, 300 damaged dies instead of 8, \
+             100 000 drawn flanks instead of 3 000; and fails where something cannot run"
         );
     }
     match (tests, arrows) {
@@ -157,6 +163,29 @@ fn doc() -> Result<(), String> {
 
 fn demo() -> Result<(), String> {
     run(cargo(&["run", "--release", "--", "inspect"]))
+}
+
+/// With the checks of the test profile in both programs: an overflow is a finding.
+fn campaign(rest: &[&str]) -> Result<(), String> {
+    run(cargo(&["build", "-p", "flankscope"]))?;
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    let program = target.join("debug/flankscope").display().to_string();
+    let campaign = [
+        "run",
+        "-p",
+        "flankscope-campaign",
+        "--",
+        "--program",
+        &program,
+    ];
+    run(cargo(&[&campaign[..], rest].concat()))
+}
+
+fn deny() -> Result<(), String> {
+    run(cargo(&["deny", "check"])).map_err(|error| {
+        format!("{error}; cargo-deny comes with `cargo install --locked cargo-deny`, its advisories from the RustSec database")
+    })
 }
 
 fn study(rest: &[&str]) -> Result<(), String> {
@@ -200,6 +229,7 @@ fn ci() -> Result<(), String> {
     lint()?;
     doc()?;
     arrows(&root())?;
+    campaign(&["--seconds", "60"])?;
     demo()?;
     firmware::qemu(&root())
 }

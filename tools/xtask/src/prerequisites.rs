@@ -4,6 +4,9 @@ use std::path::Path;
 
 use crate::firmware;
 
+/// As `flankscope_test_requisites::STAGE_CLIENTS`.
+const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
+
 /// Something a group of tests needs and this machine lacks.
 pub struct Missing {
     /// The tests that cannot run.
@@ -43,6 +46,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the check through the controller's Cortex-M image",
             needs: "qemu-system-arm and the image",
             how: "apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
+        });
+    }
+    if !root.join(STAGE_CLIENTS).is_file() {
+        missing.push(Missing {
+            what: "the emulated stage controller driven by other people's clients (PyMeasure, InstrumentKit)",
+            needs: STAGE_CLIENTS,
+            how: "python3 -m venv target/stage-clients && target/stage-clients/bin/pip install --no-deps -r tools/peers/stage-clients.txt",
         });
     }
     missing

@@ -22,7 +22,7 @@ pub use prior::Prior;
 pub use response::{Answer, Contact, Response};
 pub use solve::register;
 
-use flankscope_foundation::told::Told;
+use flankscope_foundation::display::Number;
 use nalgebra::Matrix6;
 
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
@@ -121,7 +121,7 @@ pub enum Reason {
         points: usize,
     },
     /// The start is too far away.
-    #[error("only {:.0} % of the points start within {capture_mm} mm of the surface, at least {:.0} % are needed: the cloud and the CAD are disjoint; give a start pose", Told(100.0 * ratio), Told(100.0 * least_ratio), capture_mm = Told(*capture_mm))]
+    #[error("only {:.0} % of the points start within {capture_mm} mm of the surface, at least {:.0} % are needed: the cloud and the CAD are disjoint; give a start pose", Number(100.0 * ratio), Number(100.0 * least_ratio), capture_mm = Number(*capture_mm))]
     Disjoint {
         /// Share of points within reach.
         ratio: f64,
@@ -131,7 +131,7 @@ pub enum Reason {
         capture_mm: f64,
     },
     /// The fit explains too little of the cloud.
-    #[error("only {inliers} of {points} points lie within {reach_mm:.4} mm of the surface after the fit, at least {:.0} % are needed", Told(100.0 * least_ratio), reach_mm = Told(*reach_mm))]
+    #[error("only {inliers} of {points} points lie within {reach_mm:.4} mm of the surface after the fit, at least {:.0} % are needed", Number(100.0 * least_ratio), reach_mm = Number(*reach_mm))]
     TooFewInliers {
         /// Points on the surface.
         inliers: usize,
@@ -144,7 +144,7 @@ pub enum Reason {
     },
     /// The steps did not die out.
     #[error(
-        "not converged after {iterations} steps: the last one was {step_mm:.6} mm, below {limit_mm} mm is needed", step_mm = Told(*step_mm), limit_mm = Told(*limit_mm))]
+        "not converged after {iterations} steps: the last one was {step_mm:.6} mm, below {limit_mm} mm is needed", step_mm = Number(*step_mm), limit_mm = Number(*limit_mm))]
     NotConverged {
         /// Steps taken.
         iterations: usize,
@@ -155,7 +155,7 @@ pub enum Reason {
     },
     /// The data leave too much open.
     #[error(
-        "{unobserved} directions are not observed (standard deviation above {limit_mm} mm); at most 2 may be open without a prior", limit_mm = Told(*limit_mm))]
+        "{unobserved} directions are not observed (standard deviation above {limit_mm} mm); at most 2 may be open without a prior", limit_mm = Number(*limit_mm))]
     Unconstrained {
         /// Number of open directions.
         unobserved: usize,
@@ -164,7 +164,7 @@ pub enum Reason {
     },
     /// Another tooth fits as well.
     #[error(
-        "ambiguous tooth: the pose found is {moved_rad:.5} rad from the start, its rival one pitch on is {rival_rad:.5} rad away; a ratio of at most {limit_ratio} is needed", moved_rad = Told(*moved_rad), rival_rad = Told(*rival_rad), limit_ratio = Told(*limit_ratio))]
+        "ambiguous tooth: the pose found is {moved_rad:.5} rad from the start, its rival one pitch on is {rival_rad:.5} rad away; a ratio of at most {limit_ratio} is needed", moved_rad = Number(*moved_rad), rival_rad = Number(*rival_rad), limit_ratio = Number(*limit_ratio))]
     AmbiguousTooth {
         /// Angle between start and pose about the tool axis.
         moved_rad: f64,
@@ -175,7 +175,7 @@ pub enum Reason {
     },
     /// The pose contradicts the stages.
     #[error(
-        "the pose is {distance:.1} standard deviations off what the stages say, at most {limit} are accepted", distance = Told(*distance), limit = Told(*limit))]
+        "the pose is {distance:.1} standard deviations off what the stages say, at most {limit} are accepted", distance = Number(*distance), limit = Number(*limit))]
     PriorViolated {
         /// Mahalanobis distance.
         distance: f64,

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use flankscope_foundation::told::Told;
+use flankscope_foundation::display::Number;
 use serde::{Deserialize, Serialize};
 
 use crate::registration;
@@ -201,7 +201,7 @@ pub enum Reason {
     },
     /// Limits that contradict each other.
     #[error(
-        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop", warn_um = Told(*warn_um), limit_um = Told(*limit_um))]
+        "the limits are out of order: warn {warn_um} um, stop {limit_um} um; right would be 0 < warn <= stop", warn_um = Number(*warn_um), limit_um = Number(*limit_um))]
     Limits {
         /// Warning limit.
         warn_um: f64,
@@ -210,7 +210,7 @@ pub enum Reason {
     },
     /// The figure is too near to the limit for its uncertainty.
     #[error(
-        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side", value_um = Told(*value_um), limit_um = Told(*limit_um), guard_um = Told(*guard_um))]
+        "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side", value_um = Number(*value_um), limit_um = Number(*limit_um), guard_um = Number(*guard_um))]
     Undecidable {
         /// Which figure.
         what: &'static str,
@@ -222,7 +222,7 @@ pub enum Reason {
         limit_um: f64,
     },
     /// Too little of the zone was measured.
-    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", Told(100.0 * coverage), Told(100.0 * least))]
+    #[error("only {:.0} % of the zone was measured, at least {:.0} % are needed", Number(100.0 * coverage), Number(100.0 * least))]
     Coverage {
         /// Measured share of the zone.
         coverage: f64,
@@ -231,7 +231,7 @@ pub enum Reason {
     },
     /// Nothing fits the zone over which the largest mean loss could be sought, or nothing was measured.
     #[error(
-        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed", area_mm2 = Told(*area_mm2))]
+        "no disc of {area_mm2} mm2 could be measured in the zone; a larger zone or a smaller inspect.wear_area_mm2 is needed", area_mm2 = Number(*area_mm2))]
     NoDisc {
         /// Area of the disc.
         area_mm2: f64,
@@ -239,7 +239,7 @@ pub enum Reason {
     /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
     /// look into.
     #[error(
-        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Told(*hidden_um), supposed_um = Told(*supposed_um), limit_um = Told(*limit_um))]
+        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Number(*hidden_um), supposed_um = Number(*supposed_um), limit_um = Number(*limit_um))]
     Hidden {
         /// The largest mean loss that a disc may have.
         hidden_um: f64,
@@ -250,7 +250,7 @@ pub enum Reason {
     },
     /// Damage at the warning limit would not be seen.
     #[error(
-        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Told(*detects_um), warn_um = Told(*warn_um))]
+        "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Number(*detects_um), warn_um = Number(*warn_um))]
     Detection {
         /// Least wear that is told from none.
         detects_um: f64,
@@ -261,7 +261,7 @@ pub enum Reason {
     },
     /// The estimate is not what was read.
     #[error(
-        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)", wear_um = Told(*wear_um), raw_um = Told(*raw_um), guard_um = Told(*guard_um))]
+        "the estimate of {wear_um:.1} um differs from the largest mean loss as read, {raw_um:.1} um, by more than its uncertainty allows ({guard_um:.1} um)", wear_um = Number(*wear_um), raw_um = Number(*raw_um), guard_um = Number(*guard_um))]
     Disagreement {
         /// Estimate.
         wear_um: f64,
@@ -276,7 +276,7 @@ pub enum Reason {
     /// The pose hides too much of the wear.
     #[error(
         "the pose hides {:.0} % of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
-        Told(100.0 * leakage), Told(100.0 * limit)
+        Number(100.0 * leakage), Number(100.0 * limit)
     )]
     Leakage {
         /// Worst leakage of the flank.
@@ -290,7 +290,7 @@ pub enum Reason {
     )]
     TemperatureMissing,
     /// The tool's temperature is outside its range.
-    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}", degc = Told(*degc), low = Told(*low), high = Told(*high))]
+    #[error("the tool has {degc} degrees C, outside its range of {low} to {high}", degc = Number(*degc), low = Number(*low), high = Number(*high))]
     TemperatureRange {
         /// Temperature.
         degc: f64,

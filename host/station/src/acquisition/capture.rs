@@ -142,7 +142,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(AcquisitionError::Thread { thread: "compute" })?;
-                    watch(Progress::Evaluated(run.number(view)));
+                    watch(Progress::Evaluated(view));
                     run.evaluated(view, *outcome);
                 }
                 () = tokio::time::sleep(Duration::from_millis(200)), if captured.is_some() => {}
@@ -165,7 +165,8 @@ impl<O: Send + 'static> Acquisition<O> {
                                 Event::StateChanged { next: State::Moving, .. } => {
                                     let next = run.session.views.get(run.session.begun());
                                     if let Some(&view) = next {
-                                        watch(Progress::Moving(run.number(view), run.wanted.len()));
+                                        let (number, of) = (run.number(view), run.wanted.len());
+                                        watch(Progress::Moving { view, number, of });
                                     }
                                 }
                                 Event::StateChanged { next: State::Retracting, .. } => {
@@ -173,7 +174,7 @@ impl<O: Send + 'static> Acquisition<O> {
                                     retracting = true;
                                 }
                                 Event::Triggered(trigger) => {
-                                    watch(Progress::Exposed(trigger.frame, frames));
+                                    watch(Progress::Exposed { frame: trigger.frame, of: frames });
                                     run.triggered(trigger);
                                 }
                                 Event::Fault { fault, .. }

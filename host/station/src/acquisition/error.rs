@@ -149,17 +149,29 @@ pub enum ViewError {
     BeyondPlan,
 }
 
-/// How far a run is; for somebody who watches. Views are numbered from 0 in the order in which they were asked for.
+/// How far a run is; for somebody who watches. A view is its place in the plan, from 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Progress {
     /// The controller answered.
     Connected,
     /// The stages reference.
     Homing,
-    /// The head moves to a view (its number, of how many).
-    Moving(usize, usize),
-    /// A frame was exposed (frame of the view, of how many).
-    Exposed(u16, u16),
+    /// The head moves to a view.
+    Moving {
+        /// Which.
+        view: usize,
+        /// Its number in the order of visits, from 0.
+        number: usize,
+        /// Of how many.
+        of: usize,
+    },
+    /// A frame of the view was exposed.
+    Exposed {
+        /// Its number, from 0.
+        frame: u16,
+        /// Of how many.
+        of: u16,
+    },
     /// A view is being captured again.
     Recapture(usize),
     /// A view's figures are too near to a limit: it is measured again.

@@ -39,7 +39,7 @@ impl<O: Send + 'static> Acquisition<O> {
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
                 for &view in &open {
-                    watch(Progress::Recapture(run.number(view)));
+                    watch(Progress::Recapture(view));
                 }
                 run.counts.recaptured += open.len() as u32;
             }

@@ -128,6 +128,7 @@ impl History {
                 .pragma_update(None, name, value)
                 .map_err(sql("set it up"))?;
         }
+        history.not_set_back()?;
         history.make_tables()?;
         history.check_layout()?;
         Ok(history)
@@ -287,7 +288,27 @@ impl History {
         Ok(())
     }
 
+    /// Before layout 3 nothing was signed: a number that was set back would have everything believed.
+    fn not_set_back(&self) -> Result<(), HistoryError> {
+        let layout = self.number("user_version")?;
+        let unsigned = self.number("application_id")? == APPLICATION_ID && (1..3).contains(&layout);
+        if unsigned
+            && self
+                .has_table("chain")
+                .map_err(self.because("read its layout"))?
+        {
+            return Err(HistoryError::Broken {
+                path: self.path.clone(),
+                why: format!(
+                    "it says that it has layout {layout}, which has no chain, and it has one"
+                ),
+            });
+        }
+        Ok(())
+    }
+
     fn check_layout(&self) -> Result<(), HistoryError> {
+        self.not_set_back()?;
         let path = || self.path.clone();
         match (self.number("application_id")?, self.number("user_version")?) {
             (APPLICATION_ID, 1..=VERSION) => Ok(()),

@@ -183,6 +183,12 @@ impl Station {
         self.subject.die()
     }
 
+    /// The tooth in the middle of every view of the plan.
+    pub fn teeth(&self) -> impl Iterator<Item = u32> + use<> {
+        let plan = Arc::clone(&self.plan);
+        (0..plan.views.len()).map(move |view| plan.views[view].tooth)
+    }
+
     /// Runs one check through the controller at `port`; the verdict waits for `store`.
     ///
     /// # Errors

@@ -34,6 +34,11 @@ pub struct RecordedCheck {
 }
 
 impl RecordedCheck {
+    /// The tooth in the middle of every view.
+    pub fn teeth(&self) -> impl Iterator<Item = u32> + use<> {
+        self.station.teeth()
+    }
+
     /// Prepares a check of these frames, or of those of some `teeth`. Results say that they come from `setting`.
     ///
     /// # Errors

@@ -42,7 +42,7 @@ impl Station {
                 return Ok(None);
             }
             for &view in &open {
-                watch(Progress::Repeat(run.number(view)));
+                watch(Progress::Repeat(view));
             }
             let before = std::mem::take(&mut run.outcomes);
             let captured = self.capture_when_open(client, run, &open, watch).await;

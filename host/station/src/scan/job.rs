@@ -309,9 +309,7 @@ impl Scanner {
                 keep(store, &mut lost, run, views, stopped)
             };
             let mut again = |progress: CheckProgress| {
-                if let CheckProgress::Recapture(number) = progress
-                    && let Some(&view) = wanted.get(number)
-                {
+                if let CheckProgress::Recapture(view) = progress {
                     watch(Progress::Recapture(view));
                 }
             };

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use flankscope_foundation::display::Number;
 use flankscope_foundation::rigid::Rigid;
-use flankscope_foundation::told::Told;
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::adjustment::{
@@ -238,8 +238,8 @@ pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
     (!fits).then(|| {
         off_cad(format_args!(
             "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
-            Told(100.0 * view.share),
-            Told(1e3 * view.rms_mm),
+            Number(100.0 * view.share),
+            Number(1e3 * view.rms_mm),
             100.0 * LEAST_SHARE,
             1e3 * MOST_RMS_MM,
         ))

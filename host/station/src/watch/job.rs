@@ -50,7 +50,7 @@ fn word<S: serde::Serializer>(shown: &Shown, serializer: S) -> Result<S::Ok, S::
 
 /// What the watch tells.
 #[derive(Debug)]
-pub enum Told {
+pub enum WatchEvent {
     /// The press cycled.
     Cycle(u32),
     /// The press is held for a check.
@@ -81,7 +81,7 @@ impl Station {
         settings: &WatchSettings,
         writer: Option<&mut HistoryWriter>,
         acknowledged: &Receiver<String>,
-        tell: impl FnMut(Told) -> bool,
+        tell: impl FnMut(WatchEvent) -> bool,
     ) -> Result<Shown, WatchError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -94,7 +94,7 @@ impl Station {
                 .await?;
             let mut watch = Watch::begin(self, client, settings, writer, tell).await?;
             let before = watch.latch.shown();
-            if before != Shown::Unchecked && watch.tell(Told::Resumed(before)).is_break() {
+            if before != Shown::Unchecked && watch.tell(WatchEvent::Resumed(before)).is_break() {
                 return Ok(before);
             }
             while watch.step(acknowledged).await?.is_continue() {}
@@ -144,7 +144,7 @@ struct Watch<'a, T> {
     next_refresh: Instant,
 }
 
-impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
+impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
     async fn begin(
         station: &'a mut Station,
         mut client: Client,
@@ -175,7 +175,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
     }
 
     /// Tells something; breaks when that is the last thing.
-    fn tell(&mut self, told: Told) -> ControlFlow<()> {
+    fn tell(&mut self, told: WatchEvent) -> ControlFlow<()> {
         if (self.tell)(told) {
             ControlFlow::Continue(())
         } else {
@@ -211,7 +211,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
                 self.cycle = count;
                 let most = self.settings.cycles;
                 let over = most.is_some_and(|most| count.wrapping_sub(self.first) >= most);
-                if self.tell(Told::Cycle(count)).is_break() || over {
+                if self.tell(WatchEvent::Cycle(count)).is_break() || over {
                     return Ok(ControlFlow::Break(()));
                 }
             }
@@ -242,9 +242,9 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
                 self.latch.acknowledge();
                 // Check again at the next opening.
                 self.checked_at = self.cycle.wrapping_sub(self.settings.every);
-                Told::Acknowledged
+                WatchEvent::Acknowledged
             }
-            Err(error) => Told::NotAcknowledged(error),
+            Err(error) => WatchEvent::NotAcknowledged(error),
         };
         self.tell(told)
     }
@@ -259,7 +259,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
 
     /// Checks now, stores, latches and shows what was found.
     async fn check(&mut self) -> Result<ControlFlow<()>, WatchError> {
-        if self.tell(Told::Checking(self.cycle)).is_break() {
+        if self.tell(WatchEvent::Checking(self.cycle)).is_break() {
             return Ok(ControlFlow::Break(()));
         }
         let hold_limit = Some(self.settings.hold_limit);
@@ -271,7 +271,7 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
             // The press was faster than the order: the next opening will do.
             Err(InspectError::Acquisition(AcquisitionError::Client(ClientError::Refused(
                 Refusal::Interlock { fault },
-            )))) => return Ok(self.tell(Told::Missed(self.cycle, fault))),
+            )))) => return Ok(self.tell(WatchEvent::Missed(self.cycle, fault))),
             check => check?,
         };
         self.writer
@@ -287,6 +287,6 @@ impl<'a, T: FnMut(Told) -> bool> Watch<'a, T> {
             shown,
             needs_maintenance: self.latch.needs_maintenance(),
         };
-        Ok(self.tell(Told::Checked(Box::new(checked))))
+        Ok(self.tell(WatchEvent::Checked(Box::new(checked))))
     }
 }

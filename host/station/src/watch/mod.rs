@@ -8,4 +8,4 @@
 
 mod job;
 
-pub use job::{Checked, Told, WatchError, WatchSettings};
+pub use job::{Checked, WatchError, WatchEvent, WatchSettings};

@@ -5,8 +5,10 @@
 pub struct Dynamics {
     /// Largest speed.
     pub speed: f64,
-    /// Acceleration and deceleration.
+    /// Acceleration.
     pub acceleration: f64,
+    /// Deceleration.
+    pub deceleration: f64,
 }
 
 /// A motion that began at some time with some speed and ends at rest.
@@ -22,6 +24,20 @@ pub struct Profile {
     dynamics: Dynamics,
 }
 
+/// Seconds of acceleration, of full speed and of deceleration.
+#[derive(Debug, Clone, Copy)]
+struct Trapezoid {
+    up_s: f64,
+    cruise_s: f64,
+    down_s: f64,
+}
+
+impl Trapezoid {
+    fn total_s(self) -> f64 {
+        self.up_s + self.cruise_s + self.down_s
+    }
+}
+
 impl Profile {
     /// At rest for ever.
     #[must_use]
@@ -29,6 +45,7 @@ impl Profile {
         let dynamics = Dynamics {
             speed: 1.0,
             acceleration: 1.0,
+            deceleration: 1.0,
         };
         Self {
             start_s: 0.0,
@@ -54,7 +71,7 @@ impl Profile {
     #[must_use]
     pub fn brake(&self, now_s: f64, dynamics: Dynamics) -> Self {
         let (from, from_speed) = (self.position(now_s), self.speed(now_s));
-        let brake_s = from_speed.abs() / dynamics.acceleration;
+        let brake_s = from_speed.abs() / dynamics.deceleration;
         let turn = from + 0.5 * from_speed * brake_s;
         Self {
             start_s: now_s,
@@ -76,24 +93,29 @@ impl Profile {
     /// When it comes to rest.
     #[must_use]
     pub fn end_s(&self) -> f64 {
-        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
-        self.start_s + self.brake_s + 2.0 * ramp_s + cruise_s
+        self.start_s + self.brake_s + self.trapezoid().total_s()
     }
 
-    /// Seconds of acceleration (as many of deceleration) and of cruise in the trapezoid.
-    fn ramp_and_cruise_s(&self) -> (f64, f64) {
+    /// From rest at the turn to rest at the target.
+    fn trapezoid(&self) -> Trapezoid {
         let Dynamics {
             speed,
             acceleration,
+            deceleration,
         } = self.dynamics;
         let distance = (self.target - self.turn).abs();
-        if distance * acceleration >= speed * speed {
-            (
-                speed / acceleration,
-                distance / speed - speed / acceleration,
-            )
+        // Both ramps at full speed take this much of the way.
+        let ramps = 0.5 * speed * speed * (1.0 / acceleration + 1.0 / deceleration);
+        let (peak, cruise_s) = if distance >= ramps {
+            (speed, (distance - ramps) / speed)
         } else {
-            ((distance / acceleration).sqrt(), 0.0)
+            let together = acceleration * deceleration / (acceleration + deceleration);
+            ((2.0 * distance * together).sqrt(), 0.0)
+        };
+        Trapezoid {
+            up_s: peak / acceleration,
+            cruise_s,
+            down_s: peak / deceleration,
         }
     }
 
@@ -106,20 +128,20 @@ impl Profile {
             return self.from + self.from_speed * t - 0.5 * deceleration * t * t;
         }
         let t = t - self.brake_s;
-        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
+        let trapezoid = self.trapezoid();
+        let Trapezoid { up_s, cruise_s, .. } = trapezoid;
         let a = self.dynamics.acceleration;
-        let total_s = 2.0 * ramp_s + cruise_s;
-        if t >= total_s {
+        let left_s = trapezoid.total_s() - t;
+        if left_s <= 0.0 {
             return self.target;
         }
         let sign = (self.target - self.turn).signum();
-        if t < ramp_s {
+        if t < up_s {
             self.turn + sign * 0.5 * a * t * t
-        } else if t < ramp_s + cruise_s {
-            self.turn + sign * (0.5 * a * ramp_s * ramp_s + a * ramp_s * (t - ramp_s))
+        } else if t < up_s + cruise_s {
+            self.turn + sign * (0.5 * a * up_s * up_s + a * up_s * (t - up_s))
         } else {
-            let left = total_s - t;
-            self.target - sign * 0.5 * a * left * left
+            self.target - sign * 0.5 * self.dynamics.deceleration * left_s * left_s
         }
     }
 
@@ -131,10 +153,11 @@ impl Profile {
             return self.from_speed * (1.0 - t / self.brake_s);
         }
         let t = t - self.brake_s;
-        let (ramp_s, cruise_s) = self.ramp_and_cruise_s();
-        let left = (2.0 * ramp_s + cruise_s - t).max(0.0);
-        let sign = (self.target - self.turn).signum();
-        sign * self.dynamics.acceleration * t.min(ramp_s).min(left)
+        let trapezoid = self.trapezoid();
+        let left_s = (trapezoid.total_s() - t).max(0.0);
+        let rising = self.dynamics.acceleration * t.min(trapezoid.up_s);
+        let falling = self.dynamics.deceleration * left_s.min(trapezoid.down_s);
+        (self.target - self.turn).signum() * rising.min(falling)
     }
 }
 
@@ -145,6 +168,7 @@ mod tests {
     const DYNAMICS: Dynamics = Dynamics {
         speed: 100.0,
         acceleration: 800.0,
+        deceleration: 800.0,
     };
 
     #[test]
@@ -153,6 +177,23 @@ mod tests {
         assert!((profile.end_s() - (5.0 + 1.0 + 0.125)).abs() < 1e-12);
         assert_eq!(profile.position(4.0), 10.0);
         assert_eq!(profile.position(profile.end_s()), 110.0);
+    }
+
+    #[test]
+    fn ramps_of_their_own_take_their_own_time() {
+        let gentle = Dynamics {
+            deceleration: 200.0,
+            ..DYNAMICS
+        };
+        // 6.25 mm up within 0.125 s, 25 mm down within 0.5 s, the rest at full speed.
+        let long = Profile::rest(0.0).redirect(0.0, 131.25, gentle);
+        assert!((long.end_s() - (0.125 + 1.0 + 0.5)).abs() < 1e-12);
+        assert!((long.position(1.125) - 106.25).abs() < 1e-9 && long.speed(1.125) == 100.0);
+        // A short one turns where both ramps meet: v² (1/800 + 1/200) / 2 = 5.
+        let short = Profile::rest(0.0).redirect(0.0, 5.0, gentle);
+        let peak = (10.0f64 / (1.0 / 800.0 + 1.0 / 200.0)).sqrt();
+        assert!((short.speed(peak / 800.0) - peak).abs() < 1e-9);
+        assert!((short.end_s() - peak / 800.0 - peak / 200.0).abs() < 1e-12);
     }
 
     #[test]

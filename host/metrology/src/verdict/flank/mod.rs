@@ -3,7 +3,7 @@
 //! A loss that is shown to exceed the stop limit is a no-go whatever else could not be seen. Everything short of that needs
 //! more: that no unmeasured patch, no blunt instrument and no pose may hide what would change the word.
 
-use flankscope_foundation::told::Told;
+use flankscope_foundation::display::Number;
 
 use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
 use crate::wear::FlankWear;
@@ -73,7 +73,7 @@ impl Cause {
         // Rounding of tenths of a millimetre would hide what is compared.
         let digits = if *unit == "mm" { 3 } else { 1 };
         let beyond = value > limit;
-        let [value, guard, limit] = [*value, *guard, *limit].map(Told);
+        let [value, guard, limit] = [*value, *guard, *limit].map(Number);
         if beyond {
             format!(
                 "{figure} {value:.digits$} {unit} is beyond the {name} of {limit:.digits$} {unit}"

@@ -89,7 +89,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 },
                 outcome = self.outcomes.recv() => {
                     let (view, outcome) = outcome.ok_or(AcquisitionError::Thread { thread: "compute" })?;
-                    watch(Progress::Evaluated(run.number(view)));
+                    watch(Progress::Evaluated(view));
                     run.evaluated(view, *outcome);
                 }
             }

@@ -4,9 +4,9 @@ use std::fmt;
 
 /// A figure in a sentence: what is no finite number is said in words.
 #[derive(Clone, Copy, Debug)]
-pub struct Told(pub f64);
+pub struct Number(pub f64);
 
-impl fmt::Display for Told {
+impl fmt::Display for Number {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.0.is_finite() {
             fmt::Display::fmt(&self.0, f)
@@ -22,8 +22,8 @@ mod tests {
 
     #[test]
     fn numbers_are_told_as_they_are_and_others_in_words() {
-        assert_eq!(format!("{:.1} {}", Told(1.25), Told(50.0)), "1.2 50");
-        assert_eq!(format!("{:.1}", Told(f64::NAN)), "(no number)");
-        assert_eq!(format!("{}", Told(f64::NEG_INFINITY)), "(no number)");
+        assert_eq!(format!("{:.1} {}", Number(1.25), Number(50.0)), "1.2 50");
+        assert_eq!(format!("{:.1}", Number(f64::NAN)), "(no number)");
+        assert_eq!(format!("{}", Number(f64::NEG_INFINITY)), "(no number)");
     }
 }

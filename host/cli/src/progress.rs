@@ -1,0 +1,73 @@
+//! How far a run is, on standard error.
+
+use std::time::Instant;
+
+use flankscope_station::acquisition::Progress;
+
+use crate::output::say;
+
+/// Tells how far a run is, a line for every step.
+pub struct Watcher {
+    quiet: bool,
+    start: Instant,
+    /// What the views are called.
+    names: Vec<String>,
+    /// The view at which the head is.
+    at: usize,
+}
+
+impl Watcher {
+    /// Silent if `quiet`. `names` are those of the views of the plan; where they have none they are counted.
+    pub fn new(quiet: bool, names: Vec<String>) -> Self {
+        Self {
+            quiet,
+            start: Instant::now(),
+            names,
+            at: 0,
+        }
+    }
+
+    /// For views of teeth.
+    pub fn of_teeth(quiet: bool, teeth: impl Iterator<Item = u32>) -> Self {
+        Self::new(quiet, teeth.map(|tooth| format!("tooth {tooth}")).collect())
+    }
+
+    /// Tells of a step.
+    pub fn show(&mut self, progress: Progress) {
+        if self.quiet {
+            return;
+        }
+        let line = match progress {
+            Progress::Connected => "controller answered".into(),
+            Progress::Homing => "stages reference".into(),
+            Progress::Moving { view, number, of } => {
+                self.at = view;
+                format!(
+                    "head moves to {} (view {} of {of})",
+                    self.name(view),
+                    number + 1
+                )
+            }
+            Progress::Exposed { frame: 0, of } => {
+                format!("LED on, {of} frames of {}", self.name(self.at))
+            }
+            Progress::Exposed { .. } => return,
+            Progress::Recapture(view) => format!("{} is captured again", self.name(view)),
+            Progress::Repeat(view) => format!(
+                "{} is too near to a limit, it is measured again",
+                self.name(view)
+            ),
+            Progress::Retracting => "head retracts".into(),
+            Progress::Evaluated(view) => format!("{} evaluated", self.name(view)),
+        };
+        say(&format!(
+            "{:6.2} s  {line}",
+            self.start.elapsed().as_secs_f64()
+        ));
+    }
+
+    fn name(&self, view: usize) -> String {
+        let named = self.names.get(view).cloned();
+        named.unwrap_or_else(|| format!("view {}", view + 1))
+    }
+}

@@ -1,0 +1,129 @@
+//! What the terminal on the other side can show: colours, and the letter µ.
+
+use std::io::IsTerminal;
+
+use flankscope_metrology::verdict::Word;
+
+/// What standard output, or standard error, goes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Terminal {
+    colours: bool,
+    unicode: bool,
+}
+
+impl Terminal {
+    /// Of standard output.
+    pub fn of_stdout() -> Self {
+        Self::of(std::io::stdout().is_terminal(), &variable)
+    }
+
+    /// Of standard error.
+    pub fn of_stderr() -> Self {
+        Self::of(std::io::stderr().is_terminal(), &variable)
+    }
+
+    /// Colours on a terminal unless <https://no-color.org> or a dumb one forbids them; µ where the locale is in UTF-8, first of
+    /// LC_ALL, LC_CTYPE and LANG that says something (POSIX.1-2017, 8.2).
+    fn of(is_terminal: bool, variable: &dyn Fn(&str) -> Option<String>) -> Self {
+        let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
+            .into_iter()
+            .find_map(variable)
+            .unwrap_or_default()
+            .to_ascii_lowercase();
+        let dumb = variable("TERM").is_some_and(|term| term == "dumb");
+        Self {
+            colours: is_terminal && !dumb && variable("NO_COLOR").is_none(),
+            unicode: locale.contains("utf-8") || locale.contains("utf8"),
+        }
+    }
+
+    /// A text with its micrometres and signs as this terminal can show them.
+    pub fn text(self, text: &str) -> String {
+        if self.unicode {
+            micro(text)
+        } else {
+            text.replace('µ', "u")
+                .replace('–', "-")
+                .replace('±', "+-")
+                .replace('°', " deg")
+        }
+    }
+
+    /// A text in the colour of a verdict. Words differ as well: nobody depends on the colour.
+    pub fn in_colour(self, verdict: Word, text: &str) -> String {
+        if !self.colours {
+            return text.to_owned();
+        }
+        let code = match verdict {
+            Word::Go => "32",
+            Word::Warn => "33",
+            Word::NoGo => "1;31",
+            Word::Indeterminate => "35",
+        };
+        format!("\x1b[{code}m{text}\x1b[0m")
+    }
+}
+
+fn variable(name: &str) -> Option<String> {
+    std::env::var(name).ok().filter(|value| !value.is_empty())
+}
+
+/// "um" after a number, or as a word of its own, as "µm".
+fn micro(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("um") {
+        let (before, from) = rest.split_at(at);
+        let after = &from[2..];
+        let begins = before
+            .chars()
+            .last()
+            .is_none_or(|c| !c.is_alphabetic() && c != '_' && c != '-');
+        let ends = after
+            .chars()
+            .next()
+            .is_none_or(|c| !c.is_alphanumeric() && c != '_');
+        shown += before;
+        shown += if begins && ends { "µm" } else { "um" };
+        rest = after;
+    }
+    shown + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn terminal(is_terminal: bool, said: &[(&str, &str)]) -> Terminal {
+        let said = said.to_vec();
+        Terminal::of(is_terminal, &move |name| {
+            said.iter()
+                .find(|(key, _)| *key == name)
+                .map(|(_, value)| (*value).to_owned())
+        })
+    }
+
+    #[test]
+    fn micrometres_are_shown_where_they_can_be() {
+        let utf8 = terminal(false, &[("LANG", "de_DE.UTF-8")]);
+        assert_eq!(
+            utf8.text("80.0 um of the drum, wear/um, limit_um, --taper-um 15 um"),
+            "80.0 µm of the drum, wear/µm, limit_um, --taper-um 15 µm"
+        );
+        let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);
+        assert_eq!(c.text("±4.5 µm, –"), "+-4.5 um, -");
+    }
+
+    #[test]
+    fn colours_are_for_terminals_that_want_them() {
+        let shown = |on: Terminal| on.in_colour(Word::NoGo, "NO-GO");
+        assert_eq!(shown(terminal(true, &[])), "\x1b[1;31mNO-GO\x1b[0m");
+        for plain in [
+            terminal(false, &[]),
+            terminal(true, &[("NO_COLOR", "1")]),
+            terminal(true, &[("TERM", "dumb")]),
+        ] {
+            assert_eq!(shown(plain), "NO-GO");
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! How each file is read, and what must hold of whatever is not refused.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::{Context, ensure};
+use flankscope_metrology::io::{Unit, cloud, mesh};
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::calibrate::Target;
+use flankscope_profilometry::io::images::read_grey;
+use flankscope_profilometry::plan::Plan;
+use flankscope_station::acquisition::Recording;
+use flankscope_station::baseline::Baseline;
+use flankscope_station::files;
+use flankscope_station::history::History;
+use flankscope_station::seal::Seals;
+use flankscope_station::settings::StationSettings;
+use serde_json::Value;
+
+use crate::originals::{IMAGE_PX, Originals};
+
+/// What became of a mutant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// With these words.
+    Refused(String),
+    /// As something that may be so.
+    Accepted,
+}
+
+/// A worker's own folder, and what it compares with.
+pub struct Readers {
+    folder: PathBuf,
+    seals: Seals,
+    hashes: BTreeMap<&'static str, String>,
+    baseline: Value,
+    history: Vec<String>,
+    /// Where the station keeps its history, and its content.
+    kept: PathBuf,
+    kept_content: Vec<u8>,
+    /// The head with a short core map, and the map's hash in it.
+    cores: (String, String),
+    /// What mutants stand beside.
+    beside: BTreeMap<&'static str, Vec<u8>>,
+}
+
+/// One worker at a time reads the history, where the station keeps it.
+static PLACE: Mutex<()> = Mutex::new(());
+
+/// Files that others refer to.
+const BESIDE: [&str; 6] = [
+    "tool/tool.toml",
+    "tool/die.ply",
+    "cores/head.toml",
+    "cores/cores.csv",
+    "worn/PLAN.toml",
+    "worn/frames.toml",
+];
+
+impl Readers {
+    /// Copies what stands beside the files that are mutated into `folder`.
+    pub fn new(originals: &Originals, folder: &Path) -> anyhow::Result<Self> {
+        let from = |name: &str| originals.folder.join(name);
+        let mut beside = BTreeMap::new();
+        for name in BESIDE {
+            let content = std::fs::read(from(name))?;
+            let to = folder.join(name);
+            std::fs::create_dir_all(to.parent().unwrap_or(folder))?;
+            std::fs::write(to, &content)?;
+            beside.insert(name, content);
+        }
+        let seals = Seals::open(&originals.state())?;
+        let place = PLACE.lock().unwrap_or_else(PoisonError::into_inner);
+        let history = told(&History::read(&from("press.db"), &seals)?)?;
+        let kept_content = std::fs::read(from("press.db"))?;
+        drop(place);
+        let hash = |name: &str| std::fs::read(from(name)).map(|bytes| files::hash(&bytes));
+        let baseline: Value = serde_json::from_slice(&std::fs::read(from("baseline.json"))?)?;
+        let recorded = baseline["hashes"]
+            .as_object()
+            .context("a baseline has hashes")?;
+        let known = |what: &'static str| Some((what, recorded.get(what)?.as_str()?.to_owned()));
+        let cores = (
+            std::fs::read_to_string(from("cores/head.toml"))?,
+            hash("cores/cores.csv")?,
+        );
+        Ok(Self {
+            folder: folder.to_owned(),
+            hashes: ["tool", "cad", "head"]
+                .into_iter()
+                .filter_map(known)
+                .collect(),
+            history,
+            kept: from("press.db"),
+            kept_content,
+            seals,
+            baseline,
+            cores,
+            beside,
+        })
+    }
+
+    /// Where the last mutant lies.
+    pub fn place(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Reads a mutant of the file `name`; an error says what should not be. What others refer to is as it was afterwards.
+    pub fn read(&self, name: &str, content: &[u8]) -> anyhow::Result<Outcome> {
+        let outcome = self.read_mutant(name, content);
+        if let Some(original) = self.beside.get(name) {
+            std::fs::write(self.place(name), original)?;
+        }
+        outcome
+    }
+
+    fn read_mutant(&self, name: &str, content: &[u8]) -> anyhow::Result<Outcome> {
+        let path = self.place(name);
+        if let Some(parent) = path.parent() {
+            std::fs::create_dir_all(parent)?;
+        }
+        std::fs::write(&path, content)?;
+        Ok(match name {
+            "tool/tool.toml" => match Tool::load(&path) {
+                Ok(tool) => {
+                    let said = format!("{tool:?}");
+                    ensure!(
+                        !said.contains("limit_um: NaN") && !said.contains("limit_um: inf"),
+                        "a limit that is none"
+                    );
+                    Outcome::Accepted
+                }
+                Err(error) => refused(&error)?,
+            },
+            "target/head.toml" | "cores/head.toml" | "head.yml" => head(&path)?,
+            "cores/cores.csv" => {
+                let (head_file, hash) = &self.cores;
+                let adapted = self.place("cores/adapted.toml");
+                std::fs::write(&adapted, head_file.replace(hash, &files::hash(content)))?;
+                head(&adapted)?
+            }
+            "target/target.toml" => accepted(Target::load(&path))?,
+            "worn/PLAN.toml" => accepted(Plan::load(&path))?,
+            "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
+            "station.toml" => accepted(StationSettings::load(&path))?,
+            "baseline.json" => self.baseline(&path)?,
+            "press.db" => self.history(content)?,
+            "image.png" | "image.pgm" => accepted(read_grey(&path, content, [IMAGE_PX, IMAGE_PX]))?,
+            "cloud.ply" | "cloud.xyz" => match cloud::parse(content, Unit::Mm) {
+                Ok(cloud) => {
+                    let finite = cloud
+                        .points
+                        .iter()
+                        .all(|point| point.iter().all(|value| value.is_finite()));
+                    ensure!(
+                        finite && !cloud.points.is_empty(),
+                        "a point that is no place"
+                    );
+                    Outcome::Accepted
+                }
+                Err(error) => refused(&error)?,
+            },
+            _ => match mesh::parse(content, Unit::Mm) {
+                Ok(mesh) => {
+                    let finite = mesh
+                        .vertices
+                        .iter()
+                        .all(|vertex| vertex.iter().all(|value| value.is_finite()));
+                    let inside = mesh
+                        .triangles
+                        .iter()
+                        .flatten()
+                        .all(|&corner| (corner as usize) < mesh.vertices.len());
+                    ensure!(finite && inside, "a corner that is no place");
+                    Outcome::Accepted
+                }
+                Err(error) => refused(&error)?,
+            },
+        })
+    }
+
+    /// Believed only where it says what was signed.
+    fn baseline(&self, path: &Path) -> anyhow::Result<Outcome> {
+        if let Err(error) = Baseline::load(path, &self.hashes, true, &self.seals) {
+            return refused(&error);
+        }
+        let document: Value = serde_json::from_slice(&std::fs::read(path)?)?;
+        ensure!(
+            document == self.baseline,
+            "a baseline is believed that nobody signed"
+        );
+        Ok(Outcome::Accepted)
+    }
+
+    /// Believed only where every check says what it said. It lies where the station knows one to be: of an unknown place, a
+    /// history of an earlier release that signed nothing would be believed.
+    fn history(&self, content: &[u8]) -> anyhow::Result<Outcome> {
+        let _one_at_a_time = PLACE.lock().unwrap_or_else(PoisonError::into_inner);
+        let outcome = self.history_there(content);
+        std::fs::write(&self.kept, &self.kept_content)?;
+        outcome
+    }
+
+    fn history_there(&self, content: &[u8]) -> anyhow::Result<Outcome> {
+        // What SQLite left of the last one.
+        for left in ["press.db-wal", "press.db-shm"] {
+            let _ = std::fs::remove_file(self.kept.with_file_name(left));
+        }
+        std::fs::write(&self.kept, content)?;
+        let found = History::read(&self.kept, &self.seals).and_then(|history| {
+            history.verify()?;
+            Ok(history)
+        });
+        match found {
+            Ok(history) => {
+                let (now, then) = (told(&history)?, &self.history);
+                ensure!(
+                    &now == then,
+                    "a history is believed that says {now:?} instead of {then:?}"
+                );
+                Ok(Outcome::Accepted)
+            }
+            Err(error) => refused(&error),
+        }
+    }
+}
+
+fn head(path: &Path) -> anyhow::Result<Outcome> {
+    match HeadModel::load(path) {
+        Ok(head) => {
+            let said = format!("{:?}{:?}", head.camera, head.projector);
+            ensure!(
+                !said.contains("NaN") && !said.contains("inf"),
+                "a head with {said}"
+            );
+            Ok(Outcome::Accepted)
+        }
+        Err(error) => refused(&error),
+    }
+}
+
+/// Everything that a history tells.
+fn told(history: &History) -> anyhow::Result<Vec<String>> {
+    let ids = history.ids()?;
+    let one = |id: &i64| {
+        anyhow::Ok(format!(
+            "{:?} {}",
+            history.check(*id)?,
+            history.document(*id)?
+        ))
+    };
+    ids.iter().map(one).collect()
+}
+
+/// A refusal has something to say, and no NaN in it.
+fn refused(error: &dyn std::error::Error) -> anyhow::Result<Outcome> {
+    let said = error.to_string();
+    ensure!(said.len() > 10, "a refusal that says nothing: {said:?}");
+    ensure!(
+        said.len() < 20_000,
+        "a refusal of {} characters",
+        said.len()
+    );
+    Ok(Outcome::Refused(said))
+}
+
+fn accepted<T, E: std::error::Error>(read: Result<T, E>) -> anyhow::Result<Outcome> {
+    read.map_or_else(|error| refused(&error), |_| Ok(Outcome::Accepted))
+}
