@@ -86,6 +86,7 @@ fn truth() -> HeadModel {
         self_test: None,
         seal: None,
         core_map: None,
+        mirrors: None,
     }
 }
 

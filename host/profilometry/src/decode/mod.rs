@@ -41,6 +41,7 @@ pub struct Decoder {
     layout: Arc<Layout>,
     patterns: PatternSet,
     options: DecodeOptions,
+    size_px: [u32; 2],
     sensor: Sensor,
     triangulator: Triangulator,
     projector_width_px: f64,
@@ -152,6 +153,7 @@ impl Decoder {
             layout: Arc::new(layout),
             patterns: patterns.clone(),
             options,
+            size_px: [head.camera.width_px, head.camera.height_px],
             sensor,
             triangulator,
             projector_width_px,
@@ -189,6 +191,16 @@ impl Decoder {
     /// A mean level that a dark frame stays below and a lit frame exceeds: the offset plus 1 % of full scale.
     pub fn dark_limit_dn(&self) -> f64 {
         self.sensor.offset_dn + 0.01 * (2f64.powi(self.sensor.bits as i32) - 1.0)
+    }
+
+    /// Width and height of a frame, px.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// The sensor that frames are of.
+    pub fn sensor(&self) -> Sensor {
+        self.sensor
     }
 
     /// The largest count of the sensor.
