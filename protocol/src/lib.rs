@@ -5,6 +5,7 @@
 //!
 //! | module      | what it holds                                                             |
 //! |-------------|---------------------------------------------------------------------------|
+//! | [`pattern_memory`] | where a pattern lies in the projector's memory                   |
 //! | [`units`]   | integer newtypes with the unit in their name                              |
 //! | [`plan`]    | the declarative [`CapturePlan`], its [`Limits`] and the refusal [`PlanError`] |
 //! | [`message`] | [`Command`] host -> controller, [`Reply`] and [`Event`] controller -> host |
@@ -48,6 +49,7 @@ pub mod fault;
 pub mod frame;
 pub mod line;
 pub mod message;
+pub mod pattern_memory;
 pub mod plan;
 pub mod units;
 

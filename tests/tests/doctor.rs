@@ -69,6 +69,11 @@ fn the_bench_is_healthy_and_says_what_it_is() {
         "not calibrated",
         "flankscope calibrate",
     );
+    let camera = &finding(&healthy, "camera")["figures"];
+    assert_eq!(
+        (&camera["model"], &camera["bits"]),
+        (&"simulated camera".into(), &12.into())
+    );
     let controller = &finding(&healthy, "controller")["figures"];
     assert_eq!(controller["baud"], Line::HOST.baud);
     assert_eq!(controller["firmware"], check.json["versions"]["firmware"]);

@@ -30,6 +30,7 @@ use crate::devices::{NotSelected, PatternPort};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::Microseconds;
+use flankscope_protocol::pattern_memory::Place;
 
 /// 7 bit slave address (`0x34`/`0x35` on the wire).
 pub const ADDRESS: u8 = 0x1A;
@@ -54,8 +55,11 @@ const READY: u8 = 1 << 0;
 /// How often a validation is asked about, and how many times: it takes a few milliseconds.
 const POLL: Duration = Duration::from_millis(1);
 const POLLS: u32 = 15;
-/// Patterns of 8 bit in one 24 bit flash image.
-const PER_IMAGE_8_BIT: u16 = 3;
+
+/// Binary patterns in one image.
+const BINARY_PER_IMAGE: u16 = 24;
+/// Image, pattern in it, bits, inverted: pattern 24 at 1 bit fills with white; inverted, with black.
+const BLACK: (u16, u32, u32, u32) = (0, 24, 1, 1);
 
 /// Bits per pixel of the stored patterns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,13 +75,6 @@ impl BitDepth {
         match self {
             Self::One => 1,
             Self::Eight => 8,
-        }
-    }
-
-    fn per_image(self) -> u16 {
-        match self {
-            Self::One => 24,
-            Self::Eight => PER_IMAGE_8_BIT,
         }
     }
 }
@@ -257,15 +254,18 @@ impl<B: I2c> Dlpc350<B> {
     /// (0: the LED is ours to drive), 16 invert, 17 black behind it, 18 swap to another image.
     fn definition(&self, pattern: u16) -> (u8, [u8; 3]) {
         let depth = self.settings.depth;
-        let (image, within, depth_bits, invert) = match pattern.checked_sub(1) {
-            Some(index) => (
-                index / depth.per_image(),
-                u32::from(index % depth.per_image()),
+        let (image, within, depth_bits, invert) = match (depth, pattern.checked_sub(1)) {
+            (BitDepth::One, Some(index)) => (
+                index / BINARY_PER_IMAGE,
+                u32::from(index % BINARY_PER_IMAGE),
                 depth.bits(),
                 0,
             ),
-            // Pattern 24 at 1 bit fills with white; inverted, with black.
-            None => (0, 24, 1, 1),
+            (BitDepth::Eight, Some(_)) => match Place::of(pattern) {
+                Some(Place { image, plane }) => (image, plane as u32, depth.bits(), 0),
+                None => BLACK,
+            },
+            (_, None) => BLACK,
         };
         let word = 1 | within << 2 | depth_bits << 8 | invert << 16 | 1 << 18;
         let [a, b, c, _] = word.to_le_bytes();

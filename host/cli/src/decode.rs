@@ -48,12 +48,20 @@ pub struct Args {
     /// Gaussian smoothing of the finest fringes' phasors, sigma in camera pixels; 0 for none [default: 0.7, cores 0].
     #[arg(long, value_name = "PIXELS")]
     smooth: Option<f64>,
-    /// The same for the coarser fringes, which only count the finest ones [default: 3, cores 0].
+    /// The same for the coarser fringes, which only count the finest ones, and for the beats of fine ones [default: 2, cores 0].
     #[arg(long, value_name = "PIXELS")]
     smooth_coarse: Option<f64>,
     /// Least contrast (amplitude over mean) of every frequency.
     #[arg(long, value_name = "RATIO", default_value_t = 0.1)]
     min_contrast: f64,
+    /// Least amplitude of every frequency, in counts per pixel and exposure [default: where rounding and read noise, unsmoothed,
+    /// still leave the fringe order sure; the JSON's min_modulation_dn says how much that is].
+    #[arg(long, value_name = "DN")]
+    min_modulation: Option<f64>,
+    /// Drop cells whose frames follow one fringe so badly that noise would do so with less than this probability; 0 keeps all
+    /// [default: 0.001 where plan or head have a [sensor]].
+    #[arg(long, value_name = "PROBABILITY")]
+    frame_consistency: Option<f64>,
     /// Drop points with a larger predicted standard uncertainty of the depth.
     #[arg(long, value_name = "MM")]
     max_sigma: Option<f64>,
@@ -84,6 +92,12 @@ struct Document<'a> {
     pattern_set: &'a str,
     /// Whether the uncertainties rest on an assumed sensor.
     sensor_assumed: bool,
+    /// Least amplitude of each frequency, low to high, counts per pixel and exposure.
+    min_modulation_dn: &'a [f64],
+    /// By how much frames scatter more than [sensor] predicts, in the median; limits and uncertainties are raised by it.
+    frame_noise_ratio: f64,
+    /// Median contrast of each frequency over the cells with a point, low to high.
+    contrast: &'a [f64],
     /// Median of the predicted standard uncertainties of the depth.
     sigma_z_median_mm: Option<f32>,
     elapsed_ms: Elapsed,
@@ -112,13 +126,21 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let sensor_assumed = plan.sensor.is_none() && head.sensor.is_none();
     head.sensor = plan.sensor.or(head.sensor).or(Some(Sensor::assumed(bits)));
     // Noise that was only assumed judges nobody.
-    let measured = (!sensor_assumed).then_some(ConsistencyOptions::INSTRUMENT);
+    let consistency = match (args.frame_consistency, sensor_assumed) {
+        (Some(0.0), _) | (None, true) => None,
+        (probability, _) => Some(ConsistencyOptions {
+            least_probability: probability
+                .unwrap_or(ConsistencyOptions::INSTRUMENT.least_probability),
+            relative_to_view: true,
+            ..ConsistencyOptions::INSTRUMENT
+        }),
+    };
     let decoder = Decoder::new(
         &head,
         &plan.patterns,
         &plan.exposures_us,
         DecodeOptions {
-            consistency: measured,
+            consistency,
             ..options(args, &head, &plan)
         },
     )?;
@@ -140,6 +162,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         frames: frames.len(),
         pattern_set: &plan.patterns.name,
         sensor_assumed,
+        min_modulation_dn: decoder.floors_dn(),
+        frame_noise_ratio: decoded.frame_noise_ratio,
+        contrast: &decoded.contrast,
         sigma_z_median_mm: median_of(cloud.sigma_z_mm.iter().map(|&s| f64::from(s)))
             .map(|s| s as f32),
         elapsed_ms: Elapsed {
@@ -149,6 +174,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         },
     };
     if !args.common.quiet {
+        if decoded.frame_noise_ratio > NOTABLE_NOISE_RATIO {
+            eprintln!(
+                "frames scatter {:.1} times as much as [sensor] predicts: limits and uncertainties were raised by that; \
+                 check gain_e_per_dn and read_noise_e, or look for a flickering lamp and a bent response",
+                decoded.frame_noise_ratio
+            );
+        }
         eprintln!(
             "{} points of {} cells from {} frames -> {}",
             document.count,
@@ -161,21 +193,26 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Frames that scatter more than this are worth a word: what a described sensor leaves open is about a tenth.
+const NOTABLE_NOISE_RATIO: f64 = 1.5;
+
 fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
-    let defaults = DecodeOptions::for_head(head);
-    let (smoothing_px, coarse_smoothing_px) = match defaults.grid {
-        GridKind::Pixel => (0.7, 3.0),
-        GridKind::Core => (0.0, 0.0),
+    let defaults = DecodeOptions::for_head(head).with_smoothed_orders();
+    // Less than a lens blurs.
+    let smoothing_px = match defaults.grid {
+        GridKind::Pixel => 0.7,
+        GridKind::Core => 0.0,
     };
     DecodeOptions {
         grid: defaults.grid,
         binning: args.binning.unwrap_or(defaults.binning),
         dark_frame: plan.dark_frame,
         min_contrast: args.min_contrast,
+        min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
         consistency: defaults.consistency,
         smoothing_px: args.smooth.unwrap_or(smoothing_px),
-        coarse_smoothing_px: args.smooth_coarse.unwrap_or(coarse_smoothing_px),
+        coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
             threshold_dn,
             smoothing_px: args.mask_smooth,

@@ -4,13 +4,14 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use flankscope_frames::{FrameReceiver, default_base};
+use flankscope_frames::{FrameReceiver, FrameSource, default_base};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::doctor::{self, Finding, healthy};
 use flankscope_station::origin::Link;
 use flankscope_station::seal::Seals;
 use serde::Serialize;
+use serde_json::json;
 
 use crate::bench_link::{BenchArgs, demo_tool};
 use crate::instrument::{Instrument, Scene, head_path, scratch};
@@ -214,7 +215,7 @@ impl Args {
                 Ok(FrameReceiver::create(&root)?)
             })
         });
-        let instrument = match started {
+        let mut instrument = match started {
             Ok(instrument) => instrument,
             Err(why) => {
                 let mut findings = unasked("it could not be started");
@@ -224,29 +225,45 @@ impl Args {
             }
         };
         let mut findings = doctor::controller(&instrument.port, instrument.settings).to_vec();
-        findings.push(camera(&instrument.station, site));
+        findings.push(camera(&mut instrument.station, site));
         findings
     }
 }
 
-fn camera(receiver: &FrameReceiver, site: &Site) -> Finding {
+/// Waits for the camera's first word.
+fn camera(receiver: &mut FrameReceiver, site: &Site) -> Finding {
     const CHECK: &str = "camera";
-    let begun = Instant::now();
-    while site.link().is_simulated() && begun.elapsed() < CAMERA_PATIENCE {
-        if receiver.camera_connected() {
-            return Finding::ok(CHECK, "its process has come");
-        }
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    match site.link() {
-        Link::Port(_) => Finding::attention(
+    if !site.link().is_simulated() && site.settings.camera.command.is_empty() {
+        return Finding::attention(
             CHECK,
-            "its process is started when a check begins",
-            "give it the folder that the check names",
-        ),
-        _ => {
-            let seen = format!("no process came within {} s", CAMERA_PATIENCE.as_secs());
-            Finding::failed(CHECK, seen, "look at what it said above")
+            "nobody says what starts its process",
+            "give station.toml a [camera] with its command, or start it by hand with the folder that a check names",
+        );
+    }
+    let begun = Instant::now();
+    while begun.elapsed() < CAMERA_PATIENCE {
+        match receiver.ready() {
+            Ok(Some(word)) => {
+                let (model, link) = (word.model(), word.link());
+                let (width_px, height_px, bits) = (word.width_px, word.height_px, word.bits);
+                let seen = format!("{model} ({link}), {width_px} x {height_px} px, {bits} bits");
+                return Finding::ok(CHECK, seen).with(json!({
+                    "model": model, "link": link, "width_px": width_px, "height_px": height_px, "bits": bits,
+                }));
+            }
+            Ok(None) => std::thread::sleep(Duration::from_millis(10)),
+            Err(error) => {
+                return Finding::failed(CHECK, error.to_string(), "free /dev/shm, and try again");
+            }
         }
     }
+    let seen = format!(
+        "no camera has said a word within {} s",
+        CAMERA_PATIENCE.as_secs()
+    );
+    Finding::failed(
+        CHECK,
+        seen,
+        "look at what its process said above; plug the camera in",
+    )
 }

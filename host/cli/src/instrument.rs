@@ -19,6 +19,7 @@ use flankscope_station::seal::{Kind, SealError, Seals};
 use crate::bench_link::{
     Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
 };
+use crate::camera_process::CameraProcess;
 use crate::grid::Grid;
 use crate::help;
 use crate::interrupt;
@@ -158,6 +159,7 @@ pub struct Instrument<S = Station> {
     /// How patiently to talk to it.
     pub settings: ClientSettings,
     bench: Option<Bench>,
+    _camera: Option<CameraProcess>,
     _root: Arc<SharedRoot>,
     _scratch: RunFolder,
 }
@@ -299,11 +301,14 @@ impl<S> Instrument<S> {
                     ..bench.client_settings(&site.settings)
                 },
                 bench: Some(bench),
+                _camera: None,
                 _root: root,
                 _scratch: scratch,
             });
         };
-        if !quiet {
+        let command = &site.settings.camera.command;
+        let camera = CameraProcess::start(command, root.path())?;
+        if camera.is_none() && !quiet {
             say(&format!("frames are expected in {}", root.path().display()));
         }
         Ok(Self {
@@ -314,6 +319,7 @@ impl<S> Instrument<S> {
                 ..site.settings.client()
             },
             bench: None,
+            _camera: camera,
             _root: root,
             _scratch: scratch,
         })

@@ -8,6 +8,7 @@ mod bench_link;
 #[path = "no_bench.rs"]
 mod bench_link;
 mod calibrate;
+mod camera_process;
 mod decode;
 mod deviation;
 mod doctor;
@@ -19,8 +20,10 @@ mod history;
 mod inspect;
 mod instrument;
 mod interrupt;
+mod manual;
 mod merge;
 mod output;
+mod patterns;
 mod progress;
 mod register;
 mod replay;
@@ -64,6 +67,9 @@ enum Command {
     Replay(replay::Args),
     Trust(trust::Args),
     Doctor(doctor::Args),
+    Patterns(patterns::Args),
+    #[command(hide = true)]
+    Manual(manual::Args),
     /// The simulated bench, as its own process.
     #[cfg(feature = "bench")]
     #[command(hide = true, subcommand)]
@@ -108,6 +114,8 @@ fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Trust(args) => trust::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Patterns(args) => patterns::run(&args),
+        Command::Manual(args) => manual::run(&args),
         #[cfg(feature = "bench")]
         Command::Bench(command) => bench_link::run(&command).map(|()| output::Outcome::Done),
     };

@@ -5,10 +5,12 @@
 
 use std::error::Error;
 use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use flankscope_frames::{
-    FrameHeader, FrameSender, FrameSink, FrameSlot, Labels, Overflow, SharedRoot, monotonic_ns,
+    FrameHeader, FrameSender, FrameSink, FrameSlot, Labels, Overflow, Ready, SharedRoot,
+    monotonic_ns,
 };
 
 const WIDTH_PX: u32 = 640;
@@ -22,15 +24,40 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Sends a frame per line until standard input ends.
 pub fn camera(root: &Path) -> Result<(), Box<dyn Error>> {
     let mut sink = FrameSender::open(&SharedRoot::of_owner(root)?, Overflow::Drop)?;
-    let (switched_on, mut labels) = (Instant::now(), Labels::default());
-    for (counter, line) in (0..).zip(std::io::stdin().lines()) {
-        let exposure = Duration::from_micros(line?.trim().parse()?);
+    let (trigger, triggers) = mpsc::channel();
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lines().map_while(Result::ok) {
+            let _ = trigger.send(line);
+        }
+    });
+    let (switched_on, mut labels, mut counter) = (Instant::now(), Labels::default(), 0);
+    let word = Ready {
+        width_px: WIDTH_PX,
+        height_px: HEIGHT_PX,
+        bits: 12,
+        model: Ready::text("example"),
+        ..Ready::default()
+    };
+    sink.ready(word)?;
+    loop {
+        // Between exposures: what was exposed before is handed over, so that the camera is drained.
+        if let Some(arm) = sink.armed() {
+            labels.arm(arm);
+            sink.ready(Ready {
+                session: arm.session,
+                counter,
+                ..word
+            })?;
+        }
+        let line = match triggers.recv_timeout(Duration::from_millis(1)) {
+            Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        };
+        let exposure = Duration::from_micros(line.trim().parse()?);
         let start = switched_on.elapsed();
         std::thread::sleep(exposure);
         let exposure_end_monotonic_ns = monotonic_ns();
-        if let Some(arm) = sink.armed() {
-            labels.arm(arm);
-        }
         let (session, label) = labels.take();
         let header = FrameHeader {
             session,
@@ -39,6 +66,7 @@ pub fn camera(root: &Path) -> Result<(), Box<dyn Error>> {
             width_px: WIDTH_PX,
             height_px: HEIGHT_PX,
             stride_px: WIDTH_PX,
+            measured: FrameHeader::END_MEASURED,
             exposure_start_us: start.as_micros() as u64,
             exposure_end_us: (start + exposure).as_micros() as u64,
             exposure_end_monotonic_ns,
@@ -54,6 +82,6 @@ pub fn camera(root: &Path) -> Result<(), Box<dyn Error>> {
         if let Err(lost) = sent {
             eprintln!("camera: {lost}"); // its number is missing: the host sees it
         }
+        counter += 1;
     }
-    Ok(())
 }

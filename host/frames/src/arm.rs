@@ -8,6 +8,7 @@ use crate::header::FrameLabel;
 /// The order in which the next capture's frames will be exposed, so that the camera process can label them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("flankscope/Arm/1")]
 pub struct Arm {
     /// Capture session; every frame of it carries this number.
     pub session: u32,

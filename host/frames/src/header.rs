@@ -1,6 +1,7 @@
 //! What travels with a frame: header, checksum, clock.
 
 use iceoryx2::prelude::*;
+use twox_hash::XxHash3_64;
 
 /// Largest difference between a commanded exposure and the one a camera measured, µs: strobe and trigger edges of
 /// microseconds, and 100 µs for a timer that was late.
@@ -9,6 +10,7 @@ pub const EXPOSURE_TOLERANCE_US: u64 = 100;
 /// Which frame of the plan this is.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("flankscope/FrameLabel/1")]
 pub struct FrameLabel {
     /// View number in the session.
     pub view: u16,
@@ -30,9 +32,11 @@ impl FrameLabel {
     };
 }
 
-/// Header of one frame, beside its pixels in shared memory.
+/// Header of one frame, beside its pixels in shared memory. Its type name is that of its layout, so that a camera in another
+/// language can say the same (`docs/camera.md`).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("flankscope/FrameHeader/1")]
 pub struct FrameHeader {
     /// Capture session of the last [`Arm`](crate::Arm).
     pub session: u32,
@@ -46,8 +50,8 @@ pub struct FrameHeader {
     pub height_px: u32,
     /// Row pitch, px.
     pub stride_px: u32,
-    /// Reserved, 0.
-    pub reserved: u32,
+    /// What of the times below was measured: [`FrameHeader::EXPOSURE_MEASURED`], [`FrameHeader::END_MEASURED`].
+    pub measured: u32,
     /// Start of exposure on the camera's clock, µs.
     pub exposure_start_us: u64,
     /// End of exposure on the camera's clock, µs.
@@ -60,6 +64,15 @@ pub struct FrameHeader {
     pub checksum: u64,
 }
 
+impl FrameHeader {
+    /// Bit of `measured`: the camera itself measured how long it exposed; otherwise the exposure is what it was told.
+    pub const EXPOSURE_MEASURED: u32 = 1;
+    /// Bit of `measured`: the camera itself measured when the exposure ended; otherwise it is when the frame came.
+    pub const END_MEASURED: u32 = 2;
+    /// Both.
+    pub const ALL_MEASURED: u32 = Self::EXPOSURE_MEASURED | Self::END_MEASURED;
+}
+
 /// The host's monotonic clock, ns: the same in every process of the machine.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
@@ -67,33 +80,29 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// A checksum of a frame's pixels that costs one pass at about memory speed.
-///
-/// Every pixel enters by an invertible step, so that any single changed pixel changes the sum.
+/// XXH3-64 (seed 0) of the pixels as little-endian bytes: one pass at about memory speed, and there in every language.
 #[must_use]
 pub fn checksum(pixels: &[u16]) -> u64 {
-    const ODD: u64 = 0x9E37_79B9_7F4A_7C15; // 2^64 / golden ratio: spreads the low bits of a sample over the word
-    let mut lanes = [1_u64, 2, 3, 4];
-    let word = |w: &[u16]| {
-        u64::from(w[0]) | u64::from(w[1]) << 16 | u64::from(w[2]) << 32 | u64::from(w[3]) << 48
+    const {
+        assert!(
+            cfg!(target_endian = "little"),
+            "pixels lie in shared memory as they are"
+        )
     };
-    let mut blocks = pixels.chunks_exact(16);
-    for block in &mut blocks {
-        for (lane, w) in lanes.iter_mut().zip(block.chunks_exact(4)) {
-            *lane = (*lane ^ word(w)).wrapping_mul(ODD);
-        }
-    }
-    for (i, &pixel) in blocks.remainder().iter().enumerate() {
-        lanes[i % 4] = (lanes[i % 4] ^ u64::from(pixel)).wrapping_mul(ODD);
-    }
-    lanes.iter().fold(pixels.len() as u64, |sum, lane| {
-        (sum ^ lane).rotate_left(23).wrapping_mul(ODD)
-    })
+    XxHash3_64::oneshot(bytemuck::cast_slice(pixels))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Vectors that the xxHash library's own command and Python's `xxhash` give; `docs/camera.md` has them.
+    #[test]
+    fn checksum_is_xxh3() {
+        assert_eq!(checksum(&[]), 0x2d06_8005_38d3_94c2);
+        let ramp: Vec<u16> = (0..1000).collect();
+        assert_eq!(checksum(&ramp), 0x57f7_5391_ec06_23aa);
+    }
 
     #[test]
     fn checksum_sees_every_pixel_and_every_bit() {

@@ -28,6 +28,7 @@ pub mod conformance;
 pub mod header;
 pub mod link;
 mod private;
+mod ready;
 mod receiver;
 mod root;
 mod sender;
@@ -39,6 +40,7 @@ pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
 pub use private::{RunFolder, default_base, remove_run_folders};
+pub use ready::Ready;
 pub use receiver::{Frame, FrameReceiver};
 pub use root::{RootError, SharedRoot};
 pub use sender::{FrameSender, LoanedFrame, Overflow};

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use crate::arm::Arm;
 use crate::header::{FrameHeader, checksum};
+use crate::ready::Ready;
 use crate::services::MAX_FRAME_PIXELS;
 
 /// A frame where it lies; dropping it gives its memory back.
@@ -34,6 +35,12 @@ pub trait FrameSource {
     /// # Errors
     /// The camera cannot be told.
     fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError>;
+
+    /// The newest word of the camera, if it has said one.
+    ///
+    /// # Errors
+    /// The source failed.
+    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError>;
 
     /// The next frame, if one comes within `timeout`.
     ///
@@ -78,6 +85,12 @@ pub trait FrameSink {
 
     /// The newest arming that came since the last call.
     fn armed(&mut self) -> Option<Arm>;
+
+    /// Tells the host who the camera is, and what it is armed for.
+    ///
+    /// # Errors
+    /// The host cannot be told.
+    fn ready(&mut self, ready: Ready) -> Result<(), SendError>;
 
     /// A slot of `pixels` to write frame number `counter` into.
     ///

@@ -13,6 +13,7 @@ use iceoryx2::sample::Sample;
 use crate::arm::Arm;
 use crate::header::{FrameHeader, monotonic_ns};
 use crate::link::{BorrowedFrame, FrameSource, ReceiveError};
+use crate::ready::Ready;
 use crate::root::SharedRoot;
 use crate::services::{ServiceError, Services, refused};
 
@@ -67,6 +68,7 @@ pub struct FrameReceiver {
     subscriber: Subscriber<ipc::Service, [u16], FrameHeader>,
     listener: Listener<ipc::Service>,
     arm: Publisher<ipc::Service, Arm, ()>,
+    ready: Subscriber<ipc::Service, Ready, ()>,
     services: Services,
 }
 
@@ -83,7 +85,7 @@ impl FrameReceiver {
             .create()
             .map_err(refused("subscribe to frames", root))?;
         let listener = services
-            .ready
+            .wake
             .listener_builder()
             .create()
             .map_err(refused("listen for frames", root))?;
@@ -92,10 +94,17 @@ impl FrameReceiver {
             .publisher_builder()
             .create()
             .map_err(refused("publish the arming", root))?;
+        let ready = services
+            .ready
+            .subscriber_builder()
+            .history_request(1)
+            .create()
+            .map_err(refused("listen to the camera", root))?;
         Ok(Self {
             subscriber,
             listener,
             arm,
+            ready,
             services,
         })
     }
@@ -124,6 +133,16 @@ impl FrameSource for FrameReceiver {
 
     fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
         self.arm.send_copy(arm).map(drop).map_err(port_failed)
+    }
+
+    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+        // A camera process that came after the arming gets it only when this port looks for new peers.
+        self.arm.update_connections().map_err(port_failed)?;
+        let mut newest = None;
+        while let Some(sample) = self.ready.receive().map_err(port_failed)? {
+            newest = Some(*sample.payload());
+        }
+        Ok(newest)
     }
 
     /// Its pixels stay where they are.

@@ -8,6 +8,7 @@ use iceoryx2::prelude::*;
 use crate::arm::Arm;
 use crate::header::{FrameHeader, monotonic_ns};
 use crate::link::{FrameSink, FrameSlot, SealedFrame, SendError};
+use crate::ready::Ready;
 use crate::root::SharedRoot;
 use crate::services::{LOANED_FRAMES, MAX_FRAME_PIXELS, ServiceError, Services, refused};
 
@@ -26,6 +27,7 @@ pub struct FrameSender {
     publisher: Publisher<ipc::Service, [u16], FrameHeader>,
     notifier: Notifier<ipc::Service>,
     arm: Subscriber<ipc::Service, Arm, ()>,
+    ready: Publisher<ipc::Service, Ready, ()>,
     _services: Services,
 }
 
@@ -55,7 +57,7 @@ impl FrameSender {
             .create()
             .map_err(refused("publish frames", root))?;
         let notifier = services
-            .ready
+            .wake
             .notifier_builder()
             .create()
             .map_err(refused("notify of frames", root))?;
@@ -65,10 +67,16 @@ impl FrameSender {
             .history_request(1)
             .create()
             .map_err(refused("subscribe to the arming", root))?;
+        let ready = services
+            .ready
+            .publisher_builder()
+            .create()
+            .map_err(refused("speak for the camera", root))?;
         Ok(Self {
             publisher,
             notifier,
             arm,
+            ready,
             _services: services,
         })
     }
@@ -83,6 +91,19 @@ impl FrameSink for FrameSender {
             newest = Some(*sample.payload());
         }
         newest
+    }
+
+    /// Wakes the host.
+    fn ready(&mut self, ready: Ready) -> Result<(), SendError> {
+        let counter = ready.counter;
+        let undelivered = |reason: String| SendError::Undelivered { counter, reason };
+        self.ready
+            .send_copy(ready)
+            .map_err(|error| undelivered(format!("{error:?}")))?;
+        let woken = self.notifier.notify();
+        woken
+            .map(drop)
+            .map_err(|error| undelivered(format!("{error:?}")))
     }
 
     fn loan(&mut self, pixels: usize, counter: u32) -> Result<LoanedFrame, SendError> {

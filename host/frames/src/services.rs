@@ -6,6 +6,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::arm::Arm;
 use crate::header::FrameHeader;
+use crate::ready::Ready;
 use crate::root::SharedRoot;
 
 /// Frames that may wait for the host before the camera process must drop one: 16 exposures of 10 ms, 160 ms of host delay.
@@ -45,14 +46,16 @@ pub enum ServiceError {
 
 pub(super) type FrameService = publish_subscribe::PortFactory<ipc::Service, [u16], FrameHeader>;
 pub(super) type ArmService = publish_subscribe::PortFactory<ipc::Service, Arm, ()>;
-pub(super) type ReadyService = event::PortFactory<ipc::Service>;
+pub(super) type ReadyService = publish_subscribe::PortFactory<ipc::Service, Ready, ()>;
+pub(super) type WakeService = event::PortFactory<ipc::Service>;
 
-/// The three services of a capture and the node that holds them.
+/// The four services of a capture and the node that holds them.
 #[derive(Debug)]
 pub(super) struct Services {
     pub frames: FrameService,
     pub arm: ArmService,
     pub ready: ReadyService,
+    pub wake: WakeService,
     // Dropped last: ports, services, node.
     pub _node: Node<ipc::Service>,
 }
@@ -133,6 +136,18 @@ impl Services {
             .map_err(refused("open the arming service", root))?;
         let ready = node
             .service_builder(&name("ready")?)
+            .publish_subscribe::<Ready>()
+            .enable_safe_overflow(true) // only the newest word counts
+            .history_size(1)
+            .subscriber_max_buffer_size(1)
+            .subscriber_max_borrowed_samples(1)
+            .max_publishers(1)
+            .max_subscribers(1)
+            .max_nodes(4)
+            .open_or_create()
+            .map_err(refused("open the camera's service", root))?;
+        let wake = node
+            .service_builder(&name("wake")?)
             .event()
             .max_notifiers(1)
             .max_listeners(1)
@@ -143,6 +158,7 @@ impl Services {
             frames,
             arm,
             ready,
+            wake,
             _node: node,
         })
     }

@@ -4,12 +4,13 @@
 
 use std::io::BufRead as _;
 use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
 use flankscope_frames::conformance::{CommandRig, Failure, Settings, Violation, run};
 use flankscope_frames::{
-    FrameHeader, FrameLabel, FrameSender, FrameSink, FrameSlot, Labels, Overflow, SharedRoot,
-    monotonic_ns,
+    FrameHeader, FrameLabel, FrameSender, FrameSink, FrameSlot, Labels, Overflow, Ready,
+    SharedRoot, monotonic_ns,
 };
 
 #[path = "../examples/camera.rs"]
@@ -40,16 +41,44 @@ fn faulty(root: &Path, fault: &str) {
         _ => Overflow::Drop,
     };
     let mut sink = FrameSender::open(&SharedRoot::of_owner(root).unwrap(), overflow).unwrap();
+    let (trigger, triggers) = mpsc::channel();
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+            let _ = trigger.send(line);
+        }
+    });
     let (mut labels, mut delivered, mut clock_us) = (Labels::default(), 0, 0);
-    for (exposed, line) in (0_u32..).zip(std::io::stdin().lock().lines()) {
-        let exposure_us: u64 = line.unwrap().trim().parse().unwrap();
+    let word = Ready {
+        width_px: if is("announces another size") { 32 } else { 64 },
+        height_px: 48,
+        ..Ready::default()
+    };
+    sink.ready(word).unwrap();
+    let mut exposed = 0_u32;
+    loop {
+        if let Some(arm) = sink.armed() {
+            if !(is("arms once") && exposed > 0) {
+                labels.arm(arm);
+            }
+            let counter = exposed + u32::from(is("counts ahead"));
+            let session = arm.session;
+            if !is("never ready") {
+                sink.ready(Ready {
+                    session,
+                    counter,
+                    ..word
+                })
+                .unwrap();
+            }
+        }
+        let line = match triggers.recv_timeout(Duration::from_millis(1)) {
+            Ok(line) => line,
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => break,
+        };
+        let exposure_us: u64 = line.trim().parse().unwrap();
         std::thread::sleep(Duration::from_micros(exposure_us));
         let ended_ns = monotonic_ns();
-        if let Some(arm) = sink.armed()
-            && !(is("arms once") && exposed > 0)
-        {
-            labels.arm(arm);
-        }
         let (session, mut label) = labels.take();
         match fault {
             "swaps" => (label.exposure, label.pattern) = (label.pattern, label.exposure),
@@ -63,7 +92,7 @@ fn faulty(root: &Path, fault: &str) {
             width_px: if is("shrinks") && exposed > 5 { 32 } else { 64 },
             height_px: 48,
             stride_px: 64,
-            reserved: u32::from(is("scribbles")),
+            measured: 8 * u32::from(is("scribbles")),
             exposure_start_us: clock_us,
             exposure_end_us: clock_us + exposure_us + if is("dawdles") { 150 } else { 0 },
             exposure_end_monotonic_ns: if is("has no clock") { 0 } else { ended_ns },
@@ -77,6 +106,7 @@ fn faulty(root: &Path, fault: &str) {
             };
             delivered += u32::from(sink.send(slot.seal(header)).is_ok());
         }
+        exposed += 1;
     }
     while is("outlives") {
         std::thread::sleep(Duration::from_secs(1));
@@ -115,13 +145,17 @@ fn a_camera_that_waits_for_its_host_conforms_where_it_may() {
 #[test]
 fn every_fault_of_a_camera_is_found() {
     type Found = fn(&Violation) -> bool;
-    let faults: [(&'static str, Found); 9] = [
+    let faults: [(&'static str, Found); 11] = [
         ("arms once", |v| matches!(v, Violation::Session { .. })),
         ("swaps", |v| matches!(v, Violation::Label { .. })),
         ("wraps round", |v| matches!(v, Violation::Label { .. })),
         ("skips", |v| matches!(v, Violation::Counter { .. })),
         ("shrinks", |v| matches!(v, Violation::Size { .. })),
-        ("scribbles", |v| matches!(v, Violation::Reserved { .. })),
+        ("scribbles", |v| matches!(v, Violation::Measured { .. })),
+        ("counts ahead", |v| matches!(v, Violation::NextFrame { .. })),
+        ("announces another size", |v| {
+            matches!(v, Violation::Announced { .. })
+        }),
         ("dawdles", |v| matches!(v, Violation::Exposure { .. })),
         ("has no clock", |v| matches!(v, Violation::Time { .. })),
         ("repeats", |v| matches!(v, Violation::Untriggered { .. })),
@@ -134,6 +168,11 @@ fn every_fault_of_a_camera_is_found() {
         patience: Duration::from_secs(5),
         ..Settings::default()
     };
+    let failure = suite("never ready", &impatient).unwrap_err();
+    assert!(
+        matches!(failure.violation, Violation::NotReady { .. }),
+        "{failure}"
+    );
     let failure = suite("outlives", &impatient).unwrap_err();
     assert!(
         matches!(failure.violation, Violation::Outlives { .. }),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use flankscope_frames::{
     Arm, BorrowedFrame, Frame, FrameHeader, FrameReceiver, FrameSender, FrameSink, FrameSlot,
-    FrameSource, Overflow, SharedRoot, monotonic_ns,
+    FrameSource, Overflow, Ready, SharedRoot, monotonic_ns,
 };
 
 const ROOT_VARIABLE: &str = "FLANKSCOPE_TEST_CAMERA_ROOT";
@@ -29,6 +29,13 @@ fn camera_process() {
     loop {
         std::thread::sleep(Duration::from_millis(1));
         let Some(arm) = sender.armed() else { continue };
+        let session = arm.session;
+        let word = Ready {
+            session,
+            counter,
+            ..Ready::default()
+        };
+        sender.ready(word).unwrap();
         for nth in 0..arm.frames() {
             let mut frame = sender.loan((WIDTH * HEIGHT) as usize, counter).unwrap();
             for (i, pixel) in frame.pixels().iter_mut().enumerate() {

@@ -5,12 +5,59 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 /// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
+///
+/// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres. With fringes along rows,
+/// columns and width are the projector's rows and height.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FringeSet {
     /// Periods over the projector's full width.
     pub periods: f64,
     /// Phase steps, at least 3.
     pub steps: u32,
+    /// The column where the phase is zero: -0.5, the outer edge of the first column, for the instrument's own patterns; 0
+    /// where somebody counted phase from the centre of the first column.
+    pub phase_origin_px: f64,
+}
+
+impl FringeSet {
+    /// A frequency in the instrument's own convention.
+    pub fn new(periods: f64, steps: u32) -> Self {
+        Self {
+            periods,
+            steps,
+            phase_origin_px: OWN_PHASE_ORIGIN_PX,
+        }
+    }
+
+    /// The unwrapped phase at `column`.
+    pub fn phase_rad(&self, column: f64, width_px: f64) -> f64 {
+        TAU * self.periods * (column - self.phase_origin_px) / width_px
+    }
+
+    /// The inverse of [`FringeSet::phase_rad`].
+    pub fn column_px(&self, phase_rad: f64, width_px: f64) -> f64 {
+        phase_rad * width_px / (TAU * self.periods) + self.phase_origin_px
+    }
+}
+
+/// What the fringes count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Axis {
+    /// The projector's columns: stripes stand upright.
+    #[default]
+    Columns,
+    /// The projector's rows: stripes lie.
+    Rows,
+}
+
+impl Axis {
+    /// 0 along the projector's x, 1 along its y.
+    pub fn index(self) -> usize {
+        match self {
+            Self::Columns => 0,
+            Self::Rows => 1,
+        }
+    }
 }
 
 /// Which way the fringes move from step to step.
@@ -33,19 +80,17 @@ impl StepSign {
     }
 }
 
-/// The frequencies of one capture, low to high, and how phase relates to the projector's columns:
-/// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres.
+/// The frequencies of one capture, low to high, in any ratio ([`crate::unwrap`] says what they tell apart).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PatternSet {
     /// `insitu12`, the plan file's name, ...
     pub name: String,
-    /// 1 to 4 frequencies, ascending.
+    /// 1 to 12 frequencies, ascending.
     pub sets: Vec<FringeSet>,
     /// Which way the fringes step.
     pub step_sign: StepSign,
-    /// The column where the phase of every frequency is zero: -0.5, the outer edge of the first column, for the
-    /// instrument's own patterns; 0 where somebody counted phase from the centre of the first column.
-    pub phase_origin_px: f64,
+    /// What the fringes count.
+    pub axis: Axis,
 }
 
 /// Why a pattern set is refused.
@@ -53,14 +98,12 @@ pub struct PatternSet {
 #[non_exhaustive]
 pub enum PatternError {
     /// Not one of the built-in names.
-    #[error(
-        "pattern set \"{name}\" is unknown: the built-in sets are article8, insitu12 and scan16; any other goes into a plan file"
-    )]
+    #[error("pattern set \"{name}\" is unknown: {KNOWN_SETS}; any other goes into a plan file")]
     UnknownName {
         /// What was asked for.
         name: String,
     },
-    /// None, or more than four.
+    /// None, or more than twelve.
     #[error("{got} frequencies: 1 to {MAX_FREQUENCIES} are possible")]
     FrequencyCount {
         /// How many there were.
@@ -95,8 +138,12 @@ pub enum PatternError {
         previous: f64,
     },
     /// The phase origin is not a column near the projector.
-    #[error("phase origin at column {got}: must be within a projector's width of column 0")]
+    #[error(
+        "phase origin of frequency {set} at column {got}: must be within a projector's width of column 0"
+    )]
     Origin {
+        /// Index of the frequency.
+        set: usize,
         /// What it was.
         got: f64,
     },
@@ -104,20 +151,22 @@ pub enum PatternError {
 
 /// The instrument's patterns have phase zero at the outer edge of the projector's first column.
 pub const OWN_PHASE_ORIGIN_PX: f64 = -0.5;
-/// Hierarchical unwrapping needs no more.
-pub const MAX_FREQUENCIES: usize = 4;
+/// What `pattern_set` may name.
+pub(crate) const KNOWN_SETS: &str = "must be article8, insitu12, scan16, high12 or high16";
+/// More than micro phase shifting needs.
+pub const MAX_FREQUENCIES: usize = 12;
 /// More steps than any pattern memory holds.
 pub const MAX_STEPS: u32 = 64;
 /// Finer than two columns per period on any projector.
 pub const MAX_PERIODS: f64 = 4096.0;
 
 impl PatternSet {
-    /// A set in the instrument's own convention (`StepSign::Plus`, [`OWN_PHASE_ORIGIN_PX`]).
+    /// A set in the instrument's own convention (`StepSign::Plus`, along the columns).
     ///
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
     pub fn new(name: impl Into<String>, sets: Vec<FringeSet>) -> Result<Self, PatternError> {
-        Self::with_convention(name, sets, StepSign::Plus, OWN_PHASE_ORIGIN_PX)
+        Self::with_convention(name, sets, StepSign::Plus, Axis::Columns)
     }
 
     /// A set of somebody else's patterns.
@@ -128,15 +177,10 @@ impl PatternSet {
         name: impl Into<String>,
         sets: Vec<FringeSet>,
         step_sign: StepSign,
-        phase_origin_px: f64,
+        axis: Axis,
     ) -> Result<Self, PatternError> {
         if sets.is_empty() || sets.len() > MAX_FREQUENCIES {
             return Err(PatternError::FrequencyCount { got: sets.len() });
-        }
-        if phase_origin_px.is_nan() || phase_origin_px.abs() > 16384.0 {
-            return Err(PatternError::Origin {
-                got: phase_origin_px,
-            });
         }
         for (set, fringes) in sets.iter().enumerate() {
             if !(3..=MAX_STEPS).contains(&fringes.steps) {
@@ -146,6 +190,12 @@ impl PatternSet {
                 });
             }
             // Written so that NaN fails.
+            if !(fringes.phase_origin_px.abs() <= 16384.0) {
+                return Err(PatternError::Origin {
+                    set,
+                    got: fringes.phase_origin_px,
+                });
+            }
             if !(fringes.periods > 0.0 && fringes.periods <= MAX_PERIODS) {
                 return Err(PatternError::Periods {
                     set,
@@ -164,7 +214,7 @@ impl PatternSet {
             name: name.into(),
             sets,
             step_sign,
-            phase_origin_px,
+            axis,
         })
     }
 
@@ -173,13 +223,15 @@ impl PatternSet {
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
     pub fn checked(self) -> Result<Self, PatternError> {
-        Self::with_convention(self.name, self.sets, self.step_sign, self.phase_origin_px)
+        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)
     }
 
-    /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8} or `scan16` {4 x 4; 13 x 4; 48 x 8} (periods x steps).
+    /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8}, `scan16` {4 x 4; 13 x 4; 48 x 8}, `high12`
+    /// {36 x 4; 39 x 4; 48 x 4} or `high16` {41 x 4; 45 x 4; 48 x 8} (periods x steps).
     ///
     /// Eight steps on the finest frequency cancel the harmonics of a non-linear response up to the sixth; the lowest is
-    /// not a unit frequency because the measuring volume already fixes its fringe order.
+    /// not a unit frequency because the measuring volume already fixes its fringe order. The sets without a low frequency are for
+    /// surfaces that light each other (bare steel): `docs/formats.md` has their order margins.
     ///
     /// # Errors
     /// [`PatternError::UnknownName`].
@@ -188,6 +240,8 @@ impl PatternSet {
             "article8" => &[(4.0, 4), (48.0, 4)],
             "insitu12" => &[(4.0, 4), (48.0, 8)],
             "scan16" => &[(4.0, 4), (13.0, 4), (48.0, 8)],
+            "high12" => &[(36.0, 4), (39.0, 4), (48.0, 4)],
+            "high16" => &[(41.0, 4), (45.0, 4), (48.0, 8)],
             _ => {
                 return Err(PatternError::UnknownName {
                     name: name.to_owned(),
@@ -197,7 +251,7 @@ impl PatternSet {
         Self::new(
             name,
             sets.iter()
-                .map(|&(periods, steps)| FringeSet { periods, steps })
+                .map(|&(periods, steps)| FringeSet::new(periods, steps))
                 .collect(),
         )
     }
@@ -214,20 +268,10 @@ impl PatternSet {
 
     /// What the projector shows in column `column` (pixel centres at integers), 0 dark to 1 bright.
     pub fn intensity(&self, set: usize, step: u32, column: f64, width_px: f64) -> f64 {
-        let FringeSet { periods, steps } = self.sets[set];
-        let phase_rad = self.phase_rad(periods, column, width_px);
-        let shift_rad = self.step_sign.factor() * TAU * f64::from(step) / f64::from(steps);
+        let fringes = self.sets[set];
+        let phase_rad = fringes.phase_rad(column, width_px);
+        let shift_rad = self.step_sign.factor() * TAU * f64::from(step) / f64::from(fringes.steps);
         0.5 + 0.5 * (phase_rad + shift_rad).cos()
-    }
-
-    /// The unwrapped phase of `periods` fringes at `column`.
-    pub fn phase_rad(&self, periods: f64, column: f64, width_px: f64) -> f64 {
-        TAU * periods * (column - self.phase_origin_px) / width_px
-    }
-
-    /// The inverse of [`PatternSet::phase_rad`].
-    pub fn column_px(&self, periods: f64, phase_rad: f64, width_px: f64) -> f64 {
-        phase_rad * width_px / (TAU * periods) + self.phase_origin_px
     }
 }
 
@@ -237,7 +281,13 @@ mod tests {
 
     #[test]
     fn named_sets_have_as_many_frames_as_their_names_say() {
-        for (name, frames) in [("article8", 8), ("insitu12", 12), ("scan16", 16)] {
+        for (name, frames) in [
+            ("article8", 8),
+            ("insitu12", 12),
+            ("scan16", 16),
+            ("high12", 12),
+            ("high16", 16),
+        ] {
             assert_eq!(
                 PatternSet::named(name).unwrap().frames_per_exposure(),
                 frames
@@ -251,7 +301,7 @@ mod tests {
 
     #[test]
     fn limits_are_named() {
-        let set = |periods, steps| FringeSet { periods, steps };
+        let set = FringeSet::new;
         assert_eq!(
             PatternSet::new("", vec![]),
             Err(PatternError::FrequencyCount { got: 0 })
@@ -276,26 +326,16 @@ mod tests {
 
     #[test]
     fn column_and_phase_are_inverse() {
-        let set = PatternSet::with_convention(
-            "",
-            vec![FringeSet {
-                periods: 7.0,
-                steps: 3,
-            }],
-            StepSign::Minus,
-            0.3,
-        )
-        .unwrap();
+        let set = FringeSet {
+            periods: 7.0,
+            steps: 3,
+            phase_origin_px: 0.3,
+        };
         for column in [-0.5, 0.0, 17.25, 1023.0] {
-            let phase_rad = set.phase_rad(7.0, column, 1024.0);
-            assert!((set.column_px(7.0, phase_rad, 1024.0) - column).abs() < 1e-10);
+            let phase_rad = set.phase_rad(column, 1024.0);
+            assert!((set.column_px(phase_rad, 1024.0) - column).abs() < 1e-10);
         }
         // Half a column left of the first centre lies the edge.
-        assert_eq!(
-            PatternSet::named("insitu12")
-                .unwrap()
-                .phase_rad(7.0, -0.5, 1024.0),
-            0.0
-        );
+        assert_eq!(FringeSet::new(7.0, 3).phase_rad(-0.5, 1024.0), 0.0);
     }
 }

@@ -7,7 +7,9 @@ use serde::Deserialize;
 use crate::frame::FrameKind;
 use crate::head::Sensor;
 use crate::io::images::{GreyImage, ImageError, list_images, load_grey};
-use crate::pattern::{FringeSet, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign};
+use crate::pattern::{
+    Axis, FringeSet, KNOWN_SETS, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign,
+};
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
 /// A plan: patterns, exposures and, for every frame, its image.
@@ -42,6 +44,8 @@ struct PlanFile {
     exposures_us: Vec<u32>,
     #[serde(default)]
     step_sign: Option<i32>,
+    #[serde(default)]
+    fringes_along: FringesAlong,
     phase_origin_px: Option<f64>,
     dark: Option<PathBuf>,
     dark_first: Option<bool>,
@@ -50,16 +54,38 @@ struct PlanFile {
     set: Vec<SetFile>,
 }
 
+/// Which way the stripes run.
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum FringesAlong {
+    /// Stripes follow the projector's columns: their phase counts columns.
+    #[default]
+    Columns,
+    /// Stripes follow the rows: their phase counts rows.
+    Rows,
+}
+
+impl FringesAlong {
+    fn axis(self) -> Axis {
+        match self {
+            Self::Columns => Axis::Columns,
+            Self::Rows => Axis::Rows,
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SetFile {
     periods: f64,
     steps: u32,
+    /// Before the plan's.
+    phase_origin_px: Option<f64>,
     #[serde(default)]
     frames: Vec<PathBuf>,
 }
 
-/// More frames than any view has: 4 frequencies x 64 steps x 16 exposures.
+/// More frames than any view has: 12 frequencies x 16 steps x 16 exposures, and some.
 const MAX_FRAMES: usize = 4096;
 
 impl Plan {
@@ -74,73 +100,15 @@ impl Plan {
     }
 
     fn from_file(file: PlanFile) -> Result<Self, BadValue> {
-        let exposures_us = if file.exposures_us.is_empty() {
-            vec![1]
-        } else {
-            file.exposures_us
-        };
-        if exposures_us[0] == 0 || exposures_us.windows(2).any(|pair| pair[0] >= pair[1]) {
-            return Err(BadValue::new(
-                "exposures_us",
-                exposures_us,
-                "must be positive and ascending",
-            ));
-        }
-        let step_sign = match file.step_sign.unwrap_or(1) {
-            1 => StepSign::Plus,
-            -1 => StepSign::Minus,
-            other => return Err(BadValue::new("step_sign", other, "must be 1 or -1")),
-        };
-        // Where each [[set]] of the file goes when frequencies ascend.
-        let mut order: Vec<usize> = (0..file.set.len()).collect();
-        order.sort_by(|&a, &b| file.set[a].periods.total_cmp(&file.set[b].periods));
-        let sets =
-            match (&file.pattern_set, file.set.is_empty()) {
-                (Some(name), true) => PatternSet::named(name)
-                    .map_err(|_| {
-                        BadValue::new(
-                            "pattern_set",
-                            name,
-                            "must be article8, insitu12 or scan16, or absent with [[set]] tables",
-                        )
-                    })?
-                    .sets,
-                (None, false) => order
-                    .iter()
-                    .map(|&index| FringeSet {
-                        periods: file.set[index].periods,
-                        steps: file.set[index].steps,
-                    })
-                    .collect(),
-                (Some(name), false) => {
-                    return Err(BadValue::new(
-                        "pattern_set",
-                        name,
-                        "must be absent when there are [[set]] tables",
-                    ));
-                }
-                (None, true) => {
-                    return Err(BadValue::new(
-                        "pattern_set",
-                        "nothing",
-                        "must name a built-in set, or the plan must have [[set]] tables",
-                    ));
-                }
-            };
-        let name = file
-            .name
-            .or(file.pattern_set)
-            .unwrap_or_else(|| "plan".to_owned());
+        let exposures_us = exposures_us(&file)?;
+        let order = ascending(&file.set);
         let patterns = PatternSet::with_convention(
-            name,
-            sets,
-            step_sign,
-            file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX),
+            name(&file),
+            fringe_sets(&file, &order)?,
+            step_sign(&file)?,
+            file.fringes_along.axis(),
         )
         .map_err(|error| bad_pattern(&error, &order))?;
-        if order.is_empty() {
-            order = (0..patterns.sets.len()).collect();
-        }
         let total = exposures_us.len() * patterns.frames_per_exposure() + 1;
         if total > MAX_FRAMES {
             return Err(BadValue::new(
@@ -149,76 +117,16 @@ impl Plan {
                 "must leave at most 4096 frames in a view",
             ));
         }
-        let named = file.set.iter().filter(|set| !set.frames.is_empty()).count();
-        let dark_frame = file.dark.is_some() || file.dark_first == Some(true);
-        let images = if named == 0 {
-            if let Some(dark) = &file.dark {
-                return Err(BadValue::new(
-                    "dark",
-                    dark,
-                    "must be absent (use dark_first = true) when the sets list no frames",
-                ));
-            }
-            let mut kinds: Vec<FrameKind> =
-                dark_frame.then_some(FrameKind::Dark).into_iter().collect();
-            for exposure in 0..exposures_us.len() {
-                // In the order of the file's tables, whatever their frequencies.
-                for index in 0..order.len() {
-                    let set = order
-                        .iter()
-                        .position(|&other| other == index)
-                        .unwrap_or(index);
-                    let steps = 0..patterns.sets[set].steps;
-                    kinds.extend(steps.map(|step| FrameKind::Fringe {
-                        exposure,
-                        set,
-                        step,
-                    }));
-                }
-            }
-            Images::Sorted(kinds)
+        let exposures = exposures_us.len();
+        let images = if file.set.iter().all(|set| set.frames.is_empty()) {
+            Images::Sorted(sorted_frames(&file, &order, &patterns, exposures)?)
         } else {
-            if file.dark_first == Some(true) && file.dark.is_none() {
-                return Err(BadValue::new(
-                    "dark_first",
-                    true,
-                    "must be absent when the sets list their frames: name the image in dark",
-                ));
-            }
-            let mut frames: Vec<(FrameKind, PathBuf)> = file
-                .dark
-                .map(|dark| (FrameKind::Dark, dark))
-                .into_iter()
-                .collect();
-            for exposure in 0..exposures_us.len() {
-                for (set, &index) in order.iter().enumerate() {
-                    let listed = &file.set[index];
-                    if listed.frames.len() != listed.steps as usize * exposures_us.len() {
-                        return Err(BadValue::new(
-                            format!("set[{index}].frames"),
-                            listed.frames.len(),
-                            "must list one image per step and exposure (exposure by exposure), in every set or in none",
-                        ));
-                    }
-                    for step in 0..listed.steps {
-                        let at = exposure * listed.steps as usize + step as usize;
-                        frames.push((
-                            FrameKind::Fringe {
-                                exposure,
-                                set,
-                                step,
-                            },
-                            listed.frames[at].clone(),
-                        ));
-                    }
-                }
-            }
-            Images::Named(frames)
+            Images::Named(named_frames(&file, &order, exposures)?)
         };
         Ok(Self {
             patterns,
             exposures_us,
-            dark_frame,
+            dark_frame: file.dark.is_some() || file.dark_first == Some(true),
             sensor: file.sensor,
             images,
         })
@@ -277,6 +185,153 @@ impl Plan {
     }
 }
 
+/// The exposures, or a single one of unknown length.
+fn exposures_us(file: &PlanFile) -> Result<Vec<u32>, BadValue> {
+    let exposures_us = match file.exposures_us.as_slice() {
+        [] => vec![1],
+        given => given.to_vec(),
+    };
+    if exposures_us[0] == 0 || exposures_us.windows(2).any(|pair| pair[0] >= pair[1]) {
+        return Err(BadValue::new(
+            "exposures_us",
+            exposures_us,
+            "must be positive and ascending",
+        ));
+    }
+    Ok(exposures_us)
+}
+
+fn step_sign(file: &PlanFile) -> Result<StepSign, BadValue> {
+    match file.step_sign.unwrap_or(1) {
+        1 => Ok(StepSign::Plus),
+        -1 => Ok(StepSign::Minus),
+        other => Err(BadValue::new("step_sign", other, "must be 1 or -1")),
+    }
+}
+
+fn name(file: &PlanFile) -> String {
+    let given = file.name.as_ref().or(file.pattern_set.as_ref());
+    given.cloned().unwrap_or_else(|| "plan".to_owned())
+}
+
+/// The file's tables, lowest frequency first.
+fn ascending(sets: &[SetFile]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..sets.len()).collect();
+    order.sort_by(|&a, &b| sets[a].periods.total_cmp(&sets[b].periods));
+    order
+}
+
+/// The frequencies of the tables, or of the built-in set that is named instead, lowest first.
+fn fringe_sets(file: &PlanFile, order: &[usize]) -> Result<Vec<FringeSet>, BadValue> {
+    let common_origin_px = file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX);
+    let bad = |value: &str, expected| Err(BadValue::new("pattern_set", value, expected));
+    match (&file.pattern_set, order) {
+        (Some(name), []) => {
+            let Ok(known) = PatternSet::named(name) else {
+                return bad(name, KNOWN_SETS);
+            };
+            let moved = known.sets.into_iter().map(|set| FringeSet {
+                phase_origin_px: common_origin_px,
+                ..set
+            });
+            Ok(moved.collect())
+        }
+        (None, [_, ..]) => {
+            let set = |&index: &usize| {
+                let set = &file.set[index];
+                FringeSet {
+                    periods: set.periods,
+                    steps: set.steps,
+                    phase_origin_px: set.phase_origin_px.unwrap_or(common_origin_px),
+                }
+            };
+            Ok(order.iter().map(set).collect())
+        }
+        (Some(name), [_, ..]) => bad(name, "must be absent when there are [[set]] tables"),
+        (None, []) => bad(
+            "nothing",
+            "must name a built-in set, or the plan must have [[set]] tables",
+        ),
+    }
+}
+
+/// What the folder's images show when they are taken by name: the dark frame, then exposure by exposure the tables as they stand in
+/// the file, whatever their frequencies.
+fn sorted_frames(
+    file: &PlanFile,
+    order: &[usize],
+    patterns: &PatternSet,
+    exposures: usize,
+) -> Result<Vec<FrameKind>, BadValue> {
+    if let Some(dark) = &file.dark {
+        return Err(BadValue::new(
+            "dark",
+            dark,
+            "must be absent (use dark_first = true) when the sets list no frames",
+        ));
+    }
+    // Of a built-in set, which has no tables, the order is its own.
+    let mut sets: Vec<usize> = (0..patterns.sets.len()).collect();
+    sets.sort_by_key(|&set| order.get(set));
+    let mut kinds = Vec::new();
+    if file.dark_first == Some(true) {
+        kinds.push(FrameKind::Dark);
+    }
+    for exposure in 0..exposures {
+        for &set in &sets {
+            let steps = 0..patterns.sets[set].steps;
+            kinds.extend(steps.map(|step| FrameKind::Fringe {
+                exposure,
+                set,
+                step,
+            }));
+        }
+    }
+    Ok(kinds)
+}
+
+/// The images that the tables list, in capture order.
+fn named_frames(
+    file: &PlanFile,
+    order: &[usize],
+    exposures: usize,
+) -> Result<Vec<(FrameKind, PathBuf)>, BadValue> {
+    if file.dark_first == Some(true) && file.dark.is_none() {
+        return Err(BadValue::new(
+            "dark_first",
+            true,
+            "must be absent when the sets list their frames: name the image in dark",
+        ));
+    }
+    let dark = file.dark.clone().map(|dark| (FrameKind::Dark, dark));
+    let mut frames: Vec<(FrameKind, PathBuf)> = dark.into_iter().collect();
+    for exposure in 0..exposures {
+        for (set, &index) in order.iter().enumerate() {
+            let listed = &file.set[index];
+            let steps = listed.steps as usize;
+            if listed.frames.len() != steps * exposures {
+                return Err(BadValue::new(
+                    format!("set[{index}].frames"),
+                    listed.frames.len(),
+                    "must list one image per step and exposure (exposure by exposure), in every set or in none",
+                ));
+            }
+            let images = listed.frames[exposure * steps..]
+                .iter()
+                .zip(0..listed.steps);
+            frames.extend(images.map(|(image, step)| {
+                let kind = FrameKind::Fringe {
+                    exposure,
+                    set,
+                    step,
+                };
+                (kind, image.clone())
+            }));
+        }
+    }
+    Ok(frames)
+}
+
 fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
     let key = |set: usize, name: &str| match order.get(set) {
         Some(index) => format!("set[{index}].{name}"),
@@ -295,16 +350,14 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
             BadValue::new(key(set, "periods"), got, "must differ from set to set")
         }
         PatternError::FrequencyCount { got } => {
-            BadValue::new("set", got, "must be 1 to 4 [[set]] tables")
+            BadValue::new("set", got, "must be 1 to 12 [[set]] tables")
         }
-        PatternError::Origin { got } => BadValue::new(
-            "phase_origin_px",
+        PatternError::Origin { set, got } => BadValue::new(
+            key(set, "phase_origin_px"),
             got,
             "must be within a projector's width of column 0",
         ),
-        PatternError::UnknownName { ref name } => {
-            BadValue::new("pattern_set", name, "must be article8, insitu12 or scan16")
-        }
+        PatternError::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
     }
 }
 

@@ -1,43 +1,224 @@
-//! Which fringe is it? From wrapped phases of several frequencies to one absolute phase.
+//! Which fringe is it? From the wrapped phases of several frequencies to one absolute phase of the finest.
 //!
-//! The lowest frequency's order comes from the measuring volume: along a camera ray the volume spans less than one of
-//! its periods, so only one order fits (a single period over the projector needs no volume). Every finer frequency's
-//! order comes from the one below it: with `R = periods / periods below`, `k = round((R phase_below - phase) / TAU)`.
-//! That rounding fails with probability `erfc(PI / (sqrt(2) s))`, `s = sqrt(R^2 sigma_below^2 + sigma^2)`.
+//! The finest frequency's phase leaves a ladder of columns, one per fringe order. Every other frequency is a [`Clue`]: it
+//! says what its phase should be at each of these columns. The order is the one with the smallest chi-square of all clues
+//! together, each weighted by its variance (maximum likelihood, but for what the clues share: the finest phase). Nothing is presumed of the frequencies' ratio: coarse fringes
+//! under fine ones, and high frequencies of which only the beat is slow (Gupta and Nayar, Micro phase shifting, CVPR 2012), are
+//! the same sum. Low frequencies are spoiled by light that arrives over a second surface; of high ones it is blurred out.
+//!
+//! Two orders lie `d` standard deviations of the clues apart ([`Decision::separation`]); noise takes the one for the other with
+//! probability `erfc(d / (2 sqrt 2)) / 2`. For one clue of ratio `R` that is the familiar
+//! `d = TAU / sqrt(R^2 sigma_coarse^2 + sigma_fine^2)`.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::TAU;
 
-/// `s` may be at most this: the fringe order is then wrong with a probability of 6e-7.
-pub const MAX_ORDER_SIGMA_RAD: f64 = PI / 5.0;
+/// Least distance to the next order in predicted standard deviations: of two neighbours one is taken by mistake in 6e-7 of the
+/// cells.
+pub const MIN_SEPARATION: f64 = 10.0;
+
+/// The same in standard deviations measured from how far the clues about a cell miss, which takes in what no prediction knows:
+/// a second reflection, a lamp, a bent response. As clues must lie within a quarter of the distance ([`Decision::agreed`]), a
+/// wrong order passes with an error of three quarters and more: five standard deviations, one cell in five million. Where
+/// frequencies name unrelated columns they miss by 1/sqrt(12) of the distance: a quarter of the neighbours may be such.
+pub const MIN_MEASURED_SEPARATION: f32 = 7.0;
+
+/// Least share of the cells about one in which the frequencies agree. Where they name unrelated columns half of the cells agree by
+/// chance; where nine of ten agree at most one of nine can be such a chance, and a quarter of the distance is more than 1.6
+/// standard deviations of the error, three quarters 4.9.
+pub const LEAST_AGREEING_SHARE: f32 = 0.9;
 
 /// The phase closest to `expected_rad` among all that differ from `wrapped_rad` by whole turns.
 pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
     wrapped_rad + TAU * ((expected_rad - wrapped_rad) / TAU).round()
 }
 
-/// Standard deviation of the prediction against the finer phase, the `s` above.
-pub fn order_sigma_rad(ratio: f64, below_sigma_rad: f64, sigma_rad: f64) -> f64 {
-    ((ratio * below_sigma_rad).powi(2) + sigma_rad * sigma_rad).sqrt()
+/// What one frequency says about the column, beside the finest one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clue {
+    /// Periods of its phase per period of the finest; negative for a phase less that of the finest.
+    pub ratio: f64,
+    /// Its wrapped phase.
+    pub phase_rad: f64,
+    /// Variance of what only this clue gets wrong.
+    pub own_variance_rad2: f64,
+    /// Standard deviation of what it gets wrong together with the other clues: the finest frequency's own noise.
+    pub shared_rad: f64,
 }
 
-/// A prediction that misses the finer phase by more than this lies nearly as close to the next order: something other
-/// than noise (an edge inside the cell, stray light) is at work. Noise at its limit exceeds it in 1 % of the cells.
-pub const MAX_DISAGREEMENT_RAD: f64 = FRAC_PI_2;
+/// Says nothing.
+pub(crate) const NO_CLUE: Clue = Clue {
+    ratio: 0.0,
+    phase_rad: 0.0,
+    own_variance_rad2: 1.0,
+    shared_rad: 0.0,
+};
 
-/// One step up: the absolute phase of the finer frequency, or `None` if noise or disagreement make the order uncertain.
-pub fn refine(
-    ratio: f64,
-    below_rad: f64,
-    below_sigma_rad: f64,
-    wrapped_rad: f64,
-    sigma_rad: f64,
-) -> Option<f64> {
-    let predicted_rad = ratio * below_rad;
-    let absolute_rad = nearest_turn(wrapped_rad, predicted_rad);
-    // Written so that a NaN fails.
-    let certain = order_sigma_rad(ratio, below_sigma_rad, sigma_rad) <= MAX_ORDER_SIGMA_RAD
-        && (absolute_rad - predicted_rad).abs() <= MAX_DISAGREEMENT_RAD;
-    certain.then_some(absolute_rad)
+impl Clue {
+    /// How far its phase is from what the finest frequency's absolute phase asks for.
+    fn residual_rad(&self, absolute_rad: f64) -> f64 {
+        nearest_turn(self.phase_rad - self.ratio * absolute_rad, 0.0)
+    }
+
+    fn variance_rad2(&self) -> f64 {
+        let variance = self.own_variance_rad2 + self.shared_rad * self.shared_rad;
+        // Written so that a NaN stays one.
+        if variance < LEAST_VARIANCE_RAD2 {
+            LEAST_VARIANCE_RAD2
+        } else {
+            variance
+        }
+    }
+
+    /// How far its phase moves over so many orders.
+    fn step_rad(&self, orders: f64) -> f64 {
+        nearest_turn(self.ratio * TAU * orders, 0.0)
+    }
+}
+
+/// What a volume leaves of the ladder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ladder {
+    /// Phase of the finest frequency in the middle.
+    pub middle_rad: f64,
+    /// Orders that the clues tell apart, about the middle.
+    pub orders: usize,
+    /// Within this of the middle a surface is expected: orders beyond may win, but do not make one within doubtful.
+    pub expected_rad: f64,
+}
+
+/// The order found, and how sure it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// Absolute phase of the finest frequency.
+    pub absolute_rad: f64,
+    /// Chi-square of the clues about it; as many degrees of freedom as clues.
+    pub chi_square: f64,
+    /// Distance of the nearest other order, in predicted standard deviations.
+    pub separation: f64,
+    /// Whether the clues lie nearer to this order than half way to the point in the middle between it and any other: what
+    /// lies beyond is no noise (an edge inside the cell, stray light).
+    pub agreed: bool,
+}
+
+/// Keeps noiseless clues finite; far below any camera.
+const LEAST_VARIANCE_RAD2: f64 = 1e-16;
+
+/// How clues are weighted: each by its own variance. What they share is left out of the weights, so that each may be wrapped by
+/// itself, but not out of what is said about their sum.
+struct Weights<'a>(&'a [Clue]);
+
+impl Weights<'_> {
+    /// Chi-square of the clues about an absolute phase.
+    fn chi_square(&self, absolute_rad: f64) -> f64 {
+        let part = |clue: &Clue| clue.residual_rad(absolute_rad).powi(2) / clue.variance_rad2();
+        self.0.iter().map(part).sum()
+    }
+
+    /// Weighted square of how far the clues move over so many orders, and its ratio to the standard deviation of the sum that
+    /// decides between the two: with weights w and steps s that sum is `sum w s r`, its limit half of `sum w s^2`.
+    fn step(&self, orders: f64) -> (f64, f64) {
+        let (mut square, mut own, mut shared) = (0.0, 0.0, 0.0);
+        for clue in self.0 {
+            let step_rad = clue.step_rad(orders);
+            let weighted = step_rad / clue.variance_rad2();
+            square += step_rad * weighted;
+            own += weighted * weighted * clue.own_variance_rad2.max(0.0);
+            // At half a turn either sign may be met: the larger sum.
+            shared += (weighted * clue.shared_rad).abs();
+        }
+        let deviation = (own + shared * shared).sqrt();
+        (
+            square,
+            if square > 0.0 {
+                square / deviation
+            } else {
+                0.0
+            },
+        )
+    }
+}
+
+/// The most likely order of the finest frequency, whose wrapped phase is `wrapped_rad`.
+pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
+    let weights = Weights(clues);
+    let lowest_rad = ladder.middle_rad - 0.5 * TAU * ladder.orders as f64;
+    let first = ((lowest_rad - wrapped_rad) / TAU).ceil();
+    let phase_rad = |order: usize| wrapped_rad + TAU * (first + order as f64);
+    let (mut best, mut least) = (0, f64::INFINITY);
+    for order in 0..ladder.orders {
+        let found = weights.chi_square(phase_rad(order));
+        if found < least {
+            (best, least) = (order, found);
+        }
+    }
+    let mut decision = Decision {
+        absolute_rad: phase_rad(best),
+        chi_square: least,
+        // Of a NaN nothing is sure.
+        separation: if least.is_finite() {
+            f64::INFINITY
+        } else {
+            0.0
+        },
+        agreed: true,
+    };
+    for other in (0..ladder.orders).filter(|&other| other != best) {
+        let absolute_rad = phase_rad(other);
+        if (absolute_rad - ladder.middle_rad).abs() > ladder.expected_rad {
+            continue;
+        }
+        let (square, separation) = weights.step(other as f64 - best as f64);
+        // A NaN must not be lost in the minimum.
+        let nearer = !(separation >= decision.separation);
+        decision.separation = if nearer {
+            separation
+        } else {
+            decision.separation
+        };
+        decision.agreed &= weights.chi_square(absolute_rad) - least >= 0.5 * square;
+    }
+    decision
+}
+
+/// Separation that counts as telling two orders apart, radians of equally noisy clues: ten standard deviations of 0.05 rad.
+const TOLD_APART_RAD: f64 = 0.5;
+
+/// How many neighbouring orders of the finest frequency a set tells apart, the finest last in `periods`.
+///
+/// Up to the first that looks so much like the order itself that noise which leaves the neighbours apart, or 0.05 rad in every
+/// phase, could exchange them. A single frequency tells nothing apart; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
+/// with 41, 45 and 48 all 48, with 41 and 48 only 7.
+pub fn distinct_orders(periods: &[f64]) -> usize {
+    let Some(finest) = periods.last() else {
+        return 1;
+    };
+    let apart = |orders: usize| apart_rad(periods, orders as f64);
+    // The sum cannot tell more than the projector holds.
+    let most = finest.ceil().max(1.0) as usize;
+    let needed = TOLD_APART_RAD.min(apart(1) * (1.0 - 1e-9));
+    (1..most)
+        .find(|&n| !(apart(n) > 0.0 && apart(n) >= needed))
+        .unwrap_or(most)
+}
+
+/// How far apart so many orders are for equally noisy phases, in standard deviations of one phase.
+fn apart_rad(periods: &[f64], orders: f64) -> f64 {
+    let Some((finest, others)) = periods.split_last() else {
+        return 0.0;
+    };
+    let clue = |periods: &f64| Clue {
+        ratio: periods / finest,
+        phase_rad: 0.0,
+        own_variance_rad2: 1.0,
+        shared_rad: periods / finest,
+    };
+    let clues: Vec<Clue> = others.iter().map(clue).collect();
+    Weights(&clues).step(orders).1
+}
+
+/// [`Decision::separation`] of neighbouring orders times the standard deviation of every phase.
+pub fn order_step_rad(periods: &[f64]) -> f64 {
+    apart_rad(periods, 1.0)
 }
 
 #[cfg(test)]
@@ -48,55 +229,211 @@ mod tests {
         phase.sin().atan2(phase.cos())
     }
 
+    fn clue(ratio: f64, phase_rad: f64, sigma_rad: f64, finest_sigma_rad: f64) -> Clue {
+        Clue {
+            ratio,
+            phase_rad,
+            own_variance_rad2: sigma_rad * sigma_rad,
+            shared_rad: ratio * finest_sigma_rad,
+        }
+    }
+
     /// Against trying every order of every frequency and keeping the most consistent combination.
     #[test]
-    fn agrees_with_trying_every_order() {
-        let periods = [4.0, 13.0, 48.0];
+    fn agrees_with_trying_every_order_of_every_frequency() {
         let noise = [0.05, -0.08, 0.04];
-        for step in 0..997 {
-            let x = 0.002 + 0.996 * f64::from(step) / 997.0;
-            // The volume knows x to within 0.1 of the width: less than half a period of the lowest frequency.
-            let expected_x = x + 0.1 * (f64::from(step) * 0.7).sin();
-            let wrapped: Vec<f64> = (0..3)
-                .map(|i| wrap(TAU * periods[i] * x + noise[i]))
-                .collect();
-            let mut best = (f64::INFINITY, 0.0);
-            for k0 in -1..=5 {
-                for k1 in -1..=14 {
-                    for k2 in -1..=49 {
-                        let xs = [k0, k1, k2].map(f64::from);
-                        let xs: [f64; 3] = std::array::from_fn(|i| {
-                            (wrapped[i] + TAU * xs[i]) / (TAU * periods[i])
-                        });
-                        if (xs[0] - expected_x).abs() > 0.125 {
-                            continue;
-                        }
-                        let cost = (xs[0] - xs[1]).abs() + (xs[1] - xs[2]).abs();
-                        if cost < best.0 {
-                            best = (cost, TAU * periods[2] * xs[2]);
+        for periods in [[4.0, 13.0, 48.0], [41.0, 45.0, 48.0], [29.3, 37.1, 48.0]] {
+            for step in 0..397 {
+                let x = 0.002 + 0.996 * f64::from(step) / 397.0;
+                // The volume knows x to within 0.1 of the width.
+                let expected_x = x + 0.1 * (f64::from(step) * 0.7).sin();
+                let wrapped: [f64; 3] =
+                    std::array::from_fn(|i| wrap(TAU * periods[i] * x + noise[i]));
+                let mut best = (f64::INFINITY, 0.0);
+                for k0 in -1..=50 {
+                    for k1 in -1..=50 {
+                        for k2 in -1..=50 {
+                            let orders = [k0, k1, k2].map(f64::from);
+                            let xs: [f64; 3] = std::array::from_fn(|i| {
+                                (wrapped[i] + TAU * orders[i]) / (TAU * periods[i])
+                            });
+                            if (xs[2] - expected_x).abs() > 0.125 || (xs[0] - xs[2]).abs() > 0.13 {
+                                continue;
+                            }
+                            // Weighted mean of the columns, and what is left.
+                            let weights = periods.map(|p: f64| p * p);
+                            let sum: f64 = weights.iter().sum();
+                            let mean = (0..3).map(|i| weights[i] * xs[i]).sum::<f64>() / sum;
+                            let cost: f64 =
+                                (0..3).map(|i| weights[i] * (xs[i] - mean).powi(2)).sum();
+                            if cost < best.0 {
+                                best = (cost, TAU * periods[2] * xs[2]);
+                            }
                         }
                     }
                 }
+                let clues: Vec<Clue> = (0..2)
+                    .map(|i| clue(periods[i] / 48.0, wrapped[i], 0.02, 0.02))
+                    .collect();
+                let ladder = Ladder {
+                    middle_rad: TAU * 48.0 * expected_x,
+                    orders: 12,
+                    expected_rad: f64::INFINITY,
+                };
+                let found = decide(&clues, wrapped[2], &ladder);
+                assert!(
+                    (found.absolute_rad - best.1).abs() < 1e-9,
+                    "{periods:?} x = {x}"
+                );
+                assert!(found.separation > MIN_SEPARATION, "{found:?}");
             }
-            let low = nearest_turn(wrapped[0], TAU * periods[0] * expected_x);
-            let middle = refine(13.0 / 4.0, low, 0.05, wrapped[1], 0.05).unwrap();
-            let high = refine(48.0 / 13.0, middle, 0.05, wrapped[2], 0.05).unwrap();
-            assert!((high - best.1).abs() < 1e-9, "x = {x}");
-            assert!((high - TAU * 48.0 * x).abs() < 0.05);
         }
     }
 
     #[test]
-    fn a_prediction_between_two_orders_is_refused() {
-        assert!(refine(12.0, 1.0, 0.0, 12.0 - TAU + 1.5, 0.0).is_some());
-        assert!(refine(12.0, 1.0, 0.0, 12.0 - TAU + 1.6, 0.0).is_none());
+    fn one_clue_is_the_rule_of_its_ratio() {
+        let ladder = Ladder {
+            middle_rad: 0.0,
+            orders: 12,
+            expected_rad: f64::INFINITY,
+        };
+        let limit = TAU / MIN_SEPARATION / 145f64.sqrt();
+        let at = |sigma: f64| decide(&[clue(1.0 / 12.0, 0.1, sigma, sigma)], 0.9, &ladder);
+        assert!(at(limit * 0.999).separation > MIN_SEPARATION);
+        assert!(at(limit * 1.001).separation < MIN_SEPARATION);
+        assert!(at(f64::NAN).separation < MIN_SEPARATION);
+        // A clue that asks for a phase a quarter of a turn off lies half way to the middle between two orders.
+        let off = |rad: f64| decide(&[clue(1.0 / 12.0, rad / 12.0, 0.01, 0.01)], 0.0, &ladder);
+        assert!(off(1.57).agreed && !off(1.58).agreed);
+        assert_eq!(off(-1.57).absolute_rad, 0.0);
+    }
+
+    /// Errors drawn from the clues' own covariance take a neighbour as often as the separation says.
+    #[test]
+    fn the_separation_says_how_often_noise_takes_another_order() {
+        let mut state = 11u64;
+        let mut uniform = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut normal = move || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
+        let (sigma, draws) = (0.16, 200_000);
+        let ladder = Ladder {
+            middle_rad: 0.0,
+            orders: 15,
+            expected_rad: f64::INFINITY,
+        };
+        let (mut wrong, mut separation) = (0, 0.0);
+        for _ in 0..draws {
+            let own = sigma * normal();
+            let clues = [41.0, 45.0].map(|p| clue(p / 48.0, sigma * normal(), sigma, sigma));
+            let found = decide(&clues, own, &ladder);
+            wrong += usize::from((found.absolute_rad - own).abs() > 1.0);
+            separation = found.separation;
+        }
+        // erfc(d / (2 sqrt 2)) of both neighbours together, by Abramowitz and Stegun 7.1.26.
+        let z: f64 = separation / 8f64.sqrt();
+        let t = 1.0 / (1.0 + 0.327_591_1 * z);
+        let poly = t
+            * (0.254_829_592
+                + t * (-0.284_496_736
+                    + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+        let expected = poly * (-z * z).exp();
+        let got = wrong as f64 / f64::from(draws);
+        // The twelve-fold sum has light tails, and farther orders add a little.
+        assert!(
+            (got / expected - 1.0).abs() < 0.12,
+            "{got} of {expected} at {separation}"
+        );
     }
 
     #[test]
-    fn uncertain_orders_are_refused() {
-        let limit = MAX_ORDER_SIGMA_RAD / 145f64.sqrt();
-        assert!(refine(12.0, 1.0, limit * 0.999, -0.3, limit * 0.999).is_some());
-        assert!(refine(12.0, 1.0, limit * 1.001, -0.3, limit * 1.001).is_none());
-        assert!(refine(12.0, 1.0, f64::NAN, -0.3, 0.1).is_none());
+    fn what_a_set_tells_apart() {
+        for (periods, orders) in [
+            (&[16.0][..], 1),
+            (&[1.0, 16.0], 16),
+            (&[1.0, 64.0], 64),
+            (&[4.0, 48.0], 12),
+            (&[4.1, 48.0], 11),
+            (&[4.0, 13.0, 48.0], 48),
+            (&[41.0, 45.0, 48.0], 48),
+            (&[36.0, 39.0, 48.0], 16),
+            (&[41.0, 48.0], 7),
+            (&[47.0, 48.0], 48),
+        ] {
+            assert_eq!(distinct_orders(periods), orders, "{periods:?}");
+        }
+    }
+
+    /// With 36 and 48 periods the next order but one lies half a turn away, where noise decides the sign of what is left.
+    #[test]
+    fn half_a_turn_has_two_signs() {
+        let ladder = Ladder {
+            middle_rad: 0.0,
+            orders: 16,
+            expected_rad: f64::INFINITY,
+        };
+        for noise in [-0.1, -0.01, 0.0, 0.01, 0.1] {
+            let clues = [36.0, 39.0].map(|p: f64| Clue {
+                ratio: p / 48.0 - 1.0,
+                phase_rad: noise,
+                own_variance_rad2: 1e-4,
+                shared_rad: 0.03,
+            });
+            let found = decide(&clues, 0.0, &ladder);
+            assert!(
+                found.absolute_rad == 0.0 && found.agreed,
+                "{noise}: {found:?}"
+            );
+        }
+    }
+
+    /// The table of docs/formats.md, and that no pair of frequencies tells as many orders apart by more than `high12` does.
+    #[test]
+    fn margins_of_the_built_in_sets() {
+        let margin = |periods: &[f64]| {
+            let margins = (1..12).map(|orders| apart_rad(periods, f64::from(orders)));
+            margins.fold(f64::INFINITY, f64::min)
+        };
+        for (name, orders, expected_rad) in [
+            ("article8", 12, 0.52),
+            ("insitu12", 12, 0.52),
+            ("scan16", 48, 0.53),
+            ("high12", 16, 1.19),
+            ("high16", 48, 0.66),
+        ] {
+            let sets = crate::PatternSet::named(name).unwrap().sets;
+            let periods: Vec<f64> = sets.iter().map(|set| set.periods).collect();
+            assert_eq!(distinct_orders(&periods), orders, "{name}");
+            assert!(
+                (margin(&periods) - expected_rad).abs() < 0.005,
+                "{name}: {}",
+                margin(&periods)
+            );
+        }
+        let high = margin(&[36.0, 39.0, 48.0]);
+        for low in 36..48 {
+            for middle in low + 1..48 {
+                let periods = [f64::from(low), f64::from(middle), 48.0];
+                let better = margin(&periods) > high && distinct_orders(&periods) >= 16;
+                assert!(!better, "{periods:?}: {}", margin(&periods));
+            }
+        }
+    }
+
+    /// Orders outside the volume may win, but do not make a surface within it doubtful.
+    #[test]
+    fn only_expected_orders_compete() {
+        let clues = [clue(1.0 / 12.0, 0.0, 0.02, 0.02)];
+        let narrow = Ladder {
+            middle_rad: 0.0,
+            orders: 12,
+            expected_rad: 1.0,
+        };
+        assert_eq!(decide(&clues, 0.0, &narrow).separation, f64::INFINITY);
+        let far = [clue(1.0 / 12.0, 2.0 * TAU / 12.0, 0.02, 0.02)];
+        assert_eq!(decide(&far, 0.0, &narrow).absolute_rad, 2.0 * TAU);
     }
 }

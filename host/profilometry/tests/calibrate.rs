@@ -5,6 +5,7 @@ use flankscope_profilometry::calibrate::{
     CalibrateError, Dots, Mark, Plate, Sighting, StagePose, Target, adjust,
 };
 use flankscope_profilometry::head::{DepthRange, ImageCircle, Pinhole, RigidTransform};
+use flankscope_profilometry::pattern::Axis;
 use flankscope_profilometry::triangulate::Triangulator;
 
 const STAGE_SIGMA: [f64; 2] = [151e-6, 2.9e-3];
@@ -85,6 +86,7 @@ fn truth() -> HeadModel {
         self_test: None,
         seal: None,
         core_map: None,
+        mirrors: None,
     }
 }
 
@@ -267,7 +269,9 @@ fn point_errors(is: &HeadModel, waves_px: f64, said: &HeadModel) -> Vec<[f64; 3]
             let seen = bent(&is.camera, waves_px, pixel);
             let [column, _] = bent(&is.projector, waves_px, light);
             let [x, y] = said.camera.undistort(seen).unwrap();
-            let hit = Triangulator::new(said).intersect([x, y], column).unwrap();
+            let hit = Triangulator::new(said, Axis::Columns)
+                .intersect([x, y], column)
+                .unwrap();
             let z = hit.depth_mm;
             let a = is.stage_from_camera.unwrap().point(p);
             let b = said.stage_from_camera.unwrap().point([x * z, y * z, z]);

@@ -70,6 +70,71 @@ fn planes_and_spheres_come_back() {
     }
 }
 
+/// A bright land beside a dim, steep flank: light that is smoothed for the order must not carry the land's columns over the edge.
+#[test]
+fn a_highlight_does_not_speak_for_what_lies_beyond_its_edge() {
+    const EDGE_ROW: usize = HEIGHT / 2;
+    const DIMMER: u16 = 25;
+    let head = head();
+    let at_edge = ray(&head, 75.0, EDGE_ROW as f64 - 0.5)[1];
+    // On the flank an order every eight rows.
+    let surface = |[_, y]: [f64; 2]| 22.0 + 17.0 * (y - at_edge).max(0.0);
+    let columns = columns(&head, surface);
+    for set in ["high12", "high16"] {
+        let patterns = PatternSet::named(set).unwrap();
+        let options = DecodeOptions::for_head(&head).with_smoothed_orders();
+        let decoder = Decoder::new(&head, &patterns, &[1000], options).unwrap();
+        let mut frames = capture(&head, &decoder, &patterns, &columns, &[1.0], &BRIGHT);
+        for (_, pixels) in &mut frames {
+            for dn in &mut pixels[EDGE_ROW * WIDTH..] {
+                *dn = 100 + (*dn - 100) / DIMMER;
+            }
+        }
+        let decoded = decoder.finish(&accumulate(&decoder, &frames)).unwrap();
+        let near = |row: u16| usize::from(row).abs_diff(EDGE_ROW) < 6;
+        let cells = decoded.cloud.cell.iter().filter(|cell| near(cell[1]));
+        // Cells of the outermost columns lie off the projector.
+        let (found, asked) = (cells.count(), 11 * WIDTH);
+        assert!(
+            20 * found > 19 * asked,
+            "{set}: {found} of {asked}, {:?}",
+            decoded.rejected
+        );
+        for (point, cell) in decoded.cloud.points_mm.iter().zip(&decoded.cloud.cell) {
+            let z = surface(ray(&head, f64::from(cell[0]), f64::from(cell[1])));
+            // A count lost to whole division is 1e-3 of the dim light: 1e-4 of an order.
+            assert!(
+                (point[2] - z).abs() < 1e-3,
+                "{set} {cell:?}: {}",
+                point[2] - z
+            );
+        }
+    }
+}
+
+#[test]
+fn contrast_and_orders_between_points_are_those_of_the_scene() {
+    let head = head();
+    let surface = plane([0.1, 0.2, 1.0], 22.1);
+    let columns = columns(&head, &surface);
+    let patterns = PatternSet::named("scan16").unwrap();
+    let decoded = decode(&head, &patterns, &columns, &[1.0], &BRIGHT, 1);
+    assert_eq!(decoded.contrast.len(), 3);
+    for contrast in &decoded.contrast {
+        assert!((contrast - BRIGHT.contrast).abs() < 1e-4, "{contrast}");
+    }
+    let decoder = Decoder::new(&head, &patterns, &[1000], DecodeOptions::for_head(&head)).unwrap();
+    for [x, y] in [[0.0, 0.0], [0.1, -0.05], [-0.12, 0.08]] {
+        let [near, far] = [21.0, 21.7].map(|z| [x * z, y * z, z]);
+        let expected = (column(&head, far) - column(&head, near)) * 48.0 / 1024.0;
+        let got = decoder.orders_between(near, far).unwrap();
+        assert!(
+            (got - expected).abs() < 1e-9 && got.abs() > 1.0,
+            "{got} {expected}"
+        );
+    }
+}
+
 #[test]
 fn three_to_eight_steps_and_one_to_three_frequencies_agree() {
     let head = head();
@@ -84,7 +149,7 @@ fn three_to_eight_steps_and_one_to_three_frequencies_agree() {
     for set in sets {
         let sets = set
             .iter()
-            .map(|&(periods, steps)| FringeSet { periods, steps })
+            .map(|&(periods, steps)| FringeSet::new(periods, steps))
             .collect();
         let patterns = PatternSet::new("test", sets).unwrap();
         let decoded = decode(&head, &patterns, &columns, &[1.0], &BRIGHT, 1);

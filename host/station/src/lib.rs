@@ -16,6 +16,7 @@ pub mod files;
 pub mod history;
 pub mod inspection;
 pub mod origin;
+pub mod patterns;
 pub mod report;
 pub mod scan;
 pub mod seal;

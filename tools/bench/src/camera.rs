@@ -8,12 +8,13 @@
 //! A [`FrameFault`] makes the camera misbehave as cameras do.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use flankscope_frames::{
     FrameHeader, FrameLabel, FrameSender, FrameSink, FrameSlot, Labels, LoanedFrame, Overflow,
-    SealedFrame, SharedRoot, monotonic_ns,
+    Ready, SealedFrame, SharedRoot, monotonic_ns,
 };
 use flankscope_sim::{Hold, Remote};
 
@@ -73,6 +74,8 @@ impl std::str::FromStr for FrameFault {
 
 /// Prepared views kept: the one being photographed and the next.
 const VIEWS_KEPT: usize = 2;
+/// How often an idle camera looks whether it was armed.
+const POLL: Duration = Duration::from_millis(1);
 
 enum Job {
     Prepare {
@@ -225,6 +228,8 @@ struct FrameRenderer {
     captures: u32,
     /// Frames exposed without a trigger.
     extra: u32,
+    /// Number of the next frame.
+    next: u32,
     truth: Truth,
 }
 
@@ -248,11 +253,44 @@ impl FrameRenderer {
             fault,
             captures: 0,
             extra: 0,
+            next: 0,
             truth: Truth::default(),
         }
     }
 
+    /// Tells the host who this is and what it is armed for.
+    fn speak(&mut self, session: u32) {
+        let [width, height] = self.world.size_px();
+        let sensor = self.world.sensor();
+        let word = Ready {
+            session,
+            counter: self.next,
+            width_px: width as u32,
+            height_px: height as u32,
+            bits: sensor.bits,
+            offset_dn: sensor.offset_dn,
+            gain_e_per_dn: sensor.gain_e_per_dn(),
+            model: Ready::text("simulated camera"),
+            link: Ready::text("shared memory"),
+            ..Ready::default()
+        };
+        if let Err(error) = self.sender.ready(word) {
+            eprintln!("bench: {error}");
+        }
+    }
+
+    /// Obeys an arming. Every exposure of the capture before is developed by now; what of it was never read out is dropped.
+    fn obey(&mut self) {
+        if let Some(arm) = self.sender.armed() {
+            self.ready.clear();
+            self.labels.arm(arm);
+            self.captures += 1;
+            self.speak(arm.session);
+        }
+    }
+
     fn run(mut self, queue: &Receiver<Job>) {
+        self.speak(0);
         // The stages set off while the last frame of a view is still being read out: that frame goes first.
         let mut announced = None;
         loop {
@@ -260,6 +298,7 @@ impl FrameRenderer {
                 Ok(job) => job,
                 Err(TryRecvError::Disconnected) => return,
                 Err(TryRecvError::Empty) => {
+                    self.obey();
                     if self.ready.is_empty()
                         && let Some((rotation_rad, vertical_mm)) = announced.take()
                         // A retracted head photographs nothing.
@@ -268,9 +307,10 @@ impl FrameRenderer {
                         self.prepare(rotation_rad, vertical_mm);
                         continue;
                     }
-                    match queue.recv() {
+                    match queue.recv_timeout(POLL) {
                         Ok(job) => job,
-                        Err(_) => return,
+                        Err(RecvTimeoutError::Timeout) => continue,
+                        Err(RecvTimeoutError::Disconnected) => return,
                     }
                 }
             };
@@ -325,14 +365,11 @@ impl FrameRenderer {
 
     /// Turns an exposure into frames: one, unless the camera misbehaves.
     fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
-        if let Some(arm) = self.sender.armed() {
-            self.labels.arm(arm);
-            self.captures += 1;
-        }
         let struck = |fault: &FrameFault| {
             fault.frame == self.labels.exposed() && !(fault.once && self.captures > 1)
         };
         let fault = self.fault.filter(struck).map(|fault| fault.kind);
+        self.next = exposure.counter + self.extra + 1;
         let labelled = self.labels.take();
         let frame = self.expose(exposure, labelled, ended_monotonic_ns);
         match fault {
@@ -346,6 +383,7 @@ impl FrameRenderer {
             Some(FrameFaultKind::Extra) => {
                 self.ready.extend(frame);
                 self.extra += 1;
+                self.next += 1;
                 let labelled = self.labels.take();
                 let extra = self.expose(exposure, labelled, ended_monotonic_ns);
                 self.ready.extend(extra);
@@ -375,6 +413,7 @@ impl FrameRenderer {
             width_px: width as u32,
             height_px: height as u32,
             stride_px: width as u32,
+            measured: FrameHeader::ALL_MEASURED,
             exposure_start_us: exposure.start_us,
             exposure_end_us: exposure.end_us,
             exposure_end_monotonic_ns: ended_monotonic_ns,

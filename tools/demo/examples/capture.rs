@@ -14,7 +14,7 @@ use flankscope_bench::world::{PatternSpec, World};
 use flankscope_demo as demo;
 use flankscope_frames::{
     Arm, BorrowedFrame, Frame, FrameHeader, FrameReceiver, FrameSender, FrameSink, FrameSlot,
-    FrameSource, Overflow, SharedRoot, monotonic_ns,
+    FrameSource, Overflow, Ready, SharedRoot, monotonic_ns,
 };
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameView, PatternSet};
 use rayon::prelude::*;
@@ -138,6 +138,10 @@ fn camera(root: &SharedRoot) -> Result<()> {
     let mut sender = FrameSender::open(root, Overflow::Drop)?;
     let arm = loop {
         if let Some(arm) = sender.armed() {
+            sender.ready(Ready {
+                session: arm.session,
+                ..Ready::default()
+            })?;
             break arm;
         }
         std::thread::sleep(Duration::from_millis(1));

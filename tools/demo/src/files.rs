@@ -119,6 +119,7 @@ pub fn head() -> HeadModel {
         self_test: None,
         seal: None,
         core_map: None,
+        mirrors: None,
     }
 }
 

@@ -14,6 +14,7 @@ use flankscope_profilometry::calibrate::{Sighting, StagePose, Target, adjust, ho
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::{CalibrationRecord, RecordError, SelfTest, Unfit};
+use flankscope_profilometry::pattern::Axis;
 use flankscope_profilometry::triangulate::Triangulator;
 use flankscope_profilometry::{
     Accumulator, Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
@@ -156,7 +157,7 @@ type Pair = [Point3<f64>; 2];
 
 /// Points all over the volume as a head puts them, and as they are, in the stage frame.
 fn volume_points(is: &HeadOptics, said: &HeadModel) -> Vec<Pair> {
-    let triangulator = Triangulator::new(said);
+    let triangulator = Triangulator::new(said, Axis::Columns);
     let hand_eye = said.stage_from_camera.expect("a hand-eye");
     let mut pairs = Vec::new();
     for depth in [20.5, 22.0, 23.5] {

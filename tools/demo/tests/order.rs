@@ -4,7 +4,7 @@ use flankscope_bench::world::PatternSpec;
 use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, PatternSet};
 use flankscope_protocol::FrameOrder;
 
-const SETS: [&str; 3] = ["article8", "insitu12", "scan16"];
+const SETS: [&str; 5] = ["article8", "insitu12", "scan16", "high12", "high16"];
 
 #[test]
 fn the_decoder_takes_frames_in_the_order_in_which_they_are_triggered() {

@@ -66,6 +66,28 @@ pub fn emulated_image(name: &str) -> Option<PathBuf> {
     }
 }
 
+/// A Python that has these modules: that of the folder in `FLANKSCOPE_PYTHON`, of `target/python` (`.ci/run` makes it), or the
+/// system's.
+///
+/// # Panics
+/// There is none although everything must run.
+#[must_use]
+pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
+    let own = workspace().join("target/python");
+    let named = std::env::var_os("FLANKSCOPE_PYTHON").map(PathBuf::from);
+    let folders = [named, Some(own)].into_iter().flatten();
+    let candidates = folders.map(|folder| folder.join("bin/python"));
+    let script = format!("import {}", modules.join(", "));
+    let has = |python: &PathBuf| {
+        let mut tried = std::process::Command::new(python);
+        let tried = tried.args(["-c", &script]).output();
+        tried.is_ok_and(|output| output.status.success())
+    };
+    let mut candidates = candidates.chain([PathBuf::from("python3")]);
+    let found = candidates.find(has);
+    found.or_else(|| missed(&format!("Python with {}", modules.join(", "))))
+}
+
 /// Python with two clients of other people for the stage controller.
 ///
 /// # Panics

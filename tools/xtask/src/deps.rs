@@ -13,6 +13,7 @@ const CONTROLLER: &str = "firmware/controller";
 const PIN_WIRE: &str = "firmware/pin-wire";
 const SIM: &str = "firmware/sim";
 const FRAMES: &str = "host/frames";
+const CAMERA: &str = "host/camera";
 const FOUNDATION: &str = "host/foundation";
 const PROFILOMETRY: &str = "host/profilometry";
 const METROLOGY: &str = "host/metrology";
@@ -30,6 +31,7 @@ const EVERYTHING: &[&str] = &[
     PIN_WIRE,
     SIM,
     FRAMES,
+    CAMERA,
     FOUNDATION,
     PROFILOMETRY,
     METROLOGY,
@@ -50,6 +52,7 @@ const ROOMS: &[Room] = &[
     ("firmware/mps2-an386", &[PROTOCOL, CONTROLLER, PIN_WIRE]),
     ("firmware/nucleo-h743zi", &[PROTOCOL, CONTROLLER]),
     (FRAMES, &[PROTOCOL]),
+    (CAMERA, &[FRAMES]),
     (FOUNDATION, &[]),
     (PROFILOMETRY, &[FOUNDATION]),
     (METROLOGY, &[FOUNDATION]),

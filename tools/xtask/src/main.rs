@@ -165,21 +165,20 @@ fn demo() -> Result<(), String> {
     run(cargo(&["run", "--release", "--", "inspect"]))
 }
 
-/// With the checks of the test profile in both programs: an overflow is a finding.
+/// With the checks of the test profile in both programs: an overflow is a finding. Built as the tests build them, once.
 fn campaign(rest: &[&str]) -> Result<(), String> {
-    run(cargo(&["build", "-p", "flankscope"]))?;
-    let target =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
-    let program = target.join("debug/flankscope").display().to_string();
-    let campaign = [
-        "run",
-        "-p",
-        "flankscope-campaign",
-        "--",
-        "--program",
-        &program,
-    ];
-    run(cargo(&[&campaign[..], rest].concat()))
+    run(cargo(&["build", "--workspace", "--bins"]))?;
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| root().join("target"), PathBuf::from)
+        .join("debug");
+    let mut campaign = Command::new(target.join("flankscope-campaign"));
+    let program = target.join("flankscope");
+    campaign
+        .current_dir(root())
+        .arg("--program")
+        .arg(program)
+        .args(rest);
+    run(campaign)
 }
 
 fn deny() -> Result<(), String> {

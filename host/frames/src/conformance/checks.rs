@@ -67,6 +67,9 @@ struct Host<'a> {
     arm: Arm,
     /// Exposures fired before the arming.
     before_arming: u32,
+    /// The process runs, and has said its first word.
+    connected: bool,
+    announced_px: [u32; 2],
     size_px: Option<[u32; 3]>,
 }
 
@@ -88,6 +91,8 @@ impl<'a> Host<'a> {
             fired: 0,
             arm: Arm::default(),
             before_arming: 0,
+            connected: false,
+            announced_px: [0; 2],
             size_px: None,
         };
         if let Some(arm) = arm {
@@ -102,6 +107,7 @@ impl<'a> Host<'a> {
         self.rig.start(self.root.path())?;
         self.fired = 0;
         self.before_arming = 0;
+        self.connected = false;
         let patience = self.settings.patience;
         let end = Instant::now() + patience;
         while !self.source.camera_connected() {
@@ -110,12 +116,34 @@ impl<'a> Host<'a> {
             }
             std::thread::sleep(Duration::from_millis(2));
         }
-        // Looks for the new peer, which gets an earlier arming by this.
-        match self.source.receive(Duration::ZERO)? {
-            None => Ok(()),
-            Some(frame) => Err(Violation::Untriggered {
-                counter: frame.header().counter,
-            }),
+        self.connected = true;
+        // The new peer gets an earlier arming, too.
+        self.ready(self.arm.session)
+    }
+
+    /// Waits until the camera has said that it is armed for a session, and drained.
+    fn ready(&mut self, session: u32) -> Result<(), Violation> {
+        let patience = self.settings.patience;
+        let end = Instant::now() + patience;
+        loop {
+            if let Some(word) = self.source.ready()?.filter(|word| word.session == session) {
+                if word.counter != self.fired {
+                    return Err(Violation::NextFrame {
+                        got: word.counter,
+                        expected: self.fired,
+                    });
+                }
+                self.announced_px = [word.width_px, word.height_px];
+                return Ok(());
+            }
+            if let Some(frame) = self.source.receive(Duration::from_millis(2))? {
+                return Err(Violation::Untriggered {
+                    counter: frame.header().counter,
+                });
+            }
+            if Instant::now() > end {
+                return Err(Violation::NotReady { session, patience });
+            }
         }
     }
 
@@ -123,7 +151,10 @@ impl<'a> Host<'a> {
         self.source.arm(arm)?;
         self.arm = arm;
         self.before_arming = self.fired;
-        Ok(())
+        match self.connected {
+            true => self.ready(arm.session),
+            false => Ok(()),
+        }
     }
 
     fn fire(&mut self) -> Result<(), Violation> {
@@ -201,10 +232,18 @@ impl<'a> Host<'a> {
                 commanded_us,
             });
         }
-        if header.reserved != 0 {
-            return Err(Violation::Reserved {
+        if header.measured & !FrameHeader::ALL_MEASURED != 0 {
+            return Err(Violation::Measured {
                 counter,
-                got: header.reserved,
+                got: header.measured,
+            });
+        }
+        let got_px = [header.width_px, header.height_px];
+        if got_px != self.announced_px {
+            return Err(Violation::Announced {
+                counter,
+                announced_px: self.announced_px,
+                got_px,
             });
         }
         let (ended_ns, published_ns) = (

@@ -68,6 +68,32 @@ pub enum Violation {
         /// How long was waited.
         patience: Duration,
     },
+    /// It did not say that it is armed and drained.
+    #[error("armed for session {session}, the camera did not say so within {patience:?}")]
+    NotReady {
+        /// The session, 0 for its first word.
+        session: u32,
+        /// How long was waited.
+        patience: Duration,
+    },
+    /// It announces another next frame than the count of exposures.
+    #[error("the camera announces frame {got} as its next; {expected} exposures were triggered")]
+    NextFrame {
+        /// Announced.
+        got: u32,
+        /// Exposures since the process started.
+        expected: u32,
+    },
+    /// Its frames have another size than it announced.
+    #[error("the camera announced {announced_px:?} px, its frame {counter} has {got_px:?}")]
+    Announced {
+        /// The frame's number.
+        counter: u32,
+        /// Width and height announced.
+        announced_px: [u32; 2],
+        /// Those of the frame.
+        got_px: [u32; 2],
+    },
     /// A trigger without a frame.
     #[error("exposure {nth} was triggered, but no frame came within {patience:?}")]
     NoFrame {
@@ -144,9 +170,9 @@ pub enum Violation {
         /// When, ns.
         earlier_ns: u64,
     },
-    /// Bits that are kept for later.
-    #[error("frame {counter}: the reserved word is {got:#x}, not 0")]
-    Reserved {
+    /// Bits of `measured` that mean nothing.
+    #[error("frame {counter}: measured is {got:#x}; bits 0 and 1 have a meaning, all others are 0")]
+    Measured {
         /// Its number.
         counter: u32,
         /// Its value.

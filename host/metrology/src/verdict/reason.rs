@@ -108,6 +108,8 @@ codes! {
     LinkLost = "link_lost", "check cable, port and power of the controller";
     /// The check did not fit into the time for which the press may be held.
     HoldTime = "hold_time", "inspect fewer teeth, or allow more time (--hold-limit-s)";
+    /// The camera is not there, does not say that it is armed, or is another one than the head's; nothing moved.
+    CameraUnusable = "camera_unusable", "start flankscope-camera, and see that it has the head's camera (flankscope doctor)";
     /// A thread of the capture did not answer.
     CaptureStalled = "capture_stalled", "start the instrument anew";
     /// The head's calibration does not count today.

@@ -17,6 +17,9 @@ pub struct ConsistencyOptions {
     pub least_probability: f64,
     /// What lamp and response contribute beside noise, relative to the light: standard deviation from frame to frame.
     pub response_ratio: f64,
+    /// Whether a cell is laid beside the median of its view where that exceeds the prediction: for frames of an instrument that
+    /// nobody characterised as closely as its sensor. The instrument's own frames must keep to the prediction, or something shakes.
+    pub relative_to_view: bool,
 }
 
 impl ConsistencyOptions {
@@ -24,6 +27,7 @@ impl ConsistencyOptions {
     pub const INSTRUMENT: Self = Self {
         least_probability: 1e-3,
         response_ratio: 1.5e-3,
+        relative_to_view: false,
     };
 }
 
@@ -103,6 +107,12 @@ pub(crate) fn limits(probability: f64, most: usize) -> Vec<f32> {
         (dof as f64 * (1.0 - spread + z * spread.sqrt()).powi(3)) as f32
     };
     (0..=most).map(limit).collect()
+}
+
+/// Median of chi-square (Wilson and Hilferty).
+pub(crate) fn median(freedom: usize) -> f64 {
+    let freedom = freedom as f64;
+    freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 
 use super::model::{Scene, head_unknowns};
 use crate::head::HeadModel;
+use crate::pattern::Axis;
 use crate::triangulate::Triangulator;
 
 /// Where in the field, in parts of 0.7 of its radius.
@@ -73,10 +74,12 @@ fn point_covariance(
     depth_mm: f64,
 ) -> Option<Matrix3<f64>> {
     let ray = head.camera.undistort(pixel)?;
-    let (column_px, _) = Triangulator::new(head).column(ray, depth_mm)?;
+    let (column_px, _) = Triangulator::new(head, Axis::Columns).column(ray, depth_mm)?;
     let point = |head: &HeadModel| -> Option<Vector3<f64>> {
         let ray = head.camera.undistort(pixel)?;
-        let z = Triangulator::new(head).intersect(ray, column_px)?.depth_mm;
+        let z = Triangulator::new(head, Axis::Columns)
+            .intersect(ray, column_px)?
+            .depth_mm;
         Some(Vector3::from(head.stage_from_camera?.point([
             ray[0] * z,
             ray[1] * z,

@@ -63,8 +63,12 @@ pub struct Rejected {
     pub saturated: usize,
     /// Contrast below the limit: no fringes here.
     pub low_contrast: usize,
+    /// Amplitude of a frequency below the floor: what is left of the fringes may be rounding.
+    pub low_modulation: usize,
     /// Too noisy to tell the fringe order.
     pub uncertain_order: usize,
+    /// The frequencies name different columns, here or all about: light over a second surface, an edge.
+    pub disagreeing: usize,
     /// The phase belongs to no projector column.
     pub outside_projector: usize,
     /// The ray meets the sheet of light outside the measuring volume, or nowhere.
@@ -84,7 +88,9 @@ impl Rejected {
     pub fn total(&self) -> usize {
         self.saturated
             + self.low_contrast
+            + self.low_modulation
             + self.uncertain_order
+            + self.disagreeing
             + self.outside_projector
             + self.outside_volume
             + self.uncertain_depth
@@ -105,4 +111,11 @@ pub struct Decoded {
     pub without_point: Vec<u32>,
     /// Cells without a point.
     pub rejected: Rejected,
+    /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and
+    /// uncertainties have been raised by it. 1 unless [`crate::decode::ConsistencyOptions::relative_to_view`].
+    pub frame_noise_ratio: f64,
+    /// Median contrast (amplitude over mean) of each frequency over the cells with a point, low to high; empty without points.
+    /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
+    /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.
+    pub contrast: Vec<f64>,
 }

@@ -1,19 +1,23 @@
 //! One cell: from its sums to a depth, or to the first reason why there is none.
 
 use super::Decoder;
+use super::conditioned::Conditioned;
 use super::rays::Ray;
 use crate::accumulate::Band;
 use crate::cloud::Depths;
+use crate::pattern::MAX_FREQUENCIES;
 use crate::phase::{self, CellNoise, PhaseEstimate};
 use crate::triangulate::depth_sigma_mm;
-use crate::unwrap;
+use crate::unwrap::{self, Clue, Ladder, MIN_SEPARATION, nearest_turn};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Fate {
     Point,
     Saturated,
     LowContrast,
+    LowModulation,
     UncertainOrder,
+    Disagreeing,
     OutsideProjector,
     OutsideVolume,
     UncertainDepth,
@@ -28,13 +32,40 @@ pub(super) struct CellResult {
     pub depth_mm: f64,
     pub sigma_z_mm: f32,
     pub modulation_e: f32,
+    /// How far the clues to the fringe order miss: chi-square per degree of freedom. NaN where no order was found.
+    pub clue_chi_square: f32,
+    /// Distance to the next order, in predicted standard deviations of the clues.
+    pub separation: f32,
+    /// How far the frequencies that make up the column disagree: chi-square per degree of freedom. NaN for a single one.
+    pub column_chi_square: f32,
 }
 
 /// The projector column of a cell and the uncertainty of its phase.
 pub(super) struct Column {
     pub column_px: f64,
+    /// Of the phase of the finest frequency.
     pub sigma_rad: f64,
     pub modulation_e: f64,
+    pub clue_chi_square: f32,
+    pub separation: f32,
+    pub column_chi_square: f32,
+}
+
+/// Why there is no column, and how far the clues missed of what if they were asked.
+pub(super) struct Lost {
+    pub fate: Fate,
+    pub clue_chi_square: f32,
+    pub separation: f32,
+}
+
+impl From<Fate> for Lost {
+    fn from(fate: Fate) -> Self {
+        Self {
+            fate,
+            clue_chi_square: f32::NAN,
+            separation: 0.0,
+        }
+    }
 }
 
 impl CellResult {
@@ -44,11 +75,24 @@ impl CellResult {
             depth_mm: f64::NAN,
             sigma_z_mm: f32::NAN,
             modulation_e: 0.0,
+            clue_chi_square: f32::NAN,
+            separation: 0.0,
+            column_chi_square: f32::NAN,
         }
     }
 
     pub(super) fn reject(&mut self, fate: Fate) {
         *self = Self::rejected(fate);
+    }
+}
+
+impl From<Lost> for CellResult {
+    fn from(lost: Lost) -> Self {
+        Self {
+            clue_chi_square: lost.clue_chi_square,
+            separation: lost.separation,
+            ..Self::rejected(lost.fate)
+        }
     }
 }
 
@@ -62,61 +106,165 @@ impl Depths for Vec<CellResult> {
     }
 }
 
+/// Frequencies of at least this part of the finest one's make up the column with it; lower ones only count its fringes, for
+/// what light from elsewhere does to a phase falls with the frequency.
+pub(super) const FINE_RATIO: f64 = 0.5;
+
+/// What one frequency shows in a cell.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    /// Wrapped, counted from where the finest frequency's phase is zero.
+    phase_rad: f64,
+    sigma_rad: f64,
+}
+
 impl Decoder {
     /// The projector column that lights a cell, before any geometry but the fringe order that the volume allows.
     pub(super) fn column(
         &self,
+        view: &Conditioned<'_>,
         band: &Band,
         index: usize,
         ray: &Ray,
-        sigma_ratios: &[f64],
-    ) -> Result<Column, Fate> {
+    ) -> Result<Column, Lost> {
         let noise = self.noise(band, index);
-        // Absolute phase of the frequency just done, and its uncertainty; finest last.
-        let mut absolute_rad = 0.0;
-        let mut sigma_rad = 0.0;
+        let mut seen = [Seen::default(); MAX_FREQUENCIES];
         let mut modulation_e = 0.0;
-        for (set, fringes) in self.patterns.sets.iter().enumerate() {
+        for (set, seen) in seen.iter_mut().enumerate().take(self.patterns.sets.len()) {
             let estimate = self.estimate(band, index, set, &noise)?;
             // Written so that a NaN fails.
             if !(estimate.contrast() >= self.options.min_contrast) {
-                return Err(Fate::LowContrast);
+                return Err(Fate::LowContrast.into());
             }
-            let wrapped_rad = estimate.phase_rad;
-            let own_sigma_rad = estimate.sigma_rad * sigma_ratios[set];
-            absolute_rad = if set == 0 {
-                unwrap::nearest_turn(wrapped_rad, ray.expected_low_rad)
-            } else {
-                let ratio = fringes.periods / self.patterns.sets[set - 1].periods;
-                unwrap::refine(ratio, absolute_rad, sigma_rad, wrapped_rad, own_sigma_rad)
-                    .ok_or(Fate::UncertainOrder)?
+            if estimate.modulation_e < self.floor_e(band, index, set, &noise) {
+                return Err(Fate::LowModulation.into());
+            }
+            *seen = Seen {
+                phase_rad: estimate.phase_rad + self.origins_rad[set],
+                sigma_rad: estimate.sigma_rad * view.sigma_ratios[set],
             };
-            sigma_rad = own_sigma_rad;
             modulation_e = estimate.modulation_e;
         }
-        if self.is_inconsistent(band, index) {
-            return Err(Fate::Inconsistent);
+        let finest = self.patterns.sets.len() - 1;
+        let mut clues = [unwrap::NO_CLUE; MAX_FREQUENCIES];
+        for (set, clue) in clues.iter_mut().enumerate().take(finest) {
+            *clue = self.clue(view, band.first_cell + index, set, &seen);
         }
-        let periods = self.patterns.finest().periods;
-        let column_px = self
-            .patterns
-            .column_px(periods, absolute_rad, self.projector_width_px);
+        let ladder = Ladder {
+            middle_rad: ray.middle_rad,
+            orders: self.orders,
+            expected_rad: ray.expected_rad,
+        };
+        let found = unwrap::decide(&clues[..finest], seen[finest].phase_rad, &ladder);
+        if !(found.separation >= MIN_SEPARATION) {
+            return Err(Fate::UncertainOrder.into());
+        }
+        let clue_chi_square = match finest {
+            0 => f32::NAN,
+            clues => (found.chi_square / clues as f64) as f32,
+        };
+        if !found.agreed {
+            return Err(Lost {
+                fate: Fate::Disagreeing,
+                clue_chi_square,
+                separation: found.separation as f32,
+            });
+        }
+        if self.is_inconsistent(band, index, view.frame_noise_ratio) {
+            return Err(Fate::Inconsistent.into());
+        }
+        let phase = self.fine_phase(&seen[..=finest], found.absolute_rad);
+        let fringes = self.patterns.finest();
+        let column_px = fringes.column_px(phase.absolute_rad, self.projector_width_px);
         if !(-0.5..=self.projector_width_px - 0.5).contains(&column_px) {
-            return Err(Fate::OutsideProjector);
+            return Err(Fate::OutsideProjector.into());
         }
         Ok(Column {
             column_px,
-            sigma_rad,
+            sigma_rad: phase.sigma_rad * view.frame_noise_ratio.max(1.0),
             modulation_e,
+            clue_chi_square,
+            separation: found.separation as f32,
+            column_chi_square: phase.chi_square,
         })
     }
 
+    /// What a frequency says about the order of the finest.
+    fn clue(
+        &self,
+        view: &Conditioned<'_>,
+        cell: usize,
+        set: usize,
+        seen: &[Seen; MAX_FREQUENCIES],
+    ) -> Clue {
+        let finest = self.patterns.sets.len() - 1;
+        let ratio = self.patterns.sets[set].periods / self.patterns.finest().periods;
+        let Some(difference) = &view.differences[set] else {
+            return Clue {
+                ratio,
+                phase_rad: seen[set].phase_rad,
+                own_variance_rad2: seen[set].sigma_rad.powi(2),
+                shared_rad: ratio * seen[finest].sigma_rad,
+            };
+        };
+        let (re, im) = (difference.re[cell], difference.im[cell]);
+        let turned_rad = self.patterns.step_sign.factor() * f64::from(im).atan2(f64::from(re));
+        // Noise of the cell's own phases, smoothed less than the difference was.
+        let sigma_rad = |set: usize| {
+            let smoothing = difference.variance_ratio.sqrt() / view.sigma_ratios[set];
+            seen[set].sigma_rad * smoothing
+        };
+        let beat = ratio - 1.0;
+        Clue {
+            ratio: beat,
+            phase_rad: turned_rad + self.origins_rad[set],
+            own_variance_rad2: sigma_rad(set).powi(2) + (beat * seen[finest].sigma_rad).powi(2),
+            shared_rad: sigma_rad(finest),
+        }
+    }
+
+    /// Absolute phase of the finest frequency from all fine ones, weighted by their variances.
+    fn fine_phase(&self, seen: &[Seen], absolute_rad: f64) -> FinePhase {
+        let periods = self.patterns.finest().periods;
+        // Distances from the finest frequency's own phase, so that it stays as it is when it is alone.
+        let part = |(set, seen): (usize, &Seen)| {
+            let ratio = self.patterns.sets[set].periods / periods;
+            let expected_rad = ratio * absolute_rad;
+            let off_rad = (nearest_turn(seen.phase_rad, expected_rad) - expected_rad) / ratio;
+            (ratio > FINE_RATIO).then(|| (off_rad, (ratio / seen.sigma_rad).powi(2)))
+        };
+        let parts = || seen.iter().enumerate().filter_map(part);
+        let weight: f64 = parts().map(|(_, weight)| weight).sum();
+        let count = parts().count();
+        if count < 2 || !weight.is_finite() {
+            return FinePhase {
+                absolute_rad,
+                sigma_rad: seen[seen.len() - 1].sigma_rad,
+                chi_square: f32::NAN,
+            };
+        }
+        let mean = parts().map(|(off, weight)| off * weight).sum::<f64>() / weight;
+        let left = parts().map(|(off, weight)| (off - mean).powi(2) * weight);
+        FinePhase {
+            absolute_rad: absolute_rad + mean,
+            sigma_rad: 1.0 / weight.sqrt(),
+            chi_square: (left.sum::<f64>() / (count - 1) as f64) as f32,
+        }
+    }
+
+    /// Least amplitude of a cell in electrons.
+    fn floor_e(&self, band: &Band, index: usize, set: usize, noise: &CellNoise) -> f64 {
+        let exposures = f64::from(band.phasor(set, index).exposures);
+        self.floors_dn[set] * noise.gain_e_per_dn * noise.pixels * exposures
+    }
+
     /// Whether noise alone hardly ever leaves so much over of a cell's frames.
-    fn is_inconsistent(&self, band: &Band, index: usize) -> bool {
+    fn is_inconsistent(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
         let (chi_square, freedom) = self.chi_square(band, index);
+        let scale = noise_ratio.max(1.0).powi(2) as f32;
         self.chi_square_limits
             .get(freedom)
-            .is_some_and(|&limit| chi_square > limit)
+            .is_some_and(|&limit| chi_square > limit * scale)
     }
 
     /// Chi-square of a cell over all frequencies and exposures used, and its degrees of freedom.
@@ -163,40 +311,40 @@ impl Decoder {
 
     pub(super) fn cell(
         &self,
+        view: &Conditioned<'_>,
         band: &Band,
         index: usize,
         ray: &Ray,
-        sigma_ratios: &[f64],
-    ) -> Result<CellResult, Fate> {
-        let Column {
-            column_px,
-            sigma_rad,
-            modulation_e,
-        } = self.column(band, index, ray, sigma_ratios)?;
+    ) -> Result<CellResult, Lost> {
+        let column = self.column(view, band, index, ray)?;
         let hit = self
             .triangulator
-            .intersect(ray.direction, column_px)
+            .intersect(ray.direction, column.column_px)
             .ok_or(Fate::OutsideVolume)?;
         if self
             .volume
             .is_some_and(|volume| !(volume.near_mm..=volume.far_mm).contains(&hit.depth_mm))
         {
-            return Err(Fate::OutsideVolume);
+            return Err(Fate::OutsideVolume.into());
         }
         let periods = self.patterns.finest().periods;
-        let sigma_z_mm = depth_sigma_mm(sigma_rad, periods, self.projector_width_px, &hit);
-        if self
-            .options
-            .max_sigma_z_mm
-            .is_some_and(|limit| !(sigma_z_mm <= limit))
-        {
-            return Err(Fate::UncertainDepth);
-        }
+        let sigma_z_mm = depth_sigma_mm(column.sigma_rad, periods, self.projector_width_px, &hit);
         Ok(CellResult {
             fate: Fate::Point,
             depth_mm: hit.depth_mm,
             sigma_z_mm: sigma_z_mm as f32,
-            modulation_e: modulation_e as f32,
+            modulation_e: column.modulation_e as f32,
+            clue_chi_square: column.clue_chi_square,
+            separation: column.separation,
+            column_chi_square: column.column_chi_square,
         })
     }
+}
+
+/// Phase of the finest frequency, as all fine ones have it.
+struct FinePhase {
+    absolute_rad: f64,
+    sigma_rad: f64,
+    /// Per degree of freedom.
+    chi_square: f32,
 }

@@ -58,20 +58,20 @@ pub enum DecodeError {
         "no core of the head's map lies in the image circle: check [cores] and image_circle, or use the pixel grid"
     )]
     NoCores,
-    /// The lowest frequency repeats and nothing says which repetition.
+    /// All frequencies together repeat and nothing says which repetition.
     #[error(
-        "the lowest frequency has {periods} periods and the head no [volume]: give the volume's depth range, or a frequency with a single period"
+        "the lowest frequency has {periods} periods (of high ones: their beat) and the head no [volume]: give the volume's depth range, or a frequency with a single period"
     )]
     NeedsVolume {
-        /// Lowest periods.
+        /// Periods of the lowest frequency, or of the beat of high ones: repetitions over the projector.
         periods: f64,
     },
-    /// The lowest frequency repeats within the volume.
+    /// All frequencies together repeat within the volume.
     #[error(
-        "within the measuring volume the lowest frequency ({periods} periods) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
+        "within the measuring volume the lowest frequency ({periods} periods; of high ones their beat) passes {spanned:.2} periods, at most {limit} are unambiguous: use at most {usable:.1} periods, or a shallower volume"
     )]
     VolumeTooDeep {
-        /// Lowest periods.
+        /// Periods of the lowest frequency, or of the beat of high ones: repetitions over the projector.
         periods: f64,
         /// Periods passed along the worst ray.
         spanned: f64,

@@ -1,10 +1,14 @@
 //! The whole way: from the sums of a view to points in the camera frame.
 
 mod cell;
+mod conditioned;
 mod error;
+mod floor;
+mod neighbourhood;
 mod options;
 mod rays;
 
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -16,16 +20,20 @@ use crate::cloud::small_patches;
 use crate::frame::FrameKind;
 use crate::head::{DepthRange, HeadModel, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
-use crate::phase::{mask, smoothing};
+use crate::phase::mask;
 use crate::triangulate::Triangulator;
+use crate::unwrap;
+use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
 pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
 pub use crate::phase::mask::MaskOptions;
 use cell::{CellResult, Fate};
+use conditioned::Conditioned;
 pub use error::DecodeError;
+use neighbourhood::Neighbourhood;
 pub use options::{DecodeOptions, GridKind};
-use rays::{Ray, rays};
+use rays::{Ray, projector_size_px, rays};
 
 /// Everything about a head and its patterns that does not change from view to view.
 #[derive(Clone, Debug)]
@@ -33,11 +41,20 @@ pub struct Decoder {
     layout: Arc<Layout>,
     patterns: PatternSet,
     options: DecodeOptions,
+    size_px: [u32; 2],
     sensor: Sensor,
     triangulator: Triangulator,
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
+    /// Orders of the finest frequency that the set tells apart.
+    orders: usize,
+    /// Of each frequency, its phase where that of the finest is zero.
+    origins_rad: Vec<f64>,
+    /// Standard deviation of all phases with which a cell tells the order by itself.
+    enough_rad: f64,
+    /// Least amplitude of each frequency, counts per pixel and exposure.
+    floors_dn: Vec<f64>,
     /// Largest chi-square by degrees of freedom; empty where it is not tested.
     chi_square_limits: Vec<f32>,
     /// Lateral size of a cell per unit of depth.
@@ -72,11 +89,11 @@ impl Decoder {
             });
         }
         let sensor = head.sensor.ok_or(DecodeError::NoSensor)?;
-        let lowest_periods = patterns.sets[0].periods;
-        if head.volume.is_none() && lowest_periods > 1.0 {
-            return Err(DecodeError::NeedsVolume {
-                periods: lowest_periods,
-            });
+        let all_periods: Vec<f64> = patterns.sets.iter().map(|set| set.periods).collect();
+        let orders = unwrap::distinct_orders(&all_periods);
+        let repeated = (100.0 * patterns.finest().periods / orders as f64).round() / 100.0;
+        if head.volume.is_none() && repeated > 1.0 {
+            return Err(DecodeError::NeedsVolume { periods: repeated });
         }
         let (width, height) = (
             head.camera.width_px as usize,
@@ -100,8 +117,15 @@ impl Decoder {
                 },
             });
         }
-        let triangulator = Triangulator::new(head);
-        let rays = rays(head, patterns, &grid, &triangulator)?;
+        let triangulator = Triangulator::new(head, patterns.axis);
+        let rays = rays(head, patterns, orders, &grid, &triangulator)?;
+        let projector_width_px = projector_size_px(head, patterns.axis);
+        let finest = patterns.finest();
+        let origin_rad = |set: &FringeSet| {
+            let apart_px = set.phase_origin_px - finest.phase_origin_px;
+            TAU * set.periods * apart_px / projector_width_px
+        };
+        let origins_rad = patterns.sets.iter().map(origin_rad).collect();
         let cell_by_depth = grid.pitch_px() / head.camera.focal_px[0].min(head.camera.focal_px[1]);
         let layout = Layout {
             width,
@@ -124,15 +148,21 @@ impl Decoder {
             let most = exposures_us.len() * patterns.sets.iter().map(of_set).sum::<usize>();
             consistency::limits(gate.least_probability, most)
         });
+        let floors_dn = floor::floors_dn(patterns, &options, &sensor);
         Ok(Self {
             layout: Arc::new(layout),
             patterns: patterns.clone(),
             options,
+            size_px: [head.camera.width_px, head.camera.height_px],
             sensor,
             triangulator,
-            projector_width_px: f64::from(head.projector.width_px),
+            projector_width_px,
             volume: head.volume,
             rays,
+            orders,
+            origins_rad,
+            enough_rad: unwrap::order_step_rad(&all_periods) / unwrap::MIN_SEPARATION,
+            floors_dn,
             chi_square_limits,
             cell_by_depth,
         })
@@ -148,6 +178,11 @@ impl Decoder {
         &self.layout.grid
     }
 
+    /// Least amplitude of each frequency, counts per pixel and exposure: see [`DecodeOptions::min_modulation_dn`].
+    pub fn floors_dn(&self) -> &[f64] {
+        &self.floors_dn
+    }
+
     /// The frames of a view in capture order.
     pub fn capture_order(&self) -> impl Iterator<Item = FrameKind> + '_ {
         (0..self.layout.planned()).filter_map(|index| self.layout.kind(index))
@@ -156,6 +191,16 @@ impl Decoder {
     /// A mean level that a dark frame stays below and a lit frame exceeds: the offset plus 1 % of full scale.
     pub fn dark_limit_dn(&self) -> f64 {
         self.sensor.offset_dn + 0.01 * (2f64.powi(self.sensor.bits as i32) - 1.0)
+    }
+
+    /// Width and height of a frame, px.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// The sensor that frames are of.
+    pub fn sensor(&self) -> Sensor {
+        self.sensor
     }
 
     /// The largest count of the sensor.
@@ -173,11 +218,19 @@ impl Decoder {
             .options
             .mask
             .map(|options| mask::fringe_deviations_dn(accumulator, options.smoothing_px));
-        let (conditioned, variance_ratios) = self.condition(accumulator);
-        let mut results = self.depths(
-            conditioned.as_ref().unwrap_or(accumulator),
-            &variance_ratios,
-        );
+        let view = self.condition(accumulator);
+        let mut results = self.depths(&view);
+        let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
+        around.judge_orders(&mut results);
+        around.raise_uncertainties(&mut results);
+        if let Some(limit_mm) = self.options.max_sigma_z_mm {
+            for result in &mut results {
+                let certain = f64::from(result.sigma_z_mm) <= limit_mm;
+                if result.fate == Fate::Point && !certain {
+                    result.reject(Fate::UncertainDepth);
+                }
+            }
+        }
         if let (Some(options), Some(fringes_dn)) = (&self.options.mask, &fringes_dn) {
             for (result, &deviation_dn) in results.iter_mut().zip(fringes_dn) {
                 if f64::from(deviation_dn) < options.threshold_dn && result.fate == Fate::Point {
@@ -190,52 +243,83 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
-        Ok(self.collect(&results, fringes_dn.as_deref()))
+        Ok(Decoded {
+            frame_noise_ratio: view.frame_noise_ratio,
+            contrast: self.contrasts(accumulator, &results),
+            ..self.collect(&results, fringes_dn.as_deref())
+        })
     }
 
-    /// Repaired phasors, if any repair is wanted, and what it did to the variance of each frequency.
-    fn condition(&self, accumulator: &Accumulator) -> (Option<Accumulator>, Vec<f64>) {
-        let options = &self.options;
-        let wanted = options.smoothing_px > 0.0 || options.coarse_smoothing_px > 0.0;
-        let Grid::Blocks(grid) = &self.layout.grid else {
-            return (None, vec![1.0; self.layout.steps.len()]);
-        };
-        if !wanted {
-            return (None, vec![1.0; self.layout.steps.len()]);
-        }
-        let mut copy = accumulator.clone();
-        let finest = self.layout.steps.len() - 1;
-        let binning = grid.binning as f64;
-        let sigmas: Vec<f64> = (0..=finest)
-            .map(|set| if set == finest { options.smoothing_px } else { options.coarse_smoothing_px } / binning)
-            .collect();
-        let ratios = smoothing::smooth(&mut copy, grid, &sigmas);
-        (Some(copy), ratios)
-    }
-
-    fn depths(&self, accumulator: &Accumulator, variance_ratios: &[f64]) -> Vec<CellResult> {
+    fn depths(&self, view: &Conditioned<'_>) -> Vec<CellResult> {
         let mut results = vec![CellResult::rejected(Fate::LowContrast); self.rays.len()];
         let mut rest = results.as_mut_slice();
-        let mut parts = Vec::with_capacity(accumulator.bands.len());
-        for band in &accumulator.bands {
+        let bands = &view.accumulator.bands;
+        let mut parts = Vec::with_capacity(bands.len());
+        for band in bands {
             let (part, after) = rest.split_at_mut(band.cells);
             parts.push(part);
             rest = after;
         }
-        let sigma_ratios: Vec<f64> = variance_ratios.iter().map(|ratio| ratio.sqrt()).collect();
-        accumulator
-            .bands
-            .par_iter()
-            .zip(parts)
-            .for_each(|(band, part)| {
-                let rays = &self.rays[band.first_cell..][..band.cells];
-                for (index, (result, ray)) in part.iter_mut().zip(rays).enumerate() {
-                    *result = self
-                        .cell(band, index, ray, &sigma_ratios)
-                        .unwrap_or_else(CellResult::rejected);
-                }
-            });
+        bands.par_iter().zip(parts).for_each(|(band, part)| {
+            let rays = &self.rays[band.first_cell..][..band.cells];
+            for (index, (result, ray)) in part.iter_mut().zip(rays).enumerate() {
+                *result = self
+                    .cell(view, band, index, ray)
+                    .unwrap_or_else(CellResult::from);
+            }
+        });
         results
+    }
+
+    /// By how much the frames of cells with fringes scatter more than predicted, in the median over the view; 1 unless the
+    /// options say that cells are laid beside the view.
+    fn frame_noise_ratio(&self, accumulator: &Accumulator) -> f64 {
+        if !self
+            .options
+            .consistency
+            .is_some_and(|gate| gate.relative_to_view)
+        {
+            return 1.0;
+        }
+        let finest = self.layout.steps.len() - 1;
+        let of_band = |band: &Band| -> Vec<f64> {
+            let cell = |index: usize| {
+                let noise = self.noise(band, index);
+                let estimate = self.estimate(band, index, finest, &noise).ok()?;
+                let (chi_square, freedom) = self.chi_square(band, index);
+                let lit = estimate.contrast() >= self.options.min_contrast && freedom > 0;
+                lit.then(|| f64::from(chi_square) / consistency::median(freedom))
+            };
+            (0..band.cells).filter_map(cell).collect()
+        };
+        let ratios: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
+        median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
+    }
+
+    /// Median contrast of each frequency over the cells with a point.
+    fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
+        let of_set = |set: usize| -> Option<f64> {
+            let of_band = |band: &Band| -> Vec<f64> {
+                let cell = |index: usize| {
+                    let noise = self.noise(band, index);
+                    let seen = results[band.first_cell + index].fate == Fate::Point;
+                    let estimate = seen.then(|| self.estimate(band, index, set, &noise).ok())??;
+                    Some(estimate.contrast())
+                };
+                (0..band.cells).filter_map(cell).collect()
+            };
+            let bands: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
+            median(&mut bands.concat())
+        };
+        (0..self.patterns.sets.len()).filter_map(of_set).collect()
+    }
+
+    /// How many orders of the finest fringes lie between two points of a camera ray: what tells whether a point has the order that
+    /// was expected. None behind the projector.
+    pub fn orders_between(&self, from_mm: [f64; 3], to_mm: [f64; 3]) -> Option<f64> {
+        let column = |[x, y, z]: [f64; 3]| self.triangulator.column([x / z, y / z], z);
+        let apart_px = column(to_mm)?.0 - column(from_mm)?.0;
+        Some(apart_px * self.patterns.finest().periods / self.projector_width_px)
     }
 
     /// Chi-square and degrees of freedom of every cell of a complete view, in the grid's order; zeros where nothing is
@@ -258,7 +342,7 @@ impl Decoder {
     /// As [`Self::finish`].
     pub fn columns(&self, accumulator: &Accumulator) -> Result<Vec<CellColumn>, DecodeError> {
         self.admit(accumulator)?;
-        let ratios = vec![1.0; self.layout.steps.len()];
+        let view = self.plain(accumulator);
         let finest = self.layout.steps.len() - 1;
         let of_band = |band: &Band| -> Vec<CellColumn> {
             let cell = |index: usize| {
@@ -267,7 +351,7 @@ impl Decoder {
                 let mean_e = self
                     .estimate(band, index, finest, &noise)
                     .map_or(f64::NAN, |estimate| estimate.mean_e);
-                let column = self.column(band, index, ray, &ratios).ok();
+                let column = self.column(&view, band, index, ray).ok();
                 CellColumn {
                     pixel: ray.pixel,
                     mean_e,
@@ -324,6 +408,8 @@ impl Decoder {
                     }
                     Fate::Saturated => &mut rejected.saturated,
                     Fate::LowContrast => &mut rejected.low_contrast,
+                    Fate::LowModulation => &mut rejected.low_modulation,
+                    Fate::Disagreeing => &mut rejected.disagreeing,
                     Fate::UncertainOrder => &mut rejected.uncertain_order,
                     Fate::OutsideProjector => &mut rejected.outside_projector,
                     Fate::OutsideVolume => &mut rejected.outside_volume,
@@ -341,6 +427,8 @@ impl Decoder {
             cells: results.len(),
             without_point,
             rejected,
+            frame_noise_ratio: 1.0,
+            contrast: Vec::new(),
         }
     }
 }

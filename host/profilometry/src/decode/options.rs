@@ -26,7 +26,11 @@ pub struct DecodeOptions {
     pub dark_frame: bool,
     /// Least contrast B / A in every frequency.
     pub min_contrast: f64,
-    /// Largest predicted standard uncertainty of the depth.
+    /// Least amplitude of every frequency, counts per pixel and exposure. `None`: where phasors are smoothed, what leaves the order
+    /// sure without smoothing, for rounding and a sensor's dark pattern are the same in every cell and do not average. Where they
+    /// are not, the order's own noise limit asks for more.
+    pub min_modulation_dn: Option<f64>,
+    /// Largest standard uncertainty of the depth.
     pub max_sigma_z_mm: Option<f64>,
     /// Sigma of the Gaussian on the phasors of the finest frequency, camera pixels; 0 for none.
     pub smoothing_px: f64,
@@ -52,6 +56,7 @@ impl DecodeOptions {
             binning: head.binning as usize,
             dark_frame: true,
             min_contrast: 0.05,
+            min_modulation_dn: None,
             max_sigma_z_mm: None,
             smoothing_px: 0.0,
             coarse_smoothing_px: 0.0,
@@ -63,6 +68,18 @@ impl DecodeOptions {
                 min_cells: 10,
                 max_slope: 3.0,
             }),
+        }
+    }
+
+    /// The same with smoothing of what only counts fringes, on the pixel grid; points stay their own cell's. Cores stay as they are.
+    pub fn with_smoothed_orders(self) -> Self {
+        let coarse_smoothing_px = match self.grid {
+            GridKind::Core => 0.0,
+            GridKind::Pixel => 2.0,
+        };
+        Self {
+            coarse_smoothing_px,
+            ..self
         }
     }
 
@@ -107,6 +124,11 @@ impl DecodeOptions {
                     );
                 }
             }
+        }
+        if let Some(floor) = options.min_modulation_dn
+            && !(0.0..=65_535.0).contains(&floor)
+        {
+            return bad("min_modulation_dn", floor, "must be 0 to 65535 counts");
         }
         if let Some(limit) = options.max_sigma_z_mm
             && !(limit > 0.0)

@@ -1,16 +1,20 @@
-//! The camera ray of every cell, and which fringe of the lowest frequency the measuring volume allows along it.
+//! The camera ray of every cell, and which fringes the measuring volume allows along it.
+
+use std::f64::consts::{PI, TAU};
 
 use rayon::prelude::*;
 
 use super::DecodeError;
 use crate::cells::Grid;
 use crate::head::HeadModel;
-use crate::pattern::PatternSet;
+use crate::pattern::{Axis, PatternSet};
 use crate::triangulate::Triangulator;
 
-/// Along any ray the volume may span this part of the lowest frequency's period. The rest is for noise: 0.16 rad at
-/// either end, three standard deviations of the noisiest phase that unwrapping over a ratio of 12 accepts.
-const MAX_SPANNED_PERIODS: f64 = 0.95;
+/// Along any ray the volume may span this part of the orders that the frequencies tell apart. The rest is for noise: of a
+/// coarse frequency 0.16 rad at either end, three standard deviations of the noisiest phase that a ratio of 12 accepts.
+const MAX_SPANNED: f64 = 0.95;
+/// A surface at the volume's end may be measured this far beyond it.
+const BEYOND_VOLUME_RAD: f64 = PI;
 
 /// A camera ray and what the volume says about it.
 #[derive(Clone, Copy, Debug)]
@@ -19,22 +23,35 @@ pub(crate) struct Ray {
     pub pixel: [f64; 2],
     /// x and y at z = 1.
     pub direction: [f64; 2],
-    /// Phase of the lowest frequency in the middle of the volume.
-    pub expected_low_rad: f64,
+    /// Phase of the finest frequency in the middle of the volume.
+    pub middle_rad: f64,
+    /// Phase from the middle of the volume to its end, and a little more.
+    pub expected_rad: f64,
+}
+
+/// The projector's pixels across the fringes.
+pub(crate) fn projector_size_px(head: &HeadModel, axis: Axis) -> f64 {
+    f64::from(match axis {
+        Axis::Columns => head.projector.width_px,
+        Axis::Rows => head.projector.height_px,
+    })
 }
 
 /// The ray of every cell.
 ///
 /// # Errors
-/// A distortion without inverse, or a volume that the lowest frequency cannot tell apart.
+/// A distortion without inverse, or a volume that the frequencies cannot tell apart.
 pub(crate) fn rays(
     head: &HeadModel,
     patterns: &PatternSet,
+    orders: usize,
     grid: &Grid,
     triangulator: &Triangulator,
 ) -> Result<Vec<Ray>, DecodeError> {
-    let periods = patterns.sets[0].periods;
-    let radians_by_column = std::f64::consts::TAU * periods / f64::from(head.projector.width_px);
+    let finest = patterns.finest();
+    let width_px = projector_size_px(head, patterns.axis);
+    // Periods of one frequency that would tell apart as many columns.
+    let periods = finest.periods / orders as f64;
     let row_rays = |row: usize| -> Result<Vec<Ray>, DecodeError> {
         grid.places(row)
             .into_iter()
@@ -48,11 +65,12 @@ pub(crate) fn rays(
                         expected: "must have an inverse everywhere in the image",
                     })?;
                 let Some(volume) = head.volume else {
-                    // A single period: the middle of the projector.
+                    // The frequencies tell all columns apart: the middle of the projector.
                     return Ok(Ray {
                         pixel,
                         direction,
-                        expected_low_rad: std::f64::consts::PI * periods,
+                        middle_rad: PI * finest.periods,
+                        expected_rad: f64::INFINITY,
                     });
                 };
                 let behind = || DecodeError::VolumeBehindProjector {
@@ -65,20 +83,21 @@ pub(crate) fn rays(
                 let (far, _) = triangulator
                     .column(direction, volume.far_mm)
                     .ok_or_else(behind)?;
-                let spanned = (far - near).abs() * periods / f64::from(head.projector.width_px);
-                if spanned > MAX_SPANNED_PERIODS {
+                let spanned = (far - near).abs() * periods / width_px;
+                if spanned > MAX_SPANNED {
                     return Err(DecodeError::VolumeTooDeep {
                         periods,
                         spanned,
-                        limit: MAX_SPANNED_PERIODS,
-                        usable: periods * MAX_SPANNED_PERIODS / spanned,
+                        limit: MAX_SPANNED,
+                        usable: periods * MAX_SPANNED / spanned,
                     });
                 }
                 Ok(Ray {
                     pixel,
                     direction,
-                    expected_low_rad: radians_by_column
-                        * (0.5 * (near + far) - patterns.phase_origin_px),
+                    middle_rad: finest.phase_rad(0.5 * (near + far), width_px),
+                    expected_rad: 0.5 * TAU * finest.periods * (far - near).abs() / width_px
+                        + BEYOND_VOLUME_RAD,
                 })
             })
             .collect()

@@ -5,6 +5,7 @@
 mod calibration;
 mod camera;
 mod core_map;
+mod mirrors;
 mod opencv;
 mod pose;
 pub mod residual;
@@ -26,6 +27,7 @@ pub use calibration::{CalibrationRecord, HoldOut, RecordError};
 pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
+pub use mirrors::{Arrangement, Mirrors};
 pub use pose::RigidTransform;
 pub use self_test::{Limits, SelfTest, Unfit};
 pub use sensor::Sensor;
@@ -53,6 +55,9 @@ pub struct HeadModel {
     pub camera: Pinhole,
     /// The projector, as an inverse camera.
     pub projector: Pinhole,
+    /// How the mirrors of its DMD lie; absent: above each other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mirrors: Option<Mirrors>,
     /// `X_projector = rotation X_camera + translation_mm`.
     pub projector_from_camera: RigidTransform,
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
@@ -125,6 +130,12 @@ impl HeadModel {
         test.allows(&record.blake3, today)
     }
 
+    /// How the mirrors of the projector's DMD lie.
+    #[must_use]
+    pub fn mirrors(&self) -> Mirrors {
+        self.mirrors.unwrap_or_else(|| Mirrors::of(&self.projector))
+    }
+
     /// BLAKE3 of everything that a calibration determines, bit for bit: what `[calibration]` belongs to.
     #[must_use]
     pub fn geometry_blake3(&self) -> String {
@@ -143,6 +154,9 @@ impl HeadModel {
     pub fn check(&self) -> Result<(), BadValue> {
         self.camera.check("camera")?;
         self.projector.check("projector")?;
+        if let Some(mirrors) = &self.mirrors {
+            mirrors.check(&self.projector)?;
+        }
         self.projector_from_camera.check("projector_from_camera")?;
         if let Some(hand_eye) = &self.stage_from_camera {
             hand_eye.check("stage_from_camera")?;
@@ -206,7 +220,7 @@ impl HeadModel {
             return Err(BadValue::new(
                 "pattern_set",
                 name,
-                "must be article8, insitu12 or scan16",
+                crate::pattern::KNOWN_SETS,
             ));
         }
         Ok(())

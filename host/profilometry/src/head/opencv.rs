@@ -61,6 +61,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         self_test: None,
         seal: None,
         core_map: None,
+        mirrors: None,
     })
 }
 

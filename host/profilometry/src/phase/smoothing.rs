@@ -1,9 +1,9 @@
-//! Optional smoothing of the phasors before they become phases.
+//! Optional smoothing of the phasors before they become phases, and of what is said of cells.
 
 use rayon::prelude::*;
 
 use crate::accumulate::{Accumulator, Band};
-use crate::cells::CellGrid;
+use crate::cells::{CellGrid, Grid};
 
 /// Separable Gaussian on a dense row-major plane; outside counts as zero.
 pub(crate) struct Blur {
@@ -34,6 +34,21 @@ impl Blur {
         let squares = |weight: &f32| f64::from(*weight) * f64::from(*weight);
         let line = 2.0 * self.weights.iter().map(squares).sum::<f64>() - squares(&self.weights[0]);
         line * line
+    }
+
+    /// Correlation of two cells so far apart along a row, for independent cells before.
+    pub fn correlation(&self, cells: usize) -> f64 {
+        let radius = self.weights.len() as isize - 1;
+        let weight = |at: isize| {
+            let weight = self.weights.get(at.unsigned_abs());
+            weight.map_or(0.0, |weight| f64::from(*weight))
+        };
+        let product = |shift: isize| -> f64 {
+            (-radius..=radius)
+                .map(|at| weight(at) * weight(at + shift))
+                .sum()
+        };
+        product(cells as isize) / product(0)
     }
 
     pub fn apply(&self, plane: &mut [f32], columns: usize) {
@@ -69,6 +84,140 @@ impl Blur {
                     }
                 }
             });
+    }
+}
+
+/// Phasors of one frequency less the phase of another, smoothed, in cell order.
+///
+/// Fine fringes would be washed out over the cells that smoothing of a coarse frequency takes; the difference of two high
+/// frequencies has the few periods of their beat.
+#[derive(Clone, Debug)]
+pub(crate) struct Difference {
+    pub re: Vec<f32>,
+    pub im: Vec<f32>,
+    /// The factor on the variance of the phase.
+    pub variance_ratio: f64,
+}
+
+impl Difference {
+    /// `weight`: how much the phase of a cell counts in those of its neighbours.
+    pub fn new(
+        accumulator: &Accumulator,
+        grid: &CellGrid,
+        [set, reference]: [usize; 2],
+        blur: &Blur,
+        weight: impl Fn(&Band, usize) -> f32,
+    ) -> Self {
+        let turned = |band: &Band, cell: usize| {
+            let (own, other) = (band.phasor(set, cell), band.phasor(reference, cell));
+            let length = own.re.hypot(own.im) * other.re.hypot(other.im);
+            let share = weight(band, cell) / length.max(f32::MIN_POSITIVE);
+            [
+                (own.re * other.re + own.im * other.im) * share,
+                (own.im * other.re - own.re * other.im) * share,
+            ]
+        };
+        let [re, im] = [0, 1].map(|part| {
+            let mut plane = dense(accumulator, grid, |band, cell| turned(band, cell)[part]);
+            blur.apply(&mut plane, grid.columns);
+            sparse(grid, &plane)
+        });
+        Self {
+            re,
+            im,
+            variance_ratio: blur.variance_ratio(),
+        }
+    }
+}
+
+/// The cells of a plane over the whole grid.
+fn sparse(grid: &CellGrid, plane: &[f32]) -> Vec<f32> {
+    let mut cells = Vec::with_capacity(grid.len());
+    for row in 0..grid.rows {
+        let span = grid.span(row);
+        cells.extend_from_slice(&plane[row * grid.columns..][span.begin..span.end]);
+    }
+    cells
+}
+
+/// Cells laid into a plane, for means over those about each: blocks as they lie, cores into squares of a core's pitch, which
+/// hold one each, more or less.
+pub(crate) struct CellPlane<'a> {
+    grid: &'a Grid,
+    columns: usize,
+    rows: usize,
+    /// Of cores, where each lies.
+    squares: Vec<u32>,
+}
+
+impl<'a> CellPlane<'a> {
+    pub fn new(grid: &'a Grid) -> Self {
+        let cores = match grid {
+            Grid::Blocks(blocks) => {
+                return Self {
+                    grid,
+                    columns: blocks.columns,
+                    rows: blocks.rows,
+                    squares: Vec::new(),
+                };
+            }
+            Grid::Cores(cores) => cores,
+        };
+        let side_px = cores.pitch_px().max(1.0);
+        let square = |&[x, y]: &[f64; 2]| [x, y].map(|px| (px.max(0.0) / side_px) as usize);
+        let squares: Vec<[usize; 2]> = cores.seen_px().iter().map(square).collect();
+        let size = |axis: usize| squares.iter().map(|at| at[axis] + 1).max().unwrap_or(0);
+        let (columns, rows) = (size(0), size(1));
+        let place = |[column, row]: &[usize; 2]| (row * columns + column) as u32;
+        Self {
+            grid,
+            columns,
+            rows,
+            squares: squares.iter().map(place).collect(),
+        }
+    }
+
+    /// Gaussian mean about each cell over the cells that have a value, sigma in cells; 0 where none has.
+    pub fn mean(&self, values: &[Option<f32>], sigma_cells: f64) -> Vec<f32> {
+        let Some(blur) = Blur::new(sigma_cells) else {
+            return values.iter().map(|value| value.unwrap_or(0.0)).collect();
+        };
+        let mut sums = self.lay(values, |value| value.unwrap_or(0.0));
+        let mut weights = self.lay(values, |value| f32::from(u8::from(value.is_some())));
+        blur.apply(&mut sums, self.columns);
+        blur.apply(&mut weights, self.columns);
+        for (sum, weight) in sums.iter_mut().zip(weights) {
+            *sum /= weight.max(f32::MIN_POSITIVE);
+        }
+        match self.grid {
+            Grid::Blocks(grid) => sparse(grid, &sums),
+            Grid::Cores(_) => {
+                let squares = self.squares.iter();
+                squares.map(|&square| sums[square as usize]).collect()
+            }
+        }
+    }
+
+    fn lay(&self, values: &[Option<f32>], of: impl Fn(&Option<f32>) -> f32) -> Vec<f32> {
+        let mut plane = vec![0.0; self.columns * self.rows];
+        match self.grid {
+            Grid::Blocks(grid) => {
+                for row in 0..grid.rows {
+                    let span = grid.span(row);
+                    let cells = &values[span.first_cell..][..span.len()];
+                    let places = &mut plane[row * grid.columns..][span.begin..span.end];
+                    for (place, value) in places.iter_mut().zip(cells) {
+                        *place = of(value);
+                    }
+                }
+            }
+            Grid::Cores(_) => {
+                for (&square, value) in self.squares.iter().zip(values) {
+                    plane[square as usize] += of(value);
+                }
+            }
+        }
+        plane
     }
 }
 

@@ -3,6 +3,7 @@
 use super::Triangulator;
 use crate::cloud::CellColumn;
 use crate::head::HeadModel;
+use crate::pattern::Axis;
 
 /// A head, ready to triangulate.
 pub(crate) struct HeadTriangulator<'a> {
@@ -14,7 +15,7 @@ impl<'a> HeadTriangulator<'a> {
     pub fn new(head: &'a HeadModel) -> Self {
         Self {
             head,
-            triangulator: Triangulator::new(head),
+            triangulator: Triangulator::new(head, Axis::Columns),
         }
     }
 

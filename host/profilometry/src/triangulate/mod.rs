@@ -3,6 +3,7 @@
 mod head;
 
 use crate::head::{HeadModel, Pinhole};
+use crate::pattern::Axis;
 
 pub(crate) use head::HeadTriangulator;
 
@@ -18,6 +19,8 @@ pub struct Hit {
 /// Camera and projector, ready to intersect.
 #[derive(Clone, Debug)]
 pub struct Triangulator {
+    /// What the fringes count: 0 columns, 1 rows. "Column" means either here.
+    axis: usize,
     projector: Pinhole,
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
@@ -29,9 +32,10 @@ const COLUMN_TOLERANCE_PX: f64 = 1e-9;
 const MAX_ITERATIONS: usize = 12;
 
 impl Triangulator {
-    /// For one head.
-    pub fn new(head: &HeadModel) -> Self {
+    /// For one head and one way of the fringes.
+    pub fn new(head: &HeadModel, axis: Axis) -> Self {
         Self {
+            axis: axis.index(),
             projector: head.projector.clone(),
             rotation: head.projector_from_camera.rotation,
             translation_mm: head.projector_from_camera.translation_mm,
@@ -61,14 +65,22 @@ impl Triangulator {
         }
         let [u, v] = [x / z, y / z];
         let [du, dv] = [(a[0] - u * a[2]) / z, (a[1] - v * a[2]) / z];
-        let focal = self.projector.focal_px[0];
-        let principal = self.projector.principal_px[0];
+        let focal = self.projector.focal_px[self.axis];
+        let principal = self.projector.principal_px[self.axis];
         if !self.distorted {
-            return Some((focal * u + principal, focal * du));
+            let (along, slope) = ([u, v][self.axis], [du, dv][self.axis]);
+            return Some((focal * along + principal, focal * slope));
         }
         let distorted = self.projector.distort([u, v]);
-        let slope = distorted.gradient_x[0] * du + distorted.gradient_x[1] * dv;
-        Some((focal * distorted.value[0] + principal, focal * slope))
+        let gradient = match self.axis {
+            0 => distorted.gradient_x,
+            _ => distorted.gradient_y,
+        };
+        let slope = gradient[0] * du + gradient[1] * dv;
+        Some((
+            focal * distorted.value[self.axis] + principal,
+            focal * slope,
+        ))
     }
 
     /// The depth at which the ray `(x, y, 1)` (undistorted image plane) lies in the sheet of `column_px`.
@@ -78,8 +90,9 @@ impl Triangulator {
     pub fn intersect(&self, ray: [f64; 2], column_px: f64) -> Option<Hit> {
         let a = self.direction(ray);
         let t = self.translation_mm;
-        let u = (column_px - self.projector.principal_px[0]) / self.projector.focal_px[0];
-        let mut depth_mm = (t[0] - u * t[2]) / (u * a[2] - a[0]);
+        let u = (column_px - self.projector.principal_px[self.axis])
+            / self.projector.focal_px[self.axis];
+        let mut depth_mm = (t[self.axis] - u * t[2]) / (u * a[2] - a[self.axis]);
         for _ in 0..MAX_ITERATIONS {
             let (column, slope) = self.column_along(a, depth_mm)?;
             let error_px = column - column_px;

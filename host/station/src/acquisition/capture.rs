@@ -6,7 +6,7 @@ use flankscope_frames::Arm;
 use flankscope_protocol::{CapturePlan, Command, Event, FaultClass, State};
 use tokio::time::Instant;
 
-use super::error::{AcquisitionError, Progress, Stop, ViewError};
+use super::error::{AcquisitionError, CameraError, Progress, Stop, ViewError};
 use super::pairing::{Lateness, PairingError, lateness, pair};
 use super::recorder::{CapturedView, Order, Recorded};
 use super::run::Run;
@@ -75,7 +75,9 @@ impl<O: Send + 'static> Acquisition<O> {
         client.status().await?;
         client.forget_events();
         self.order(Order::Arm(Arm::of(&plan)))?;
-        self.armed(run).await?;
+        if let Err(camera) = self.armed(run).await? {
+            return Ok(Some(camera.into()));
+        }
         client.order(&Command::LoadPlan(plan.clone())).await?;
         client
             .order(&Command::Start {
@@ -91,12 +93,15 @@ impl<O: Send + 'static> Acquisition<O> {
         }
     }
 
-    /// Waits until frames are labelled for the new plan: an earlier one would count for the old.
-    pub(super) async fn armed(&mut self, run: &mut Run<O>) -> Result<(), AcquisitionError> {
+    /// Waits until the camera has said that it is armed for the new plan, and drained: an earlier frame would count for the old.
+    pub(super) async fn armed(
+        &mut self,
+        run: &mut Run<O>,
+    ) -> Result<Result<(), CameraError>, AcquisitionError> {
         let gone = AcquisitionError::Thread { thread: "capture" };
         loop {
             match self.recorded.recv().await {
-                Some(Recorded::Armed) => return Ok(()),
+                Some(Recorded::Armed(armed)) => return Ok(armed),
                 Some(Recorded::Picture(picture)) => run.picture = Some(picture),
                 Some(Recorded::View(_) | Recorded::Closed) => {}
                 None => return Err(gone),
@@ -132,7 +137,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 recorded = self.recorded.recv() => match recorded.ok_or(AcquisitionError::Thread { thread: "capture" })? {
                     Recorded::View(view) => run.session.waiting.push(*view),
                     Recorded::Closed => closed = true,
-                    Recorded::Armed => {}
+                    Recorded::Armed(_) => {}
                     Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {

@@ -61,12 +61,49 @@ pub enum Stop {
     /// The press must go on.
     #[error("the check did not fit into the time for which the press may be held")]
     HoldLimit,
+    /// The camera cannot be used, and nothing has moved.
+    #[error(transparent)]
+    Camera(#[from] CameraError),
     /// Frames do not come to an end.
     #[error("the capture thread does not answer")]
     Stalled,
     /// Somebody asked for it.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// Why the camera cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CameraError {
+    /// It cannot be told or heard.
+    #[error("the camera process cannot be reached: {reason}")]
+    Unreachable {
+        /// The library's own reason.
+        reason: String,
+    },
+    /// It has not come, or does not answer.
+    #[error("no camera said within {patience_ms} ms that it is armed and drained: {state}")]
+    NotReady {
+        /// Patience, ms.
+        patience_ms: u128,
+        /// What is known of it.
+        state: &'static str,
+    },
+    /// It is another camera than the head's.
+    #[error(
+        "the camera {model} has {got} {of}, the head file says {expected}: it is another camera, or set otherwise"
+    )]
+    Differs {
+        /// Maker and model, by its own word.
+        model: String,
+        /// Of what.
+        of: &'static str,
+        /// By its own word.
+        got: String,
+        /// By the head file.
+        expected: String,
+    },
 }
 
 /// Why a view's frames cannot be used.

@@ -2,14 +2,16 @@
 //!
 //! Frames are summed while the next ones are exposed, so that after a view's last exposure only the solving is left.
 
+use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
 
-use super::error::ViewError;
+use super::error::{CameraError, ViewError};
 use super::recording::{SavedCapture, Saver};
-use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource};
+use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource, Ready, ReceiveError};
 
 /// How long the thread sleeps for a frame before it looks for orders.
 const PATIENCE: Duration = Duration::from_millis(5);
@@ -20,6 +22,13 @@ const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
 
 /// A frame that nobody triggered follows the last one within two readouts, or is not this capture's.
 const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
+
+/// A camera that has not said for so long that it is armed is not there: a process takes a second to come, a camera some
+/// tenths to drain.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
+
+/// So many sessions are remembered: a frame of one of them is late, of any other foreign.
+const EARLIER_SESSIONS: usize = 16;
 
 /// What the job tells the recorder.
 #[derive(Debug)]
@@ -56,8 +65,8 @@ pub struct CapturedView {
 pub enum Recorded {
     /// A view's last frame was added, or the view was given up.
     View(Box<CapturedView>),
-    /// After [`Order::Arm`]: frames are labelled for its plan from here on.
-    Armed,
+    /// After [`Order::Arm`]: the camera is armed and drained, or why it cannot be used.
+    Armed(Result<(), CameraError>),
     /// After [`Order::Close`]: nothing is open any more.
     Closed,
     /// A frame for the report.
@@ -82,6 +91,63 @@ pub struct RecorderSettings {
     pub keepsake: Keepsake,
     /// Full scale of the sensor, DN.
     pub full_scale_dn: u16,
+    /// What the head file says of the camera.
+    pub camera: HeadCamera,
+}
+
+/// The camera by the head's file.
+#[derive(Clone, Copy, Debug)]
+pub struct HeadCamera {
+    /// Width and height, px.
+    pub size_px: [u32; 2],
+    /// Bits, offset and gain of its sensor, where the file has one.
+    pub sensor: Option<Sensor>,
+}
+
+/// What a camera's gain may differ from the calibrated one: a maker states it to some per cent.
+const GAIN_TOLERANCE: f64 = 0.1;
+/// The same of the offset, DN: it drifts with temperature.
+const OFFSET_TOLERANCE_DN: f64 = 20.0;
+
+impl HeadCamera {
+    /// Compares what the camera says of itself; what it does not say is not compared.
+    fn fits(&self, word: &Ready) -> Result<(), CameraError> {
+        let differs = |of: &'static str, got: String, expected: String| CameraError::Differs {
+            model: word.model(),
+            of,
+            got,
+            expected,
+        };
+        let size_px = [word.width_px, word.height_px];
+        if size_px != self.size_px {
+            let words = |[width, height]: [u32; 2]| format!("{width} x {height}");
+            return Err(differs("px", words(size_px), words(self.size_px)));
+        }
+        let Some(sensor) = self.sensor else {
+            return Ok(());
+        };
+        if word.bits != 0 && word.bits != sensor.bits {
+            let (got, expected) = (word.bits.to_string(), sensor.bits.to_string());
+            return Err(differs("bits", got, expected));
+        }
+        let (gain, calibrated) = (word.gain_e_per_dn, sensor.gain_e_per_dn);
+        if (gain - calibrated).abs() > GAIN_TOLERANCE * calibrated {
+            return Err(differs(
+                "electrons per count",
+                format!("{gain:.3}"),
+                format!("{calibrated:.3}"),
+            ));
+        }
+        let (offset, calibrated) = (word.offset_dn, sensor.offset_dn);
+        if (offset - calibrated).abs() > OFFSET_TOLERANCE_DN {
+            return Err(differs(
+                "counts in the dark",
+                format!("{offset:.1}"),
+                format!("{calibrated:.1}"),
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// The thread's state.
@@ -99,6 +165,8 @@ pub struct Recorder<'a, S: FrameSource> {
     open: Option<CapturedView>,
     kept: Option<S::Frame>,
     saver: Option<Saver>,
+    /// Sessions before this one, the latest last: frames of them come late.
+    earlier: VecDeque<u32>,
 }
 
 impl<'a, S: FrameSource> Recorder<'a, S> {
@@ -125,6 +193,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             open: None,
             kept: None,
             saver: None,
+            earlier: VecDeque::new(),
         }
     }
 
@@ -157,17 +226,54 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
 
     fn start(&mut self, arm: Arm) {
         self.close();
-        self.arm = Some(arm);
-        self.arrived = 0;
-        if let Err(error) = self.source.arm(arm) {
-            self.fail(error.into());
+        if let Some(before) = self.arm.replace(arm) {
+            if self.earlier.len() == EARLIER_SESSIONS {
+                self.earlier.pop_front();
+            }
+            self.earlier.push_back(before.session);
         }
-        let _ = self.events.send(Recorded::Armed);
+        self.arrived = 0;
+        let armed = self.arm_camera(arm);
+        let _ = self.events.send(Recorded::Armed(armed));
+    }
+
+    /// Tells the camera what comes, and waits for its word that it is armed and drained. Frames that still come are of an
+    /// earlier session.
+    fn arm_camera(&mut self, arm: Arm) -> Result<(), CameraError> {
+        let unreachable = |error: ReceiveError| CameraError::Unreachable {
+            reason: error.to_string(),
+        };
+        self.source.arm(arm).map_err(unreachable)?;
+        let end = Instant::now() + CAMERA_PATIENCE;
+        let mut heard = false;
+        while Instant::now() < end {
+            if let Some(word) = self.source.ready().map_err(unreachable)? {
+                heard = true;
+                if word.session == arm.session {
+                    return self.settings.camera.fits(&word);
+                }
+            }
+            match self.source.receive(PATIENCE) {
+                Ok(late) => drop(late),
+                Err(error) => tracing::warn!(%error, "a frame before arming"),
+            }
+        }
+        Err(CameraError::NotReady {
+            patience_ms: CAMERA_PATIENCE.as_millis(),
+            state: match heard {
+                true => "its process is there, but armed for another capture",
+                false => "its process has not come, or has ended",
+            },
+        })
     }
 
     fn add(&mut self, frame: S::Frame) {
         let header = *frame.header();
         let Some(arm) = self.arm else { return }; // nobody asked for this frame
+        if header.session != arm.session && self.earlier.contains(&header.session) {
+            tracing::debug!(header.session, header.counter, "a late frame is dropped");
+            return;
+        }
         self.arrived += 1;
         if self
             .open
@@ -377,6 +483,10 @@ mod tests {
             dark_limit_dn: 140.0,
             keepsake,
             full_scale_dn: 4095,
+            camera: HeadCamera {
+                size_px: [8, 6],
+                sensor: None,
+            },
         };
         let picture = picture(
             FrameView {
@@ -394,5 +504,144 @@ mod tests {
             picture.grey[..3],
             [expected(1000.0), expected(2000.0), expected(3000.0)]
         );
+    }
+
+    /// A camera that says a word after so many looks.
+    struct Spoken {
+        words: Vec<Ready>,
+        armed: Vec<u32>,
+    }
+
+    struct NoFrame;
+
+    impl BorrowedFrame for NoFrame {
+        fn header(&self) -> &FrameHeader {
+            unreachable!("there is none")
+        }
+        fn pixels(&self) -> &[u16] {
+            &[]
+        }
+        fn received_monotonic_ns(&self) -> u64 {
+            0
+        }
+    }
+
+    impl FrameSource for Spoken {
+        type Frame = NoFrame;
+        fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
+            self.armed.push(arm.session);
+            Ok(())
+        }
+        fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+            Ok(self.words.pop())
+        }
+        fn receive(&mut self, _: Duration) -> Result<Option<NoFrame>, ReceiveError> {
+            Ok(None)
+        }
+    }
+
+    fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
+        let settings = RecorderSettings {
+            dark_limit_dn: 140.0,
+            keepsake: Keepsake {
+                exposure: 0,
+                pattern: 1,
+            },
+            full_scale_dn: 4095,
+            camera: HeadCamera {
+                size_px: [8, 6],
+                sensor,
+            },
+        };
+        let source = Spoken {
+            words: words.iter().rev().copied().collect(),
+            armed: Vec::new(),
+        };
+        let (_orders, receiver) = std::sync::mpsc::channel();
+        let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
+        let mut recorder = Recorder {
+            source,
+            settings,
+            kinds: Vec::new(),
+            orders: receiver,
+            events,
+            fresh: Box::new(|| unreachable!("nothing is summed")),
+            spare: Vec::new(),
+            arm: None,
+            arrived: 0,
+            open: None,
+            kept: None,
+            saver: None,
+            earlier: VecDeque::new(),
+        };
+        recorder.arm_camera(Arm {
+            session: 7,
+            ..Arm::default()
+        })
+    }
+
+    #[test]
+    fn nothing_moves_before_the_heads_camera_is_armed_for_this_capture() {
+        let sensor = Sensor {
+            full_well_e: 32_400.0,
+            gain_e_per_dn: 7.91,
+            read_noise_e: 7.0,
+            offset_dn: 100.0,
+            bits: 12,
+        };
+        let of = |session| Ready {
+            session,
+            width_px: 8,
+            height_px: 6,
+            bits: 12,
+            model: Ready::text("F 1"),
+            ..Ready::default()
+        };
+        let told = Ready {
+            offset_dn: 95.0,
+            gain_e_per_dn: 8.0,
+            ..of(7)
+        };
+        for words in [&[of(7)][..], &[of(0), of(3), of(7)], &[told]] {
+            assert_eq!(arm_with(words, Some(sensor)), Ok(()));
+        }
+        for (word, said) in [
+            (
+                Ready {
+                    width_px: 6,
+                    height_px: 8,
+                    ..of(7)
+                },
+                "F 1 has 6 x 8 px, the head file says 8 x 6",
+            ),
+            (
+                Ready { bits: 8, ..of(7) },
+                "F 1 has 8 bits, the head file says 12",
+            ),
+            (
+                Ready {
+                    gain_e_per_dn: 0.5,
+                    ..of(7)
+                },
+                "0.500 electrons per count",
+            ),
+            (
+                Ready {
+                    offset_dn: 0.0,
+                    ..of(7)
+                },
+                "0.0 counts in the dark",
+            ),
+        ] {
+            let error = arm_with(&[word], Some(sensor)).unwrap_err().to_string();
+            assert!(error.contains(said), "{said}: {error}");
+        }
+        for (words, state) in [
+            (&[][..], "has not come"),
+            (&[of(3)], "armed for another capture"),
+        ] {
+            let error = arm_with(words, Some(sensor)).unwrap_err().to_string();
+            assert!(error.contains(state), "{error}");
+        }
     }
 }

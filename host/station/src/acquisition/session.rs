@@ -11,7 +11,7 @@ use tokio::sync::mpsc as channel;
 
 use super::error::AcquisitionError;
 use super::program::Program;
-use super::recorder::{Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
+use super::recorder::{HeadCamera, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
 use super::recording::{SavedView, Saver};
 
 /// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
@@ -48,6 +48,10 @@ impl<O: Send + 'static> Acquisition<O> {
                 pattern: program.patterns.frames_per_exposure() as u16,
             },
             full_scale_dn: decoder.full_scale_dn(),
+            camera: HeadCamera {
+                size_px: decoder.size_px(),
+                sensor: Some(decoder.sensor()),
+            },
         };
         let (order_sender, order_receiver) = mpsc::channel();
         let (recorded_sender, recorded) = channel::unbounded_channel();

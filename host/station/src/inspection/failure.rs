@@ -41,6 +41,7 @@ impl From<&Stop> for Reason {
             Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
             Stop::Interrupted | Stop::Broken(AcquisitionError::Interrupted) => Code::Interrupted,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
+            Stop::Camera(_) => Code::CameraUnusable,
             Stop::HoldLimit => Code::HoldTime,
         };
         Self::instrument(code, stop)

@@ -246,7 +246,7 @@ impl ViewPlan {
         let options = DecodeOptions {
             mask,
             dark_frame: self.dark_frame,
-            ..DecodeOptions::for_head(&head)
+            ..DecodeOptions::for_head(&head).with_smoothed_orders()
         };
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }

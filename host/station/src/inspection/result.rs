@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
+use flankscope_profilometry::decode::Rejected;
 use serde::Serialize;
 
 use crate::baseline::{Baseline, BaselineError, Reference};
@@ -200,8 +201,11 @@ pub struct ViewRegistration {
     pub reason: Option<String>,
     /// Points decoded.
     pub points: usize,
-    /// Part of the cells that would be points, but whose frames do not follow one fringe.
+    /// Part of the cells with fringes whose frames do not follow one.
     pub inconsistent_ratio: f64,
+    /// What the view says of its light; absent where it was not decoded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub light: Option<Light>,
     /// Points that the fit used.
     pub inliers: usize,
     /// Robust rms distance of the inliers, mm.
@@ -219,6 +223,18 @@ pub struct ViewRegistration {
     pub weak_directions: Vec<WeakDirection>,
     /// Decoding, registration and evaluation, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
+}
+
+/// What a view says of its light: whether it came from the projector alone, by one way.
+#[derive(Clone, Debug, Serialize)]
+pub struct Light {
+    /// Cells without a point, by the first reason found.
+    pub rejected: Rejected,
+    /// Median contrast of each frequency over the cells with a point: what it lacks of one is indirect light, or the optics.
+    pub contrast: Vec<f64>,
+    /// Part of the points whose fringe order is another than the drawing's at the pose found: damage deeper than half a fringe,
+    /// another die, light over a second surface. It is told and changes nothing: the frequencies alone say which order it is.
+    pub other_order_ratio: f64,
 }
 
 /// A direction of motion that the measured surface says little about.

@@ -23,7 +23,7 @@ use super::head_error::calibration_um;
 use super::job::Subject;
 use super::plan::ViewPlan;
 use super::pose_sensitivity::Fitted;
-use super::result::{FlankMap, ViewRegistration, WeakDirection};
+use super::result::{FlankMap, Light, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
 use crate::baseline::Reference;
 use crate::settings::Stages;
@@ -36,6 +36,8 @@ pub(crate) const OUTLIER_RATIO: f64 = 3.0;
 const MARGIN_MM: f64 = 2.0;
 /// Noise alone makes one cell in a thousand inconsistent, edges and highlights a few more; vibration nearly all.
 const MOST_INCONSISTENT: f64 = 0.1;
+/// Cosine of the angle to the normal below which a ray grazes.
+const GRAZING: f64 = 0.05;
 /// Cell of the report's deviation maps, mm.
 const MAP_CELL_MM: f64 = 0.1;
 
@@ -306,6 +308,11 @@ impl Evaluator {
             rays_without_point(&self.decoder, &decoded, &cold.dropped)
                 .map(|direction| (tool_from_cloud * Vector3::from(direction).normalize()).into())
                 .collect();
+        let light = Light {
+            rejected: decoded.rejected,
+            contrast: decoded.contrast.clone(),
+            other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
+        };
         let measured = Measured {
             points: &located,
             closest: &closest,
@@ -343,6 +350,7 @@ impl Evaluator {
             registration: vec![ViewRegistration {
                 leakage: assessed.leakage,
                 inconsistent_ratio,
+                light: Some(light),
                 ..summary(place, points, &fit.registration, laps.elapsed_ms)
             }],
             fields,
@@ -374,6 +382,26 @@ impl Evaluator {
 
     fn scale_or_one(&self) -> f64 {
         self.scale.as_ref().copied().unwrap_or(1.0)
+    }
+
+    /// Part of the points with another fringe order than the drawing has along their ray.
+    fn other_order_ratio(
+        &self,
+        points: &[[f64; 3]],
+        tool_from_cloud: &Isometry3<f64>,
+        closest: &[Closest],
+    ) -> f64 {
+        let is_other = |(point, closest): (&[f64; 3], &Closest)| {
+            let ray = Vector3::from(*point);
+            let along = tool_from_cloud.rotation * ray.normalize();
+            let cosine = along.dot(&Vector3::from(closest.normal));
+            let drawn = ray - ray.normalize() * (closest.signed_distance_mm / cosine);
+            let apart = self.decoder.orders_between(*point, drawn.into());
+            // Where a ray grazes the surface nothing is expected of it.
+            cosine.abs() > GRAZING && apart.is_some_and(|orders| orders.abs() > 0.5)
+        };
+        let others = points.iter().zip(closest).filter(|pair| is_other(*pair));
+        others.count() as f64 / points.len().max(1) as f64
     }
 
     /// Lays the points on the CAD, from where the stages say they are.
@@ -536,6 +564,7 @@ impl Evaluator {
                 reason: Some(why.to_string()),
                 points: 0,
                 inconsistent_ratio,
+                light: None,
                 inliers: 0,
                 rms_mm: 0.0,
                 iterations: 0,
@@ -625,10 +654,11 @@ pub(crate) fn rays_without_point<'a>(
     directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
 }
 
-/// Part of the cells with a fringe and an order whose frames contradict each other.
+/// Part of the cells with fringes whose frames contradict each other. Where frequencies disagree frames are not asked; the few
+/// cells that are left of such a view are not what it is like.
 fn inconsistent_ratio(decoded: &Decoded) -> f64 {
-    let lost = decoded.rejected.inconsistent as f64;
-    lost / (lost + decoded.cloud.len() as f64).max(1.0)
+    let [lost, disagreeing] = [decoded.rejected.inconsistent, decoded.rejected.disagreeing];
+    lost as f64 / (lost + disagreeing + decoded.cloud.len()).max(1) as f64
 }
 
 fn summary(
@@ -653,6 +683,7 @@ fn summary(
         reason,
         points,
         inconsistent_ratio: 0.0,
+        light: None,
         inliers: registration.inliers,
         rms_mm: finite(registration.rms_mm),
         iterations: registration.iterations,

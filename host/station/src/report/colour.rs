@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn the_scale_is_symmetric_monotonic_and_clamped() {
-        assert_eq!(diverging(0.0), [242, 242, 242]);
+        assert_eq!(diverging(0.0), [255, 255, 255]);
         assert_eq!(diverging(-7.0), diverging(-1.0));
         assert_eq!(diverging(7.0), diverging(1.0));
         for i in 0..100 {

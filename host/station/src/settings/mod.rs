@@ -3,6 +3,7 @@
 //! | section | says |
 //! |---|---|
 //! | `controller` | port and patience |
+//! | `camera` | the process that brings its frames |
 //! | `press` | how long it may be held, and how often it is asked again |
 //! | `light` | current of the LED |
 //! | `timing` | settling of stages and pattern projector, readout of the camera |
@@ -28,6 +29,8 @@ pub struct StationSettings {
     pub name: Option<String>,
     /// The controller.
     pub controller: Controller,
+    /// The camera.
+    pub camera: Camera,
     /// The press.
     pub press: Press,
     /// The light.
@@ -52,6 +55,14 @@ pub struct Controller {
     pub answer_ms: u64,
     /// Longest time by which triggers and frames may be late, ms.
     pub stall_ms: u64,
+}
+
+/// The camera's process.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Camera {
+    /// Program and arguments; the folder of the shared memory comes last. Empty: somebody else starts it.
+    pub command: Vec<String>,
 }
 
 /// The handshake with the press.
@@ -270,6 +281,10 @@ impl StationSettings {
             return Err(BadValue::new("name", "", "a name, or no such line"));
         }
         self.controller.check()?;
+        if self.camera.command.first().is_some_and(String::is_empty) {
+            let right = "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]";
+            return Err(BadValue::new("camera.command", &self.camera.command, right));
+        }
         self.press.check()?;
         self.light.check()?;
         self.timing.check()?;

@@ -436,6 +436,11 @@ impl World {
         }
     }
 
+    /// The sensor.
+    pub fn sensor(&self) -> &SensorSpec {
+        &self.sensor_spec
+    }
+
     /// The camera's bundle: where its cores lie on the sensor.
     pub fn camera_bundle(&self) -> &Bundle {
         &self.camera_bundle

@@ -33,6 +33,8 @@ impl PatternSpec {
             "article8" => Some(Self::sequence(&[(4.0, 4), (48.0, 4)])),
             "insitu12" => Some(Self::insitu12()),
             "scan16" => Some(Self::scan16()),
+            "high12" => Some(Self::sequence(&[(36.0, 4), (39.0, 4), (48.0, 4)])),
+            "high16" => Some(Self::sequence(&[(41.0, 4), (45.0, 4), (48.0, 8)])),
             _ => None,
         }
     }

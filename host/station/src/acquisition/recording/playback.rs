@@ -73,7 +73,9 @@ impl<O: Send + 'static> Acquisition<O> {
             patterns: self.program.patterns.frames_per_exposure() as u16,
         };
         self.order(Order::Arm(arm))?;
-        self.armed(run).await?;
+        if let Err(camera) = self.armed(run).await? {
+            tracing::warn!(%camera, "recorded frames");
+        }
         // Everything was exposed long ago.
         self.order(Order::Close)?;
         let mut closed = false;
@@ -82,7 +84,7 @@ impl<O: Send + 'static> Acquisition<O> {
                 recorded = self.recorded.recv() => match recorded.ok_or_else(gone)? {
                     Recorded::View(view) => run.session.waiting.push(*view),
                     Recorded::Closed => closed = true,
-                    Recorded::Armed => {}
+                    Recorded::Armed(_) => {}
                     Recorded::Picture(picture) => run.picture = Some(picture),
                 },
                 outcome = self.outcomes.recv() => {

@@ -6,7 +6,8 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::time::Duration;
 
 use flankscope_frames::{
-    Arm, BorrowedFrame, FrameHeader, FrameLabel, FrameSource, ReceiveError, checksum, monotonic_ns,
+    Arm, BorrowedFrame, FrameHeader, FrameLabel, FrameSource, Ready, ReceiveError, checksum,
+    monotonic_ns,
 };
 use flankscope_profilometry::FrameKind;
 use flankscope_profilometry::io::images::{GreyImage, ImageError, read_grey};
@@ -195,7 +196,7 @@ impl FolderSource {
                 width_px,
                 height_px,
                 stride_px: width_px,
-                reserved: 0,
+                measured: 0,
                 exposure_start_us: start_us,
                 exposure_end_us: end_us,
                 exposure_end_monotonic_ns: now,
@@ -223,6 +224,17 @@ impl FrameSource for FolderSource {
             .enumerate()
             .collect();
         Ok(())
+    }
+
+    /// Frames that were recorded are always there.
+    fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+        let [width_px, height_px] = self.camera.size_px;
+        Ok(Some(Ready {
+            session: self.session,
+            width_px,
+            height_px,
+            ..Ready::default()
+        }))
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Option<ReadFrame>, ReceiveError> {

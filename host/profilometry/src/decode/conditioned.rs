@@ -1,0 +1,89 @@
+//! The phasors of a view as they are asked: smoothed, if that is wanted.
+
+use std::borrow::Cow;
+
+use super::Decoder;
+use super::cell::FINE_RATIO;
+use crate::accumulate::{Accumulator, Band};
+use crate::cells::Grid;
+use crate::phase::PhaseEstimate;
+use crate::phase::smoothing::{self, Blur, Difference};
+
+/// Phasors to take phases from.
+pub(super) struct Conditioned<'a> {
+    pub accumulator: Cow<'a, Accumulator>,
+    /// What smoothing did to the standard deviation of each frequency's phase.
+    pub sigma_ratios: Vec<f64>,
+    /// Of each frequency, its difference to the finest, where that stands in for its own phase.
+    pub differences: Vec<Option<Difference>>,
+    /// By how much frames scatter more than light and sensor should make them; 1 where that is not asked.
+    pub frame_noise_ratio: f64,
+}
+
+impl Decoder {
+    /// Phasors as they were added.
+    pub(super) fn plain<'a>(&self, accumulator: &'a Accumulator) -> Conditioned<'a> {
+        let sets = self.patterns.sets.len();
+        Conditioned {
+            accumulator: Cow::Borrowed(accumulator),
+            sigma_ratios: vec![1.0; sets],
+            differences: vec![None; sets],
+            frame_noise_ratio: 1.0,
+        }
+    }
+
+    /// Phasors smoothed as the options say: of fine frequencies a little, of coarse ones more, and of fine ones that only
+    /// together tell the order, their differences as much as the coarse ones.
+    pub(super) fn condition<'a>(&self, accumulator: &'a Accumulator) -> Conditioned<'a> {
+        let mut view = self.plain(accumulator);
+        view.frame_noise_ratio = self.frame_noise_ratio(accumulator);
+        let [fine_cells, coarse_cells] = self.smoothing_cells();
+        let Grid::Blocks(grid) = &self.layout.grid else {
+            return view;
+        };
+        if !(fine_cells > 0.0 || coarse_cells > 0.0) {
+            return view;
+        }
+        let finest = self.patterns.sets.len() - 1;
+        let is_fine = |set: usize| {
+            self.patterns.sets[set].periods > FINE_RATIO * self.patterns.finest().periods
+        };
+        if let Some(blur) = Blur::new(coarse_cells) {
+            for set in (0..finest).filter(|&set| is_fine(set)) {
+                let weight = |band: &Band, cell: usize| self.phase_weight(band, cell, set);
+                let difference = Difference::new(accumulator, grid, [set, finest], &blur, weight);
+                view.differences[set] = Some(difference);
+            }
+        }
+        let cells = |set: usize| {
+            if is_fine(set) {
+                fine_cells
+            } else {
+                coarse_cells
+            }
+        };
+        let sigmas: Vec<f64> = (0..=finest).map(cells).collect();
+        let ratios = smoothing::smooth(view.accumulator.to_mut(), grid, &sigmas);
+        view.sigma_ratios = ratios.iter().map(|ratio| ratio.sqrt()).collect();
+        view
+    }
+
+    /// How much a cell's phase of one frequency counts among its neighbours: by its variance, but a phase that would tell the
+    /// order by itself hardly less than a better one. A highlight beside an edge would otherwise speak for what lies beyond.
+    fn phase_weight(&self, band: &Band, index: usize, set: usize) -> f32 {
+        let noise = self.noise(band, index);
+        let enough_rad2 = self.enough_rad * self.enough_rad;
+        let weight = |phase: PhaseEstimate| enough_rad2 / (phase.sigma_rad.powi(2) + enough_rad2);
+        let estimate = self.estimate(band, index, set, &noise);
+        estimate.map_or(0.0, |phase| weight(phase) as f32)
+    }
+
+    /// Sigma of the Gaussian over the phasors in cells: of the finest fringes, and of coarser ones.
+    pub(super) fn smoothing_cells(&self) -> [f64; 2] {
+        let pitch_px = match &self.layout.grid {
+            Grid::Blocks(grid) => grid.binning as f64,
+            Grid::Cores(_) => return [0.0; 2],
+        };
+        [self.options.smoothing_px, self.options.coarse_smoothing_px].map(|px| px / pitch_px)
+    }
+}

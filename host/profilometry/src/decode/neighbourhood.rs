@@ -1,0 +1,137 @@
+//! What cells show together: how far frequencies disagree, and how far phases scatter.
+//!
+//! Predicted noise is that of light and sensor. What it leaves out - light over a second surface, fibres, a lamp - shows where
+//! frequencies that should name one column do not, and where neighbours do not continue each other. Both are averaged over
+//! some cells about each and laid beside the prediction.
+
+use crate::cells::{CellGrid, Grid};
+use crate::phase::smoothing::{Blur, CellPlane};
+use crate::unwrap::{LEAST_AGREEING_SHARE, MIN_MEASURED_SEPARATION};
+
+use super::cell::{CellResult, Fate};
+
+/// How cells are averaged.
+pub(super) struct Neighbourhood<'a> {
+    grid: &'a Grid,
+    plane: CellPlane<'a>,
+    /// Sigma of the Gaussian over the coarser phasors, or a cell where there is none.
+    unit_cells: f64,
+    /// Variance of a cell's difference from the mean of its two neighbours, in variances of a cell.
+    bend_variance: f64,
+}
+
+/// Sigma of the Gaussian over what was measured, in units: some hundred values that were not smoothed together.
+const NEAR_UNITS: f64 = 3.0;
+/// Sigma of the Gaussian over which frequencies must mostly agree, in units: wider than the strips in which a spoiled phase
+/// happens to fit a wrong order.
+const WIDE_UNITS: f64 = 15.0;
+/// Up to so many predicted variances the scatter about a cell may be chance: three standard deviations of the mean of some
+/// seventy squares.
+const CHANCE_VARIANCES: f32 = 1.5;
+/// Beyond so many predicted variances a bend is an edge. Of noise ten times the predicted less than a hundredth is.
+const EDGE_VARIANCES: f64 = 700.0;
+
+/// A value per cell where there is one.
+type Values = Vec<Option<f32>>;
+
+impl<'a> Neighbourhood<'a> {
+    /// `smoothing_cells`: of the finest fringes and of the coarser ones.
+    pub fn new(grid: &'a Grid, smoothing_cells: [f64; 2]) -> Self {
+        // Neighbours that were smoothed together continue each other the better.
+        let correlation = |cells| {
+            let smoothed = Blur::new(smoothing_cells[0]);
+            smoothed.map_or(0.0, |blur| blur.correlation(cells))
+        };
+        Self {
+            grid,
+            plane: CellPlane::new(grid),
+            unit_cells: smoothing_cells[1].max(1.0),
+            bend_variance: 1.5 + 0.5 * correlation(2) - 2.0 * correlation(1),
+        }
+    }
+
+    /// Drops cells about which the frequencies disagree so much, whatever their noise should be, that the order is not sure.
+    pub fn judge_orders(&self, results: &mut [CellResult]) {
+        // A cell with a single possible order says nothing.
+        let asked = |result: &CellResult| {
+            let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
+            decided && result.clue_chi_square.is_finite()
+        };
+        // In distances to the next order: bright cells, of which hardly any noise is predicted, must not speak for dim ones.
+        let predicted = |result: &CellResult| {
+            let variance = result.separation.powi(-2);
+            asked(result).then_some(variance)
+        };
+        let missed = |result: &CellResult| {
+            predicted(result).map(|variance| result.clue_chi_square * variance)
+        };
+        let agreed = |result: &CellResult| {
+            let agreed = f32::from(u8::from(result.fate == Fate::Point));
+            asked(result).then_some(agreed)
+        };
+        let missed = self.mean(results.iter().map(missed).collect(), NEAR_UNITS);
+        let predicted = self.mean(results.iter().map(predicted).collect(), NEAR_UNITS);
+        let agreed = self.mean(results.iter().map(agreed).collect(), WIDE_UNITS);
+        let around = missed.iter().zip(&predicted).zip(&agreed);
+        for (result, ((missed, predicted), agreed)) in results.iter_mut().zip(around) {
+            // By the noise measured about it, and whatever a bright cell's own is: by how far its neighbours miss.
+            let variances = (missed / predicted.max(f32::MIN_POSITIVE)).max(1.0);
+            let separation = result.separation / variances.sqrt();
+            let told_apart = separation >= MIN_MEASURED_SEPARATION
+                && *missed <= MIN_MEASURED_SEPARATION.powi(-2);
+            let sure = told_apart && *agreed >= LEAST_AGREEING_SHARE;
+            if asked(result) && result.fate == Fate::Point && !sure {
+                result.reject(Fate::Disagreeing);
+            }
+        }
+    }
+
+    /// Raises uncertainties to what frequencies and neighbours show.
+    pub fn raise_uncertainties(&self, results: &mut [CellResult]) {
+        let disagreement = |result: &CellResult| {
+            let found = result.column_chi_square;
+            (result.fate == Fate::Point && found.is_finite()).then_some(found)
+        };
+        let frequencies: Values = results.iter().map(disagreement).collect();
+        let mut variances = vec![1.0; results.len()];
+        if frequencies.iter().any(Option::is_some) {
+            variances = self.mean(frequencies, NEAR_UNITS);
+        }
+        if let Grid::Blocks(grid) = self.grid {
+            let neighbours = self.mean(self.bends(grid, results), NEAR_UNITS);
+            for (variance, neighbours) in variances.iter_mut().zip(neighbours) {
+                *variance = variance.max(neighbours);
+            }
+        }
+        for (result, variance) in results.iter_mut().zip(variances) {
+            if variance > CHANCE_VARIANCES {
+                result.sigma_z_mm *= variance.sqrt();
+            }
+        }
+    }
+
+    /// Squares of how far a depth lies from the mean of its neighbours in the row, in predicted variances. A surface is straight
+    /// over three cells; noise is not.
+    fn bends(&self, grid: &CellGrid, results: &[CellResult]) -> Values {
+        let mut bends = vec![None; results.len()];
+        for row in 0..grid.rows {
+            let span = grid.span(row);
+            let cells = span.first_cell..span.first_cell + span.len();
+            let triples = results[cells.clone()].windows(3);
+            // The outermost cells of a row have one neighbour.
+            for (bend, triple) in bends[cells].iter_mut().skip(1).zip(triples) {
+                let [before, here, after] = [&triple[0], &triple[1], &triple[2]];
+                let off_mm = here.depth_mm - 0.5 * (before.depth_mm + after.depth_mm);
+                let ratio = off_mm / f64::from(here.sigma_z_mm);
+                // Cells without a point have no depth: NaN fails. Beyond an edge lies another surface.
+                let square = ratio * ratio / self.bend_variance;
+                *bend = (square < EDGE_VARIANCES).then_some(square as f32);
+            }
+        }
+        bends
+    }
+
+    fn mean(&self, values: Values, units: f64) -> Vec<f32> {
+        self.plane.mean(&values, units * self.unit_cells)
+    }
+}

@@ -1,0 +1,121 @@
+//! What is installed beside the programs says what the programs understand.
+
+use std::process::Command;
+
+use flankscope_test_requisites::workspace;
+use flankscope_tests::{flankscope, run};
+
+fn deployed(name: &str) -> String {
+    std::fs::read_to_string(workspace().join("tools/deploy").join(name)).unwrap()
+}
+
+fn help(command: &str) -> String {
+    let output = flankscope().args([command, "--help"]).output().unwrap();
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn the_service_runs_commands_that_there_are() {
+    let unit = deployed("flankscope@.service");
+    let commands: Vec<&str> = unit
+        .lines()
+        .filter_map(|line| {
+            line.strip_prefix("ExecStart")?
+                .split_once("=/usr/bin/flankscope ")
+        })
+        .map(|(_, command)| command)
+        .collect();
+    assert_eq!(commands.len(), 2, "doctor, then watch");
+    for command in commands {
+        let (name, arguments) = command.split_once(' ').unwrap();
+        let help = help(name);
+        let options = arguments.split(' ').filter(|word| word.starts_with("--"));
+        for option in options {
+            assert!(help.contains(option), "{name} has no {option}");
+        }
+    }
+    // Where systemd is there, it reads the unit as well.
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("flankscope@press.service");
+    let here = std::env::current_exe().unwrap();
+    std::fs::write(
+        &file,
+        unit.replace("/usr/bin/flankscope", here.to_str().unwrap()),
+    )
+    .unwrap();
+    if let Ok(said) = Command::new("systemd-analyze")
+        .args(["verify", "--man=no"])
+        .arg(&file)
+        .output()
+    {
+        let said = String::from_utf8_lossy(&said.stderr).into_owned();
+        let ours: Vec<&str> = said
+            .lines()
+            .filter(|line| line.contains("flankscope@press.service:"))
+            .collect();
+        assert!(ours.is_empty(), "{ours:?}");
+    }
+}
+
+/// The buffers are as large as the camera's diagnosis asks for, for the largest frame.
+#[test]
+fn socket_buffers_hold_two_frames() {
+    let conf = deployed("60-flankscope-sysctl.conf");
+    let line = conf
+        .lines()
+        .find(|line| line.starts_with("net.core.rmem_max"))
+        .unwrap();
+    let bytes: u64 = line.split('=').nth(1).unwrap().trim().parse().unwrap();
+    let frame = 2 * flankscope_frames::MAX_FRAME_PIXELS as u64;
+    assert_eq!(bytes, (2 * frame).next_power_of_two());
+}
+
+#[test]
+fn every_command_has_a_man_page_with_its_options_and_every_shell_knows_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = run(flankscope().arg("manual").arg("--out").arg(folder.path()));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let page = |name: &str| std::fs::read_to_string(folder.path().join("man").join(name)).unwrap();
+    let all = page("flankscope.1");
+    for command in [
+        "inspect",
+        "watch",
+        "scan",
+        "calibrate",
+        "decode",
+        "sample",
+        "register",
+        "deviation",
+        "merge",
+        "gear",
+        "history",
+        "replay",
+        "trust",
+        "doctor",
+        "patterns",
+    ] {
+        assert!(all.contains(command), "{command}");
+        let own = page(&format!("flankscope-{command}.1")).replace("\\-", "-");
+        let help = help(command);
+        let options = help
+            .split_whitespace()
+            .filter(|word| word.starts_with("--"));
+        for option in options.filter(|word| {
+            word.len() > 2
+                && word[2..]
+                    .chars()
+                    .all(|c| c.is_ascii_lowercase() || c == '-')
+        }) {
+            assert!(own.contains(option), "{command}: {option}");
+        }
+        for file in ["flankscope.bash", "_flankscope", "flankscope.fish"] {
+            let script =
+                std::fs::read_to_string(folder.path().join("completions").join(file)).unwrap();
+            assert!(script.contains(command), "{file}: {command}");
+        }
+    }
+    assert!(
+        !all.contains("simulated bench, as its own process"),
+        "hidden commands stay hidden"
+    );
+}
