@@ -3,6 +3,7 @@
 use std::io::IsTerminal;
 
 use flankscope_metrology::verdict::Word;
+use flankscope_station::report::with_micro;
 
 /// What standard output, or standard error, goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +41,7 @@ impl Terminal {
     /// A text with its micrometres and signs as this terminal can show them.
     pub fn text(self, text: &str) -> String {
         if self.unicode {
-            micro(text)
+            with_micro(text)
         } else {
             text.replace('µ', "u")
                 .replace('–', "-")
@@ -66,28 +67,6 @@ impl Terminal {
 
 fn variable(name: &str) -> Option<String> {
     std::env::var(name).ok().filter(|value| !value.is_empty())
-}
-
-/// "um" after a number, or as a word of its own, as "µm".
-fn micro(text: &str) -> String {
-    let mut shown = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(at) = rest.find("um") {
-        let (before, from) = rest.split_at(at);
-        let after = &from[2..];
-        let begins = before
-            .chars()
-            .last()
-            .is_none_or(|c| !c.is_alphabetic() && c != '_' && c != '-');
-        let ends = after
-            .chars()
-            .next()
-            .is_none_or(|c| !c.is_alphanumeric() && c != '_');
-        shown += before;
-        shown += if begins && ends { "µm" } else { "um" };
-        rest = after;
-    }
-    shown + rest
 }
 
 #[cfg(test)]

@@ -139,18 +139,18 @@ pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &s
     svg
 }
 
-/// A colour bar from `-full_um` to `+full_um`.
+/// A colour bar from `-full_um` to `+full_um`, with the limits drawn in.
 #[must_use]
-pub fn colour_bar(full_um: f64) -> String {
+pub fn colour_bar(full_um: f64, marks_um: &[(f64, &str)]) -> String {
     const WIDTH: f64 = 420.0;
     const STEPS: usize = 84;
-    let mut svg = open(WIDTH, 44.0, "Colour bar of the deviation maps");
+    let mut svg = open(WIDTH, 58.0, "Colour bar of the deviation maps");
     let step = (WIDTH - 40.0) / STEPS as f64;
     for i in 0..STEPS {
         let [r, g, b] = super::colour::diverging((i as f64 + 0.5) / STEPS as f64 * 2.0 - 1.0);
         let _ = write!(
             svg,
-            r#"<rect x="{:.2}" y="2" width="{:.2}" height="16" fill="rgb({r},{g},{b})"/>"#,
+            r#"<rect x="{:.2}" y="16" width="{:.2}" height="16" fill="rgb({r},{g},{b})"/>"#,
             20.0 + i as f64 * step,
             step + 0.3
         );
@@ -159,13 +159,20 @@ pub fn colour_bar(full_um: f64) -> String {
         let at = 20.0 + (share + 1.0) / 2.0 * (WIDTH - 40.0);
         let _ = write!(
             svg,
-            r#"<text x="{at:.1}" y="32" text-anchor="middle">{:+.0}</text>"#,
-            share * full_um
+            r#"<text x="{at:.1}" y="46" text-anchor="middle">{:+.0}</text>"#,
+            share * full_um + 0.0
+        );
+    }
+    for (um, name) in marks_um {
+        let at = 20.0 + (um / full_um + 1.0) / 2.0 * (WIDTH - 40.0);
+        let _ = write!(
+            svg,
+            r#"<line x1="{at:.1}" y1="13" x2="{at:.1}" y2="32" class="mark"/><text x="{at:.1}" y="11" text-anchor="middle" class="mark">{name}</text>"#
         );
     }
     let _ = write!(
         svg,
-        r#"<text x="{:.1}" y="43" text-anchor="middle">deviation / µm</text></svg>"#,
+        r#"<text x="{:.1}" y="57" text-anchor="middle">deviation / µm</text></svg>"#,
         WIDTH / 2.0
     );
     svg

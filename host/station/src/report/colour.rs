@@ -5,9 +5,9 @@ use png::{BitDepth, ColorType, Encoder};
 /// Colour of a deviation as a share of full scale, −1..1: a diverging scale that a colour-blind reader can tell apart.
 #[must_use]
 pub fn diverging(share: f64) -> [u8; 3] {
-    // End colours after Moreland's "cool to warm": equal lightness at both ends, white-grey in the middle.
+    // End colours after Moreland's "cool to warm": equal lightness at both ends.
     const COOL: [f64; 3] = [33.0, 80.0, 180.0];
-    const MIDDLE: [f64; 3] = [242.0, 242.0, 242.0];
+    const MIDDLE: [f64; 3] = [255.0; 3];
     const WARM: [f64; 3] = [178.0, 24.0, 43.0];
     let share = share.clamp(-1.0, 1.0);
     let end = if share < 0.0 { COOL } else { WARM };
@@ -24,8 +24,17 @@ pub fn sequential(share: f64) -> [u8; 3] {
     std::array::from_fn(|i| (NONE[i] + (FULL[i] - NONE[i]) * share).round() as u8)
 }
 
-/// Colour of a cell without a measured point.
-pub const NO_DATA: [u8; 3] = [120, 124, 130];
+/// Colour of a cell without a measured point: hatched, so that no shade of the scale is taken for it.
+#[must_use]
+pub fn unmeasured(column: usize, row: usize) -> [u8; 3] {
+    const DARK: [u8; 3] = [120, 124, 130];
+    const LIGHT: [u8; 3] = [186, 190, 195];
+    if (column + row).is_multiple_of(3) {
+        DARK
+    } else {
+        LIGHT
+    }
+}
 
 /// An RGB picture as a `data:` address for an `<img>`.
 ///
@@ -66,7 +75,7 @@ mod tests {
 
     #[test]
     fn the_scale_is_symmetric_monotonic_and_clamped() {
-        assert_eq!(diverging(0.0), [242, 242, 242]);
+        assert_eq!(diverging(0.0), [255, 255, 255]);
         assert_eq!(diverging(-7.0), diverging(-1.0));
         assert_eq!(diverging(7.0), diverging(1.0));
         for i in 0..100 {

@@ -19,7 +19,7 @@ pub use history::{history_html, rate, remaining};
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 
-use crate::inspection::{FlankMap, Inspection};
+use crate::inspection::{FlankDetail, FlankMap, Inspection};
 use crate::origin::Origin;
 
 /// What the figures of a check are: the same words in reports, help texts and documentation.
@@ -40,6 +40,8 @@ struct Page<'a> {
     check: String,
     /// What to do about what could not be decided.
     remedies: BTreeSet<Code>,
+    /// Parts of the uncertainty that some flank has.
+    sources: BTreeSet<&'static str>,
     maps: Vec<Map<'a>>,
     colour_bar: String,
     histogram: String,
@@ -55,6 +57,8 @@ struct Map<'a> {
     picture: String,
     width_px: f64,
     height_px: f64,
+    /// Where most is lost: left and top of the disc, and its diameter, px.
+    disc_px: Option<[f64; 3]>,
 }
 
 /// Writes the page of an inspection.
@@ -83,14 +87,19 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         .features
         .first()
         .map(|f| [(-f.warn_um, "warn"), (-f.limit_um, "stop")]);
+    let details = inspection.features.iter().filter_map(|f| f.detail.as_ref());
     let page = Page {
         inspection,
         origin: &inspection.origin,
         date: &inspection.date,
         check: numbered(inspection.id),
         remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
+        sources: details
+            .flat_map(|detail| detail.shown_budget())
+            .map(|(source, _)| source)
+            .collect(),
         maps,
-        colour_bar: chart::colour_bar(full_um),
+        colour_bar: chart::colour_bar(full_um, marks.as_ref().map_or(&[], |m| m)),
         histogram: chart::histogram(
             &pictures.deviations_um,
             full_um,
@@ -118,23 +127,30 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
     let pixels: Vec<[u8; 3]> = map
         .deviation_um
         .iter()
-        .map(|&um| {
+        .enumerate()
+        .map(|(place, &um)| {
             if um.is_finite() {
                 colour::diverging(um / full_um)
             } else {
-                colour::NO_DATA
+                colour::unmeasured(place % map.columns, place / map.columns)
             }
         })
         .collect();
-    let verdict = inspection
+    let flank = inspection
         .features
         .iter()
-        .find(|f| f.tooth == map.tooth && f.flank == map.flank)
-        .map_or(Word::Indeterminate, |f| f.verdict);
+        .find(|f| f.tooth == map.tooth && f.flank == map.flank);
+    let disc_px = flank.and_then(|f| f.detail.as_ref()).map(|detail| {
+        let [along, up] = detail.deepest_at_mm;
+        let radius_mm = (detail.area_mm2 / std::f64::consts::PI).sqrt();
+        let top_mm = map.size_mm[1] - up - radius_mm;
+        [along - radius_mm, top_mm, 2.0 * radius_mm].map(|mm| mm * PX_PER_MM)
+    });
     const PX_PER_MM: f64 = 48.0;
     Map {
         map,
-        verdict,
+        verdict: flank.map_or(Word::Indeterminate, |f| f.verdict),
+        disc_px,
         picture: colour::rgb_data_uri(map.columns, map.rows, &pixels),
         width_px: map.size_mm[0] * PX_PER_MM,
         height_px: map.size_mm[1] * PX_PER_MM,
@@ -149,6 +165,39 @@ pub fn figure(value: Option<f64>) -> String {
         || "–".into(),
         |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
     )
+}
+
+/// A part of a flank's uncertainty for a table, a dash where it has none.
+fn part(detail: &FlankDetail, source: &str) -> String {
+    let shown = detail.shown_budget().into_iter();
+    let um = shown
+        .filter(|(name, _)| *name == source)
+        .map(|(_, um)| um)
+        .next();
+    um.map_or_else(|| "–".into(), |um| format!("{um:.2}"))
+}
+
+/// Sentences are plain ASCII; where µ can be shown, "um" becomes "µm" wherever it is a word of its own.
+#[must_use]
+pub fn with_micro(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("um") {
+        let (before, from) = rest.split_at(at);
+        let after = &from[2..];
+        let begins = before
+            .chars()
+            .last()
+            .is_none_or(|c| !c.is_alphabetic() && c != '_' && c != '-');
+        let ends = after
+            .chars()
+            .next()
+            .is_none_or(|c| !c.is_alphanumeric() && c != '_');
+        shown += before;
+        shown += if begins && ends { "µm" } else { "um" };
+        rest = after;
+    }
+    shown + rest
 }
 
 #[cfg(test)]

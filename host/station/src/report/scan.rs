@@ -97,7 +97,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         deviation: of_cells(scan, "Deviation over the unrolled bore", |cell| {
             colour::diverging(cell.deviation_mm * 1e3 / full_um)
         }),
-        colour_bar: chart::colour_bar(full_um),
+        colour_bar: chart::colour_bar(full_um, &[]),
         rms_picture: rms_picture(scan),
         rms_lines: rms_lines(scan),
         histograms: histograms(scan, full_um),
@@ -144,7 +144,10 @@ fn unrolled(scan: &Scan, title: &str, colour_of: impl Fn(usize) -> Option<[u8; 3
     let pixels: Vec<[u8; 3]> = (0..layout.rows)
         .rev()
         .flat_map(|row| (0..layout.columns).map(move |column| row * layout.columns + column))
-        .map(|index| colour_of(index).unwrap_or(colour::NO_DATA))
+        .map(|index| {
+            let [column, row] = [index % layout.columns, index / layout.columns];
+            colour_of(index).unwrap_or_else(|| colour::unmeasured(column, row))
+        })
         .collect();
     let picture = colour::rgb_data_uri(layout.columns, layout.rows, &pixels);
     Axes {
@@ -194,7 +197,11 @@ fn rms_picture(scan: &Scan) -> String {
         .iter()
         .rev()
         .flat_map(|(_, layer)| layer)
-        .map(|(_, rms)| rms.map_or(colour::NO_DATA, |um| colour::sequential(um / full_um)))
+        .enumerate()
+        .map(|(place, (_, rms))| match rms {
+            Some(um) => colour::sequential(um / full_um),
+            None => colour::unmeasured(place % columns, place / columns),
+        })
         .collect();
     let rows = pixels.len() / columns;
     Axes {
@@ -395,15 +402,15 @@ fn quality(scan: &Scan) -> Option<Quality> {
         .map(|sigma| sigma.map(|mm| mm * 1e3))
         .collect();
     let worst_um = sigma_um.iter().flatten().copied().reduce(f64::max)?;
+    let side = scan.quality.side();
     let pixels: Vec<[u8; 3]> = sigma_um
         .iter()
-        .map(|um| {
-            um.map_or(colour::NO_DATA, |um| {
-                colour::sequential(um / worst_um.max(1.0))
-            })
+        .enumerate()
+        .map(|(place, um)| match um {
+            Some(um) => colour::sequential(um / worst_um.max(1.0)),
+            None => colour::unmeasured(place % side, place / side),
         })
         .collect();
-    let side = scan.quality.side();
     Some(Quality {
         picture: colour::rgb_data_uri(side, side, &pixels),
         worst_um,
