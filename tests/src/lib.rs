@@ -196,3 +196,44 @@ impl Run {
             .collect()
     }
 }
+
+/// The demo tool in `folder` with limits around 30 µm and no uncertainty but noise, and with `more` lines in `[inspect]`;
+/// returns the folder's name.
+///
+/// # Panics
+/// It cannot be written.
+#[must_use]
+pub fn tool_of_noise_alone(folder: &Path, more: &str) -> String {
+    let made = flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(folder)
+        .status();
+    assert!(made.is_ok_and(|status| status.success()));
+    edit(&folder.join("tool.toml"), |text| {
+        text.replace("chord_error_um = 0.2", "chord_error_um = 0.0")
+            .replace("warn_um = 30.0", "warn_um = 20.0")
+            .replace(
+                "limit_um = 50.0",
+                &format!("limit_um = 30.0\ncalibration_um = 0.0\n{more}"),
+            )
+    });
+    folder.display().to_string()
+}
+
+/// Sets the calibration of a head's file to the first half of 2001.
+///
+/// # Panics
+/// It cannot be read or written.
+pub fn expire(head: &Path) {
+    let line = |line: &str| match line.split(' ').next() {
+        Some("date") => "date = \"2001-01-01\"\n".into(),
+        Some("expires") => "expires = \"2001-06-30\"\n".into(),
+        _ => format!("{line}\n"),
+    };
+    edit(head, |text| text.lines().map(line).collect());
+}
+
+fn edit(path: &Path, change: impl FnOnce(&str) -> String) {
+    let edited = std::fs::read_to_string(path).and_then(|text| std::fs::write(path, change(&text)));
+    assert!(edited.is_ok(), "{}: {edited:?}", path.display());
+}

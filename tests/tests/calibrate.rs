@@ -1,6 +1,6 @@
 //! The calibration, end to end: bench process, controller, captures, head file, and a check with it.
 
-use flankscope_tests::{flankscope, inspect, press_tool, run};
+use flankscope_tests::{expire, flankscope, inspect, press_tool, run};
 
 #[test]
 fn a_calibrated_head_checks_the_die() {
@@ -149,16 +149,7 @@ fn a_calibrated_head_checks_the_die() {
     refused("counted until 2001-01-01");
     std::fs::remove_file(&test_path).unwrap();
     refused("never tested");
-    let text = std::fs::read_to_string(&head).unwrap();
-    let old: String = text
-        .lines()
-        .map(|line| match line.split(' ').next() {
-            Some("date") => "date = \"2001-01-01\"\n".into(),
-            Some("expires") => "expires = \"2001-06-30\"\n".into(),
-            _ => format!("{line}\n"),
-        })
-        .collect();
-    std::fs::write(&head, old).unwrap();
+    expire(&head);
     answered_for(&head);
     refused("expired after 2001-06-30");
     // Nor is a scan begun.

@@ -1,7 +1,7 @@
 //! `flankscope doctor`: everything is looked at, nothing moves, and what has failed says what would be right.
 
 use flankscope_protocol::Line;
-use flankscope_tests::{Run, flankscope, inspect, press_tool, run};
+use flankscope_tests::{Run, expire, flankscope, inspect, press_tool, run};
 use serde_json::Value;
 
 fn doctor(arguments: &[&str]) -> Run {
@@ -113,16 +113,7 @@ fn what_has_failed_says_what_would_be_right() {
     expect(&bare, "shared memory", "ok", "", "");
 
     let head = folder.path().join("die/head.toml");
-    let text = std::fs::read_to_string(&head).unwrap();
-    let edited: String = text
-        .lines()
-        .map(|line| match line.split(' ').next() {
-            Some("date") => "date = \"2001-01-01\"\n".into(),
-            Some("expires") => "expires = \"2001-06-30\"\n".into(),
-            _ => format!("{line}\n"),
-        })
-        .collect();
-    std::fs::write(&head, edited).unwrap();
+    expire(&head);
     let changed = doctor(&["--link", nowhere, "--tool", &tool]);
     expect(
         &changed,

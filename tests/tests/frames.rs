@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_test_requisites::shared;
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, flankscope, inspect, run, tool_of_noise_alone};
 use serde_json::Value;
 
 /// What the outside renderer's head is off the place that its file says, µm.
@@ -237,29 +237,12 @@ fn a_live_check_that_was_recorded_is_the_same_to_the_last_bit() {
     );
 }
 
-/// The demo tool with limits around 30 µm and no uncertainty but noise.
-fn tool_of_noise_alone(folder: &Path) -> String {
-    let made = flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(folder)
-        .status();
-    assert!(made.is_ok_and(|status| status.success()));
-    let file = folder.join("tool.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
-    let text = text
-        .replace("chord_error_um = 0.2", "chord_error_um = 0.0")
-        .replace("warn_um = 30.0", "warn_um = 20.0")
-        .replace("limit_um = 50.0", "limit_um = 30.0\ncalibration_um = 0.0");
-    std::fs::write(file, text).unwrap();
-    folder.to_str().unwrap().to_owned()
-}
-
 /// A pit at the limit is measured again, live (see `remeasure.rs`): both captures are in the recording, and judged together
 /// there.
 #[test]
 fn a_repetition_is_recorded_and_counts_again() {
     let folder = tempfile::tempdir().unwrap();
-    let tool = tool_of_noise_alone(&folder.path().join("tool"));
+    let tool = tool_of_noise_alone(&folder.path().join("tool"), "");
     let of_tool = ["--tool", &tool];
     let pit = [
         "--link",

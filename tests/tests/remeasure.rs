@@ -1,34 +1,13 @@
 //! What is too near to a limit is measured again where there is time, and ends by the policy of the tool file.
 
-use std::path::Path;
 use std::process::Stdio;
 
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, flankscope, inspect, run, tool_of_noise_alone};
 use serde_json::Value;
 
 /// A pit whose mean over the judged disc is 29.8 µm (0.771 of its depth, for a bowl (1 - r2/R2)2 of 1 mm2): noise leaves the
 /// limit of 30 open.
 const PIT: &str = "40:left:38.6:pit";
-
-/// The demo tool without any uncertainty but noise, and with more lines in `[inspect]`.
-fn tool(folder: &Path, more: &str) -> String {
-    let made = flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(folder)
-        .status();
-    assert!(made.is_ok_and(|status| status.success()));
-    let file = folder.join("tool.toml");
-    let text = std::fs::read_to_string(&file).unwrap();
-    let text = text
-        .replace("chord_error_um = 0.2", "chord_error_um = 0.0")
-        .replace("warn_um = 30.0", "warn_um = 20.0")
-        .replace(
-            "limit_um = 50.0",
-            &format!("limit_um = 30.0\ncalibration_um = 0.0\n{more}"),
-        );
-    std::fs::write(file, text).unwrap();
-    folder.to_str().unwrap().to_owned()
-}
 
 fn flank(inspection: &Value, tooth: u64, name: &str) -> Value {
     let features = inspection["features"].as_array().unwrap();
@@ -46,11 +25,11 @@ fn number(value: &Value) -> f64 {
 fn a_flank_at_its_limit_is_measured_again_and_judged_by_both() {
     let folder = tempfile::tempdir().unwrap();
     let history = folder.path().join("press.db");
-    let once = tool(
+    let once = tool_of_noise_alone(
         &folder.path().join("once"),
         "remeasure = 0\nundecided = \"no-go\"",
     );
-    let twice = tool(&folder.path().join("twice"), "");
+    let twice = tool_of_noise_alone(&folder.path().join("twice"), "");
     let check = |tool: &str| -> Run {
         inspect(&[
             "--link",
@@ -152,7 +131,7 @@ fn a_flank_at_its_limit_is_measured_again_and_judged_by_both() {
 #[test]
 fn a_watch_measures_again_only_within_the_time_it_may_hold_the_press() {
     let folder = tempfile::tempdir().unwrap();
-    let tool = tool(&folder.path().join("tool"), "");
+    let tool = tool_of_noise_alone(&folder.path().join("tool"), "");
     let watch = |hold_s: &str| {
         let mut command = flankscope();
         command

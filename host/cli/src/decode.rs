@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_foundation::order::median_of;
-use flankscope_profilometry::decode::ConsistencyOptions;
+use flankscope_profilometry::decode::{ConsistencyOptions, OrderConsistency};
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
     Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
@@ -141,6 +141,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         &plan.exposures_us,
         DecodeOptions {
             consistency,
+            order_consistency: match sensor_assumed {
+                true => OrderConsistency::SCENE,
+                false => OrderConsistency::INSTRUMENT,
+            },
             ..options(args, &head, &plan)
         },
     )?;
@@ -211,6 +215,7 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
         consistency: defaults.consistency,
+        order_consistency: defaults.order_consistency,
         smoothing_px: args.smooth.unwrap_or(smoothing_px),
         coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {

@@ -2,6 +2,7 @@
 
 use iceoryx2::node::Node;
 use iceoryx2::prelude::*;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateError;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::arm::Arm;
@@ -101,6 +102,24 @@ pub(super) fn make_node(root: &SharedRoot) -> Result<Node<ipc::Service>, Service
         .map_err(refused("create a node", root))
 }
 
+/// A service of one writer and one reader in which only the newest word counts.
+fn newest<T: std::fmt::Debug + ZeroCopySend>(
+    node: &Node<ipc::Service>,
+    name: &ServiceName,
+) -> Result<publish_subscribe::PortFactory<ipc::Service, T, ()>, PublishSubscribeOpenOrCreateError>
+{
+    node.service_builder(name)
+        .publish_subscribe::<T>()
+        .enable_safe_overflow(true)
+        .history_size(1)
+        .subscriber_max_buffer_size(1)
+        .subscriber_max_borrowed_samples(1)
+        .max_publishers(1)
+        .max_subscribers(1)
+        .max_nodes(4)
+        .open_or_create()
+}
+
 impl Services {
     /// Opens the services below `root`, or makes them: the host does so before it starts the camera process.
     pub fn open(root: &SharedRoot) -> Result<Self, ServiceError> {
@@ -122,30 +141,9 @@ impl Services {
             .max_nodes(4)
             .open_or_create()
             .map_err(refused("open the frame service", root))?;
-        let arm = node
-            .service_builder(&name("arm")?)
-            .publish_subscribe::<Arm>()
-            .enable_safe_overflow(true) // only the newest arming counts
-            .history_size(1)
-            .subscriber_max_buffer_size(1)
-            .subscriber_max_borrowed_samples(1)
-            .max_publishers(1)
-            .max_subscribers(1)
-            .max_nodes(4)
-            .open_or_create()
-            .map_err(refused("open the arming service", root))?;
-        let ready = node
-            .service_builder(&name("ready")?)
-            .publish_subscribe::<Ready>()
-            .enable_safe_overflow(true) // only the newest word counts
-            .history_size(1)
-            .subscriber_max_buffer_size(1)
-            .subscriber_max_borrowed_samples(1)
-            .max_publishers(1)
-            .max_subscribers(1)
-            .max_nodes(4)
-            .open_or_create()
-            .map_err(refused("open the camera's service", root))?;
+        let arm = newest(&node, &name("arm")?).map_err(refused("open the arming service", root))?;
+        let ready =
+            newest(&node, &name("ready")?).map_err(refused("open the camera's service", root))?;
         let wake = node
             .service_builder(&name("wake")?)
             .event()

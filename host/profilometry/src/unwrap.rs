@@ -16,17 +16,6 @@ use std::f64::consts::TAU;
 /// cells.
 pub const MIN_SEPARATION: f64 = 10.0;
 
-/// The same in standard deviations measured from how far the clues about a cell miss, which takes in what no prediction knows:
-/// a second reflection, a lamp, a bent response. As clues must lie within a quarter of the distance ([`Decision::agreed`]), a
-/// wrong order passes with an error of three quarters and more: five standard deviations, one cell in five million. Where
-/// frequencies name unrelated columns they miss by 1/sqrt(12) of the distance: a quarter of the neighbours may be such.
-pub const MIN_MEASURED_SEPARATION: f32 = 7.0;
-
-/// Least share of the cells about one in which the frequencies agree. Where they name unrelated columns half of the cells agree by
-/// chance; where nine of ten agree at most one of nine can be such a chance, and a quarter of the distance is more than 1.6
-/// standard deviations of the error, three quarters 4.9.
-pub const LEAST_AGREEING_SHARE: f32 = 0.9;
-
 /// The phase closest to `expected_rad` among all that differ from `wrapped_rad` by whole turns.
 pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
     wrapped_rad + TAU * ((expected_rad - wrapped_rad) / TAU).round()

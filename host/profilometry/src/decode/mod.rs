@@ -32,7 +32,7 @@ use cell::{CellResult, Fate};
 use conditioned::Conditioned;
 pub use error::DecodeError;
 use neighbourhood::Neighbourhood;
-pub use options::{DecodeOptions, GridKind};
+pub use options::{DecodeOptions, GridKind, OrderConsistency};
 use rays::{Ray, projector_size_px, rays};
 
 /// Everything about a head and its patterns that does not change from view to view.
@@ -221,7 +221,7 @@ impl Decoder {
         let view = self.condition(accumulator);
         let mut results = self.depths(&view);
         let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
-        around.judge_orders(&mut results);
+        around.judge_orders(&mut results, self.options.order_consistency);
         around.raise_uncertainties(&mut results);
         if let Some(limit_mm) = self.options.max_sigma_z_mm {
             for result in &mut results {

@@ -4,11 +4,10 @@
 //! frequencies that should name one column do not, and where neighbours do not continue each other. Both are averaged over
 //! some cells about each and laid beside the prediction.
 
+use super::cell::{CellResult, Fate};
+use super::options::OrderConsistency;
 use crate::cells::{CellGrid, Grid};
 use crate::phase::smoothing::{Blur, CellPlane};
-use crate::unwrap::{LEAST_AGREEING_SHARE, MIN_MEASURED_SEPARATION};
-
-use super::cell::{CellResult, Fate};
 
 /// How cells are averaged.
 pub(super) struct Neighbourhood<'a> {
@@ -51,7 +50,7 @@ impl<'a> Neighbourhood<'a> {
     }
 
     /// Drops cells about which the frequencies disagree so much, whatever their noise should be, that the order is not sure.
-    pub fn judge_orders(&self, results: &mut [CellResult]) {
+    pub fn judge_orders(&self, results: &mut [CellResult], least: OrderConsistency) {
         // A cell with a single possible order says nothing.
         let asked = |result: &CellResult| {
             let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
@@ -77,9 +76,8 @@ impl<'a> Neighbourhood<'a> {
             // By the noise measured about it, and whatever a bright cell's own is: by how far its neighbours miss.
             let variances = (missed / predicted.max(f32::MIN_POSITIVE)).max(1.0);
             let separation = result.separation / variances.sqrt();
-            let told_apart = separation >= MIN_MEASURED_SEPARATION
-                && *missed <= MIN_MEASURED_SEPARATION.powi(-2);
-            let sure = told_apart && *agreed >= LEAST_AGREEING_SHARE;
+            let told_apart = separation >= least.separation && *missed <= least.separation.powi(-2);
+            let sure = told_apart && *agreed >= least.agreeing_share;
             if asked(result) && result.fate == Fate::Point && !sure {
                 result.reject(Fate::Disagreeing);
             }

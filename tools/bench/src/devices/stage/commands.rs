@@ -449,7 +449,13 @@ fn of_status(
 
 /// A position, with as many digits as `FP` says.
 fn position(axis: &Axis, reading: f64) -> String {
-    format!("{reading:.*}", axis.settings.get("FP") as usize)
+    let places = axis.settings.get("FP") as usize;
+    let text = format!("{reading:.places$}");
+    // The device knows no negative zero.
+    match text.strip_prefix('-') {
+        Some(size) if !size.contains(|digit: char| ('1'..='9').contains(&digit)) => size.to_owned(),
+        _ => text,
+    }
 }
 
 /// Up or down, of an axis that may move.
