@@ -6,11 +6,11 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_foundation::order::median_of;
-use flankscope_profilometry::decode::{ConsistencyOptions, OrderConsistency};
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
     Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
 };
+use flankscope_profilometry::decode::{ConsistencyOptions, OrderConsistency};
 use flankscope_profilometry::head::{HeadModel, Sensor};
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
