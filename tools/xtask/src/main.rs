@@ -98,17 +98,13 @@ fn test(all: bool) -> Result<(), String> {
         // Tests that look for something themselves fail instead of skipping.
         cargo.env("FLANKSCOPE_TEST_ALL", "1");
     }
-    // What a press gets, where there is no bench.
-    let mut deployment = self::cargo(&[
-        "test",
-        "-p",
-        "flankscope",
-        "--no-default-features",
-        "--bins",
-    ]);
-    deployment.args(["--", "--quiet"]);
     // The one does not keep the other back: who mends wants to know of both.
-    let tests = run(cargo).and(run(deployment));
+    let mut tests = run(cargo);
+    if all {
+        // What a press gets, where there is no bench: its dependencies are built once more.
+        let deployment = ["-p", "flankscope", "--no-default-features", "--bins"];
+        tests = tests.and(run(self::cargo(&[&["test"][..], &deployment].concat())));
+    }
     let arrows = arrows(&root());
     eprintln!("\nsummary");
     let state = |result: &Result<(), String>| match result {
