@@ -230,7 +230,12 @@ pub fn expire(head: &Path) {
         Some("expires") => "expires = \"2001-06-30\"\n".into(),
         _ => format!("{line}\n"),
     };
-    edit(head, |text| text.lines().map(line).collect());
+    // Of a file that nobody has signed or trusted before, not in an earlier run either.
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let stamp = format!("# {:?}\n", now.unwrap_or_default());
+    edit(head, |text| {
+        stamp + &text.lines().map(line).collect::<String>()
+    });
 }
 
 fn edit(path: &Path, change: impl FnOnce(&str) -> String) {
