@@ -230,11 +230,12 @@ pub fn expire(head: &Path) {
         Some("expires") => "expires = \"2001-06-30\"\n".into(),
         _ => format!("{line}\n"),
     };
-    // Of a file that nobody has signed or trusted before, not in an earlier run either.
+    // Another head than that of any earlier run: nobody has signed or trusted it yet.
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    let stamp = format!("# {:?}\n", now.unwrap_or_default());
+    let name = format!("name = \"{:?} ", now.unwrap_or_default());
     edit(head, |text| {
-        stamp + &text.lines().map(line).collect::<String>()
+        let old: String = text.lines().map(line).collect();
+        old.replacen("name = \"", &name, 1)
     });
 }
 

@@ -59,7 +59,7 @@ pub struct Args {
     #[arg(long, value_name = "DN")]
     min_modulation: Option<f64>,
     /// Drop cells whose frames follow one fringe so badly that noise would do so with less than this probability; 0 keeps all
-    /// [default: 0.001 where plan or head have a [sensor]].
+    /// [default: 0.001 where plan or head have a `[sensor]`].
     #[arg(long, value_name = "PROBABILITY")]
     frame_consistency: Option<f64>,
     /// Drop points with a larger predicted standard uncertainty of the depth.
@@ -94,7 +94,7 @@ struct Document<'a> {
     sensor_assumed: bool,
     /// Least amplitude of each frequency, low to high, counts per pixel and exposure.
     min_modulation_dn: &'a [f64],
-    /// By how much frames scatter more than [sensor] predicts, in the median; limits and uncertainties are raised by it.
+    /// By how much frames scatter more than `[sensor]` predicts, in the median; limits and uncertainties are raised by it.
     frame_noise_ratio: f64,
     /// Median contrast of each frequency over the cells with a point, low to high.
     contrast: &'a [f64],

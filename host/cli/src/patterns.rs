@@ -34,7 +34,7 @@ impl From<Stored> for Packing {
 /// Write the pattern sets as images for the DMD's own mirrors, with a manifest of order, bit planes and LED.
 ///
 /// Each set gets a folder with its images and patterns.json. Size and arrangement of the mirrors are those of the head file
-/// ([mirrors], else [projector]).
+/// (`[mirrors]`, else `[projector]`).
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope patterns --head head.toml -o patterns\n\
