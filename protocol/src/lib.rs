@@ -10,7 +10,7 @@
 //! | [`plan`]    | the declarative [`CapturePlan`], its [`Limits`] and the refusal [`PlanError`] |
 //! | [`message`] | [`Command`] host -> controller, [`Reply`] and [`Event`] controller -> host |
 //! | [`fault`]   | stable fault numbers                                                      |
-//! | [`line`]    | how the serial line between them is set                                   |
+//! | [`line`](mod@line) | how the serial line between them is set                                   |
 //! | [`frame`]   | COBS + CRC-32C frames carrying one message each                           |
 //!
 //! ```
