@@ -14,6 +14,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::bench_link::{BenchArgs, demo_tool};
+use crate::help;
 use crate::instrument::{Instrument, Scene, head_path, scratch};
 use crate::output::{Common, Outcome, in_words, say};
 use crate::site::{Place, Site};
@@ -22,18 +23,14 @@ use crate::site::{Place, Site};
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
 
 /// Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.
-///
-/// One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what would
-/// make it right. What needs attention works today. With a real port everything that a check there needs is looked at; without
-/// one, the simulated bench.
 #[derive(clap::Args)]
 #[command(
+    long_about = help::DOCTOR,
     after_help = "Example:\n  flankscope doctor --link /dev/ttyACM0 --tool DIR --history press.db\n\n\
     Exit code: 0 nothing has failed, 3 something has"
 )]
 pub struct Args {
-    /// Folder with tool.toml, and head.toml unless --head names one [default: the demo die, on the bench only]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help = help::DOCTOR_TOOL)]
     tool: Option<PathBuf>,
     /// Head file instead of the tool folder's
     #[arg(long, value_name = "HEAD.toml")]

@@ -77,6 +77,25 @@ text!(
         computes the first check of the history again"
 );
 text!(
+    DOCTOR: "Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.\n\n\
+        One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what \
+        would make it right. What needs attention works today. With a real port everything that a check there needs is looked \
+        at; without one, the simulated bench.",
+    "Say what is installed, connected, calibrated and expired, with the remedy for what is not; nothing moves.\n\n\
+        One line for each: its health (ok, attention, failed, not asked), what it is, what was seen, and behind an arrow what \
+        would make it right. What needs attention works today. Everything that a check needs is looked at."
+);
+text!(
+    /// Of the doctor's `--tool`.
+    DOCTOR_TOOL: "Folder with tool.toml, and head.toml unless --head names one [default: the demo die, on the bench only]",
+    "Folder with tool.toml, and head.toml unless --head names one"
+);
+text!(
+    /// Of the patterns' `--head`.
+    PATTERNS_HEAD: "Head file whose projector shows them [default: the demo head]",
+    "Head file whose projector shows them"
+);
+text!(
     /// Ends of the paragraph on where a calibration starts.
     CALIBRATE_DEFAULT: " Without options the demo target on the simulated bench is used.",
     ""

@@ -4,12 +4,13 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::{Arrangement, HeadModel, Mirrors};
+use flankscope_profilometry::pattern::{NAMED, PatternSet};
 use flankscope_profilometry::plan::Plan;
 use flankscope_station::patterns::{Manifest, Packing, write};
 
 use crate::bench_link::demo_tool;
+use crate::help;
 use crate::instrument::scratch;
 use crate::output::{Common, Outcome, try_folder};
 
@@ -38,14 +39,13 @@ impl From<Stored> for Packing {
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  flankscope patterns --head head.toml -o patterns\n\
-    writes patterns/article8, patterns/insitu12 and patterns/scan16\n\n\
+    writes patterns/article8, patterns/insitu12 and every other set the instrument knows\n\n\
     Exit code: 0 done, 3 could not run"
 )]
 pub struct Args {
-    /// Head file whose projector shows them [default: the demo head]
-    #[arg(long, value_name = "HEAD.toml")]
+    #[arg(long, value_name = "HEAD.toml", help = help::PATTERNS_HEAD)]
     head: Option<PathBuf>,
-    /// Only this set: article8, insitu12 or scan16 [default: all of them]
+    /// Only this set, such as insitu12 or high12 [default: all of them]
     #[arg(long, value_name = "NAME")]
     set: Option<String>,
     /// The set of a plan file instead
@@ -119,13 +119,11 @@ impl Args {
             }
             return Ok(vec![set]);
         }
-        let names = match &self.set {
-            Some(name) => vec![name.as_str()],
-            None => vec!["article8", "insitu12", "scan16"],
+        let known = NAMED.iter().map(|(name, _)| *name);
+        let sets: Result<_, _> = match &self.set {
+            Some(name) => PatternSet::named(name).map(|set| vec![set]),
+            None => known.map(PatternSet::named).collect(),
         };
-        Ok(names
-            .into_iter()
-            .map(PatternSet::named)
-            .collect::<Result<_, _>>()?)
+        Ok(sets?)
     }
 }

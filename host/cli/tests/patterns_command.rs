@@ -22,9 +22,15 @@ fn every_set_gets_images_for_the_heads_mirrors_and_a_manifest() {
     let output = flankscope(folder.path(), &args);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let sets = json(&output);
-    for (set, (name, patterns)) in [("article8", 8), ("insitu12", 12), ("scan16", 16)]
-        .iter()
-        .enumerate()
+    for (set, (name, patterns)) in [
+        ("article8", 8),
+        ("insitu12", 12),
+        ("scan16", 16),
+        ("high12", 12),
+        ("high16", 16),
+    ]
+    .iter()
+    .enumerate()
     {
         let manifest = &sets[set];
         assert_eq!(manifest["set"], *name);

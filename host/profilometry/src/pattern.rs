@@ -151,6 +151,18 @@ pub enum PatternError {
 
 /// The instrument's patterns have phase zero at the outer edge of the projector's first column.
 pub const OWN_PHASE_ORIGIN_PX: f64 = -0.5;
+/// The instrument's own pattern sets: name, and periods x steps of each frequency.
+///
+/// Eight steps on the finest frequency cancel the harmonics of a non-linear response up to the sixth; the lowest is
+/// not a unit frequency because the measuring volume already fixes its fringe order. The sets without a low frequency are for
+/// surfaces that light each other (bare steel): `docs/formats.md` has their order margins.
+pub const NAMED: [(&str, &[(f64, u32)]); 5] = [
+    ("article8", &[(4.0, 4), (48.0, 4)]),
+    ("insitu12", &[(4.0, 4), (48.0, 8)]),
+    ("scan16", &[(4.0, 4), (13.0, 4), (48.0, 8)]),
+    ("high12", &[(36.0, 4), (39.0, 4), (48.0, 4)]),
+    ("high16", &[(41.0, 4), (45.0, 4), (48.0, 8)]),
+];
 /// What `pattern_set` may name.
 pub(crate) const KNOWN_SETS: &str = "must be article8, insitu12, scan16, high12 or high16";
 /// More than micro phase shifting needs.
@@ -226,30 +238,19 @@ impl PatternSet {
         Self::with_convention(self.name, self.sets, self.step_sign, self.axis)
     }
 
-    /// `article8` {4 x 4; 48 x 4}, `insitu12` {4 x 4; 48 x 8}, `scan16` {4 x 4; 13 x 4; 48 x 8}, `high12`
-    /// {36 x 4; 39 x 4; 48 x 4} or `high16` {41 x 4; 45 x 4; 48 x 8} (periods x steps).
-    ///
-    /// Eight steps on the finest frequency cancel the harmonics of a non-linear response up to the sixth; the lowest is
-    /// not a unit frequency because the measuring volume already fixes its fringe order. The sets without a low frequency are for
-    /// surfaces that light each other (bare steel): `docs/formats.md` has their order margins.
+    /// One of the instrument's own sets, [`NAMED`].
     ///
     /// # Errors
     /// [`PatternError::UnknownName`].
     pub fn named(name: &str) -> Result<Self, PatternError> {
-        let sets: &[(f64, u32)] = match name {
-            "article8" => &[(4.0, 4), (48.0, 4)],
-            "insitu12" => &[(4.0, 4), (48.0, 8)],
-            "scan16" => &[(4.0, 4), (13.0, 4), (48.0, 8)],
-            "high12" => &[(36.0, 4), (39.0, 4), (48.0, 4)],
-            "high16" => &[(41.0, 4), (45.0, 4), (48.0, 8)],
-            _ => {
-                return Err(PatternError::UnknownName {
-                    name: name.to_owned(),
-                });
-            }
-        };
+        let (name, sets) = NAMED
+            .iter()
+            .find(|(known, _)| *known == name)
+            .ok_or_else(|| PatternError::UnknownName {
+                name: name.to_owned(),
+            })?;
         Self::new(
-            name,
+            *name,
             sets.iter()
                 .map(|&(periods, steps)| FringeSet::new(periods, steps))
                 .collect(),
@@ -281,17 +282,11 @@ mod tests {
 
     #[test]
     fn named_sets_have_as_many_frames_as_their_names_say() {
-        for (name, frames) in [
-            ("article8", 8),
-            ("insitu12", 12),
-            ("scan16", 16),
-            ("high12", 12),
-            ("high16", 16),
-        ] {
-            assert_eq!(
-                PatternSet::named(name).unwrap().frames_per_exposure(),
-                frames
-            );
+        for (name, _) in NAMED {
+            let frames = PatternSet::named(name).unwrap().frames_per_exposure();
+            let digits = name.trim_start_matches(char::is_alphabetic);
+            assert_eq!(digits.parse(), Ok(frames));
+            assert!(KNOWN_SETS.contains(name), "{name}");
         }
         assert!(matches!(
             PatternSet::named("insitu"),
