@@ -1,6 +1,7 @@
 //! The whole way: from the sums of a view to points in the camera frame.
 
 mod cell;
+mod coded;
 mod conditioned;
 mod error;
 mod floor;
@@ -18,7 +19,7 @@ use crate::accumulate::{Accumulator, Band, Layout};
 use crate::cells::{CellGrid, CoreGrid, Grid};
 use crate::cloud::small_patches;
 use crate::frame::FrameKind;
-use crate::head::{DepthRange, HeadModel, Sensor};
+use crate::head::{DepthRange, HeadModel, Pinhole, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
 use crate::triangulate::Triangulator;
@@ -29,6 +30,7 @@ pub use crate::accumulate::consistency::ConsistencyOptions;
 pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
 pub use crate::phase::mask::MaskOptions;
 use cell::{CellResult, Fate};
+use coded::CodeLadder;
 use conditioned::Conditioned;
 pub use error::DecodeError;
 use neighbourhood::Neighbourhood;
@@ -44,11 +46,14 @@ pub struct Decoder {
     size_px: [u32; 2],
     sensor: Sensor,
     triangulator: Triangulator,
+    camera: Pinhole,
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
     /// Orders of the finest frequency that the set tells apart.
     orders: usize,
+    /// What the code tells, if there is one.
+    code: Option<CodeLadder>,
     /// Of each frequency, its phase where that of the finest is zero.
     origins_rad: Vec<f64>,
     /// Standard deviation of all phases with which a cell tells the order by itself.
@@ -91,7 +96,13 @@ impl Decoder {
         let sensor = head.sensor.ok_or(DecodeError::NoSensor)?;
         let all_periods: Vec<f64> = patterns.sets.iter().map(|set| set.periods).collect();
         let orders = unwrap::distinct_orders(&all_periods);
-        let repeated = (100.0 * patterns.finest().periods / orders as f64).round() / 100.0;
+        let projector_width_px = projector_size_px(head, patterns.axis);
+        let code = match &patterns.code {
+            Some(code) => Some(CodeLadder::new(code, patterns, orders, projector_width_px)?),
+            None => None,
+        };
+        let all_orders = code.as_ref().map_or(orders, |code| code.all_orders);
+        let repeated = (100.0 * patterns.finest().periods / all_orders as f64).round() / 100.0;
         if head.volume.is_none() && repeated > 1.0 {
             return Err(DecodeError::NeedsVolume { periods: repeated });
         }
@@ -118,8 +129,7 @@ impl Decoder {
             });
         }
         let triangulator = Triangulator::new(head, patterns.axis);
-        let rays = rays(head, patterns, orders, &grid, &triangulator)?;
-        let projector_width_px = projector_size_px(head, patterns.axis);
+        let rays = rays(head, patterns, all_orders, &grid, &triangulator)?;
         let finest = patterns.finest();
         let origin_rad = |set: &FringeSet| {
             let apart_px = set.phase_origin_px - finest.phase_origin_px;
@@ -131,7 +141,9 @@ impl Decoder {
             width,
             height,
             grid,
+            pictures: patterns.pictures().collect(),
             steps: patterns.sets.iter().map(|set| set.steps).collect(),
+            bits: patterns.code.map_or(0, |code| code.bits as usize),
             exposures: exposures_us.len(),
             dark_frame: options.dark_frame,
             saturation_limit_dn: sensor.saturation_limit_dn(),
@@ -156,10 +168,12 @@ impl Decoder {
             size_px: [head.camera.width_px, head.camera.height_px],
             sensor,
             triangulator,
+            camera: head.camera.clone(),
             projector_width_px,
             volume: head.volume,
             rays,
             orders,
+            code,
             origins_rad,
             enough_rad: unwrap::order_step_rad(&all_periods) / unwrap::MIN_SEPARATION,
             floors_dn,
@@ -397,7 +411,7 @@ impl Decoder {
                 let result = &results[cell];
                 let counter = match result.fate {
                     Fate::Point => {
-                        let [x, y] = self.rays[cell].direction;
+                        let [x, y] = result.direction;
                         let z = result.depth_mm;
                         cloud.points_mm.push([x * z, y * z, z]);
                         cloud.sigma_z_mm.push(result.sigma_z_mm);
