@@ -256,6 +256,24 @@ mod tests {
                 }
                 assert_eq!(wide.code, plain.code);
             }
+            // As bytes and back, the code included.
+            let mut again = Accumulator::new(Arc::clone(&layout));
+            let bytes = wide.to_bytes();
+            assert_eq!(bytes.len(), wide.byte_count());
+            again.restore(&bytes).unwrap();
+            assert_eq!(again.to_bytes(), bytes);
+            let lit = |of: &Accumulator| {
+                of.bands
+                    .iter()
+                    .map(|band| band.code.clone())
+                    .collect::<Vec<_>>()
+            };
+            assert_eq!(lit(&again), lit(&wide));
+            let told = lit(&wide).concat();
+            assert!(
+                told.iter()
+                    .any(|bit| bit.difference.iter().any(|&dn| dn != 0.0))
+            );
         }
     }
 }

@@ -22,12 +22,13 @@ use crate::frame::FrameKind;
 use crate::head::{DepthRange, HeadModel, Pinhole, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
+use crate::phase::parts::LightParts;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
 use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
-pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
+pub use crate::cloud::{CellColumn, Cloud, Decoded, LightMedians, PatchOptions, Rejected};
 pub use crate::phase::mask::MaskOptions;
 use cell::{CellResult, Fate};
 use coded::CodeLadder;
@@ -47,6 +48,7 @@ pub struct Decoder {
     sensor: Sensor,
     triangulator: Triangulator,
     camera: Pinhole,
+    fringe_contrast: f64,
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
@@ -169,6 +171,7 @@ impl Decoder {
             sensor,
             triangulator,
             camera: head.camera.clone(),
+            fringe_contrast: head.fringe_contrast.unwrap_or(1.0),
             projector_width_px,
             volume: head.volume,
             rays,
@@ -257,10 +260,13 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
+        let mut decoded = self.collect(&results, fringes_dn.as_deref());
+        decoded.cloud.light = self.light(accumulator, &results);
         Ok(Decoded {
             frame_noise_ratio: view.frame_noise_ratio,
             contrast: self.contrasts(accumulator, &results),
-            ..self.collect(&results, fringes_dn.as_deref())
+            light: LightMedians::of(&decoded.cloud.light),
+            ..decoded
         })
     }
 
@@ -308,6 +314,27 @@ impl Decoder {
         };
         let ratios: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
         median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
+    }
+
+    /// Direct and global light of every point.
+    fn light(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<LightParts> {
+        let finest = self.layout.steps.len() - 1;
+        // A point's neighbours may have lent it all its light.
+        let dark = LightParts {
+            direct_e: 0.0,
+            global_e: 0.0,
+        };
+        let of_cell = |band: &Band, index: usize| {
+            let estimate = self.estimate(band, index, finest, &self.noise(band, index));
+            estimate.map_or(dark, |own| LightParts::of(&own, self.fringe_contrast))
+        };
+        let of_band = |band: &Band| -> Vec<LightParts> {
+            let is_point = |index: &usize| results[band.first_cell + index].fate == Fate::Point;
+            let points = (0..band.cells).filter(is_point);
+            points.map(|index| of_cell(band, index)).collect()
+        };
+        let bands: Vec<_> = accumulator.bands.par_iter().map(of_band).collect();
+        bands.concat()
     }
 
     /// Median contrast of each frequency over the cells with a point.
@@ -442,6 +469,7 @@ impl Decoder {
             without_point,
             rejected,
             frame_noise_ratio: 1.0,
+            light: None,
             contrast: Vec::new(),
         }
     }

@@ -311,6 +311,7 @@ impl Evaluator {
         let light = Light {
             rejected: decoded.rejected,
             contrast: decoded.contrast.clone(),
+            medians: decoded.light,
             other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
         };
         let measured = Measured {
