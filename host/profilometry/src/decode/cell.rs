@@ -1,6 +1,7 @@
 //! One cell: from its sums to a depth, or to the first reason why there is none.
 
 use super::Decoder;
+use super::coded::CodedCell;
 use super::conditioned::Conditioned;
 use super::rays::Ray;
 use crate::accumulate::Band;
@@ -165,7 +166,15 @@ impl Decoder {
             None => unwrap::decide(clues, wrapped_rad, &ladder),
             Some(code) => {
                 let phases_rad = [wrapped_rad, ray.middle_rad];
-                self.coded_order(code, band, index, &estimate, &noise, clues, phases_rad)?
+                {
+                    let cell = CodedCell {
+                        band,
+                        index,
+                        finest: &estimate,
+                        noise: &noise,
+                    };
+                    self.coded_order(code, &cell, clues, phases_rad)?
+                }
             }
         };
         if !(found.separation >= MIN_SEPARATION) {

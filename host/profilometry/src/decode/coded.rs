@@ -37,6 +37,15 @@ const EDGE_RATIO: f64 = 0.5;
 /// Half the distance of two orders that are told apart.
 const BIT_SEPARATION: f64 = 0.5 * MIN_SEPARATION;
 
+/// A cell whose bits are asked.
+pub(super) struct CodedCell<'a> {
+    pub band: &'a Band,
+    pub index: usize,
+    /// What its finest fringes show.
+    pub finest: &'a PhaseEstimate,
+    pub noise: &'a CellNoise,
+}
+
 impl CodeLadder {
     /// `distinct`: orders that the frequencies tell apart by themselves.
     pub fn new(
@@ -82,6 +91,36 @@ impl CodeLadder {
     fn reach_rad(&self, place: Place) -> f64 {
         0.5 * (PI + place.half_width * self.stripe_rad)
     }
+
+    /// Where the bits of a cell put it.
+    fn place(&self, cell: &CodedCell<'_>) -> Option<Place> {
+        let &CodedCell {
+            band,
+            index,
+            finest,
+            noise,
+        } = cell;
+        let exposures = f64::from(band.merged.last()?.exposures[index]);
+        let dark_e2 = exposures * noise.pixels * noise.dark_variance_e2;
+        let mean_e = finest.mean_e.max(0.0);
+        // A lit frame has at most twice the mean light.
+        let variance_e2 = if self.code.complement {
+            0.25 * (2.0 * mean_e + 2.0 * dark_e2)
+        } else {
+            2.0 * mean_e + dark_e2 + (mean_e + dark_e2) / self.steps
+        };
+        let least_e = BIT_SEPARATION * variance_e2.sqrt();
+        let mut told = [None; MAX_BITS as usize];
+        for (told, bit) in told.iter_mut().zip(&band.code) {
+            let difference_e = f64::from(bit.difference[index]) * noise.gain_e_per_dn;
+            let amplitude_e = f64::from(bit.amplitude[index]) * noise.gain_e_per_dn;
+            // Written so that a NaN, and a cell of which every exposure was saturated, tells nothing.
+            let tells =
+                amplitude_e > 0.0 && difference_e.abs() >= (EDGE_RATIO * amplitude_e).max(least_e);
+            *told = tells.then_some(difference_e > 0.0);
+        }
+        self.code.place(&told[..band.code.len()])
+    }
 }
 
 impl Decoder {
@@ -89,16 +128,11 @@ impl Decoder {
     pub(super) fn coded_order(
         &self,
         ladder: &CodeLadder,
-        band: &Band,
-        index: usize,
-        finest: &PhaseEstimate,
-        noise: &CellNoise,
+        cell: &CodedCell<'_>,
         clues: &[Clue],
         [wrapped_rad, expected_rad]: [f64; 2],
     ) -> Result<Decision, Fate> {
-        let place = self
-            .place(ladder, band, index, finest, noise)
-            .ok_or(Fate::UncertainOrder)?;
+        let place = ladder.place(cell).ok_or(Fate::UncertainOrder)?;
         let about = |middle_rad, orders| Ladder {
             middle_rad,
             orders,
@@ -121,35 +155,5 @@ impl Decoder {
             }
         }
         Ok(found)
-    }
-
-    fn place(
-        &self,
-        ladder: &CodeLadder,
-        band: &Band,
-        index: usize,
-        finest: &PhaseEstimate,
-        noise: &CellNoise,
-    ) -> Option<Place> {
-        let exposures = f64::from(band.merged.last()?.exposures[index]);
-        let dark_e2 = exposures * noise.pixels * noise.dark_variance_e2;
-        let mean_e = finest.mean_e.max(0.0);
-        // A lit frame has at most twice the mean light.
-        let variance_e2 = if ladder.code.complement {
-            0.25 * (2.0 * mean_e + 2.0 * dark_e2)
-        } else {
-            2.0 * mean_e + dark_e2 + (mean_e + dark_e2) / ladder.steps
-        };
-        let least_e = BIT_SEPARATION * variance_e2.sqrt();
-        let mut told = [None; MAX_BITS as usize];
-        for (told, bit) in told.iter_mut().zip(&band.code) {
-            let difference_e = f64::from(bit.difference[index]) * noise.gain_e_per_dn;
-            let amplitude_e = f64::from(bit.amplitude[index]) * noise.gain_e_per_dn;
-            // Written so that a NaN, and a cell of which every exposure was saturated, tells nothing.
-            let tells =
-                amplitude_e > 0.0 && difference_e.abs() >= (EDGE_RATIO * amplitude_e).max(least_e);
-            *told = tells.then_some(difference_e > 0.0);
-        }
-        ladder.code.place(&told[..band.code.len()])
     }
 }
