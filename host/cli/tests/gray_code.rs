@@ -262,11 +262,13 @@ fn what_the_code_does_not_say_is_dropped_and_counted() {
         std::fs::write(rig.path(&format!("frames/{n:02}.png")), &right[of]).expect("written");
     };
     // Two bits exchanged: other words.
-    (put(4, 5), put(5, 4));
+    put(4, 5);
+    put(5, 4);
     let (points, off, _) = rig.judged();
     assert!(4 * off > points, "{off} of {points}");
     // A fringe where a bit should be: somewhere it is as bright as the threshold.
-    (put(4, 4), put(5, 0));
+    put(4, 4);
+    put(5, 0);
     let (_, _, rejected) = rig.judged();
     let dropped = rejected["uncertain_order"].as_u64().expect("a count");
     assert!(dropped > 3000, "{rejected}");
