@@ -3,6 +3,10 @@
 //! Brightness is a mirror's share of the exposure: no gamma, no scaling. Patterns are numbered as in a capture plan, from 1;
 //! number 0 is black, which every DMD controller can show without a picture.
 
+mod adaptive;
+mod loading;
+mod passes;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -13,6 +17,10 @@ use flankscope_protocol::pattern_memory::{Place, Plane};
 use serde::Serialize;
 
 use crate::files::{hash, write_whole};
+
+pub use adaptive::{Adaptive, CaptureTime, Pass, write_adaptive};
+pub use loading::Loading;
+pub use passes::{Passes, PassesError, Region};
 
 /// How pictures are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -187,6 +195,17 @@ pub fn write(
     mirrors: Mirrors,
     packing: Packing,
 ) -> Result<Manifest, PatternsError> {
+    write_lit(folder, set, mirrors, packing, |_| ())
+}
+
+/// The same, each pattern changed by what lights only some of the mirrors.
+fn write_lit(
+    folder: &Path,
+    set: &PatternSet,
+    mirrors: Mirrors,
+    packing: Packing,
+    light: impl Fn(&mut [u8]),
+) -> Result<Manifest, PatternsError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |source| PatternsError::Write { path, source }
@@ -204,7 +223,8 @@ pub fn write(
     };
     let mut pictures: Vec<Vec<Vec<u8>>> = Vec::new();
     for (number, shows) in (1_u16..).zip(set.pictures()) {
-        let shown = brightness(set, shows, mirrors);
+        let mut shown = brightness(set, shows, mirrors);
+        light(&mut shown);
         let (image, pattern_in_image, bit_planes) = match (packing, Place::of(number)) {
             (Packing::Dlpc350, Some(Place { image, plane })) => {
                 let bits = match plane {
