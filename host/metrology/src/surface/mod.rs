@@ -6,6 +6,7 @@
 
 pub(crate) mod bvh;
 pub mod orientation;
+mod ray;
 pub mod sampling;
 pub(crate) mod triangle;
 mod triangle_packet;

@@ -80,6 +80,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         seal: None,
         core_map: None,
         mirrors: None,
+        fringe_contrast: None,
     })
 }
 
