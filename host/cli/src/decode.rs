@@ -20,7 +20,7 @@ use crate::output::{Common, Outcome, say};
 
 /// Fringe images to a point cloud.
 ///
-/// Reads grey PNG or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
+/// Reads grey PNG, TIFF or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
 /// with the predicted standard uncertainty of the depth at every point (property sigma_z).
 #[derive(clap::Args)]
 #[command(
