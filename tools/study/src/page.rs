@@ -349,13 +349,14 @@ impl Page<'_> {
         };
         let limit = |group| {
             let undamaged = self.of(group).find(|c| c.name.ends_with("undamaged"));
-            undamaged.map_or(f64::NAN, Cell::detection_limit_um)
+            let um = undamaged.map(Cell::detection_limit_um);
+            um.map_or("–".to_owned(), |um| format!("{um:.1} µm"))
         };
         writeln!(
             text,
             "## The smallest damage that cannot hide\n\nJudged is the largest mean loss over any disc of 0.25 mm², 0.56 mm \
-             across, whatever the damage's shape. Whatever covers such a disc anywhere in the zone is seen from {:.1} µm on \
-             against CAD of a die as built, from {:.1} µm since a baseline (limit of detection, 5 % errors of both kinds). \
+             across, whatever the damage's shape. Whatever covers such a disc anywhere in the zone is seen from {} on \
+             against CAD of a die as built, from {} since a baseline (limit of detection, 5 % errors of both kinds). \
              A smaller spot counts by what is left of its depth over the disc: a tenth of the area must be ten times as deep; \
              single cells of 0.11 mm are judged against twice the limits beside that. The deepest truth that was go here: \
              {:.1} µm against CAD, {:.1} µm since a baseline.\n",
