@@ -42,23 +42,29 @@ impl Browser {
         command
     }
 
-    /// What a script at a page's end leaves as its title, at a width.
+    /// What a script at the end of a page says by `say(text)`, in a frame of this width: a window is never narrower than 500 px.
     fn ask(&self, page: &Path, width_px: u32, script: &str) -> String {
         let text = std::fs::read_to_string(page).unwrap();
-        let asked = text.replace("</body>", &format!("<script>{script}</script></body>"));
+        let end = format!(
+            "<script>const say = (text) => (parent.document.title = text); {script}</script></body>"
+        );
+        let asked = text.replace("</body>", &end);
+        let asked = asked.replace('&', "&amp;").replace('"', "&quot;");
+        let style = format!("width:{width_px}px;height:900px;border:0");
+        let around = format!(
+            "<!doctype html><title>silent</title><iframe style=\"{style}\" srcdoc=\"{asked}\"></iframe>"
+        );
         let copy = self.folder.path().join("asked.html");
-        std::fs::write(&copy, asked).unwrap();
+        std::fs::write(&copy, around).unwrap();
         let mut command = self.command();
         command
-            .arg(format!("--window-size={width_px},900"))
+            .arg("--window-size=1500,1000")
             .arg("--dump-dom")
             .arg(&copy);
         let output = command.output().unwrap();
         let dom = String::from_utf8(output.stdout).unwrap();
-        let title = dom
-            .split("<title>")
-            .nth(1)
-            .and_then(|rest| rest.split("</title>").next());
+        let title = dom.split("<title>").nth(1);
+        let title = title.and_then(|rest| rest.split("</title>").next());
         title.unwrap_or_else(|| panic!("{dom}")).to_owned()
     }
 
@@ -77,7 +83,7 @@ impl Browser {
 
     /// Nothing lies beyond the edge at any width, and the page is printed on so many sheets.
     fn fits(&self, page: &Path, sheets: usize) {
-        let script = "document.title = innerWidth + ' ' + document.documentElement.scrollWidth";
+        let script = "addEventListener('load', () => say(innerWidth + ' ' + document.documentElement.scrollWidth))";
         for width in WIDTHS_PX {
             let said = self.ask(page, width, script);
             assert_eq!(
@@ -141,7 +147,7 @@ fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
     // In the middle of the first map, against the table.
     let script = "addEventListener('load', () => { const map = document.querySelector('[data-scale]'); \
         const box = map.getBoundingClientRect(); const at = { clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }; \
-        map.dispatchEvent(new PointerEvent('pointermove', at)); document.title = document.querySelector('.note').textContent; })";
+        map.dispatchEvent(new PointerEvent('pointermove', at)); say(document.querySelector('.note').textContent); })";
     let said = browser.ask(&page, 800, script);
     let shown: f64 = said
         .split(' ')

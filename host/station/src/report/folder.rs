@@ -56,9 +56,10 @@ impl Entry {
                 .filter(|part| part.bytes().all(|b| b.is_ascii_digit()))
         };
         let (day, time) = (digits(0..8)?, digits(9..15)?);
-        let verdict = *Word::ALL
-            .iter()
-            .find(|word| rest.ends_with(&format!("-{word}")))?;
+        // "no-go" ends with "go", too: the longest counts.
+        let ends = |word: &&Word| rest.ends_with(&format!("-{word}"));
+        let words = Word::ALL.iter().filter(ends);
+        let verdict = *words.max_by_key(|word| word.as_str().len())?;
         let what = rest.strip_suffix(&format!("-{verdict}"))?.replace('-', " ");
         let date = format!(
             "{}-{}-{} {}:{}:{}",
