@@ -16,7 +16,7 @@ use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
 
 use crate::grid::Grid;
-use crate::output::{Common, Outcome};
+use crate::output::{Common, Outcome, say};
 
 /// Fringe images to a point cloud.
 ///
@@ -179,19 +179,19 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     if !args.common.quiet {
         if decoded.frame_noise_ratio > NOTABLE_NOISE_RATIO {
-            eprintln!(
+            say(&format!(
                 "frames scatter {:.1} times as much as [sensor] predicts: limits and uncertainties were raised by that; \
                  check gain_e_per_dn and read_noise_e, or look for a flickering lamp and a bent response",
                 decoded.frame_noise_ratio
-            );
+            ));
         }
-        eprintln!(
+        say(&format!(
             "{} points of {} cells from {} frames -> {}",
             document.count,
             document.cells,
             document.frames,
             args.output.display()
-        );
+        ));
     }
     args.common.write_json(&document)?;
     Ok(Outcome::Done)

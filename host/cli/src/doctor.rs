@@ -13,9 +13,9 @@ use flankscope_station::seal::Seals;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::bench_link::{BenchArgs, demo_tool};
+use crate::bench_link::BenchArgs;
 use crate::help;
-use crate::instrument::{Instrument, Scene, head_path, scratch};
+use crate::instrument::{Instrument, Scene, head_path, scratch, tool_folder};
 use crate::output::{Common, Outcome, in_words, say};
 use crate::site::{Place, Site};
 
@@ -145,11 +145,7 @@ impl Args {
         if let Err(why) = site.demands_tool(self.tool.as_deref()) {
             return refused(why);
         }
-        let folder = match &self.tool {
-            Some(folder) => Ok(folder.clone()),
-            None => demo_tool(scratch),
-        };
-        let folder = match folder {
+        let folder = match tool_folder(self.tool.as_deref(), scratch) {
             Ok(folder) => folder,
             Err(why) => return refused(why),
         };

@@ -13,7 +13,7 @@ use flankscope_metrology::io::mesh::{self, TriMesh};
 use flankscope_metrology::registration::{fit_pairs, parse_pairs};
 use flankscope_metrology::surface::orientation::{Orientation, orient};
 
-use crate::output::Common;
+use crate::output::{Common, say};
 
 /// The CAD mesh and its unit.
 #[derive(clap::Args)]
@@ -90,7 +90,10 @@ impl CadArgs {
             mesh::load(&self.path, self.cad_unit.into()).with_context(|| self.trouble())?;
         let orientation = orient(&mut mesh);
         if !orientation.is_plain() && !common.quiet {
-            eprintln!("note: CAD mesh {}: {orientation}", self.path.display());
+            say(&format!(
+                "note: CAD mesh {}: {orientation}",
+                self.path.display()
+            ));
         }
         Ok(Cad { mesh, orientation })
     }

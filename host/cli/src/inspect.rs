@@ -122,10 +122,9 @@ impl Args {
         let quiet = self.common.quiet;
         let (mut instrument, mut writer) =
             Instrument::open(&self.source, site, &self.bench, None, quiet)?;
-        let files = [self.source.tool.as_deref(), self.source.head.as_deref()];
         let mut saved = None;
         if let Some(folder) = &self.save_frames {
-            saved = Some((folder, instrument.copy_head(files, folder)?));
+            saved = Some((folder, instrument.copy_head(folder)?));
             instrument.station.save_frames(folder)?;
         }
         let mut watcher = Watcher::of_teeth(quiet, instrument.station.teeth());

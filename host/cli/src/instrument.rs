@@ -150,6 +150,35 @@ pub struct Scene<'a> {
     pub teeth: Option<&'a [u32]>,
 }
 
+/// The files that make a head.
+struct HeadFiles {
+    head: PathBuf,
+    cores: Option<PathBuf>,
+}
+
+impl HeadFiles {
+    fn copy_to(&self, recording: &Path) -> anyhow::Result<PathBuf> {
+        let name = PathBuf::from(self.head.file_name().unwrap_or_default());
+        let check = self.head.with_extension("check.toml");
+        let mut files = vec![(self.head.clone(), name.clone())];
+        if check.exists() {
+            files.push((check, name.with_extension("check.toml")));
+        }
+        // An absolute path stays as good as it is.
+        if let Some(cores) = self.cores.as_ref().filter(|cores| cores.is_relative()) {
+            files.push((self.head.with_file_name("").join(cores), cores.clone()));
+        }
+        for (from, name) in files {
+            let to = recording.join(name);
+            let copied = to.parent().map_or(Ok(()), std::fs::create_dir_all);
+            copied
+                .and_then(|()| std::fs::copy(&from, &to).map(drop))
+                .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
+        }
+        Ok(name)
+    }
+}
+
 /// A station with its threads running, and the controller's port.
 pub struct Instrument<S = Station> {
     /// The host's side.
@@ -158,6 +187,8 @@ pub struct Instrument<S = Station> {
     pub port: PathBuf,
     /// How patiently to talk to it.
     pub settings: ClientSettings,
+    /// Where one was read.
+    head: Option<HeadFiles>,
     bench: Option<Bench>,
     _camera: Option<CameraProcess>,
     _root: Arc<SharedRoot>,
@@ -231,18 +262,10 @@ pub fn recorded_subject(
     quiet: bool,
 ) -> anyhow::Result<Subject> {
     let own = scratch()?;
-    let folder = match tool {
-        Some(folder) => folder.clone(),
-        None => demo_tool(own.path())?,
-    };
+    let folder = tool_folder(tool.as_deref(), own.path())?;
     let head = head.clone().or_else(|| recording.head());
-    let (mut subject, head_path) = load(&folder, head.as_deref(), own.path())?;
+    let (mut subject, _) = standing(&folder, head.as_deref(), site, quiet, own.path())?;
     subject.temperature_degc = recording.index.tool_temperature_degc;
-    site.stand_before(&mut subject);
-    site.takes_head(&subject.head)?;
-    if !quiet {
-        announce(site, &subject, &head_path, own.path());
-    }
     Ok(subject)
 }
 
@@ -261,18 +284,18 @@ impl<S> Instrument<S> {
         let own = scratch()?;
         fits_bench(bench, site)?;
         site.demands([tool, head])?;
-        let folder = match tool {
-            Some(folder) => folder.to_path_buf(),
-            None => demo_tool(own.path())?,
-        };
-        let (mut subject, head_path) = load(&folder, head, own.path())?;
-        site.stand_before(&mut subject);
-        site.takes_head(&subject.head)?;
-        if !quiet {
-            announce(site, &subject, &head_path, own.path());
-        }
-        Self::before(&folder, site, bench, scene, quiet, own, |root| {
+        let folder = tool_folder(tool, own.path())?;
+        let (subject, head_path) = standing(&folder, head, site, quiet, own.path())?;
+        let cores = subject.head.cores.as_ref().map(|cores| cores.file.clone());
+        let instrument = Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)
+        })?;
+        Ok(Self {
+            head: Some(HeadFiles {
+                head: head_path,
+                cores,
+            }),
+            ..instrument
         })
     }
 
@@ -287,7 +310,6 @@ impl<S> Instrument<S> {
         station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
-        let interrupt = interrupt::on_signals()?;
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
@@ -296,10 +318,8 @@ impl<S> Instrument<S> {
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),
-                settings: ClientSettings {
-                    interrupt,
-                    ..bench.client_settings(&site.settings)
-                },
+                settings: interrupted(bench.client_settings(&site.settings))?,
+                head: None,
                 bench: Some(bench),
                 _camera: None,
                 _root: root,
@@ -314,10 +334,8 @@ impl<S> Instrument<S> {
         Ok(Self {
             station,
             port: port.clone(),
-            settings: ClientSettings {
-                interrupt,
-                ..site.settings.client()
-            },
+            settings: interrupted(site.settings.client())?,
+            head: None,
             bench: None,
             _camera: camera,
             _root: root,
@@ -326,36 +344,9 @@ impl<S> Instrument<S> {
     }
 
     /// Copies the head's file, and what belongs to it, into the folder of a recording; returns its name there.
-    pub fn copy_head(
-        &self,
-        [tool, head]: [Option<&Path>; 2],
-        recording: &Path,
-    ) -> anyhow::Result<PathBuf> {
-        let scratch = self._scratch.path();
-        let folder = match tool {
-            Some(folder) => folder.to_path_buf(),
-            None => demo_tool(scratch)?,
-        };
-        let path = head_path(&Tool::load(&folder)?, head, scratch)?;
-        let name = PathBuf::from(path.file_name().unwrap_or_default());
-        let check = path.with_extension("check.toml");
-        let mut files = vec![(path.clone(), name.clone())];
-        if check.exists() {
-            files.push((check, name.with_extension("check.toml")));
-        }
-        let cores = HeadModel::load(&path)?.cores.map(|cores| cores.file);
-        // An absolute path stays as good as it is.
-        if let Some(cores) = cores.filter(|cores| cores.is_relative()) {
-            files.push((path.with_file_name("").join(&cores), cores));
-        }
-        for (from, name) in files {
-            let to = recording.join(name);
-            let copied = to.parent().map_or(Ok(()), std::fs::create_dir_all);
-            copied
-                .and_then(|()| std::fs::copy(&from, &to).map(drop))
-                .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
-        }
-        Ok(name)
+    pub fn copy_head(&self, recording: &Path) -> anyhow::Result<PathBuf> {
+        let files = self.head.as_ref().context("no head was read")?;
+        files.copy_to(recording)
     }
 
     /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
@@ -380,10 +371,7 @@ pub fn subject(
     station: Option<&Path>,
 ) -> anyhow::Result<Subject> {
     let own = scratch()?;
-    let folder = match tool {
-        Some(folder) => folder.to_path_buf(),
-        None => demo_tool(own.path())?,
-    };
+    let folder = tool_folder(tool, own.path())?;
     let (mut subject, _) = load(&folder, head, own.path())?;
     let (settings, hash) = station_file(station)?;
     subject.station = Arc::new(settings);
@@ -417,6 +405,36 @@ fn announce(site: &Site, subject: &Subject, head: &Path, scratch: &Path) {
         subject.head.name,
         from(head),
     ));
+}
+
+/// The settings, and the client ends what it does when somebody interrupts the program.
+fn interrupted(settings: ClientSettings) -> anyhow::Result<ClientSettings> {
+    Ok(ClientSettings {
+        interrupt: interrupt::on_signals()?,
+        ..settings
+    })
+}
+
+/// The folder that was named, else the demo's.
+pub fn tool_folder(named: Option<&Path>, scratch: &Path) -> anyhow::Result<PathBuf> {
+    named.map_or_else(|| demo_tool(scratch), |folder| Ok(folder.to_path_buf()))
+}
+
+/// Reads tool and head, stands the site's instrument before them, and says which they are; also returns the head's file.
+fn standing(
+    folder: &Path,
+    head: Option<&Path>,
+    site: &Site,
+    quiet: bool,
+    scratch: &Path,
+) -> anyhow::Result<(Subject, PathBuf)> {
+    let (mut subject, head_path) = load(folder, head, scratch)?;
+    site.stand_before(&mut subject);
+    site.takes_head(&subject.head)?;
+    if !quiet {
+        announce(site, &subject, &head_path, scratch);
+    }
+    Ok((subject, head_path))
 }
 
 /// Reads tool and head, and hashes what was read; also returns the head's file.

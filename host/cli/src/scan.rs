@@ -322,8 +322,7 @@ impl Args {
         let Some(folder) = self.save_frames.as_deref() else {
             return Ok(None);
         };
-        let files = [self.tool.as_deref(), self.head.as_deref()];
-        let head = instrument.copy_head(files, folder)?;
+        let head = instrument.copy_head(folder)?;
         instrument.station.save_frames(folder)?;
         Ok(Some((folder, head)))
     }

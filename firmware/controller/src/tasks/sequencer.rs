@@ -66,6 +66,7 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
             continue;
         };
         let mut actions = Actions::new();
+        let mut reply = None;
         match woken {
             Either4::First(request) => {
                 let link = LinkCounts {
@@ -73,21 +74,10 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
                     events_lost: mail.events_lost.load(Ordering::Relaxed),
                 };
                 let Request { header, command } = request;
-                let reply = handler.handle(now(), header, command.as_ref(), link, &mut actions);
+                let answer = handler.handle(now(), header, command.as_ref(), link, &mut actions);
                 mail.session
                     .store(handler.session().unwrap_or(0), Ordering::Relaxed);
-                // The outputs follow before the reply is sent: an accepted abort has already put out the LED.
-                perform(
-                    &mut handler,
-                    &mut optics,
-                    mail,
-                    &mut actions,
-                    &mut unreported,
-                )
-                .await;
-                // No room: the host asks again, and the reply is remembered.
-                let _room = mail.outgoing.try_send(Outgoing::Reply(header, reply));
-                continue;
+                reply = Some(Outgoing::Reply(header, answer));
             }
             Either4::Second(report) => handler.sequence.step(now(), report.into(), &mut actions),
             Either4::Third(()) => handler.sequence.step(now(), Input::Tick, &mut actions),
@@ -101,6 +91,11 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
             &mut unreported,
         )
         .await;
+        // The outputs came first: an accepted abort has already put out the LED.
+        if let Some(reply) = reply {
+            // No room: the host asks again, and the reply is remembered.
+            let _room = mail.outgoing.try_send(reply);
+        }
     }
 }
 
