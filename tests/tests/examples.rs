@@ -20,6 +20,24 @@ fn said(arguments: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
+/// Help is wrapped at 100 columns: a line to which the next one's first word would not have been added goes on there.
+fn unwrapped(help: &str) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    let mut wide = 0;
+    for line in help.lines() {
+        let word = line.split_whitespace().next().map_or(0, str::len);
+        match lines.last_mut() {
+            Some(last) if word > 0 && wide > 0 && wide + 1 + word > 100 => {
+                *last += " ";
+                *last += line.trim();
+            }
+            _ => lines.push(line.to_owned()),
+        }
+        wide = line.len();
+    }
+    lines
+}
+
 /// Arguments are read in order, and `--help` behind them ends well only where all before it are understood.
 #[track_caller]
 fn is_understood(arguments: &[String], line: &str) {
@@ -77,7 +95,7 @@ fn every_example_of_a_help_text_is_understood() {
     for command in commands {
         let help = said(&[command, "--help"]);
         let before = examples;
-        for line in help.lines().map(str::trim) {
+        for line in unwrapped(&help).iter().map(|line| line.trim()) {
             if let Some(arguments) = arguments(line).filter(|_| line.starts_with("flankscope ")) {
                 is_understood(&arguments, line);
                 examples += 1;
