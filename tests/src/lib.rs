@@ -38,17 +38,32 @@ pub fn flankscope() -> Command {
             .join("flankscope")
     });
     let mut command = Command::new(program);
-    // The tests' own station: its key lies in the build folder.
+    // The tests' own station.
     command.env("FLANKSCOPE_STATE", state());
     command
 }
 
-/// Where the tests' station keeps its key and what it remembers.
+/// Where the station of this process's tests keeps its key and what it remembers, beside the program: what an earlier run
+/// trusted is nothing to this one. The first use removes those of processes that have ended.
 #[must_use]
 pub fn state() -> PathBuf {
-    let here = std::env::current_exe().unwrap_or_default();
-    let profile = here.ancestors().nth(2).unwrap_or(Path::new("."));
-    profile.join("flankscope-state")
+    static STATE: OnceLock<PathBuf> = OnceLock::new();
+    let state = STATE.get_or_init(|| {
+        const PREFIX: &str = "flankscope-state-";
+        let here = std::env::current_exe().unwrap_or_default();
+        let profile = here.ancestors().nth(2).unwrap_or(Path::new("."));
+        let own = std::process::id();
+        for entry in std::fs::read_dir(profile).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let id = name.strip_prefix(PREFIX).and_then(|id| id.parse().ok());
+            let over = |id: u32| id == own || !Path::new(&format!("/proc/{id}")).exists();
+            if id.is_some_and(over) {
+                let _another_process_may_do_the_same = std::fs::remove_dir_all(entry.path());
+            }
+        }
+        profile.join(format!("{PREFIX}{own}"))
+    });
+    state.clone()
 }
 
 /// The demo die's drawing.
@@ -230,13 +245,7 @@ pub fn expire(head: &Path) {
         Some("expires") => "expires = \"2001-06-30\"\n".into(),
         _ => format!("{line}\n"),
     };
-    // Another head than that of any earlier run: nobody has signed or trusted it yet.
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-    let name = format!("name = \"{:?} ", now.unwrap_or_default());
-    edit(head, |text| {
-        let old: String = text.lines().map(line).collect();
-        old.replacen("name = \"", &name, 1)
-    });
+    edit(head, |text| text.lines().map(line).collect());
 }
 
 fn edit(path: &Path, change: impl FnOnce(&str) -> String) {

@@ -7,7 +7,7 @@ use std::process::{self, Child, ChildStdout, Stdio};
 
 use anyhow::{Context, bail};
 pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
-use flankscope_bench::config::{BenchConfig, ControllerKind, Speed, Stands};
+use flankscope_bench::config::{BenchConfig, ControllerKind, Speed, Stands, SurfaceKind};
 use flankscope_bench::process::{Farewell, Hello};
 use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
@@ -60,6 +60,14 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
         ("--wear", !args.wear.is_empty()),
         ("--die-mesh", args.die_mesh.is_some()),
         ("--frame-fault", args.frame_fault.is_some()),
+        ("--surface", args.surface != SurfaceKind::default()),
+        ("--sprayed-above-mm", args.sprayed_above_mm.is_some()),
+        ("--bounces", args.bounces.is_some()),
+        ("--shiver-um", args.shiver_um != 0.0),
+        ("--backlash-mdeg", args.backlash_mdeg != 0.0),
+        ("--backlash-um", args.backlash_um != 0.0),
+        ("--encoder-saw", args.encoder_saw.is_some()),
+        ("--core-drift-px", args.core_drift_px != 0.0),
         ("--vibration-um", args.vibration_um != 0.0),
         ("--lens-error-um", args.lens_error_um != 0.0),
     ];
@@ -75,7 +83,7 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
 
 /// What stands on the bench, in words that two runs share only if the same stands there.
 pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
-    let mut what = format!(
+    let mut what_stands = format!(
         "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
         bench.seed,
         die.ovality_um,
@@ -85,18 +93,41 @@ pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
         die.die_seed,
         die.flanks_um
     );
+    for (what, um) in [
+        ("three lobes", die.three_lobe_um),
+        ("barrel", die.barrel_um),
+        ("bell mouth", die.bell_mouth_um),
+    ] {
+        if um != 0.0 {
+            what_stands += &format!(", {what} {um} um");
+        }
+    }
+    if let Some(saw) = &bench.encoder_saw {
+        what_stands += &format!(", encoder {saw}");
+    }
     if let Some(other) = &die.die {
-        what += &format!(", die {other}");
+        what_stands += &format!(", die {other}");
+    }
+    if bench.surface != SurfaceKind::default()
+        || bench.sprayed_above_mm.is_some()
+        || bench.bounces() > 1
+    {
+        what_stands += &format!(
+            ", surface {:?} in {} bounces, sprayed above {:?} mm",
+            bench.surface,
+            bench.bounces(),
+            bench.sprayed_above_mm
+        );
     }
     for wear in &bench.wear {
-        what += &format!(", wear {wear}");
+        what_stands += &format!(", wear {wear}");
     }
     if let Some(mesh) = &bench.die_mesh {
         // Another content under the same name is another die; what cannot be read is refused by the bench.
         let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
-        what += &format!(", mesh {}", content.unwrap_or_default());
+        what_stands += &format!(", mesh {}", content.unwrap_or_default());
     }
-    what
+    what_stands
 }
 
 /// A running bench.

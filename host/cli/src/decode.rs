@@ -8,7 +8,7 @@ use anyhow::Context;
 use flankscope_foundation::order::median_of;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
-    Cloud, DecodeOptions, Decoder, GridKind, PatchOptions, Rejected,
+    Cloud, DecodeOptions, Decoder, GridKind, LightMedians, PatchOptions, Rejected,
 };
 use flankscope_profilometry::decode::{ConsistencyOptions, OrderConsistency};
 use flankscope_profilometry::head::{HeadModel, Sensor};
@@ -20,7 +20,7 @@ use crate::output::{Common, Outcome, say};
 
 /// Fringe images to a point cloud.
 ///
-/// Reads grey PNG or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
+/// Reads grey PNG, TIFF or PGM images of one view, decodes them as the plan says and writes a binary PLY in the camera frame, in mm,
 /// with the predicted standard uncertainty of the depth at every point (property sigma_z).
 #[derive(clap::Args)]
 #[command(
@@ -79,6 +79,9 @@ pub struct Args {
         requires = "mask_threshold"
     )]
     mask_smooth: f64,
+    /// Write light straight from the projector and over other ways at every point, too (properties direct and global, electrons).
+    #[arg(long)]
+    light_parts: bool,
     #[command(flatten)]
     common: Common,
 }
@@ -98,6 +101,8 @@ struct Document<'a> {
     frame_noise_ratio: f64,
     /// Median contrast of each frequency over the cells with a point, low to high.
     contrast: &'a [f64],
+    /// Direct and global light with every mirror on, medians over the points.
+    light: Option<LightMedians>,
     /// Median of the predicted standard uncertainties of the depth.
     sigma_z_median_mm: Option<f32>,
     elapsed_ms: Elapsed,
@@ -156,8 +161,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let done = Instant::now();
 
     let cloud = &decoded.cloud;
-    flankscope_station::files::stream_whole(&args.output, |file| write_ply(file, cloud))
-        .with_context(|| format!("cannot write {}", args.output.display()))?;
+    flankscope_station::files::stream_whole(&args.output, |file| {
+        write_ply(file, cloud, args.light_parts)
+    })
+    .with_context(|| format!("cannot write {}", args.output.display()))?;
     let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
     let document = Document {
         count: cloud.len(),
@@ -169,6 +176,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         min_modulation_dn: decoder.floors_dn(),
         frame_noise_ratio: decoded.frame_noise_ratio,
         contrast: &decoded.contrast,
+        light: decoded.light,
         sigma_z_median_mm: median_of(cloud.sigma_z_mm.iter().map(|&s| f64::from(s)))
             .map(|s| s as f32),
         elapsed_ms: Elapsed {
@@ -232,20 +240,27 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
     }
 }
 
-fn write_ply(file: &mut dyn Write, cloud: &Cloud) -> io::Result<()> {
+fn write_ply(file: &mut dyn Write, cloud: &Cloud, light_parts: bool) -> io::Result<()> {
+    let parts = match light_parts {
+        true => "property float direct\nproperty float global\n",
+        false => "",
+    };
     write!(
         file,
         "ply\nformat binary_little_endian 1.0\ncomment camera frame, mm; sigma_z is the standard uncertainty of z\n\
-         element vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float sigma_z\nend_header\n",
+         element vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float sigma_z\n{parts}end_header\n",
         cloud.len()
     )?;
-    for (point, sigma) in cloud.points_mm.iter().zip(&cloud.sigma_z_mm) {
-        let mut vertex = [0u8; 16];
-        let values = [point[0] as f32, point[1] as f32, point[2] as f32, *sigma];
+    let vertices = cloud.points_mm.iter().zip(&cloud.sigma_z_mm);
+    for ((point, sigma), light) in vertices.zip(&cloud.light) {
+        let [x, y, z] = point.map(|mm| mm as f32);
+        let [direct, global] = [light.direct_e, light.global_e].map(|electrons| electrons as f32);
+        let mut vertex = [0u8; 24];
+        let values = [x, y, z, *sigma, direct, global];
         for (bytes, value) in vertex.chunks_exact_mut(4).zip(values) {
             bytes.copy_from_slice(&value.to_le_bytes());
         }
-        file.write_all(&vertex)?;
+        file.write_all(if light_parts { &vertex } else { &vertex[..16] })?;
     }
     Ok(())
 }

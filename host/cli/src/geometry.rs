@@ -34,6 +34,12 @@ pub struct CloudUnit {
     pub cloud_unit: FileUnit,
 }
 
+impl From<CloudUnit> for Unit {
+    fn from(unit: CloudUnit) -> Self {
+        unit.cloud_unit.into()
+    }
+}
+
 /// Unit of a file.
 #[derive(clap::ValueEnum, Clone, Copy)]
 pub enum FileUnit {
@@ -111,9 +117,8 @@ pub struct Cad {
 }
 
 /// Loads a cloud.
-pub fn load_cloud(path: &Path, unit: CloudUnit) -> anyhow::Result<Cloud> {
-    cloud::load(path, unit.cloud_unit.into())
-        .with_context(|| format!("cannot use cloud {}", path.display()))
+pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
+    cloud::load(path, unit.into()).with_context(|| format!("cannot use cloud {}", path.display()))
 }
 
 /// The pose that picked pairs give.

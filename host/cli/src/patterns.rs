@@ -1,13 +1,18 @@
 //! `flankscope patterns`: the pictures that the DMD has to show.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::head::{Arrangement, HeadModel, Mirrors};
 use flankscope_profilometry::pattern::{NAMED, PatternSet};
 use flankscope_profilometry::plan::Plan;
-use flankscope_station::patterns::{Manifest, Packing, write};
+use flankscope_station::inspection::PlannedView;
+use flankscope_station::patterns::{
+    Adaptive, CaptureTime, Manifest, Packing, Passes, Region, write, write_adaptive,
+};
+use flankscope_station::settings::Timing;
 
 use crate::bench_link::demo_tool;
 use crate::help;
@@ -51,6 +56,29 @@ pub struct Args {
     /// The set of a plan file instead
     #[arg(long, value_name = "PLAN.toml", conflicts_with = "set")]
     plan: Option<PathBuf>,
+    /// Images for one view of this tool, which light left flanks, right flanks and the rest in passes of their own
+    #[arg(long, value_name = "TOOL", requires = "tooth")]
+    adaptive: Option<PathBuf>,
+    /// Tooth in the middle of that view
+    #[arg(long, value_name = "TOOTH", requires = "adaptive")]
+    tooth: Option<u32>,
+    /// Height of that view, mm [default: the tool file's]
+    #[arg(
+        long,
+        value_name = "MM",
+        requires = "adaptive",
+        allow_hyphen_values = true
+    )]
+    height: Option<f64>,
+    /// How far a pass reaches beyond its flanks, mm: what the pose may be off before the first frame
+    #[arg(
+        long,
+        value_name = "MM",
+        requires = "adaptive",
+        default_value_t = 0.1,
+        allow_hyphen_values = true
+    )]
+    margin: f64,
     /// How the images are stored [default: dlpc350 for diamond mirrors, else grey]
     #[arg(long, value_enum, value_name = "HOW")]
     pack: Option<Stored>,
@@ -64,7 +92,10 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     args.common.try_json()?;
-    let mirrors = args.mirrors()?;
+    if let (Some(folder), Some(tooth)) = (&args.adaptive, args.tooth) {
+        return adaptive(args, folder, tooth);
+    }
+    let mirrors = args.mirrors(&args.head()?)?;
     let packing = args
         .pack
         .map_or_else(|| Packing::of(mirrors), Packing::from);
@@ -90,14 +121,86 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-impl Args {
-    fn mirrors(&self) -> anyhow::Result<Mirrors> {
-        let own = scratch()?;
-        let path = match &self.head {
-            Some(path) => path.clone(),
-            None => demo_tool(own.path())?.join("head.toml"),
+/// Images for the passes of one view.
+fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
+    let tool = Tool::load(folder)?;
+    let head = args.head()?;
+    let packing = args
+        .pack
+        .map_or_else(|| Packing::of(head.mirrors()), Packing::from);
+    args.mirrors(&head)?;
+    let set = match (&args.set, &args.plan) {
+        (None, None) => PatternSet::named(
+            head.pattern_set
+                .as_deref()
+                .context("the head file names no pattern_set: choose one with --set or --plan")?,
+        )?,
+        _ => args.sets()?.swap_remove(0),
+    };
+    let mut views = PlannedView::of_teeth(&tool, &[tooth])?;
+    let mut view = views.swap_remove(0);
+    view.vertical_mm = args.height.unwrap_or(view.vertical_mm);
+    anyhow::ensure!(
+        view.vertical_mm.is_finite(),
+        "--height {}: must be a finite height in mm",
+        view.vertical_mm
+    );
+    anyhow::ensure!(
+        !head.exposures_us.is_empty(),
+        "the head file has no exposures_us, which say how long a view takes"
+    );
+    let passes = Passes::new(&tool, &head, &view, args.margin)?;
+    let time = CaptureTime::of(&set, &head.exposures_us, &Timing::default());
+    try_folder(&args.output, &[])?;
+    let written = write_adaptive(&args.output, &set, &passes, time, packing)?;
+    if args.common.shows_table() {
+        told(&written, &args.output)?;
+    }
+    args.common.write_json(&written)?;
+    Ok(Outcome::Done)
+}
+
+/// What was written, and what a view takes with it.
+fn told(written: &Adaptive, output: &Path) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    for pass in &written.passes {
+        let folder = output.join(pass.lights);
+        let lit = 100.0 * pass.lit_ratio;
+        writeln!(out, "{}: {lit:.1} % of the mirrors", folder.display())?;
+    }
+    let time = &written.time;
+    writeln!(
+        out,
+        "A view takes {} frames in {:.2} s, {} passes; plain {} in {:.2} s",
+        time.frames,
+        time.seconds,
+        Region::ALL.len(),
+        time.plain_frames,
+        time.plain_seconds
+    )?;
+    for loading in &written.loading {
+        let time = match loading.at_most_s {
+            Some(seconds) => format!("at most {seconds:.3} s"),
+            None => "not possible, or not known".to_owned(),
         };
-        let head = HeadModel::load(&path).context("head")?;
+        let (controller, note) = (loading.controller, loading.note);
+        writeln!(out, "Until {controller} has them: {time}\n    ({note})")?;
+    }
+    Ok(())
+}
+
+impl Args {
+    fn head(&self) -> anyhow::Result<HeadModel> {
+        let own = scratch()?;
+        let path = match (&self.head, &self.adaptive) {
+            (Some(path), _) => path.clone(),
+            (None, Some(tool)) => tool.join("head.toml"),
+            (None, None) => demo_tool(own.path())?.join("head.toml"),
+        };
+        HeadModel::load(&path).context("head")
+    }
+
+    fn mirrors(&self, head: &HeadModel) -> anyhow::Result<Mirrors> {
         let mirrors = head.mirrors();
         anyhow::ensure!(
             !matches!(self.pack, Some(Stored::Dlpc350))

@@ -1,10 +1,11 @@
-//! `flankscope register`: A cloud laid on a CAD mesh.
+//! `flankscope register`: A cloud laid on a CAD mesh, or on another cloud.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
+use flankscope_metrology::cloud::surface::CloudSurface;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
@@ -16,21 +17,34 @@ use flankscope_metrology::verdict::Code;
 use serde::Serialize;
 
 use crate::geometry::{
-    Cad, CadArgs, CloudUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
+    Cad, CadArgs, CloudUnit, FileUnit, load_cloud, milliseconds, pose_of_pairs, tell, write_file,
 };
 use crate::output::{Common, Outcome};
 
 /// Poses one pitch apart look alike when the CAD repeats within this, mm.
 const REPEAT_TOLERANCE_MM: f64 = 0.02;
 
-/// A cloud laid on a CAD mesh.
+/// A cloud laid on a CAD mesh, or on another cloud.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\nExit codes: 0 registered, 2 indeterminate, 3 could not run."
+    after_help = "Example:\n  flankscope register --cad die.stl --cloud view.ply -o aligned.ply --json -\n\nExit codes: 0 registered, 2 indeterminate, 3 could not run.",
+    group(clap::ArgGroup::new("on").args(["path", "reference"]).required(true))
 )]
 pub struct Args {
     #[command(flatten)]
-    cad: CadArgs,
+    cad: Option<CadArgs>,
+    /// Another cloud to lay it on, instead of a mesh: PLY or text with `x y z` per line. Each of its points stands for the plane
+    /// through its 20 nearest neighbours.
+    #[arg(long, value_name = "CLOUD")]
+    reference: Option<PathBuf>,
+    /// Unit of that cloud; the formats do not say.
+    #[arg(
+        long,
+        value_name = "UNIT",
+        default_value = "mm",
+        requires = "reference"
+    )]
+    reference_unit: FileUnit,
     /// Cloud: PLY or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
@@ -55,6 +69,9 @@ pub struct Args {
     /// Least share of the points that must lie on the surface after the fit, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     least_inliers: f64,
+    /// Teeth about z, where poses one pitch apart look alike [default: what is found in the CAD or the reference]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1000))]
+    teeth: Option<u32>,
     /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
@@ -117,32 +134,31 @@ struct Elapsed {
     align: f64,
 }
 
+impl Elapsed {
+    /// Between start, loaded, prepared and done.
+    fn between(at: [Instant; 4]) -> Self {
+        Self {
+            load: milliseconds(at[0], at[1]),
+            prepare: milliseconds(at[1], at[2]),
+            align: milliseconds(at[2], at[3]),
+        }
+    }
+}
+
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
-    let Cad { mesh, .. } = args.cad.load(&args.common)?;
     let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
     let initial = args.start_pose()?;
-    let loaded = Instant::now();
-    let surface = Surface::new(&mesh).with_context(|| args.cad.trouble())?;
-    let teeth = detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
-    let scaled = Options::for_noise(args.noise_mm);
-    let options = Options {
-        initial,
+    let Laid {
+        found,
         teeth,
-        capture_mm: args.capture_mm.unwrap_or(scaled.capture_mm),
-        most_inlier_mm: args.inlier_mm.unwrap_or(scaled.most_inlier_mm),
-        least_inlier_ratio: args.least_inliers,
-        ..scaled
+        elapsed_ms,
+    } = match (&args.cad, &args.reference) {
+        (Some(cad), _) => args.on_mesh(cad, &cloud, initial, start)?,
+        (None, Some(reference)) => args.on_cloud(reference, &cloud, initial, start)?,
+        (None, None) => bail!("nothing to lay the cloud on: --cad MESH or --reference CLOUD"),
     };
-    let prepared = Instant::now();
-    let found = match args.method {
-        Method::Surface => register(&surface, &cloud.points, None, &options),
-        Method::Paper => {
-            register_hinz2019(&mesh, &cloud.points, &initial, &Hinz2019Options::default()).0
-        }
-    };
-    let aligned = Instant::now();
     if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {
         // Not a doubtful result but an input that cannot be worked with.
         bail!("cloud {} has {reason}", args.cloud.display());
@@ -164,16 +180,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         };
         write_file(output, |out| laid.write_ply(out, &[]))?;
     }
-    let report = Report::new(
-        &found,
-        cloud.points.len(),
-        teeth,
-        Elapsed {
-            load: milliseconds(start, loaded),
-            prepare: milliseconds(loaded, prepared),
-            align: milliseconds(prepared, aligned),
-        },
-    );
+    let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
     args.common.write_json(&report)?;
     tell(&args.common, || report.line());
     Ok(if found.is_registered() {
@@ -183,7 +190,81 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     })
 }
 
+/// A registration, and what went with it.
+struct Laid {
+    found: Registration,
+    teeth: Option<u32>,
+    elapsed_ms: Elapsed,
+}
+
 impl Args {
+    fn on_mesh(
+        &self,
+        cad: &CadArgs,
+        cloud: &CloudFile,
+        initial: Rigid<Tool, Cloud>,
+        start: Instant,
+    ) -> anyhow::Result<Laid> {
+        let Cad { mesh, .. } = cad.load(&self.common)?;
+        let loaded = Instant::now();
+        let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
+        let teeth = || detect_teeth(&mesh.vertices, &surface, REPEAT_TOLERANCE_MM);
+        let options = self.options(initial, teeth);
+        let prepared = Instant::now();
+        let found = match self.method {
+            Method::Surface => register(&surface, &cloud.points, None, &options),
+            Method::Paper => {
+                let paper = Hinz2019Options::default();
+                register_hinz2019(&mesh, &cloud.points, &initial, &paper).0
+            }
+        };
+        Ok(Laid {
+            found,
+            teeth: options.teeth,
+            elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
+        })
+    }
+
+    fn on_cloud(
+        &self,
+        reference: &Path,
+        cloud: &CloudFile,
+        initial: Rigid<Tool, Cloud>,
+        start: Instant,
+    ) -> anyhow::Result<Laid> {
+        anyhow::ensure!(
+            self.method == Method::Surface,
+            "--method paper draws its points on a mesh: name one by --cad instead of --reference"
+        );
+        let other = load_cloud(reference, self.reference_unit)?;
+        let loaded = Instant::now();
+        let surface = CloudSurface::new(&other.points, self.noise_mm)
+            .with_context(|| format!("cannot use cloud {}", reference.display()))?;
+        // A cloud repeats no better than its points are.
+        let tolerance_mm = REPEAT_TOLERANCE_MM.max(3.0 * self.noise_mm);
+        let teeth = || detect_teeth(&other.points, &surface, tolerance_mm);
+        let options = self.options(initial, teeth);
+        let prepared = Instant::now();
+        let found = register(&surface, &cloud.points, None, &options);
+        Ok(Laid {
+            found,
+            teeth: options.teeth,
+            elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
+        })
+    }
+
+    fn options(&self, initial: Rigid<Tool, Cloud>, teeth: impl FnOnce() -> Option<u32>) -> Options {
+        let scaled = Options::for_noise(self.noise_mm);
+        Options {
+            initial,
+            teeth: self.teeth.or_else(teeth),
+            capture_mm: self.capture_mm.unwrap_or(scaled.capture_mm),
+            most_inlier_mm: self.inlier_mm.unwrap_or(scaled.most_inlier_mm),
+            least_inlier_ratio: self.least_inliers,
+            ..scaled
+        }
+    }
+
     fn start_pose(&self) -> anyhow::Result<Rigid<Tool, Cloud>> {
         if let Some(path) = &self.init {
             return read_pose(path)

@@ -13,7 +13,7 @@ use std::fs::{DirBuilder, DirEntry, File, Metadata, OpenOptions, Permissions};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, OFlags, flock};
@@ -132,11 +132,20 @@ pub fn remove_run_folders() {
 }
 
 /// The base of this user's run folders: `flankscope` in the user's runtime folder, else `flankscope-UID` in the temporary
-/// folder; where somebody else has that name, one that nobody could foresee.
+/// folder; where somebody else has that name, one that nobody could foresee. Looked for once in a process, and said once.
 ///
 /// # Errors
 /// Anybody may exchange folders in the temporary folder, or nothing can be made there.
 pub fn default_base() -> Result<PathBuf, RootError> {
+    static BASE: OnceLock<PathBuf> = OnceLock::new();
+    if let Some(base) = BASE.get() {
+        return Ok(base.clone());
+    }
+    let base = look_for_base()?;
+    Ok(BASE.get_or_init(|| base).clone())
+}
+
+fn look_for_base() -> Result<PathBuf, RootError> {
     if let Some(runtime) = std::env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from)
         && is_private(&runtime)
     {

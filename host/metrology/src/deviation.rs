@@ -31,10 +31,12 @@ pub enum Order {
 
 /// No tree can be built over the points.
 #[derive(Debug, thiserror::Error, PartialEq)]
-#[error("{points} reference points cannot be searched; right would be 1 to 4294967295")]
+#[error("{points} reference points cannot be searched; right would be {least} to 4294967295")]
 pub struct SampleTreeError {
     /// Number of points.
     pub points: usize,
+    /// Least number.
+    pub least: usize,
 }
 
 /// Random surface points as reference, as in the article: the distance to the nearest of them has no sign and, even for a
@@ -49,6 +51,7 @@ impl SampleTree {
     pub fn new(points: &[[f64; 3]]) -> Result<Self, SampleTreeError> {
         let error = SampleTreeError {
             points: points.len(),
+            least: 1,
         };
         if points.is_empty() {
             return Err(error);

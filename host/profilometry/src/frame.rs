@@ -1,5 +1,7 @@
 //! One camera frame, borrowed where it lies.
 
+use crate::pattern::Shown;
+
 /// A frame in somebody else's memory (a shared memory slice, a decoded image). Never copied.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameView<'a> {
@@ -78,6 +80,41 @@ pub enum FrameKind {
         /// Index of the phase step.
         step: u32,
     },
+    /// One bit of a Gray code.
+    Code {
+        /// Index of the exposure, ascending in time.
+        exposure: usize,
+        /// Index of the bit, 0 the most significant.
+        bit: u32,
+        /// Whether dark and bright are exchanged.
+        complement: bool,
+    },
+}
+
+impl FrameKind {
+    /// A picture at one exposure.
+    pub fn of(picture: Shown, exposure: usize) -> Self {
+        match picture {
+            Shown::Fringe { set, step } => Self::Fringe {
+                exposure,
+                set,
+                step,
+            },
+            Shown::Code { bit, complement } => Self::Code {
+                exposure,
+                bit,
+                complement,
+            },
+        }
+    }
+
+    /// Index of the exposure; `None` of the dark frame, which is exposed as the shortest.
+    pub fn exposure(self) -> Option<usize> {
+        match self {
+            Self::Dark => None,
+            Self::Fringe { exposure, .. } | Self::Code { exposure, .. } => Some(exposure),
+        }
+    }
 }
 
 impl std::fmt::Display for FrameKind {
@@ -90,6 +127,14 @@ impl std::fmt::Display for FrameKind {
                 step,
             } => {
                 write!(f, "exposure {exposure}, frequency {set}, step {step}")
+            }
+            Self::Code {
+                exposure,
+                bit,
+                complement,
+            } => {
+                let of = if *complement { "complement of " } else { "" };
+                write!(f, "exposure {exposure}, {of}code bit {bit}")
             }
         }
     }
@@ -105,7 +150,8 @@ pub struct FrameLevel {
 }
 
 impl FrameLevel {
-    /// Whether the frame shows what it should: the dark frame no more than `dark_limit_dn`, a fringe frame more.
+    /// Whether the frame shows what it should: the dark frame no more than `dark_limit_dn`, a fringe frame more. Of a code a view
+    /// may lie in a single stripe: its frames may be either.
     ///
     /// A dark frame between the fringes, or light in the dark frame, means that triggers and frames lost step.
     ///

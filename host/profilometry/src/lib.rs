@@ -1,8 +1,9 @@
 //! Fringe images to points with a standard uncertainty each.
 //!
 //! ```text
+//!  gray         reflected Gray code: which stripe of the projector lights a cell
+//!  pattern      the projected fringes: frequencies and their phase steps, and a code
 //!  frame        one camera frame, borrowed where it lies
-//!  pattern      the projected fringes: frequencies and their phase steps
 //!  io           other people's files: grey images, OpenCV calibrations
 //!  head         camera, projector, sensor, core map, calibration record (`head.toml`)
 //!  cells        which pixels make a cell: blocks of them, or the cores of a bundle
@@ -48,6 +49,7 @@ pub mod cells;
 pub mod cloud;
 pub mod decode;
 pub mod frame;
+pub mod gray;
 pub mod head;
 pub mod io;
 pub mod pattern;

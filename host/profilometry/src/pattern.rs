@@ -4,6 +4,8 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
+use crate::gray::{GrayCode, MAX_BITS};
+
 /// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
 ///
 /// `phase = TAU periods (column - phase_origin_px) / width`, columns counted at pixel centres. With fringes along rows,
@@ -91,6 +93,28 @@ pub struct PatternSet {
     pub step_sign: StepSign,
     /// What the fringes count.
     pub axis: Axis,
+    /// A code that tells the stripe, shown after the fringes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<GrayCode>,
+}
+
+/// One picture of a set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shown {
+    /// A phase step.
+    Fringe {
+        /// Index of the frequency, low to high.
+        set: usize,
+        /// Index of the phase step.
+        step: u32,
+    },
+    /// A bit of the code.
+    Code {
+        /// Index of the bit, 0 the most significant.
+        bit: u32,
+        /// Whether dark and bright are exchanged.
+        complement: bool,
+    },
 }
 
 /// Why a pattern set is refused.
@@ -147,6 +171,26 @@ pub enum PatternError {
         /// What it was.
         got: f64,
     },
+    /// No bit, or more stripes than any projector has columns.
+    #[error("a Gray code of {got} bits: 1 to {MAX_BITS} are possible")]
+    CodeBits {
+        /// How many.
+        got: u32,
+    },
+    /// Zero, negative or not finite.
+    #[error("a Gray code of {got} stripes: must be above 0 and at most {MAX_PERIODS}")]
+    CodeStripes {
+        /// Its stripes.
+        got: f64,
+    },
+    /// The first stripe begins nowhere near the projector.
+    #[error(
+        "the first stripe of the Gray code begins at column {got}: must be within a projector's width of column 0"
+    )]
+    CodeOrigin {
+        /// What it was.
+        got: f64,
+    },
 }
 
 /// The instrument's patterns have phase zero at the outer edge of the projector's first column.
@@ -171,6 +215,8 @@ pub const MAX_FREQUENCIES: usize = 12;
 pub const MAX_STEPS: u32 = 64;
 /// Finer than two columns per period on any projector.
 pub const MAX_PERIODS: f64 = 4096.0;
+/// Farther than any projector is wide.
+const MAX_ORIGIN_PX: f64 = 16384.0;
 
 impl PatternSet {
     /// A set in the instrument's own convention (`StepSign::Plus`, along the columns).
@@ -202,7 +248,7 @@ impl PatternSet {
                 });
             }
             // Written so that NaN fails.
-            if !(fringes.phase_origin_px.abs() <= 16384.0) {
+            if !(fringes.phase_origin_px.abs() <= MAX_ORIGIN_PX) {
                 return Err(PatternError::Origin {
                     set,
                     got: fringes.phase_origin_px,
@@ -227,7 +273,30 @@ impl PatternSet {
             sets,
             step_sign,
             axis,
+            code: None,
         })
+    }
+
+    /// The same fringes, followed by a code.
+    ///
+    /// # Errors
+    /// [`PatternError`]: see its variants for the limits.
+    pub fn with_code(self, code: Option<GrayCode>) -> Result<Self, PatternError> {
+        if let Some(code) = code {
+            if !(1..=MAX_BITS).contains(&code.bits) {
+                return Err(PatternError::CodeBits { got: code.bits });
+            }
+            // Written so that NaN fails.
+            if !(code.stripes > 0.0 && code.stripes <= MAX_PERIODS) {
+                return Err(PatternError::CodeStripes { got: code.stripes });
+            }
+            if !(code.origin_px.abs() <= MAX_ORIGIN_PX) {
+                return Err(PatternError::CodeOrigin {
+                    got: code.origin_px,
+                });
+            }
+        }
+        Ok(Self { code, ..self })
     }
 
     /// The same set, if it is within the limits: one that was read from a file is not known to be.
@@ -235,7 +304,7 @@ impl PatternSet {
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
     pub fn checked(self) -> Result<Self, PatternError> {
-        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)
+        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)?.with_code(self.code)
     }
 
     /// One of the instrument's own sets, [`NAMED`].
@@ -264,11 +333,36 @@ impl PatternSet {
 
     /// Frames of one exposure.
     pub fn frames_per_exposure(&self) -> usize {
-        self.sets.iter().map(|set| set.steps as usize).sum()
+        self.pictures().count()
+    }
+
+    /// The pictures of one exposure, in the order in which they are shown: frequencies low to high step by step, then the code from
+    /// its most significant bit on, each followed by its complement if there is one.
+    pub fn pictures(&self) -> impl Iterator<Item = Shown> + '_ {
+        let fringes = self.sets.iter().enumerate().flat_map(|(set, fringes)| {
+            (0..fringes.steps).map(move |step| Shown::Fringe { set, step })
+        });
+        let bits = self.code.iter().flat_map(|code| {
+            let last = code.complement;
+            (0..code.bits).flat_map(move |bit| {
+                (0..=u8::from(last)).map(move |complement| Shown::Code {
+                    bit,
+                    complement: complement == 1,
+                })
+            })
+        });
+        fringes.chain(bits)
     }
 
     /// What the projector shows in column `column` (pixel centres at integers), 0 dark to 1 bright.
-    pub fn intensity(&self, set: usize, step: u32, column: f64, width_px: f64) -> f64 {
+    pub fn intensity(&self, picture: Shown, column: f64, width_px: f64) -> f64 {
+        let (set, step) = match picture {
+            Shown::Fringe { set, step } => (set, step),
+            Shown::Code { bit, complement } => {
+                let lit = |code: GrayCode| code.is_lit(bit, column, width_px) != complement;
+                return f64::from(u8::from(self.code.is_some_and(lit)));
+            }
+        };
         let fringes = self.sets[set];
         let phase_rad = fringes.phase_rad(column, width_px);
         let shift_rad = self.step_sign.factor() * TAU * f64::from(step) / f64::from(fringes.steps);

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use crate::frame::FrameKind;
+use crate::gray::GrayCode;
 use crate::head::Sensor;
 use crate::io::images::{GreyImage, ImageError, list_images, load_grey};
 use crate::pattern::{
-    Axis, FringeSet, KNOWN_SETS, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, StepSign,
+    Axis, FringeSet, KNOWN_SETS, OWN_PHASE_ORIGIN_PX, PatternError, PatternSet, Shown, StepSign,
 };
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
@@ -52,6 +53,7 @@ struct PlanFile {
     sensor: Option<Sensor>,
     #[serde(default)]
     set: Vec<SetFile>,
+    gray_code: Option<CodeFile>,
 }
 
 /// Which way the stripes run.
@@ -85,6 +87,19 @@ struct SetFile {
     frames: Vec<PathBuf>,
 }
 
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CodeFile {
+    bits: u32,
+    stripes: f64,
+    #[serde(default)]
+    complement: bool,
+    /// Before the plan's.
+    phase_origin_px: Option<f64>,
+    #[serde(default)]
+    frames: Vec<PathBuf>,
+}
+
 /// More frames than any view has: 12 frequencies x 16 steps x 16 exposures, and some.
 const MAX_FRAMES: usize = 4096;
 
@@ -108,6 +123,7 @@ impl Plan {
             step_sign(&file)?,
             file.fringes_along.axis(),
         )
+        .and_then(|patterns| patterns.with_code(gray_code(&file)))
         .map_err(|error| bad_pattern(&error, &order))?;
         let total = exposures_us.len() * patterns.frames_per_exposure() + 1;
         if total > MAX_FRAMES {
@@ -118,10 +134,12 @@ impl Plan {
             ));
         }
         let exposures = exposures_us.len();
-        let images = if file.set.iter().all(|set| set.frames.is_empty()) {
+        let coded = file.gray_code.as_ref().map(|code| &code.frames);
+        let mut listed = file.set.iter().map(|set| &set.frames).chain(coded);
+        let images = if listed.all(Vec::is_empty) {
             Images::Sorted(sorted_frames(&file, &order, &patterns, exposures)?)
         } else {
-            Images::Named(named_frames(&file, &order, exposures)?)
+            Images::Named(named_frames(&file, &order, &patterns, exposures)?)
         };
         Ok(Self {
             patterns,
@@ -171,6 +189,7 @@ impl Plan {
             Images::Sorted(kinds) => {
                 let paths = list_images(folder, kinds.len())?;
                 let mut frames: Vec<_> = kinds.iter().copied().zip(paths).collect();
+                // Stable: what comes after the fringes is in order already.
                 frames.sort_by_key(|(kind, _)| match *kind {
                     FrameKind::Dark => (0, 0, 0),
                     FrameKind::Fringe {
@@ -178,6 +197,7 @@ impl Plan {
                         set,
                         step,
                     } => (1 + exposure, set, step),
+                    FrameKind::Code { exposure, .. } => (1 + exposure, usize::MAX, 0),
                 });
                 Ok(frames)
             }
@@ -207,6 +227,16 @@ fn step_sign(file: &PlanFile) -> Result<StepSign, BadValue> {
         -1 => Ok(StepSign::Minus),
         other => Err(BadValue::new("step_sign", other, "must be 1 or -1")),
     }
+}
+
+fn gray_code(file: &PlanFile) -> Option<GrayCode> {
+    let common_origin_px = file.phase_origin_px.unwrap_or(OWN_PHASE_ORIGIN_PX);
+    file.gray_code.as_ref().map(|code| GrayCode {
+        bits: code.bits,
+        stripes: code.stripes,
+        origin_px: code.phase_origin_px.unwrap_or(common_origin_px),
+        complement: code.complement,
+    })
 }
 
 fn name(file: &PlanFile) -> String {
@@ -286,14 +316,22 @@ fn sorted_frames(
                 step,
             }));
         }
+        kinds.extend(code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure)));
     }
     Ok(kinds)
+}
+
+/// The pictures of the code.
+fn code_pictures(patterns: &PatternSet) -> impl Iterator<Item = Shown> + '_ {
+    let is_code = |picture: &Shown| matches!(picture, Shown::Code { .. });
+    patterns.pictures().filter(is_code)
 }
 
 /// The images that the tables list, in capture order.
 fn named_frames(
     file: &PlanFile,
     order: &[usize],
+    patterns: &PatternSet,
     exposures: usize,
 ) -> Result<Vec<(FrameKind, PathBuf)>, BadValue> {
     if file.dark_first == Some(true) && file.dark.is_none() {
@@ -328,6 +366,19 @@ fn named_frames(
                 (kind, image.clone())
             }));
         }
+        if let (Some(file), Some(code)) = (&file.gray_code, &patterns.code) {
+            let pictures = code.frames() as usize;
+            if file.frames.len() != pictures * exposures {
+                return Err(BadValue::new(
+                    "gray_code.frames",
+                    file.frames.len(),
+                    "must list one image per bit (with complement two) and exposure, exposure by exposure, when the sets list theirs",
+                ));
+            }
+            let images = file.frames[exposure * pictures..].iter();
+            let kinds = code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure));
+            frames.extend(kinds.zip(images.cloned()));
+        }
     }
     Ok(frames)
 }
@@ -354,6 +405,15 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
         }
         PatternError::Origin { set, got } => BadValue::new(
             key(set, "phase_origin_px"),
+            got,
+            "must be within a projector's width of column 0",
+        ),
+        PatternError::CodeBits { got } => BadValue::new("gray_code.bits", got, "must be 1 to 16"),
+        PatternError::CodeStripes { got } => {
+            BadValue::new("gray_code.stripes", got, "must be above 0 and at most 4096")
+        }
+        PatternError::CodeOrigin { got } => BadValue::new(
+            "gray_code.phase_origin_px",
             got,
             "must be within a projector's width of column 0",
         ),
@@ -436,6 +496,44 @@ mod tests {
             })
         ));
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// A code after the fringes, exposure by exposure, its frames listed and by name.
+    #[test]
+    fn the_code_comes_after_the_fringes() {
+        let text = |frames: [&str; 2]| {
+            format!(
+                "exposures_us = [5, 9]\n[[set]]\nperiods = 4\nsteps = 3\n{}[gray_code]\nbits = 1\nstripes = 4\ncomplement = true\n{}",
+                frames[0], frames[1]
+            )
+        };
+        let named = plan(&text([
+            "frames = ['0', '1', '2', '5', '6', '7']\n",
+            "frames = ['3', '4', '8', '9']\n",
+        ]));
+        let named = named.unwrap();
+        let frames = names(&named, Path::new(""));
+        let order: String = frames.iter().map(|(_, name)| name.as_str()).collect();
+        assert_eq!(order, "0123456789");
+        let code = |exposure, complement| FrameKind::Code {
+            exposure,
+            bit: 0,
+            complement,
+        };
+        assert_eq!((frames[3].0, frames[4].0), (code(0, false), code(0, true)));
+        assert_eq!((frames[8].0, frames[9].0), (code(1, false), code(1, true)));
+        let Images::Sorted(kinds) = plan(&text([""; 2])).unwrap().images else {
+            panic!("nothing is listed");
+        };
+        let listed: Vec<FrameKind> = frames.iter().map(|frame| frame.0).collect();
+        assert_eq!(kinds, listed);
+        // Their places agree with those that the sums expect.
+        let pictures: Vec<Shown> = named.patterns.pictures().collect();
+        let expected = (0..2).flat_map(|exposure| {
+            let of = |picture: &Shown| FrameKind::of(*picture, exposure);
+            pictures.iter().map(of).collect::<Vec<_>>()
+        });
+        assert_eq!(listed, expected.collect::<Vec<_>>());
     }
 
     #[test]

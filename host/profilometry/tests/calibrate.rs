@@ -87,6 +87,7 @@ fn truth() -> HeadModel {
         seal: None,
         core_map: None,
         mirrors: None,
+        fringe_contrast: None,
     }
 }
 

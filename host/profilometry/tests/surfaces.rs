@@ -349,3 +349,73 @@ fn head_files_survive_the_round_trip() {
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
+
+/// Light that falls off beside an edge, on a steep plane: smoothing takes a cell's phase from where it is bright, and the point has to
+/// lie there, too. At the cell itself it would be off by the fall-off times the variance of the Gaussian times the slope: tens of
+/// micrometres.
+#[test]
+fn smoothing_beside_an_edge_of_light_leaves_points_on_the_surface() {
+    let head = head();
+    let patterns = PatternSet::named("insitu12").unwrap();
+    let surface = plane([1.2, 0.4, 1.0], 22.0);
+    let columns = columns(&head, &surface);
+    // Amplitude of a cell: even up to an edge, then by a factor of e lower every 2 px.
+    let falls = |column: usize| (-(column as f64 - 75.0).max(0.0) / 2.0).exp();
+    let mut off_um = [0.0; 2];
+    for (off_um, smoothing_px) in off_um.iter_mut().zip([0.0, 0.7]) {
+        let options = DecodeOptions {
+            smoothing_px,
+            patches: None,
+            ..DecodeOptions::for_head(&head)
+        };
+        let decoder = Decoder::new(&head, &patterns, &[1000], options).unwrap();
+        let mut frames = capture(&head, &decoder, &patterns, &columns, &[1.0], &BRIGHT);
+        for (_, pixels) in &mut frames {
+            for (at, pixel) in pixels.iter_mut().enumerate() {
+                let light = f64::from(*pixel - 100) * falls(at % WIDTH);
+                *pixel = 100 + light.round() as u16;
+            }
+        }
+        let decoded = decoder.finish(&accumulate(&decoder, &frames)).unwrap();
+        let cloud = &decoded.cloud;
+        let mut beside = 0;
+        for (point, cell) in cloud.points_mm.iter().zip(&cloud.cell) {
+            // Bright enough that rounding is below a micrometre.
+            if (70..84).contains(&cell[0]) {
+                let [x, y, z] = *point;
+                *off_um = f64::max(*off_um, 1e3 * (z - surface([x / z, y / z])).abs());
+                beside += 1;
+            }
+        }
+        assert!(beside > 900, "{beside}");
+    }
+    assert!(off_um[0] < 1.0 && off_um[1] < 3.0, "{off_um:?}");
+}
+
+/// A mean and an amplitude made of known parts, through optics of a known contrast, come back as these parts.
+#[test]
+fn direct_and_global_light_come_back() {
+    let patterns = PatternSet::named("high12").unwrap();
+    for (stated, optics) in [(Some(0.8), 0.8), (None, 1.0)] {
+        let head = HeadModel {
+            fringe_contrast: stated,
+            ..head()
+        };
+        let columns = columns(&head, plane([0.0, 0.0, 1.0], 22.0));
+        // With all mirrors on: 9000 electrons straight, 3000 over other ways. A fringe lights half of the scene.
+        let (direct_e, global_e) = (9_000.0, 3_000.0);
+        let mean_e = 0.5 * direct_e + 0.5 * global_e;
+        let light = Light {
+            mean_e,
+            contrast: optics * 0.5 * direct_e / mean_e,
+            noise_seed: Some(3),
+        };
+        let decoded = decode(&head, &patterns, &columns, &[1.0], &light, 1);
+        let found = decoded.light.unwrap();
+        assert_eq!(decoded.cloud.light.len(), decoded.cloud.len());
+        // The median of some ten thousand cells, whose amplitude has a noise of sqrt(2 6000 / 4) = 55.
+        assert!((found.direct_e - direct_e).abs() < 12.0, "{found:?}");
+        assert!((found.global_e - global_e).abs() < 12.0, "{found:?}");
+        assert!((found.global_ratio - 0.25).abs() < 1e-3, "{found:?}");
+    }
+}

@@ -72,6 +72,15 @@ impl std::str::FromStr for FrameFault {
     }
 }
 
+/// What is wrong with camera and head.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Troubles {
+    /// A frame that goes astray.
+    pub fault: Option<FrameFault>,
+    /// How far the cores' image moves along the rows while the head warms, px.
+    pub core_drift_px: f64,
+}
+
 /// Prepared views kept: the one being photographed and the next.
 const VIEWS_KEPT: usize = 2;
 /// How often an idle camera looks whether it was armed.
@@ -123,7 +132,7 @@ pub fn start(
     world: World,
     patterns: Vec<PatternSpec>,
     ageing: Ageing,
-    fault: Option<FrameFault>,
+    troubles: Troubles,
     root: SharedRoot,
     overflow: Overflow,
     gives_way: bool,
@@ -140,7 +149,7 @@ pub fn start(
             match FrameSender::open(&root, overflow) {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
-                    FrameRenderer::new(world, patterns, ageing, fault, sender).run(&queue);
+                    FrameRenderer::new(world, patterns, ageing, troubles, sender).run(&queue);
                 }
                 Err(error) => drop(opened_sender.send(Err(error))),
             }
@@ -223,22 +232,27 @@ struct FrameRenderer {
     ageing: Ageing,
     /// Strokes of the press so far, and after how many the world's die is.
     cycles: [u32; 2],
-    fault: Option<FrameFault>,
+    troubles: Troubles,
     /// Captures armed so far.
     captures: u32,
     /// Frames exposed without a trigger.
     extra: u32,
     /// Number of the next frame.
     next: u32,
+    /// Views prepared so far.
+    prepared: u32,
     truth: Truth,
 }
+
+/// A head that warms has moved by two thirds of what it will after so many views.
+const VIEWS_OF_WARMING: f64 = 3.0;
 
 impl FrameRenderer {
     fn new(
         world: World,
         patterns: Vec<PatternSpec>,
         ageing: Ageing,
-        fault: Option<FrameFault>,
+        troubles: Troubles,
         sender: FrameSender,
     ) -> Self {
         Self {
@@ -250,10 +264,11 @@ impl FrameRenderer {
             labels: Labels::default(),
             ageing,
             cycles: [0; 2],
-            fault,
+            troubles,
             captures: 0,
             extra: 0,
             next: 0,
+            prepared: 0,
             truth: Truth::default(),
         }
     }
@@ -338,6 +353,7 @@ impl FrameRenderer {
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
         }
+        self.warm();
         match self
             .world
             .prepare(rotation_rad, vertical_mm, &self.patterns)
@@ -348,6 +364,18 @@ impl FrameRenderer {
             }
             Err(error) => eprintln!("bench: view at {rotation_rad} rad, {vertical_mm} mm: {error}"),
         }
+    }
+
+    /// Moves the cores' image as a head that came cold into a warm die does: at once at first, then ever less.
+    fn warm(&mut self) {
+        let drift_px = self.troubles.core_drift_px;
+        if drift_px != 0.0 {
+            let share = 1.0 - (-f64::from(self.prepared) / VIEWS_OF_WARMING).exp();
+            if let Err(error) = self.world.shift_cores(share * drift_px) {
+                eprintln!("bench: {error}");
+            }
+        }
+        self.prepared += 1;
     }
 
     /// Wears the die as the press did since the last view.
@@ -368,7 +396,7 @@ impl FrameRenderer {
         let struck = |fault: &FrameFault| {
             fault.frame == self.labels.exposed() && !(fault.once && self.captures > 1)
         };
-        let fault = self.fault.filter(struck).map(|fault| fault.kind);
+        let fault = self.troubles.fault.filter(struck).map(|fault| fault.kind);
         self.next = exposure.counter + self.extra + 1;
         let labelled = self.labels.take();
         let frame = self.expose(exposure, labelled, ended_monotonic_ns);

@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::camera::FrameFault;
 use crate::demo::OtherDie;
-use crate::world::Wear;
+use crate::world::{MAX_BOUNCES, Saw, SprayEdge, Surface, Wear};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -72,12 +72,39 @@ pub struct BenchArgs {
     /// million triangles; it is the die as it is, so no wear can be added
     #[arg(long, value_name = "FILE", conflicts_with = "wear")]
     pub die_mesh: Option<PathBuf>,
+    /// What the die's surface is: matt spray, ground steel, steel polished by use, or ground steel under oil
+    #[arg(long, value_name = "KIND", value_enum, default_value_t)]
+    pub surface: SurfaceKind,
+    /// The die is sprayed above this height in mm, whatever its surface is below
+    #[arg(long, value_name = "MM", value_parser = height_mm, allow_negative_numbers = true)]
+    pub sprayed_above_mm: Option<f64>,
+    /// Places of the die that light touches at most on its way from projector to camera; 1 is direct light alone [default: 1
+    /// on a sprayed die, else 5]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_BOUNCES)))]
+    pub bounces: Option<u32>,
     /// How many times faster than real time the bench runs, or max
     #[arg(long, value_name = "1|K|max", default_value = "1")]
     pub speed: Given<Speed>,
     /// Head and die shift against each other from frame to frame: standard deviation in um
     #[arg(long, value_name = "UM", default_value_t = 0.0)]
     pub vibration_um: f64,
+    /// They shiver within a frame, faster than it is exposed, and the fringes blur: standard deviation in um
+    #[arg(long, value_name = "UM", default_value_t = 0.0, value_parser = shiver_um)]
+    pub shiver_um: f64,
+    /// Play of the stages: the table stays behind by half of it, whichever way it came; of the rotation in mdeg
+    #[arg(long, value_name = "MDEG", default_value_t = 0.0, value_parser = play)]
+    pub backlash_mdeg: f64,
+    /// The same of the vertical stage, in um
+    #[arg(long, value_name = "UM", default_value_t = 0.0, value_parser = play)]
+    pub backlash_um: f64,
+    /// Error of the rotary encoder that no harmonic of low order follows: it grows evenly and falls back at once, so many times per
+    /// turn, by so much
+    #[arg(long, value_name = "TEETH:MDEG")]
+    pub encoder_saw: Option<Given<EncoderSaw>>,
+    /// The head comes cold into a warm die: from view to view the cores' image creeps along the sensor's rows, in the end by so
+    /// many px
+    #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = core_drift_px, allow_negative_numbers = true)]
+    pub core_drift_px: f64,
     /// The head's lenses lead light astray by this where no distortion model follows, smoothly over the field: root mean
     /// square along each axis in um
     #[arg(long, value_name = "UM", default_value_t = 0.0, value_parser = lens_error_um)]
@@ -85,6 +112,62 @@ pub struct BenchArgs {
     /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
     #[arg(long, value_name = "KIND:FRAME")]
     pub frame_fault: Option<Given<FrameFault>>,
+}
+
+/// What a die's surface is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum SurfaceKind {
+    /// Matt spray.
+    #[default]
+    Sprayed,
+    /// Ground steel.
+    Ground,
+    /// Smoother steel.
+    Polished,
+    /// Ground steel under a film of oil.
+    Oiled,
+}
+
+impl SurfaceKind {
+    /// Places that light touches at most, unless said otherwise: under spray what a second flank adds is left out.
+    #[must_use]
+    pub fn bounces(self) -> u32 {
+        match self {
+            Self::Sprayed => 1,
+            Self::Ground | Self::Polished | Self::Oiled => 5,
+        }
+    }
+
+    /// How it reflects.
+    #[must_use]
+    pub fn surface(self) -> Surface {
+        match self {
+            Self::Sprayed => Surface::sprayed(),
+            Self::Ground => Surface::ground(),
+            Self::Polished => Surface::polished(),
+            Self::Oiled => Surface::oiled(),
+        }
+    }
+}
+
+impl BenchArgs {
+    /// Places that light touches at most.
+    #[must_use]
+    pub fn bounces(&self) -> u32 {
+        self.bounces.unwrap_or_else(|| self.surface.bounces())
+    }
+
+    /// Edge of the spray, if there is one.
+    #[must_use]
+    pub fn spray_edge(&self) -> Option<SprayEdge> {
+        /// How a spray gun's edge runs, mm.
+        const RAGGED_MM: f64 = 0.15;
+        self.sprayed_above_mm.map(|above_mm| SprayEdge {
+            above_mm,
+            ragged_mm: RAGGED_MM,
+        })
+    }
 }
 
 /// The simulated press.
@@ -122,6 +205,30 @@ pub struct DieArgs {
         allow_negative_numbers = true
     )]
     pub taper_um: f64,
+    /// Largest minus smallest radius of three lobes around the bore, um: what a chuck with three jaws leaves
+    #[arg(
+        long,
+        value_name = "UM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub three_lobe_um: f64,
+    /// Growth of the bore's radius from its ends to mid-height, um
+    #[arg(
+        long,
+        value_name = "UM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub barrel_um: f64,
+    /// Growth of the bore's radius at the upper end, over the last quarter of its height, um
+    #[arg(
+        long,
+        value_name = "UM",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub bell_mouth_um: f64,
     /// Another die than the tool file's on the bench: so many teeth of such a module
     #[arg(long, value_name = "TEETHxMODULE_MM", conflicts_with = "die_mesh")]
     pub die: Option<Given<OtherDie>>,
@@ -155,6 +262,9 @@ impl Default for DieArgs {
         Self {
             ovality_um: 0.0,
             taper_um: 0.0,
+            three_lobe_um: 0.0,
+            barrel_um: 0.0,
+            bell_mouth_um: 0.0,
             die: None,
             turned_deg: 0.0,
             turned_teeth: 0,
@@ -202,6 +312,35 @@ impl<'de, T: FromStr<Err: fmt::Display>> Deserialize<'de> for Given<T> {
     }
 }
 
+/// An encoder's saw: teeth per turn, and height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderSaw(pub Saw);
+
+/// Why a text is no saw.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{text} is no error of an encoder; 1 to 10000 teeth per turn and 0 to 1000 mdeg are, for example 84:8"
+)]
+pub struct SawError {
+    text: String,
+}
+
+impl FromStr for EncoderSaw {
+    type Err = SawError;
+
+    fn from_str(text: &str) -> Result<Self, SawError> {
+        let saw = text.split_once(':').and_then(|(teeth, mdeg)| {
+            let teeth = teeth.parse().ok().filter(|n| (1..=10_000).contains(n))?;
+            let mdeg = within(mdeg, 0.0, 1000.0).ok()?;
+            Some(Saw {
+                teeth,
+                height_rad: (1e-3 * mdeg).to_radians(),
+            })
+        });
+        saw.map(Self).ok_or_else(|| SawError { text: text.into() })
+    }
+}
+
 /// How many virtual seconds pass per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Speed(pub f64);
@@ -233,6 +372,22 @@ fn strokes_per_minute(text: &str) -> Result<f64, OutOfRange> {
 
 fn open_share(text: &str) -> Result<f64, OutOfRange> {
     within(text, 0.1, 0.9)
+}
+
+fn height_mm(text: &str) -> Result<f64, OutOfRange> {
+    within(text, -1000.0, 1000.0)
+}
+
+fn shiver_um(text: &str) -> Result<f64, OutOfRange> {
+    within(text, 0.0, 1000.0)
+}
+
+fn play(text: &str) -> Result<f64, OutOfRange> {
+    within(text, 0.0, 1000.0)
+}
+
+fn core_drift_px(text: &str) -> Result<f64, OutOfRange> {
+    within(text, -10.0, 10.0)
 }
 
 fn lens_error_um(text: &str) -> Result<f64, OutOfRange> {
@@ -286,6 +441,18 @@ mod tests {
             "40:r:30:pit",
             "--speed",
             "max",
+            "--surface",
+            "ground",
+            "--sprayed-above-mm",
+            "31.5",
+            "--bounces",
+            "3",
+            "--encoder-saw",
+            "84:8",
+            "--core-drift-px",
+            "-0.5",
+            "--bell-mouth-um",
+            "30",
             "--lens-error-um",
             "0.3",
             "--frame-fault",
@@ -331,6 +498,13 @@ mod tests {
             ["--wear", "12:up:80"],
             ["--speed", "0"],
             ["--lens-error-um", "11"],
+            ["--surface", "rusty"],
+            ["--bounces", "0"],
+            ["--encoder-saw", "0:3"],
+            ["--encoder-saw", "84"],
+            ["--encoder-saw", "84:NaN"],
+            ["--shiver-um", "-1"],
+            ["--sprayed-above-mm", "inf"],
             ["--open-share", "NaN"],
             ["--frame-fault", "drop:3"],
             ["--die", "many"],

@@ -16,14 +16,14 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
 
 use crate::ageing::Ageing;
-use crate::camera;
-use crate::config::{BenchConfig, ControllerKind, Given, Speed, Stands};
+use crate::camera::{self, Troubles};
+use crate::config::{BenchConfig, ControllerKind, Given, Speed, Stands, SurfaceKind};
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::die_file;
 use crate::qemu::{Figures, Machine, find_image};
 use crate::specimen::Specimen;
 use crate::truth::{FormTruth, MeshTruth, Truth};
-use crate::world::{Form, Mount, Wear, World, WorldConfig};
+use crate::world::{Form, Mount, Saw, Wear, World, WorldConfig};
 
 /// The retract switch stands this far above the die.
 const SWITCH_CLEARANCE_MM: f64 = 14.0;
@@ -142,7 +142,21 @@ fn apply(
         .filter(|one| one.depth_mm > 0.0)
         .collect();
     config.run_seed = bench.seed;
+    match &asked.stands {
+        Stands::Tool(_) => {
+            config.surface = bench.surface.surface();
+            config.spray_edge = bench.spray_edge();
+            config.bounces = bench.bounces();
+        }
+        Stands::Target(_) => ensure!(
+            bench.surface == SurfaceKind::default()
+                && bench.sprayed_above_mm.is_none()
+                && bench.bounces.is_none(),
+            "--surface, --sprayed-above-mm and --bounces are for a die; a calibration target stands there, printed on ceramic"
+        ),
+    }
     config.vibration_um = bench.vibration_um;
+    config.shiver_um = bench.shiver_um;
     if bench.lens_error_um > 0.0 {
         config
             .optics
@@ -152,6 +166,9 @@ fn apply(
     config.form = Form {
         ovality_um: die.ovality_um,
         taper_um: die.taper_um,
+        three_lobe_um: die.three_lobe_um,
+        barrel_um: die.barrel_um,
+        bell_mouth_um: die.bell_mouth_um,
         flanks_um: die.flanks_um,
         flanks_seed: die.die_seed,
     };
@@ -165,6 +182,10 @@ fn apply(
         config.mount.table_from_die *=
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
     }
+    config.mount.saw = bench
+        .encoder_saw
+        .as_ref()
+        .map_or(Saw::default(), |given| given.value.0);
     let Some(path) = &bench.die_mesh else {
         return Ok(None);
     };
@@ -232,7 +253,10 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         world,
         patterns,
         ageing,
-        asked.bench.frame_fault.as_ref().map(|fault| fault.value),
+        Troubles {
+            fault: asked.bench.frame_fault.as_ref().map(|fault| fault.value),
+            core_drift_px: asked.bench.core_drift_px,
+        },
         SharedRoot::of_owner(&asked.root)?,
         overflow,
         gives_way,
@@ -240,6 +264,8 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = seed;
+    config.devices.axes.rotation.backlash = 1e-3 * asked.bench.backlash_mdeg;
+    config.devices.axes.vertical.backlash = 1e-3 * asked.bench.backlash_um;
     if let Some(press) = &asked.press {
         config.devices.press.strokes_per_minute = press.strokes_per_minute;
         config.devices.press.open_share = press.open_share;
@@ -275,6 +301,9 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     truth.form = asked.die.as_ref().map(|die| FormTruth {
         ovality_um: die.ovality_um.abs(),
         taper_um: die.taper_um,
+        three_lobe_um: die.three_lobe_um,
+        barrel_um: die.barrel_um,
+        bell_mouth_um: die.bell_mouth_um,
     });
     let farewell = Farewell {
         seed,

@@ -54,6 +54,20 @@ pub struct FormTruth {
     pub ovality_um: f64,
     /// Growth of the radius from bottom to top, µm.
     pub taper_um: f64,
+    /// Largest minus smallest radius of three lobes, µm.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub three_lobe_um: f64,
+    /// Growth of the radius from the ends to mid-height, µm.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub barrel_um: f64,
+    /// Growth of the radius at the upper end, µm.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub bell_mouth_um: f64,
+}
+
+/// What nobody asked for is not said.
+fn is_zero(um: &f64) -> bool {
+    *um == 0.0
 }
 
 /// A pose at which frames were taken, stage errors included.

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use flankscope_bench::ageing::Ageing;
-use flankscope_bench::camera;
+use flankscope_bench::camera::{self, Troubles};
 use flankscope_bench::demo;
 use flankscope_bench::devices::{Exposure, ExposureSink};
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
@@ -27,7 +27,7 @@ fn camera_process() {
         world,
         PatternSpec::insitu12(),
         Ageing::default(),
-        None,
+        Troubles::default(),
         SharedRoot::of_owner(Path::new(&root)).unwrap(),
         Overflow::Drop,
         false,

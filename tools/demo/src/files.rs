@@ -120,6 +120,7 @@ pub fn head() -> HeadModel {
         seal: None,
         core_map: None,
         mirrors: None,
+        fringe_contrast: None,
     }
 }
 

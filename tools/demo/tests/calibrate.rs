@@ -141,6 +141,7 @@ fn sums(
                 set,
                 step,
             } => (1 + 4 * set as u16 + step as u16, exposures_us[exposure]),
+            FrameKind::Code { .. } => unreachable!("the bench shows no code"),
         };
         world
             .render(view, pattern, exposure_us, true, counter, &mut pixels)

@@ -49,6 +49,7 @@ fn capture(decoder: &Decoder, change: impl FnOnce(&mut WorldConfig)) -> Accumula
                 set,
                 step,
             } => (1 + 4 * set as u16 + step as u16, exposure),
+            FrameKind::Code { .. } => unreachable!("the bench shows no code"),
         };
         let exposure_us = EXPOSURES_US[exposure];
         world

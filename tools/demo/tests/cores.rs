@@ -39,6 +39,7 @@ fn capture(world: &World, decoder: &Decoder, first_frame: u32) -> Cloud {
                 set,
                 step,
             } => (1 + 4 * set as u16 + step as u16, [10_000, 40_000][exposure]),
+            FrameKind::Code { .. } => unreachable!("the bench shows no code"),
         };
         let counter = first_frame + number as u32;
         world

@@ -65,7 +65,7 @@ impl<'a> Block<'a> {
             setup,
             seed: own,
             wholly: number.is_multiple_of(4),
-            head,
+            head: setup.throwing(head),
             rig,
             refused,
             place: Place::of_block(number),

@@ -96,6 +96,7 @@ impl Rig {
                         let before: u32 = patterns.sets[..set].iter().map(|s| s.steps).sum();
                         u16::try_from(1 + before + step)?
                     }
+                    FrameKind::Code { .. } => anyhow::bail!("the bench shows no code"),
                 };
                 world.render(&state, index, target.exposure_us, true, number, &mut pixels)?;
                 sums.add(FrameView::packed(&pixels, width, height), kind)?;

@@ -35,6 +35,7 @@ pub(super) fn shown(kind: FrameKind, sets: &[(f64, u32)]) -> (u32, usize) {
             let before: u32 = sets[..set].iter().map(|s| s.1).sum();
             (1 + before + step, exposure)
         }
+        FrameKind::Code { .. } => unreachable!("the bench shows no code"),
     }
 }
 

@@ -30,6 +30,7 @@ use block::Block;
 pub use block::BlockReport;
 pub use campaign::{Judgement, random_damages};
 pub use cases::{Case, Damaged, Group, Right, cases};
+use flankscope_bench::config::SurfaceKind;
 use flankscope_gear_cad::Flank;
 use setup::{Setup, on_all_cores};
 pub use tally::{Cell, Figure, Sample};
@@ -49,6 +50,12 @@ pub struct Args {
     /// Seed of all that is drawn: heads, targets, dies, damage, stages, noise.
     #[arg(long, default_value_t = 2)]
     pub seed: u64,
+    /// Surface of the dies.
+    #[arg(long, value_enum, default_value_t)]
+    pub surface: SurfaceKind,
+    /// Pattern set that is thrown on them [default: insitu12 on sprayed dies, else high12]
+    #[arg(long)]
+    pub patterns: Option<String>,
     /// Only rows whose name contains this.
     #[arg(long)]
     pub only: Option<String>,
@@ -70,11 +77,29 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let cases: Vec<Case> = cases().into_iter().filter(wanted).collect();
     anyhow::ensure!(!cases.is_empty(), "no row of the study has such a name");
-    let outcome = measure(&cases, args.blocks, args.captures, args.seed, |line| {
-        eprintln!("{line}");
-    })?;
+    let setup = Setup::load()?.with_surface(args.surface, args.patterns());
+    let outcome = measure_with(
+        &setup,
+        &cases,
+        (args.blocks, args.captures),
+        args.seed,
+        |line| {
+            eprintln!("{line}");
+        },
+    )?;
     let staircase = staircase::profiles(Setup::load()?.head())?;
     page::write(&args.out, &outcome, &staircase, args)
+}
+
+impl Args {
+    /// Name of the pattern set: on bare steel frequencies that the light between two flanks cannot carry.
+    #[must_use]
+    pub fn patterns(&self) -> &str {
+        self.patterns.as_deref().unwrap_or(match self.surface {
+            SurfaceKind::Sprayed => "insitu12",
+            SurfaceKind::Ground | SurfaceKind::Polished | SurfaceKind::Oiled => "high12",
+        })
+    }
 }
 
 /// What the study found.
@@ -97,9 +122,18 @@ pub fn measure(
     seed: u64,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Outcome> {
-    let setup = Setup::load()?;
+    measure_with(&Setup::load()?, cases, (blocks, captures), seed, tell)
+}
+
+fn measure_with(
+    setup: &Setup,
+    cases: &[Case],
+    (blocks, captures): (u32, u32),
+    seed: u64,
+    tell: impl Fn(&str) + Sync,
+) -> anyhow::Result<Outcome> {
     let found = on_all_cores(blocks, |number| {
-        let block = Block::new(&setup, number, seed)?;
+        let block = Block::new(setup, number, seed)?;
         let report = block.report();
         let found = block.run(cases, captures)?;
         tell(&format!(

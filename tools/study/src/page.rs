@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use flankscope_bench::config::SurfaceKind;
 use flankscope_station::files::write_whole;
 use serde::Serialize;
 
@@ -72,12 +73,29 @@ fn command(args: &Args) -> String {
         captures,
         seed,
         only,
+        surface,
         ..
     } = args;
+    let surface = match surface {
+        SurfaceKind::Sprayed => String::new(),
+        bare => format!(" --surface {} --patterns {}", word(*bare), args.patterns()),
+    };
     let rows = only
         .as_ref()
         .map_or(String::new(), |name| format!(" --only \"{name}\""));
-    format!("cargo xtask study --blocks {blocks} --captures {captures} --seed {seed}{rows}")
+    format!(
+        "cargo xtask study --blocks {blocks} --captures {captures} --seed {seed}{surface}{rows}"
+    )
+}
+
+/// What a surface is called.
+fn word(surface: SurfaceKind) -> &'static str {
+    match surface {
+        SurfaceKind::Sprayed => "sprayed",
+        SurfaceKind::Ground => "ground",
+        SurfaceKind::Polished => "polished",
+        SurfaceKind::Oiled => "oiled",
+    }
 }
 
 struct Page<'a> {
@@ -148,6 +166,19 @@ impl Page<'_> {
                 1 => "once".to_owned(),
                 n => format!("{n} times"),
             }
+        )?;
+        writeln!(
+            text,
+            "The dies are {}: light touches up to {} place(s) of them on its way. Patterns: `{}`.\n",
+            match self.args.surface {
+                SurfaceKind::Sprayed => "sprayed",
+                SurfaceKind::Ground => "of bare ground steel (microfacets of roughness 0.3)",
+                SurfaceKind::Polished =>
+                    "of bare steel polished by use (microfacets of roughness 0.15)",
+                SurfaceKind::Oiled => "of ground steel under oil",
+            },
+            self.args.surface.bounces(),
+            self.args.patterns()
         )?;
         let refused: Vec<&String> = self
             .outcome

@@ -1,11 +1,13 @@
 //! Heads, dies and places of the study.
 
+use anyhow::Context;
 use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 
 use super::calibration::Rig;
+use flankscope_bench::config::SurfaceKind;
 use flankscope_bench::specimen::Specimen;
 use flankscope_bench::world::{Form, WorldConfig};
 
@@ -24,6 +26,8 @@ pub(super) struct Setup {
     head: HeadModel,
     /// The die before the head.
     die: WorldConfig,
+    /// Name of the patterns that are thrown on it.
+    patterns: String,
 }
 
 /// Where a block looks.
@@ -52,7 +56,32 @@ impl Setup {
         tool.cad.chord_error_um = 0.0;
         let head = HeadModel::load(&folder.path().join("head.toml"))?;
         let die = Specimen::tool(folder.path(), None)?.config;
-        Ok(Self { tool, head, die })
+        let patterns = head
+            .pattern_set
+            .clone()
+            .context("the demo head names no patterns")?;
+        Ok(Self {
+            tool,
+            head,
+            die,
+            patterns,
+        })
+    }
+
+    /// The same with dies of another surface, and other patterns on them.
+    pub fn with_surface(mut self, surface: SurfaceKind, patterns: &str) -> Self {
+        self.die.surface = surface.surface();
+        self.die.bounces = surface.bounces();
+        patterns.clone_into(&mut self.patterns);
+        self
+    }
+
+    /// A head as it throws this setup's patterns.
+    pub fn throwing(&self, head: HeadModel) -> HeadModel {
+        HeadModel {
+            pattern_set: Some(self.patterns.clone()),
+            ..head
+        }
     }
 
     /// The demo head with its cores.

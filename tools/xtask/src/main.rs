@@ -5,6 +5,7 @@ mod circles;
 mod deps;
 mod elf;
 mod firmware;
+mod light;
 mod prerequisites;
 mod scan_study;
 
@@ -24,9 +25,12 @@ cargo xtask COMMAND
   demo                   the README's first command, as a newcomer runs it
   bench [--peers VENV]   our figures beside other tools', on the same data in one run (BENCHMARK.md)
   bench --instructions   instructions of the hot kernels, counted by valgrind; fails where one became dearer
+  light [VENV]           the bench's light beside that of another renderer (Mitsuba), which renders the die anew: 5 minutes;
+                         without VENV its packages go into an environment of their own below target
   bench --checks N       N in-situ checks of one tooth: how long the press waits after the last exposure
-  study [--blocks N --captures N --seed S --only TEXT]
-                         how often the verdict is right, on the bench: tables and plots in docs/study
+  study [--blocks N --captures N --seed S --only TEXT --surface KIND --patterns SET]
+                         how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel in a folder
+                         of its own there (--surface ground, polished, oiled)
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
   campaign [--mutants N | --seconds S] [--seed S]
                          mutants of every file that the instrument reads, 100 000 unless said otherwise
@@ -55,6 +59,8 @@ fn main() -> ExitCode {
         ["study", "--scan"] => scan_study::run(&root()),
         ["study", rest @ ..] => study(rest),
         ["campaign", rest @ ..] => campaign(rest),
+        ["light"] => light::run(&root(), None),
+        ["light", environment] => light::run(&root(), Some(environment)),
         ["deny"] => deny(),
         ["demo"] => demo(),
         ["ci"] => ci(),
@@ -184,6 +190,11 @@ fn deny() -> Result<(), String> {
 }
 
 fn study(rest: &[&str]) -> Result<(), String> {
+    let surface = rest.iter().skip_while(|word| **word != "--surface").nth(1);
+    let out = match surface {
+        Some(surface) if *surface != "sprayed" => format!("docs/study/{surface}"),
+        _ => "docs/study".to_owned(),
+    };
     let study = [
         "run",
         "--release",
@@ -191,7 +202,7 @@ fn study(rest: &[&str]) -> Result<(), String> {
         "flankscope-study",
         "--",
         "--out",
-        "docs/study",
+        &out,
         "--commit",
         &commit(),
     ];

@@ -1,4 +1,4 @@
-//! Laying a cloud on CAD.
+//! Laying a cloud on CAD, or on another cloud.
 //!
 //! [`register`] minimises the distances of the points to the surface itself (point to triangle), robustly, from coarse to
 //! fine, with the physical prior of the stages where there is one. It says which directions the data leave open, leaves
@@ -10,6 +10,7 @@ mod pairs;
 mod periodicity;
 mod phase;
 mod prior;
+mod reference;
 mod response;
 mod solve;
 pub mod stretch;
@@ -19,6 +20,7 @@ pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;
 pub use prior::Prior;
+pub use reference::{Foot, Reference};
 pub use response::{Answer, Contact, Response};
 pub use solve::register;
 

@@ -6,7 +6,6 @@
 use nalgebra::{Matrix6, Vector3, Vector6};
 
 use super::observe::Observability;
-use super::solve::LEAST_SMOOTHNESS;
 use super::{Options, Prior, Registration};
 
 /// One point as a fit saw it.
@@ -25,7 +24,7 @@ impl Contact {
     pub fn of(closest: &crate::surface::Closest, registration: &Registration, used: bool) -> Self {
         let noise = registration.noise_mm;
         let x = closest.signed_distance_mm / (3.0 * noise);
-        let takes_part = used && closest.smoothness >= LEAST_SMOOTHNESS;
+        let takes_part = used && closest.is_smooth();
         Self {
             point: closest.point,
             normal: closest.normal,

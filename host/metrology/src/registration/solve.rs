@@ -10,10 +10,10 @@ use rayon::prelude::*;
 
 use super::observe::Observability;
 use super::prior::ScaledPrior;
-use super::{Options, Reason, Registration, Status};
+use super::{Options, Reason, Reference, Registration, Status};
 use crate::random::uniform;
 use crate::space::morton::along_curve;
-use crate::surface::{CHUNK, Surface};
+use crate::surface::CHUNK;
 use flankscope_foundation::rigid::Rigid;
 
 /// Points per level; the last level takes all.
@@ -25,8 +25,6 @@ const STALLED: f64 = 1e4;
 /// Steps up to this together are taken on the last closest points. A facet of 0.1 mm loses 2 % of its points to its neighbour
 /// by that, whose plane differs by a degree or so: less than 1 nm in the mean.
 const LINEAR_MM: f64 = 2e-3;
-/// Normals at sharp edges (more than 20 degrees between the faces) belong to neither face: such hits take no part.
-pub(super) const LEAST_SMOOTHNESS: f64 = 0.985;
 /// Noise is not taken for less than this, so that perfect data do not divide by zero.
 const LEAST_NOISE_MM: f64 = 1e-6;
 /// Largest Mahalanobis distance from the prior: for six normal variables it is exceeded once in a million.
@@ -34,24 +32,24 @@ const MOST_PRIOR_DISTANCE: f64 = 6.2;
 /// A pose must be clearly nearer to the start than its rival one pitch on.
 const RIVAL_RATIO: f64 = 0.6;
 
-/// Lays `points` (mm) on the surface. `sigma_mm` is the standard uncertainty of each point, where known; otherwise all
+/// Lays `points` (mm) on a surface, or on another cloud. `sigma_mm` is the standard uncertainty of each point, where known; otherwise all
 /// points count the same and the noise is estimated from the residuals.
 ///
 /// The same input gives the same bytes on any number of threads.
-pub fn register(
-    surface: &Surface,
+pub fn register<R: Reference>(
+    reference: &R,
     points: &[[f64; 3]],
     sigma_mm: Option<&[f32]>,
     options: &Options,
 ) -> Registration {
-    match Problem::new(surface, points, sigma_mm, options) {
+    match Problem::new(reference, points, sigma_mm, options) {
         Ok(problem) => problem.solve(),
         Err(reason) => Registration::refused(options.initial, reason),
     }
 }
 
-struct Problem<'a> {
-    surface: &'a Surface,
+struct Problem<'a, R> {
+    reference: &'a R,
     /// Neighbours follow each other.
     points: Cow<'a, [[f64; 3]]>,
     sigma_mm: Option<Cow<'a, [f32]>>,
@@ -111,9 +109,9 @@ impl Fit {
     }
 }
 
-impl<'a> Problem<'a> {
+impl<'a, R: Reference> Problem<'a, R> {
     fn new(
-        surface: &'a Surface,
+        reference: &'a R,
         points: &'a [[f64; 3]],
         sigma_mm: Option<&'a [f32]>,
         options: &'a Options,
@@ -167,7 +165,7 @@ impl<'a> Problem<'a> {
             }
         };
         Ok(Self {
-            surface,
+            reference,
             points,
             sigma_mm,
             options,
@@ -286,16 +284,15 @@ impl<'a> Problem<'a> {
                     sample.arm = rotation * Vector3::from(self.points[index as usize]) + shift;
                     *there = (sample.arm + self.centre).into();
                 }
-                self.surface
-                    .each_closest(there, samples, |closest, sample| {
-                        sample.normal = Vector3::from(closest.normal);
-                        sample.distance = closest.signed_distance_mm;
-                        let takes_part = closest.smoothness >= LEAST_SMOOTHNESS
-                            && sample.distance.abs() <= self.options.capture_mm;
-                        if !takes_part {
-                            sample.weight = 0.0;
-                        }
-                    });
+                self.reference.each_foot(there, samples, |foot, sample| {
+                    sample.normal = Vector3::from(foot.normal);
+                    sample.distance = foot.signed_distance_mm;
+                    let takes_part =
+                        foot.smooth && sample.distance.abs() <= self.options.capture_mm;
+                    if !takes_part {
+                        sample.weight = 0.0;
+                    }
+                });
             });
         let noise = robust_noise(&samples);
         Fit {
@@ -532,7 +529,7 @@ impl<'a> Problem<'a> {
             .iter()
             .filter(|s| {
                 let turned: [f64; 3] = (back * (s.arm + self.centre)).into();
-                self.surface.closest(turned).signed_distance_mm.abs() <= reach_mm
+                self.reference.distance_mm(turned) <= reach_mm
             })
             .count();
         let rival_ratio = near as f64 / probes.len() as f64;

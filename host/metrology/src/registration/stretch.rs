@@ -10,8 +10,6 @@ use crate::surface::Closest;
 
 /// Points farther off the surface than this are no part of it, mm.
 const REACH_MM: f64 = 0.5;
-/// Hits at sharp edges belong to neither face.
-const LEAST_SMOOTHNESS: f64 = 0.985;
 /// Fewer points do not tell.
 const LEAST_POINTS: usize = 100;
 
@@ -20,9 +18,10 @@ const LEAST_POINTS: usize = 100;
 /// points that do not tell a stretch from these.
 pub fn around(points: &[[f64; 3]], closest: &[Closest]) -> Option<f64> {
     let used = || {
-        points.iter().zip(closest).filter(|(_, hit)| {
-            hit.smoothness >= LEAST_SMOOTHNESS && hit.signed_distance_mm.abs() <= REACH_MM
-        })
+        points
+            .iter()
+            .zip(closest)
+            .filter(|(_, hit)| hit.is_smooth() && hit.signed_distance_mm.abs() <= REACH_MM)
     };
     let count = used().count();
     if count < LEAST_POINTS {

@@ -6,6 +6,7 @@
 
 pub(crate) mod bvh;
 pub mod orientation;
+mod ray;
 pub mod sampling;
 pub(crate) mod triangle;
 mod triangle_packet;
@@ -26,6 +27,9 @@ pub use triangle::Feature;
 
 /// Points per parallel task. Fixed, so that hints and sums, and with them every bit, do not depend on the thread count.
 pub const CHUNK: usize = 1024;
+
+/// Cosine of 10 degrees, half the angle between the faces of the bluntest edge that counts as sharp.
+const LEAST_SMOOTHNESS: f64 = 0.985;
 
 /// A surface ready for closest-point queries.
 #[derive(Debug, Clone)]
@@ -61,6 +65,15 @@ pub struct Closest {
     pub feature: Feature,
     /// Cosine of the angle between `normal` and the triangle's own normal: 1 on faces and smooth edges, clearly less on sharp edges.
     pub smoothness: f64,
+}
+
+impl Closest {
+    /// Whether the normal belongs to the face: not at sharp edges (more than 20 degrees between the faces), where it is of
+    /// neither.
+    #[inline(always)]
+    pub fn is_smooth(&self) -> bool {
+        self.smoothness >= LEAST_SMOOTHNESS
+    }
 }
 
 impl Surface {

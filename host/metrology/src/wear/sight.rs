@@ -10,7 +10,7 @@
 //! the wall or beyond, their points lie elsewhere. Where more rays arrive than points lie, something was not seen, however
 //! smooth the points are that were.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::Measured;
 use super::field::Field;
@@ -19,10 +19,6 @@ use crate::surface::{Closest, Surface};
 
 /// A point farther from the CAD may belong to a ray that meets another face than the point's foot lies on, mm.
 const FAR_MM: f64 = 0.02;
-/// A ray has met the surface when it is as near, mm: a twentieth of a cell.
-const NEAR_MM: f64 = 5e-3;
-/// Steps after which a ray that grazes the surface is given up.
-const MOST_STEPS: usize = 64;
 /// Cosine of the angle to the normal below which a ray grazes: its place cannot be told.
 const GRAZING: f64 = 0.05;
 
@@ -92,23 +88,12 @@ impl Sight<'_> {
             .flatten()
     }
 
-    /// Where a ray first meets the surface, if that is on a flank. No step is longer than the way to the nearest surface.
+    /// Where a ray first meets the surface, if that is on a flank.
     fn first_met(&self, gear: &GearData, direction: Vector3<f64>) -> Option<FlankPlace> {
-        let camera = Point3::from(self.camera_mm);
-        let [mut along_mm, far_mm] = self.range_mm;
-        for _ in 0..MOST_STEPS {
-            let at = camera + direction * along_mm;
-            let closest = self.surface.closest(at.coords.into());
-            let free_mm = closest.signed_distance_mm.abs();
-            if free_mm < NEAR_MM {
-                return gear.place(closest.point, closest.normal);
-            }
-            along_mm += free_mm;
-            if along_mm > far_mm || along_mm.is_nan() {
-                return None;
-            }
-        }
-        None
+        let met = self
+            .surface
+            .first_met(self.camera_mm, direction.into(), self.range_mm)?;
+        gear.place(met.point, met.normal)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::Phasor;
 use super::cell_row::CellRow;
+use super::code::{BitPart, BitSums, Finest, add_difference};
 use super::consistency::{Sums, add_chi_square, deviate};
 use super::layout::Layout;
 use crate::frame::FrameView;
@@ -47,6 +48,10 @@ pub(crate) struct Band {
     first: Vec<f32>,
     squares: Vec<f32>,
     pub merged: Vec<Merged>,
+    /// Every bit of the code.
+    pub code: Vec<BitSums>,
+    /// The frame whose complement comes next; empty without complements.
+    lit: Vec<f32>,
     row: CellRow,
 }
 
@@ -60,6 +65,11 @@ pub(super) enum Work {
         minus_sin: f32,
         first_step: bool,
         last_step: bool,
+        first_exposure: bool,
+    },
+    Code {
+        bit: usize,
+        part: BitPart,
         first_exposure: bool,
     },
 }
@@ -87,6 +97,8 @@ impl Band {
                 };
                 layout.steps.len()
             ],
+            code: vec![BitSums::new(cells); layout.bits],
+            lit: vec![0.0; if layout.has_complements() { cells } else { 0 }],
             row: CellRow::new(grid),
         }
     }
@@ -178,6 +190,36 @@ impl Band {
                     }
                     if last_step {
                         merge(re, im, sum, &mut self.merged[set], cells, first_exposure);
+                    }
+                }
+                Work::Code {
+                    part: BitPart::Lit, ..
+                } => self.lit[cells].copy_from_slice(values),
+                Work::Code {
+                    bit,
+                    part,
+                    first_exposure,
+                } => {
+                    let finest = Finest {
+                        re: &self.pending.re[cells.clone()],
+                        im: &self.pending.im[cells.clone()],
+                        sum: &self.pending.sum[cells.clone()],
+                        steps: *layout.steps.last().unwrap_or(&1),
+                    };
+                    let sums = &mut self.code[bit];
+                    let difference = &mut sums.difference[cells.clone()];
+                    let amplitude = &mut sums.amplitude[cells.clone()];
+                    if first_exposure {
+                        difference.fill(0.0);
+                        amplitude.fill(0.0);
+                    }
+                    if part == BitPart::Alone {
+                        let off = |i: usize, mean: f32| values[i] - mean;
+                        add_difference(finest, off, difference, amplitude);
+                    } else {
+                        let lit = &self.lit[cells];
+                        let off = |i: usize, _: f32| 0.5 * (lit[i] - values[i]);
+                        add_difference(finest, off, difference, amplitude);
                     }
                 }
             }

@@ -3,6 +3,7 @@
 use super::consistency::FrameNoise;
 use crate::cells::Grid;
 use crate::frame::FrameKind;
+use crate::pattern::Shown;
 
 /// What an accumulator is laid out for.
 #[derive(Debug)]
@@ -10,8 +11,12 @@ pub(crate) struct Layout {
     pub width: usize,
     pub height: usize,
     pub grid: Grid,
+    /// Pictures of one exposure, in their order.
+    pub pictures: Vec<Shown>,
     /// Phase steps of each frequency.
     pub steps: Vec<u32>,
+    /// Bits of the code; 0 without one.
+    pub bits: usize,
     pub exposures: usize,
     pub dark_frame: bool,
     /// Counts above this are saturated.
@@ -23,34 +28,18 @@ pub(crate) struct Layout {
 impl Layout {
     /// Frames of a view.
     pub fn planned(&self) -> usize {
-        usize::from(self.dark_frame) + self.exposures * self.steps_per_exposure()
-    }
-
-    fn steps_per_exposure(&self) -> usize {
-        self.steps.iter().map(|&steps| steps as usize).sum()
+        usize::from(self.dark_frame) + self.exposures * self.pictures.len()
     }
 
     /// The place of a frame in the capture order.
     pub fn index(&self, kind: FrameKind) -> Option<usize> {
-        match kind {
-            FrameKind::Dark => self.dark_frame.then_some(0),
-            FrameKind::Fringe {
-                exposure,
-                set,
-                step,
-            } => {
-                if exposure >= self.exposures || step >= *self.steps.get(set)? {
-                    return None;
-                }
-                let before: usize = self.steps[..set].iter().map(|&steps| steps as usize).sum();
-                Some(
-                    usize::from(self.dark_frame)
-                        + exposure * self.steps_per_exposure()
-                        + before
-                        + step as usize,
-                )
-            }
-        }
+        let Some(exposure) = kind.exposure() else {
+            return self.dark_frame.then_some(0);
+        };
+        let is_this = |&picture: &Shown| FrameKind::of(picture, exposure) == kind;
+        let in_exposure = self.pictures.iter().position(is_this)?;
+        let before = usize::from(self.dark_frame) + exposure * self.pictures.len();
+        (exposure < self.exposures).then_some(before + in_exposure)
     }
 
     /// The frame at a place in the capture order.
@@ -58,22 +47,25 @@ impl Layout {
         if index >= self.planned() {
             return None;
         }
-        if self.dark_frame && index == 0 {
+        let Some(index) = index.checked_sub(usize::from(self.dark_frame)) else {
             return Some(FrameKind::Dark);
-        }
-        let index = index - usize::from(self.dark_frame);
-        let exposure = index / self.steps_per_exposure();
-        let mut step = (index % self.steps_per_exposure()) as u32;
-        for (set, &steps) in self.steps.iter().enumerate() {
-            if step < steps {
-                return Some(FrameKind::Fringe {
-                    exposure,
-                    set,
-                    step,
-                });
-            }
-            step -= steps;
-        }
-        None
+        };
+        let exposure = index / self.pictures.len();
+        let picture = self.pictures.get(index % self.pictures.len())?;
+        Some(FrameKind::of(*picture, exposure))
+    }
+
+    /// Whether every bit is followed by its complement.
+    pub fn has_complements(&self) -> bool {
+        let is_complement = |picture: &Shown| {
+            matches!(
+                picture,
+                Shown::Code {
+                    complement: true,
+                    ..
+                }
+            )
+        };
+        self.pictures.last().is_some_and(is_complement)
     }
 }

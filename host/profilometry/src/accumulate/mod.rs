@@ -10,6 +10,7 @@
 
 mod band;
 mod cell_row;
+pub(crate) mod code;
 pub mod consistency;
 mod layout;
 mod phasors;
@@ -23,6 +24,7 @@ use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 
 pub(crate) use band::Band;
 use band::Work;
+use code::BitPart;
 pub(crate) use layout::Layout;
 pub use phasors::PhasorsError;
 
@@ -158,6 +160,19 @@ impl Accumulator {
                     first_exposure: exposure == 0,
                 }
             }
+            FrameKind::Code {
+                exposure,
+                bit,
+                complement,
+            } => Work::Code {
+                bit: bit as usize,
+                part: match (layout.has_complements(), complement) {
+                    (false, _) => BitPart::Alone,
+                    (true, false) => BitPart::Lit,
+                    (true, true) => BitPart::Complement,
+                },
+                first_exposure: exposure == 0,
+            },
         })
     }
 
@@ -180,16 +195,29 @@ impl Accumulator {
 mod tests {
     use super::*;
     use crate::cells::{CellGrid, Grid};
+    use crate::gray::GrayCode;
+    use crate::pattern::{FringeSet, PatternSet};
 
     /// What the wide registers compute, against the code for every machine.
     #[test]
     fn wide_registers_give_the_same_bytes() {
+        let sets = vec![FringeSet::new(4.0, 3), FringeSet::new(48.0, 8)];
+        let code = GrayCode {
+            bits: 2,
+            stripes: 4.0,
+            origin_px: -0.5,
+            complement: true,
+        };
+        let patterns = PatternSet::new("", sets).unwrap();
+        let patterns = patterns.with_code(Some(code)).unwrap();
         for binning in [1, 2, 3, 4, 5] {
             let layout = Layout {
                 width: 203,
                 height: 41,
                 grid: Grid::Blocks(CellGrid::new(203, 41, binning, None)),
+                pictures: patterns.pictures().collect(),
                 steps: vec![3, 8],
+                bits: 2,
                 exposures: 2,
                 dark_frame: true,
                 saturation_limit_dn: 3891,
@@ -226,7 +254,25 @@ mod tests {
                     assert_eq!(wide.planes.sum, plain.planes.sum);
                     assert_eq!(wide.exposures, plain.exposures);
                 }
+                assert_eq!(wide.code, plain.code);
             }
+            // As bytes and back, the code included.
+            let mut again = Accumulator::new(Arc::clone(&layout));
+            let bytes = wide.to_bytes();
+            assert_eq!(bytes.len(), wide.byte_count());
+            again.restore(&bytes).unwrap();
+            assert_eq!(again.to_bytes(), bytes);
+            let lit = |of: &Accumulator| {
+                of.bands
+                    .iter()
+                    .map(|band| band.code.clone())
+                    .collect::<Vec<_>>()
+            };
+            assert_eq!(lit(&again), lit(&wide));
+            let told = lit(&wide).concat();
+            // In larger cells of this noise some pixel is always saturated.
+            let differs = told.iter().flat_map(|bit| &bit.difference);
+            assert!(binning > 1 || differs.into_iter().any(|&dn| dn != 0.0));
         }
     }
 }

@@ -5,6 +5,7 @@
 //!  dark f32                                    counts of the dark frame, where one was captured
 //!  re f32, im f32, sum f32, [chi-square f32,] exposures u8
 //!                                              for each frequency, low to high; the last padded to 4 bytes
+//!  difference f32, amplitude f32               for each bit of a code, most significant first
 //! ```
 //!
 //! All little endian. The phasor of a cell is `re + i im` over `sum`, each summed over steps and over the exposures that did
@@ -60,6 +61,7 @@ impl Accumulator {
         HEAD_BYTES
             + dark
             + self.layout.steps.len() * ((12 + tested) * cells + cells.next_multiple_of(4))
+            + self.layout.bits * 8 * cells
     }
 
     /// Everything that the points of this view depend on, beside head and options.
@@ -85,6 +87,10 @@ impl Accumulator {
                 bytes.extend_from_slice(&band.merged[set].exposures);
             }
             bytes.resize(bytes.len().next_multiple_of(4), 0);
+        }
+        for bit in 0..self.layout.bits {
+            plane(&mut bytes, &|band| &band.code[bit].difference);
+            plane(&mut bytes, &|band| &band.code[bit].amplitude);
         }
         bytes
     }
@@ -144,6 +150,14 @@ impl Accumulator {
                 rest = later;
             }
             rest = &rest[expected_cells.next_multiple_of(4) - expected_cells..];
+        }
+        for bit in 0..self.layout.bits {
+            for band in &mut self.bands {
+                fill(&mut band.code[bit].difference, &mut rest);
+            }
+            for band in &mut self.bands {
+                fill(&mut band.code[bit].amplitude, &mut rest);
+            }
         }
         self.complete();
         Ok(())

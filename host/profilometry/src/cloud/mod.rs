@@ -2,7 +2,10 @@
 
 mod patches;
 
+use flankscope_foundation::order::median_of;
 use serde::Serialize;
+
+use crate::phase::parts::LightParts;
 
 pub use patches::PatchOptions;
 pub(crate) use patches::{Depths, small_patches};
@@ -18,6 +21,8 @@ pub struct Cloud {
     pub cell: Vec<[u16; 2]>,
     /// Amplitude of the finest fringes in electrons, summed over the cell's pixels and the exposures used.
     pub modulation_e: Vec<f32>,
+    /// Light straight from the projector and over other ways.
+    pub light: Vec<LightParts>,
     /// What the mask goes by: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
     /// Empty when no mask was asked for; a mask with threshold 0 drops nothing.
     pub fringes_dn: Vec<f32>,
@@ -30,6 +35,7 @@ impl Cloud {
             sigma_z_mm: Vec::with_capacity(points),
             cell: Vec::with_capacity(points),
             modulation_e: Vec::with_capacity(points),
+            light: Vec::new(),
             fringes_dn: Vec::new(),
         }
     }
@@ -100,6 +106,29 @@ impl Rejected {
     }
 }
 
+/// What the points of a view say of their light: medians, each for itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LightMedians {
+    /// Straight from the projector with every mirror on, electrons.
+    pub direct_e: f64,
+    /// Over any other way, electrons.
+    pub global_e: f64,
+    /// Share of the latter.
+    pub global_ratio: f64,
+}
+
+impl LightMedians {
+    /// Over some points.
+    pub fn of(light: &[LightParts]) -> Option<Self> {
+        let median = |part: fn(&LightParts) -> f64| median_of(light.iter().map(part));
+        Some(Self {
+            direct_e: median(|light| light.direct_e)?,
+            global_e: median(|light| light.global_e)?,
+            global_ratio: median(|light| light.global_ratio())?,
+        })
+    }
+}
+
 /// A decoded view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
@@ -114,6 +143,8 @@ pub struct Decoded {
     /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and
     /// uncertainties have been raised by it. 1 unless [`crate::decode::ConsistencyOptions::relative_to_view`].
     pub frame_noise_ratio: f64,
+    /// Direct and global light, medians over the points; `None` without any.
+    pub light: Option<LightMedians>,
     /// Median contrast (amplitude over mean) of each frequency over the cells with a point, low to high; empty without points.
     /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
     /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.

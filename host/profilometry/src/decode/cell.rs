@@ -1,6 +1,7 @@
 //! One cell: from its sums to a depth, or to the first reason why there is none.
 
 use super::Decoder;
+use super::coded::CodedCell;
 use super::conditioned::Conditioned;
 use super::rays::Ray;
 use crate::accumulate::Band;
@@ -30,6 +31,8 @@ pub(super) enum Fate {
 pub(super) struct CellResult {
     pub fate: Fate,
     pub depth_mm: f64,
+    /// Where its light comes from, x and y at z = 1.
+    pub direction: [f64; 2],
     pub sigma_z_mm: f32,
     pub modulation_e: f32,
     /// How far the clues to the fringe order miss: chi-square per degree of freedom. NaN where no order was found.
@@ -73,6 +76,7 @@ impl CellResult {
         Self {
             fate,
             depth_mm: f64::NAN,
+            direction: [f64::NAN; 2],
             sigma_z_mm: f32::NAN,
             modulation_e: 0.0,
             clue_chi_square: f32::NAN,
@@ -129,7 +133,7 @@ impl Decoder {
     ) -> Result<Column, Lost> {
         let noise = self.noise(band, index);
         let mut seen = [Seen::default(); MAX_FREQUENCIES];
-        let mut modulation_e = 0.0;
+        let mut last = None;
         for (set, seen) in seen.iter_mut().enumerate().take(self.patterns.sets.len()) {
             let estimate = self.estimate(band, index, set, &noise)?;
             // Written so that a NaN fails.
@@ -143,8 +147,9 @@ impl Decoder {
                 phase_rad: estimate.phase_rad + self.origins_rad[set],
                 sigma_rad: estimate.sigma_rad * view.sigma_ratios[set],
             };
-            modulation_e = estimate.modulation_e;
+            last = Some(estimate);
         }
+        let estimate = last.ok_or(Fate::UncertainOrder)?;
         let finest = self.patterns.sets.len() - 1;
         let mut clues = [unwrap::NO_CLUE; MAX_FREQUENCIES];
         for (set, clue) in clues.iter_mut().enumerate().take(finest) {
@@ -155,11 +160,28 @@ impl Decoder {
             orders: self.orders,
             expected_rad: ray.expected_rad,
         };
-        let found = unwrap::decide(&clues[..finest], seen[finest].phase_rad, &ladder);
+        let wrapped_rad = seen[finest].phase_rad;
+        let clues = &clues[..finest];
+        let found = match &self.code {
+            None => unwrap::decide(clues, wrapped_rad, &ladder),
+            Some(code) => {
+                let phases_rad = [wrapped_rad, ray.middle_rad];
+                {
+                    let cell = CodedCell {
+                        band,
+                        index,
+                        finest: &estimate,
+                        noise: &noise,
+                    };
+                    self.coded_order(code, &cell, clues, phases_rad)?
+                }
+            }
+        };
         if !(found.separation >= MIN_SEPARATION) {
             return Err(Fate::UncertainOrder.into());
         }
         let clue_chi_square = match finest {
+            _ if self.code.is_some() => f32::NAN,
             0 => f32::NAN,
             clues => (found.chi_square / clues as f64) as f32,
         };
@@ -182,7 +204,7 @@ impl Decoder {
         Ok(Column {
             column_px,
             sigma_rad: phase.sigma_rad * view.frame_noise_ratio.max(1.0),
-            modulation_e,
+            modulation_e: estimate.modulation_e,
             clue_chi_square,
             separation: found.separation as f32,
             column_chi_square: phase.chi_square,
@@ -317,9 +339,10 @@ impl Decoder {
         ray: &Ray,
     ) -> Result<CellResult, Lost> {
         let column = self.column(view, band, index, ray)?;
+        let direction = self.lit_direction(view, band.first_cell + index, ray);
         let hit = self
             .triangulator
-            .intersect(ray.direction, column.column_px)
+            .intersect(direction, column.column_px)
             .ok_or(Fate::OutsideVolume)?;
         if self
             .volume
@@ -332,12 +355,25 @@ impl Decoder {
         Ok(CellResult {
             fate: Fate::Point,
             depth_mm: hit.depth_mm,
+            direction,
             sigma_z_mm: sigma_z_mm as f32,
             modulation_e: column.modulation_e as f32,
             clue_chi_square: column.clue_chi_square,
             separation: column.separation,
             column_chi_square: column.column_chi_square,
         })
+    }
+}
+
+impl Decoder {
+    /// Where the light of a cell's smoothed phasor comes from: its own ray, but where cells beside it are brighter.
+    fn lit_direction(&self, view: &Conditioned<'_>, cell: usize, ray: &Ray) -> [f64; 2] {
+        let Some(&centroid) = view.centroids.get(cell) else {
+            return ray.direction;
+        };
+        let pitch_px = self.layout.grid.pitch_px();
+        let pixel = [0, 1].map(|axis| ray.pixel[axis] + pitch_px * f64::from(centroid[axis]));
+        self.camera.undistort(pixel).unwrap_or(ray.direction)
     }
 }
 

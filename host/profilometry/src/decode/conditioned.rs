@@ -14,6 +14,8 @@ pub(super) struct Conditioned<'a> {
     pub accumulator: Cow<'a, Accumulator>,
     /// What smoothing did to the standard deviation of each frequency's phase.
     pub sigma_ratios: Vec<f64>,
+    /// Where the light of the finest frequency comes from, in cells from each cell; empty where nothing was smoothed.
+    pub centroids: Vec<[f32; 2]>,
     /// Of each frequency, its difference to the finest, where that stands in for its own phase.
     pub differences: Vec<Option<Difference>>,
     /// By how much frames scatter more than light and sensor should make them; 1 where that is not asked.
@@ -27,6 +29,7 @@ impl Decoder {
         Conditioned {
             accumulator: Cow::Borrowed(accumulator),
             sigma_ratios: vec![1.0; sets],
+            centroids: Vec::new(),
             differences: vec![None; sets],
             frame_noise_ratio: 1.0,
         }
@@ -62,6 +65,8 @@ impl Decoder {
                 coarse_cells
             }
         };
+        view.centroids =
+            smoothing::centroids(accumulator, grid, finest, fine_cells).unwrap_or_default();
         let sigmas: Vec<f64> = (0..=finest).map(cells).collect();
         let ratios = smoothing::smooth(view.accumulator.to_mut(), grid, &sigmas);
         view.sigma_ratios = ratios.iter().map(|ratio| ratio.sqrt()).collect();

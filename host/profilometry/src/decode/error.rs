@@ -90,6 +90,16 @@ pub enum DecodeError {
         /// Far end.
         far_mm: f64,
     },
+    /// A stripe of the code holds more fringes than the frequencies tell apart.
+    #[error(
+        "a stripe of the Gray code holds {fringes:.2} fringes of the finest frequency, of which the frequencies tell {limit} apart: use at least {} times as many stripes, or a lower frequency beside", fringes / *limit as f64
+    )]
+    WideStripes {
+        /// Fringes in a stripe.
+        fringes: f64,
+        /// How many are told apart.
+        limit: usize,
+    },
     /// The accumulator belongs to another decoder.
     #[error("the accumulator was begun by another decoder")]
     ForeignAccumulator,

@@ -1,6 +1,7 @@
 //! The whole way: from the sums of a view to points in the camera frame.
 
 mod cell;
+mod coded;
 mod conditioned;
 mod error;
 mod floor;
@@ -18,17 +19,19 @@ use crate::accumulate::{Accumulator, Band, Layout};
 use crate::cells::{CellGrid, CoreGrid, Grid};
 use crate::cloud::small_patches;
 use crate::frame::FrameKind;
-use crate::head::{DepthRange, HeadModel, Sensor};
+use crate::head::{DepthRange, HeadModel, Pinhole, Sensor};
 use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
+use crate::phase::parts::LightParts;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
 use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
-pub use crate::cloud::{CellColumn, Cloud, Decoded, PatchOptions, Rejected};
+pub use crate::cloud::{CellColumn, Cloud, Decoded, LightMedians, PatchOptions, Rejected};
 pub use crate::phase::mask::MaskOptions;
 use cell::{CellResult, Fate};
+use coded::CodeLadder;
 use conditioned::Conditioned;
 pub use error::DecodeError;
 use neighbourhood::Neighbourhood;
@@ -44,11 +47,15 @@ pub struct Decoder {
     size_px: [u32; 2],
     sensor: Sensor,
     triangulator: Triangulator,
+    camera: Pinhole,
+    fringe_contrast: f64,
     projector_width_px: f64,
     volume: Option<DepthRange>,
     rays: Vec<Ray>,
     /// Orders of the finest frequency that the set tells apart.
     orders: usize,
+    /// What the code tells, if there is one.
+    code: Option<CodeLadder>,
     /// Of each frequency, its phase where that of the finest is zero.
     origins_rad: Vec<f64>,
     /// Standard deviation of all phases with which a cell tells the order by itself.
@@ -91,7 +98,13 @@ impl Decoder {
         let sensor = head.sensor.ok_or(DecodeError::NoSensor)?;
         let all_periods: Vec<f64> = patterns.sets.iter().map(|set| set.periods).collect();
         let orders = unwrap::distinct_orders(&all_periods);
-        let repeated = (100.0 * patterns.finest().periods / orders as f64).round() / 100.0;
+        let projector_width_px = projector_size_px(head, patterns.axis);
+        let code = match &patterns.code {
+            Some(code) => Some(CodeLadder::new(code, patterns, orders, projector_width_px)?),
+            None => None,
+        };
+        let all_orders = code.as_ref().map_or(orders, |code| code.all_orders);
+        let repeated = (100.0 * patterns.finest().periods / all_orders as f64).round() / 100.0;
         if head.volume.is_none() && repeated > 1.0 {
             return Err(DecodeError::NeedsVolume { periods: repeated });
         }
@@ -118,8 +131,7 @@ impl Decoder {
             });
         }
         let triangulator = Triangulator::new(head, patterns.axis);
-        let rays = rays(head, patterns, orders, &grid, &triangulator)?;
-        let projector_width_px = projector_size_px(head, patterns.axis);
+        let rays = rays(head, patterns, all_orders, &grid, &triangulator)?;
         let finest = patterns.finest();
         let origin_rad = |set: &FringeSet| {
             let apart_px = set.phase_origin_px - finest.phase_origin_px;
@@ -131,7 +143,9 @@ impl Decoder {
             width,
             height,
             grid,
+            pictures: patterns.pictures().collect(),
             steps: patterns.sets.iter().map(|set| set.steps).collect(),
+            bits: patterns.code.map_or(0, |code| code.bits as usize),
             exposures: exposures_us.len(),
             dark_frame: options.dark_frame,
             saturation_limit_dn: sensor.saturation_limit_dn(),
@@ -156,10 +170,13 @@ impl Decoder {
             size_px: [head.camera.width_px, head.camera.height_px],
             sensor,
             triangulator,
+            camera: head.camera.clone(),
+            fringe_contrast: head.fringe_contrast.unwrap_or(1.0),
             projector_width_px,
             volume: head.volume,
             rays,
             orders,
+            code,
             origins_rad,
             enough_rad: unwrap::order_step_rad(&all_periods) / unwrap::MIN_SEPARATION,
             floors_dn,
@@ -243,10 +260,13 @@ impl Decoder {
                 results[cell].reject(Fate::Isolated);
             }
         }
+        let mut decoded = self.collect(&results, fringes_dn.as_deref());
+        decoded.cloud.light = self.light(accumulator, &results);
         Ok(Decoded {
             frame_noise_ratio: view.frame_noise_ratio,
             contrast: self.contrasts(accumulator, &results),
-            ..self.collect(&results, fringes_dn.as_deref())
+            light: LightMedians::of(&decoded.cloud.light),
+            ..decoded
         })
     }
 
@@ -294,6 +314,27 @@ impl Decoder {
         };
         let ratios: Vec<Vec<f64>> = accumulator.bands.par_iter().map(of_band).collect();
         median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
+    }
+
+    /// Direct and global light of every point.
+    fn light(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<LightParts> {
+        let finest = self.layout.steps.len() - 1;
+        // A point's neighbours may have lent it all its light.
+        let dark = LightParts {
+            direct_e: 0.0,
+            global_e: 0.0,
+        };
+        let of_cell = |band: &Band, index: usize| {
+            let estimate = self.estimate(band, index, finest, &self.noise(band, index));
+            estimate.map_or(dark, |own| LightParts::of(&own, self.fringe_contrast))
+        };
+        let of_band = |band: &Band| -> Vec<LightParts> {
+            let is_point = |index: &usize| results[band.first_cell + index].fate == Fate::Point;
+            let points = (0..band.cells).filter(is_point);
+            points.map(|index| of_cell(band, index)).collect()
+        };
+        let bands: Vec<_> = accumulator.bands.par_iter().map(of_band).collect();
+        bands.concat()
     }
 
     /// Median contrast of each frequency over the cells with a point.
@@ -397,7 +438,7 @@ impl Decoder {
                 let result = &results[cell];
                 let counter = match result.fate {
                     Fate::Point => {
-                        let [x, y] = self.rays[cell].direction;
+                        let [x, y] = result.direction;
                         let z = result.depth_mm;
                         cloud.points_mm.push([x * z, y * z, z]);
                         cloud.sigma_z_mm.push(result.sigma_z_mm);
@@ -428,6 +469,7 @@ impl Decoder {
             without_point,
             rejected,
             frame_noise_ratio: 1.0,
+            light: None,
             contrast: Vec::new(),
         }
     }

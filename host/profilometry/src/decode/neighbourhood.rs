@@ -30,6 +30,9 @@ const CHANCE_VARIANCES: f32 = 1.5;
 /// Beyond so many predicted variances a bend is an edge. Of noise ten times the predicted less than a hundredth is.
 const EDGE_VARIANCES: f64 = 700.0;
 
+/// Three places are evenly spaced when the middle one is off by less than this part of the way between the others.
+const UNEVEN_RATIO: f64 = 0.05;
+
 /// A value per cell where there is one.
 type Values = Vec<Option<f32>>;
 
@@ -123,7 +126,7 @@ impl<'a> Neighbourhood<'a> {
                 let ratio = off_mm / f64::from(here.sigma_z_mm);
                 // Cells without a point have no depth: NaN fails. Beyond an edge lies another surface.
                 let square = ratio * ratio / self.bend_variance;
-                *bend = (square < EDGE_VARIANCES).then_some(square as f32);
+                *bend = (square < EDGE_VARIANCES && evenly_spaced(triple)).then_some(square as f32);
             }
         }
         bends
@@ -132,4 +135,13 @@ impl<'a> Neighbourhood<'a> {
     fn mean(&self, values: Values, units: f64) -> Vec<f32> {
         self.plane.mean(&values, units * self.unit_cells)
     }
+}
+
+/// Whether the light of three cells comes from places as evenly spaced as the cells: smoothing beside an edge of light draws them
+/// together, and their depths lie on the surface still, but not in a row.
+fn evenly_spaced(triple: &[CellResult]) -> bool {
+    let [before, here, after] = [0, 1, 2].map(|at: usize| triple[at].direction);
+    let step = (after[0] - before[0]).hypot(after[1] - before[1]);
+    let off = [0, 1].map(|axis| here[axis] - 0.5 * (before[axis] + after[axis]));
+    off[0].hypot(off[1]) <= UNEVEN_RATIO * step
 }

@@ -58,6 +58,10 @@ pub struct HeadModel {
     /// How the mirrors of its DMD lie; absent: above each other.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
+    /// Contrast (amplitude over mean) that the optics leave the finest fringes on a matt, convex surface in focus; absent: not known,
+    /// at most 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fringe_contrast: Option<f64>,
     /// `X_projector = rotation X_camera + translation_mm`.
     pub projector_from_camera: RigidTransform,
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
@@ -188,6 +192,15 @@ impl HeadModel {
                     "must be positive",
                 ));
             }
+        }
+        if let Some(contrast) = self.fringe_contrast
+            && !(contrast > 0.0 && contrast <= 1.0)
+        {
+            return Err(BadValue::new(
+                "fringe_contrast",
+                contrast,
+                "must be above 0 and at most 1",
+            ));
         }
         if let Some(distance) = self.working_distance_mm
             && !(distance > 0.0 && distance.is_finite())

@@ -1,4 +1,4 @@
-//! OpenCV calibrations as heads: `Kc kc Kp kp Rp Tp`, millimetres.
+//! OpenCV calibrations as heads: `Kc kc Kp kp Rp Tp`, or the names that other programs write, millimetres.
 //!
 //! Kc, Kp: 3x3 camera matrices of camera and projector; kc, kp: distortion (4 or 5 values, OpenCV order); Rp, Tp:
 //! `X_projector = Rp X_camera + Tp`. Sizes: frameWidth, frameHeight, screenResX, screenResY.
@@ -9,14 +9,32 @@ use super::{HeadModel, Pinhole, RigidTransform};
 use crate::io::opencv::Storage;
 use flankscope_foundation::textfile::TextFileError;
 
+/// Names of one thing: ours first, then those of OpenCV's `stereo_calib` sample and of `stereoCalibrate`'s arguments (camera
+/// first, projector second), then those of Moreno and Taubin's calibration of projectors (3DIMPVT 2012).
+type Names = &'static [&'static str];
+const CAMERA_MATRIX: Names = &["Kc", "M1", "cameraMatrix1", "cam_K"];
+const CAMERA_DISTORTION: Names = &["kc", "D1", "distCoeffs1", "cam_kc"];
+const CAMERA_SIZE: [Names; 2] = [
+    &["frameWidth", "image_width", "cam_width"],
+    &["frameHeight", "image_height", "cam_height"],
+];
+const PROJECTOR_MATRIX: Names = &["Kp", "M2", "cameraMatrix2", "proj_K"];
+const PROJECTOR_DISTORTION: Names = &["kp", "D2", "distCoeffs2", "proj_kc"];
+const PROJECTOR_SIZE: [Names; 2] = [
+    &["screenResX", "proj_width"],
+    &["screenResY", "proj_height"],
+];
+const ROTATION: Names = &["Rp", "R"];
+const TRANSLATION: Names = &["Tp", "T"];
+
 /// Camera, projector and their pose from a FileStorage text. The sensor, the volume and the stage stay unknown.
 pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadModel, TextFileError> {
     let storage = Storage::parse(path, text)?;
-    let pinhole = |matrix: &str,
-                   distortion: &str,
-                   width: &str,
-                   height: &str|
+    let pinhole = |matrix: Names,
+                   distortion: Names,
+                   [width, height]: [Names; 2]|
      -> Result<Pinhole, TextFileError> {
+        let matrix = storage.which(matrix)?;
         let k = storage.matrix::<9>(matrix, "3 x 3 numbers [fx 0 cx; 0 fy cy; 0 0 1]")?;
         if k[1] != 0.0 || k[3] != 0.0 || k[6] != 0.0 || k[7] != 0.0 || k[8] != 1.0 {
             return Err(storage.wrong(
@@ -26,20 +44,20 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
             ));
         }
         Ok(Pinhole {
-            width_px: storage.pixels(width)?,
-            height_px: storage.pixels(height)?,
+            width_px: storage.pixels(storage.which(width)?)?,
+            height_px: storage.pixels(storage.which(height)?)?,
             focal_px: [k[0], k[4]],
             principal_px: [k[2], k[5]],
-            distortion: storage.distortion(distortion)?,
+            distortion: storage.distortion(storage.which(distortion)?)?,
             residual: None,
         })
     };
-    let camera = pinhole("Kc", "kc", "frameWidth", "frameHeight")?;
-    let projector = pinhole("Kp", "kp", "screenResX", "screenResY")?;
-    let r = storage.matrix::<9>("Rp", "a 3 x 3 rotation matrix")?;
+    let camera = pinhole(CAMERA_MATRIX, CAMERA_DISTORTION, CAMERA_SIZE)?;
+    let projector = pinhole(PROJECTOR_MATRIX, PROJECTOR_DISTORTION, PROJECTOR_SIZE)?;
+    let r = storage.matrix::<9>(storage.which(ROTATION)?, "a 3 x 3 rotation matrix")?;
     let projector_from_camera = RigidTransform {
         rotation: [[r[0], r[1], r[2]], [r[3], r[4], r[5]], [r[6], r[7], r[8]]],
-        translation_mm: storage.matrix::<3>("Tp", "3 numbers in mm")?,
+        translation_mm: storage.matrix::<3>(storage.which(TRANSLATION)?, "3 numbers in mm")?,
     };
     Ok(HeadModel {
         name: path
@@ -62,6 +80,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         seal: None,
         core_map: None,
         mirrors: None,
+        fringe_contrast: None,
     })
 }
 
@@ -81,6 +100,28 @@ mod tests {
             head.projector_from_camera.translation_mm,
             [-100.0, 0.0, 0.0]
         );
+    }
+
+    #[test]
+    fn other_programs_names_are_read_and_never_two_for_one_thing() {
+        let ours = head_from_file_storage(Path::new("c.yml"), YAML).unwrap();
+        let keys = ["Kc:", "kc:", "Kp:", "kp:", "Rp:", "Tp:"];
+        for names in [
+            ["M1:", "D1:", "M2:", "D2:", "R:", "T:"],
+            ["cam_K:", "cam_kc:", "proj_K:", "proj_kc:", "R:", "T:"],
+        ] {
+            let mut text = YAML.to_owned();
+            for (ours, theirs) in keys.into_iter().zip(names) {
+                text = text.replace(ours, theirs);
+            }
+            let theirs = head_from_file_storage(Path::new("c.yml"), &text).unwrap();
+            assert_eq!(format!("{theirs:?}"), format!("{ours:?}"));
+        }
+        let both = format!("{YAML}M1: !!opencv-matrix\n   rows: 1\n");
+        let error = head_from_file_storage(Path::new("c.yml"), &both)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("M1 = a second value beside Kc"), "{error}");
     }
 
     #[test]

@@ -1,8 +1,11 @@
-//! Grey frames of other people's cameras: PNG, and binary PGM (Netpbm's P5).
+//! Grey frames of other people's cameras: PNG, TIFF, and binary PGM (Netpbm's P5).
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
+
+use tiff::decoder::DecodingResult;
+use tiff::tags::Tag;
 
 use crate::frame::FrameView;
 
@@ -46,8 +49,24 @@ pub enum ImageError {
         /// The decoder's reason.
         source: png::DecodingError,
     },
-    /// Neither of the formats that are read.
-    #[error("{} is neither a PNG nor a binary PGM (P5) image", path.display())]
+    /// Truncated, damaged, or stored in a way that is not read.
+    #[error("{} is not a whole TIFF image, uncompressed or by deflate, LZW or PackBits: {source}", path.display())]
+    Tiff {
+        /// The file.
+        path: PathBuf,
+        /// The decoder's reason.
+        source: tiff::TiffError,
+    },
+    /// A TIFF file that stores something else than one upright image of counts.
+    #[error("{} {reason}: frames must be one image of unsigned counts each, black at zero, first row first", path.display())]
+    TiffLayout {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// None of the formats that are read.
+    #[error("{} is neither a PNG nor a TIFF nor a binary PGM (P5) image", path.display())]
     Format {
         /// The file.
         path: PathBuf,
@@ -61,14 +80,12 @@ pub enum ImageError {
         reason: &'static str,
     },
     /// Colour, palette, alpha or fewer bits.
-    #[error("{} is {colour:?} with {bits} bits: frames must be grey with 8 or 16 bits", path.display())]
+    #[error("{} is {layout}: frames must be grey with 8 or 16 bits", path.display())]
     NotGrey {
         /// The file.
         path: PathBuf,
-        /// What it is.
-        colour: png::ColorType,
-        /// Its bits per channel.
-        bits: u32,
+        /// Channels, and bits of each.
+        layout: String,
     },
     /// Not the size of the head's camera; found before anything is allocated.
     #[error("{} has {got_width} x {got_height} pixels, the calibrated camera {width} x {height}", path.display())]
@@ -195,6 +212,7 @@ pub fn read_grey(path: &Path, content: &[u8], size_px: [u32; 2]) -> Result<GreyI
 enum Opened<R: BufRead + Seek> {
     Png(Box<png::Reader<R>>, ImageHeader),
     Pgm(R, ImageHeader),
+    Tiff(Box<tiff::decoder::Decoder<R>>, ImageHeader),
 }
 
 impl<R: BufRead + Seek> Opened<R> {
@@ -211,6 +229,10 @@ impl<R: BufRead + Seek> Opened<R> {
                 reason,
             })?;
             return Ok(Self::Pgm(file, header));
+        }
+        let tiff = start.starts_with(b"II*\0") || start.starts_with(b"MM\0*");
+        if tiff && !named_png {
+            return Self::tiff(path, file);
         }
         if !start.starts_with(b"\x89PNG") && !named_png {
             return Err(ImageError::Format {
@@ -230,8 +252,7 @@ impl<R: BufRead + Seek> Opened<R> {
             (colour, depth) => {
                 return Err(ImageError::NotGrey {
                     path: path.to_owned(),
-                    colour,
-                    bits: depth as u32,
+                    layout: format!("{colour:?} with {} bits", depth as u32),
                 });
             }
         };
@@ -243,8 +264,53 @@ impl<R: BufRead + Seek> Opened<R> {
         Ok(Self::Png(Box::new(reader), header))
     }
 
+    fn tiff(path: &Path, file: R) -> Result<Self, ImageError> {
+        let broken = |source| ImageError::Tiff {
+            path: path.to_owned(),
+            source,
+        };
+        let mut reader = tiff::decoder::Decoder::new(file).map_err(broken)?;
+        let (width, height) = reader.dimensions().map_err(broken)?;
+        let bits = match reader.colortype().map_err(broken)? {
+            tiff::ColorType::Gray(bits @ (8 | 16)) => bits,
+            other => {
+                return Err(ImageError::NotGrey {
+                    path: path.to_owned(),
+                    layout: format!("{other:?}"),
+                });
+            }
+        };
+        // What the format says where a tag is missing, and what is read.
+        for (tag, usual) in [
+            (Tag::PhotometricInterpretation, 1),
+            (Tag::Orientation, 1),
+            (Tag::SampleFormat, 1),
+        ] {
+            let found = reader.find_tag_unsigned::<u32>(tag).map_err(broken)?;
+            let found = found.unwrap_or(usual);
+            if found != usual {
+                return Err(ImageError::TiffLayout {
+                    path: path.to_owned(),
+                    reason: format!("has {tag:?} = {found}"),
+                });
+            }
+        }
+        if reader.more_images() {
+            return Err(ImageError::TiffLayout {
+                path: path.to_owned(),
+                reason: "holds several images".into(),
+            });
+        }
+        let header = ImageHeader {
+            width,
+            height,
+            bits: bits.into(),
+        };
+        Ok(Self::Tiff(Box::new(reader), header))
+    }
+
     fn header(&self) -> ImageHeader {
-        let (Self::Png(_, header) | Self::Pgm(_, header)) = self;
+        let (Self::Png(_, header) | Self::Pgm(_, header) | Self::Tiff(_, header)) = self;
         *header
     }
 
@@ -256,8 +322,30 @@ impl<R: BufRead + Seek> Opened<R> {
             bits,
         } = self.header();
         let (width, height) = (width as usize, height as usize);
+        let image = |pixels| GreyImage {
+            pixels,
+            width,
+            height,
+            bits,
+        };
         let mut bytes = vec![0; width * height * (bits as usize / 8)];
         match self {
+            Self::Tiff(mut reader, _) => {
+                let broken = |source| ImageError::Tiff {
+                    path: path.to_owned(),
+                    source,
+                };
+                return match reader.read_image().map_err(broken)? {
+                    DecodingResult::U8(counts) => {
+                        Ok(image(counts.into_iter().map(u16::from).collect()))
+                    }
+                    DecodingResult::U16(counts) => Ok(image(counts)),
+                    _ => Err(ImageError::TiffLayout {
+                        path: path.to_owned(),
+                        reason: "has no unsigned counts".into(),
+                    }),
+                };
+            }
             Self::Png(mut reader, _) => {
                 let read = reader.next_frame(&mut bytes);
                 read.map_err(|source| ImageError::Png {
@@ -281,19 +369,14 @@ impl<R: BufRead + Seek> Opened<R> {
                 }
             }
         }
-        // Both formats are big endian.
+        // PNG and PGM are big endian.
         let pixels = if bits == 8 {
             bytes.into_iter().map(u16::from).collect()
         } else {
             let pairs = bytes.as_chunks::<2>().0.iter();
             pairs.map(|&pair| u16::from_be_bytes(pair)).collect()
         };
-        Ok(GreyImage {
-            pixels,
-            width,
-            height,
-            bits,
-        })
+        Ok(image(pixels))
     }
 }
 
@@ -342,7 +425,7 @@ fn pgm_header(file: &mut impl Read) -> Result<ImageHeader, &'static str> {
     })
 }
 
-/// All PNG and PGM files of a folder, sorted by name; there must be exactly `expected`.
+/// All PNG, TIFF and PGM files of a folder, sorted by name; there must be exactly `expected`.
 ///
 /// # Errors
 /// [`ImageError::Folder`], [`ImageError::Count`], [`ImageError::Order`].
@@ -354,7 +437,10 @@ pub fn list_images(folder: &Path, expected: usize) -> Result<Vec<PathBuf>, Image
     let mut paths = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        if has_extension(&path, "png") || has_extension(&path, "pgm") {
+        if ["png", "pgm", "tif", "tiff"]
+            .iter()
+            .any(|extension| has_extension(&path, extension))
+        {
             paths.push(path);
         }
     }
@@ -438,6 +524,98 @@ mod tests {
         );
         let image = load_grey(&sixteen, [2, 1]).unwrap();
         assert_eq!((image.bits, &image.pixels[..]), (16, &[4095, 258][..]));
+    }
+
+    /// A TIFF of one strip, as TIFF 6.0 (Adobe, 1992) lays it out.
+    fn tiff(
+        big_endian: bool,
+        [width, height]: [u32; 2],
+        bits: u32,
+        tags: &[(u16, u32)],
+    ) -> Vec<u8> {
+        let short = |value: u16| match big_endian {
+            true => value.to_be_bytes(),
+            false => value.to_le_bytes(),
+        };
+        let long = |value: u32| match big_endian {
+            true => value.to_be_bytes(),
+            false => value.to_le_bytes(),
+        };
+        let counts = (0..width * height).map(|i| 257 * i as u16);
+        let strip: Vec<u8> = counts
+            .flat_map(|count| match bits {
+                8 => vec![count as u8],
+                _ => short(count).to_vec(),
+            })
+            .collect();
+        let mut entries = vec![
+            (256, width),
+            (257, height),
+            (258, bits),
+            (259, 1),
+            (262, 1),
+            (273, 8),
+            (277, 1),
+            (278, height),
+            (279, strip.len() as u32),
+        ];
+        for &(tag, value) in tags {
+            entries.retain(|&(known, _)| known != tag);
+            entries.push((tag, value));
+        }
+        entries.sort_unstable();
+        let mut file = if big_endian { b"MM\0*" } else { b"II*\0" }.to_vec();
+        file.extend(long(8 + strip.len() as u32));
+        file.extend(&strip);
+        file.extend(short(entries.len() as u16));
+        for (tag, value) in entries {
+            // All as LONG, which every reader takes.
+            file.extend([short(tag), short(4)].concat());
+            file.extend([long(1), long(value)].concat());
+        }
+        file.extend(long(0));
+        file
+    }
+
+    #[test]
+    fn a_tiff_is_read_in_both_byte_orders_and_depths() {
+        let folder = tempfile::tempdir().unwrap();
+        for (big_endian, bits) in [(false, 8), (true, 8), (false, 16), (true, 16)] {
+            let path = file(folder.path(), "a.tif", &tiff(big_endian, [3, 2], bits, &[]));
+            let image = load_grey(&path, [3, 2]).unwrap();
+            let step = if bits == 8 { 1 } else { 257 };
+            let expected: Vec<u16> = (0..6).map(|i| step * i).collect();
+            assert_eq!((image.bits, image.pixels), (bits, expected));
+        }
+    }
+
+    #[test]
+    fn what_a_tiff_stores_otherwise_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = tiff(false, [3, 2], 16, &[]);
+        for (bytes, word) in [
+            (
+                tiff(false, [3, 2], 16, &[(262, 0)]),
+                "PhotometricInterpretation = 0",
+            ),
+            (tiff(true, [3, 2], 16, &[(274, 3)]), "Orientation = 3"),
+            (tiff(false, [3, 2], 16, &[(339, 2)]), "SampleFormat = 2"),
+            (tiff(false, [3, 2], 32, &[]), "Gray(32)"),
+            (tiff(false, [4, 2], 16, &[]), "4 x 2"),
+            (tiff(false, [3, 2], 16, &[(259, 7)]), "not a whole TIFF"),
+            (tiff(false, [3, 2], 16, &[(273, 4_000)]), "not a whole TIFF"),
+            (whole[..20].to_vec(), "not a whole TIFF"),
+        ] {
+            let path = file(folder.path(), "a.tiff", &bytes);
+            let error = load_grey(&path, [3, 2]).unwrap_err().to_string();
+            assert!(error.contains(word), "{word}: {error}");
+        }
+        // Two images behind each other: the first directory points to itself.
+        let mut pair = whole;
+        let end = pair.len() - 4;
+        pair[end..].copy_from_slice(&(8 + 12_u32).to_le_bytes());
+        let path = file(folder.path(), "a.tiff", &pair);
+        assert!(load_grey(&path, [3, 2]).is_err());
     }
 
     #[test]

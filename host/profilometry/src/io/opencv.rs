@@ -45,8 +45,27 @@ impl<'a> Storage<'a> {
             line: 1,
             key: name.to_owned(),
             got: "nothing".to_owned(),
-            expected: "must be present: a calibration has Kc, kc, Kp, kp, Rp, Tp, frameWidth, frameHeight, screenResX and screenResY",
+            expected: "must be present: a calibration has Kc, kc, Kp, kp, Rp, Tp, frameWidth, frameHeight, screenResX and screenResY, \
+                       or the other names in docs/formats.md",
         })
+    }
+
+    /// Which of several names for one thing the file uses; the first of them, if it has none.
+    ///
+    /// # Errors
+    /// [`TextFileError::Value`]: the file has two of them.
+    pub fn which<'n>(&self, names: &[&'n str]) -> Result<&'n str, TextFileError> {
+        let has = |name: &&&str| self.nodes.iter().any(|node| node.name == **name);
+        let mut used = names.iter().filter(has);
+        match (used.next(), used.next()) {
+            (Some(first), Some(second)) => Err(self.wrong(
+                second,
+                format!("a second value beside {first}"),
+                "must be the only name of this in the file",
+            )),
+            (Some(name), None) => Ok(name),
+            _ => Ok(names.first().copied().unwrap_or_default()),
+        }
     }
 
     /// A complaint about a node, with its line.

@@ -4,6 +4,7 @@
 //! N steps let no harmonic through to the phase but those of order m N ± 1.
 
 pub mod mask;
+pub mod parts;
 pub(crate) mod smoothing;
 
 use crate::accumulate::Phasor;

@@ -242,6 +242,40 @@ pub(crate) fn dense(
     plane
 }
 
+/// Where the light of smoothed phasors comes from: the mean place of the cells that went in, each by its weight in the Gaussian and
+/// its amplitude, in cells (columns, rows) from the cell itself. In cell order.
+///
+/// Along a phase that grows evenly, a sum of phasors has the phase of this place. In the dark beside bright cells it is theirs.
+pub(crate) fn centroids(
+    accumulator: &Accumulator,
+    grid: &CellGrid,
+    set: usize,
+    sigma_cells: f64,
+) -> Option<Vec<[f32; 2]>> {
+    let blur = Blur::new(sigma_cells)?;
+    let amplitude = dense(accumulator, grid, |band, cell| {
+        let planes = &band.merged[set].planes;
+        planes.re[cell].hypot(planes.im[cell])
+    });
+    let mut sum = amplitude.clone();
+    blur.apply(&mut sum, grid.columns);
+    let places = [0, 1].map(|axis| {
+        let mut moment = amplitude.clone();
+        for (at, value) in moment.iter_mut().enumerate() {
+            *value *= [at % grid.columns, at / grid.columns][axis] as f32;
+        }
+        blur.apply(&mut moment, grid.columns);
+        for (at, (moment, sum)) in moment.iter_mut().zip(&sum).enumerate() {
+            let own = [at % grid.columns, at / grid.columns][axis] as f32;
+            // Nothing came from anywhere.
+            *moment = if *sum > 0.0 { *moment / sum - own } else { 0.0 };
+        }
+        sparse(grid, &moment)
+    });
+    let [columns, rows] = places;
+    Some(columns.into_iter().zip(rows).map(|(x, y)| [x, y]).collect())
+}
+
 /// Smooths the phasors of all frequencies; returns the factor on the variance of the phase.
 ///
 /// Phasors, not phases: they have no jumps, and dim or dropped cells weigh little by themselves.

@@ -64,6 +64,7 @@ pub fn head() -> HeadModel {
         seal: None,
         core_map: None,
         mirrors: None,
+        fringe_contrast: None,
     }
 }
 
@@ -152,6 +153,7 @@ pub fn frame(
                     let shift = TAU * f64::from(step) / f64::from(fringes.steps);
                     gain * light.mean_e * (1.0 + light.contrast * (phase + shift).cos())
                 }
+                FrameKind::Code { .. } => unreachable!("this scene has no code"),
             };
             if light.noise_seed.is_some() {
                 electrons += random.normal() * (electrons + sensor.read_noise_e.powi(2)).sqrt();
@@ -189,7 +191,9 @@ pub fn capture(
         .map(|kind| {
             let gain = match kind {
                 FrameKind::Dark => 1.0,
-                FrameKind::Fringe { exposure, .. } => gains[exposure],
+                FrameKind::Fringe { exposure, .. } | FrameKind::Code { exposure, .. } => {
+                    gains[exposure]
+                }
             };
             (
                 kind,

@@ -34,28 +34,45 @@ pub struct Program {
     pub light: Light,
 }
 
-/// More than a capture plan holds.
+/// What a capture plan cannot say.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{got} {what} are too many for one capture; at most {limit}")]
-pub struct ProgramError {
-    /// Views, exposures or fringe sets.
-    what: &'static str,
-    /// How many were asked for.
-    got: usize,
-    /// How many a plan holds.
-    limit: usize,
+#[non_exhaustive]
+pub enum ProgramError {
+    /// More than it holds.
+    #[error("{got} {what} are too many for one capture; at most {limit}")]
+    TooMany {
+        /// Views, exposures or fringe sets.
+        what: &'static str,
+        /// How many were asked for.
+        got: usize,
+        /// How many a plan holds.
+        limit: usize,
+    },
+    /// The controller shows fringes only.
+    #[error(
+        "pattern set \"{set}\" has a Gray code, which the controller's capture plan cannot ask for: recorded frames (--frames) may have one"
+    )]
+    GrayCode {
+        /// The set.
+        set: String,
+    },
 }
 
 impl Program {
     /// The capture plan for some of its views, under a session number of its own.
     ///
     /// # Errors
-    /// More views, sets or exposures than a plan holds.
+    /// More views, sets or exposures than a plan holds, or a code.
     pub(super) fn capture_plan(
         &self,
         views: &[usize],
         limits: &Limits,
     ) -> Result<CapturePlan, ProgramError> {
+        if self.patterns.code.is_some() {
+            return Err(ProgramError::GrayCode {
+                set: self.patterns.name.clone(),
+            });
+        }
         let timing = &self.timing;
         let mut plan = CapturePlan {
             session: flankscope_frames::monotonic_ns() as u32,
@@ -69,7 +86,7 @@ impl Program {
             retract: Micrometres((self.retract_mm * 1e3).round() as i32),
             timeouts: Timeouts::default(),
         };
-        let too_many = |what, got, limit| ProgramError { what, got, limit };
+        let too_many = |what, got, limit| ProgramError::TooMany { what, got, limit };
         let limit = plan.views.capacity();
         for at in views.iter().filter_map(|&view| self.positions.get(view)) {
             let view = View {
@@ -132,5 +149,20 @@ mod tests {
             limit + 1
         );
         assert_eq!(error.to_string(), named);
+    }
+
+    #[test]
+    fn a_code_is_refused_by_name() {
+        let mut program = program(1);
+        let code = flankscope_profilometry::gray::GrayCode {
+            bits: 6,
+            stripes: 48.0,
+            origin_px: -0.5,
+            complement: false,
+        };
+        program.patterns = program.patterns.with_code(Some(code)).unwrap();
+        let error = program.capture_plan(&[0], &Limits::DEFAULT).unwrap_err();
+        let set = "article8".to_owned();
+        assert_eq!(error, ProgramError::GrayCode { set });
     }
 }

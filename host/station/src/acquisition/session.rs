@@ -45,7 +45,13 @@ impl<O: Send + 'static> Acquisition<O> {
             dark_limit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
                 exposure: program.exposures_us.len() as u16 / 2,
-                pattern: program.patterns.frames_per_exposure() as u16,
+                // The last of the finest fringes.
+                pattern: program
+                    .patterns
+                    .sets
+                    .iter()
+                    .map(|set| set.steps as u16)
+                    .sum(),
             },
             full_scale_dn: decoder.full_scale_dn(),
             camera: HeadCamera {

@@ -1,10 +1,12 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
+use flankscope_foundation::rigid::{Camera, Rigid, Stage, Tool as ToolFrame};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Recipe, RecordedRecipe};
@@ -20,6 +22,24 @@ pub struct PlannedView {
     pub rotation_rad: f64,
     /// Commanded position of the vertical stage, mm.
     pub vertical_mm: f64,
+}
+
+impl PlannedView {
+    /// The views of these teeth, as the tool file has them.
+    ///
+    /// # Errors
+    /// Teeth that are not there, or a tool without gear.
+    pub fn of_teeth(tool: &Tool, teeth: &[u32]) -> Result<Vec<Self>, PlanningError> {
+        ViewPlan::nominal(tool, teeth)
+    }
+
+    /// Where the camera stands when the stages are where they were told.
+    pub(crate) fn tool_from_camera(
+        &self,
+        stage_from_camera: Rigid<Stage, Camera>,
+    ) -> Rigid<ToolFrame, Camera> {
+        tool_from_stage(self.rotation_rad) * lifted(self.vertical_mm, stage_from_camera)
+    }
 }
 
 /// All views of a check and how each is exposed.
@@ -313,6 +333,17 @@ fn close_ranks(angles_rad: &mut [&mut f64]) {
     } else if after > 0 {
         above.iter_mut().for_each(|angle| **angle -= turn);
     }
+}
+
+/// The die turns by the commanded angle; seen from the die, the stage turns the other way.
+fn tool_from_stage(rotation_rad: f64) -> Rigid<ToolFrame, Stage> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -rotation_rad);
+    Rigid::from_isometry(Isometry3::from_parts(Translation3::identity(), turn))
+}
+
+/// The vertical stage raises the head.
+fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<Stage, Camera> {
+    Rigid::from_isometry(Translation3::new(0.0, 0.0, vertical_mm) * stage_from_camera.isometry())
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
-use flankscope_profilometry::decode::Rejected;
+use flankscope_profilometry::decode::{LightMedians, Rejected};
 use serde::Serialize;
 
 use crate::baseline::{Baseline, BaselineError, Reference};
@@ -234,6 +234,9 @@ pub struct Light {
     pub rejected: Rejected,
     /// Median contrast of each frequency over the cells with a point: what it lacks of one is indirect light, or the optics.
     pub contrast: Vec<f64>,
+    /// Direct and global light, medians over the points; absent without any.
+    #[serde(flatten)]
+    pub medians: Option<LightMedians>,
     /// Part of the points whose fringe order is another than the drawing's at the pose found: damage deeper than half a fringe,
     /// another die, light over a second surface. It is told and changes nothing: the frequencies alone say which order it is.
     pub other_order_ratio: f64,

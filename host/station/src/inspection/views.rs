@@ -14,7 +14,7 @@ use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
-use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Vector3};
 
 use super::evidence::Phasors;
 use super::field::FieldOfView;
@@ -213,8 +213,7 @@ impl Evaluator {
             .views
             .iter()
             .map(|view| {
-                let tool_from_camera = tool_from_stage(view.rotation_rad)
-                    * lifted(view.vertical_mm, stage_from_camera);
+                let tool_from_camera = view.tool_from_camera(stage_from_camera);
                 let corners = [volume.near_mm, volume.far_mm].map(|depth| {
                     [-1.0, 1.0].map(|x| {
                         [-1.0, 1.0]
@@ -311,6 +310,7 @@ impl Evaluator {
         let light = Light {
             rejected: decoded.rejected,
             contrast: decoded.contrast.clone(),
+            medians: decoded.light,
             other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
         };
         let measured = Measured {
@@ -700,17 +700,6 @@ fn summary(
             .collect(),
         elapsed_ms,
     }
-}
-
-/// The die turns by the commanded angle; seen from the die, the stage turns the other way.
-fn tool_from_stage(rotation_rad: f64) -> Rigid<ToolFrame, Stage> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -rotation_rad);
-    Rigid::from_isometry(Isometry3::from_parts(Translation3::identity(), turn))
-}
-
-/// The vertical stage raises the head.
-fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<Stage, Camera> {
-    Rigid::from_isometry(Translation3::new(0.0, 0.0, vertical_mm) * stage_from_camera.isometry())
 }
 
 /// The hand-eye of the head file.

@@ -22,6 +22,8 @@ pub struct AxisModel {
     pub home: f64,
     /// The true position differs from the reported one by up to this much either way, always alike at one position.
     pub error: f64,
+    /// Play between motor and table: the table stays behind by half of it, whichever way it came.
+    pub backlash: f64,
     /// It never comes to a stand once it has been sent this many times (stall).
     pub stalls_at_move: Option<u32>,
 }
@@ -63,6 +65,8 @@ pub(super) struct Axis {
     pub meets_limit: bool,
     /// When the move ends and what then.
     pub arrival: Option<(f64, Arrival)>,
+    /// Which way it was sent last: 1 up, -1 down, 0 not yet.
+    pub sent: f64,
     /// Where the client counts from, moved by `DH`.
     pub zero: f64,
     /// Position that `DH` last gave to the place where it stood.
@@ -86,6 +90,7 @@ impl Axis {
             overshoots_mm: 0.0,
             meets_limit: false,
             arrival: None,
+            sent: 0.0,
             zero: 0.0,
             defined_home: 0.0,
         }
@@ -159,6 +164,9 @@ impl Axis {
         let here = self.profile.position(now_s);
         let mut target = target + core::mem::take(&mut self.overshoots_mm);
         let up = target > here;
+        if target != here {
+            self.sent = if up { 1.0 } else { -1.0 };
+        }
         let (down_switch, up_switch) = self.switches();
         let mut trips = target < down_switch || target > up_switch;
         target = target.clamp(down_switch, up_switch);

@@ -19,6 +19,12 @@ pub struct Form {
     pub ovality_um: f64,
     /// Growth of the radius from the bottom to the top, µm; mid-height keeps its radius.
     pub taper_um: f64,
+    /// Largest minus smallest radius of three lobes, µm: the radius grows by half of it towards +x.
+    pub three_lobe_um: f64,
+    /// Growth of the radius from the ends to mid-height, µm, as a parabola; both ends keep their radius.
+    pub barrel_um: f64,
+    /// Growth of the radius at the upper end, µm, as a parabola over the last quarter of the height.
+    pub bell_mouth_um: f64,
     /// Standard deviation of what each flank stands off by, along the pitch circle, µm: positive makes its tooth thicker.
     pub flanks_um: f64,
     /// Draws that: one seed is one die.
@@ -28,8 +34,13 @@ pub struct Form {
 impl Form {
     /// Radial displacement of the surface at an angle and a share of the height (0 bottom, 1 top), mm.
     pub fn radial_mm(&self, angle_rad: f64, height_share: f64) -> f64 {
+        let from_middle = 2.0 * height_share - 1.0;
+        let in_mouth = (4.0 * height_share - 3.0).max(0.0);
         1e-3 * (0.5 * self.ovality_um * (2.0 * angle_rad).cos()
-            + self.taper_um * (height_share - 0.5))
+            + self.taper_um * (height_share - 0.5)
+            + 0.5 * self.three_lobe_um * (3.0 * angle_rad).cos()
+            + self.barrel_um * (1.0 - from_middle * from_middle)
+            + self.bell_mouth_um * in_mouth * in_mouth)
     }
 
     /// What the right and the left flank of every tooth stand off by, mm.
@@ -67,7 +78,14 @@ impl Form {
 
     pub(crate) fn validate(&self) -> Result<(), WorldError> {
         WorldError::check("ovality_um", self.ovality_um, -MAX_FORM_UM, MAX_FORM_UM)?;
-        WorldError::check("taper_um", self.taper_um, -MAX_FORM_UM, MAX_FORM_UM)?;
+        for (name, um) in [
+            ("taper_um", self.taper_um),
+            ("three_lobe_um", self.three_lobe_um),
+            ("barrel_um", self.barrel_um),
+            ("bell_mouth_um", self.bell_mouth_um),
+        ] {
+            WorldError::check(name, um, -MAX_FORM_UM, MAX_FORM_UM)?;
+        }
         WorldError::check("flanks_um", self.flanks_um, 0.0, MAX_FLANKS_UM)
     }
 }
@@ -102,6 +120,40 @@ mod tests {
             assert!((grown_um - expected_um).abs() < 1e-6, "at {was:?}");
         }
     }
+
+    #[test]
+    fn lobes_barrel_and_mouth_are_where_they_are_asked_for() {
+        let form = Form {
+            three_lobe_um: 12.0,
+            barrel_um: 7.0,
+            bell_mouth_um: 30.0,
+            ..Form::default()
+        };
+        let um = |degrees: f64, share: f64| 1e3 * form.radial_mm(degrees.to_radians(), share);
+        // Three lobes: as much at every third of a turn, and as little between.
+        for (at, lobe) in [
+            (0.0, 6.0),
+            (120.0, 6.0),
+            (240.0, 6.0),
+            (60.0, -6.0),
+            (180.0, -6.0),
+            (30.0, 0.0),
+        ] {
+            assert!((um(at, 0.0) - lobe).abs() < 1e-9, "{at}");
+        }
+        // On a node of the lobes: the barrel alone up to three quarters, the mouth above.
+        for (share, expected) in [
+            (0.0, 0.0),
+            (0.5, 7.0),
+            (0.25, 5.25),
+            (0.75, 5.25),
+            (1.0, 30.0),
+        ] {
+            assert!((um(30.0, share) - expected).abs() < 1e-9, "{share}");
+        }
+        assert!((um(30.0, 0.875) - (7.0 * (1.0 - 0.5625) + 7.5)).abs() < 1e-9);
+    }
+
     #[test]
     fn every_flank_stands_off_as_a_whole_and_one_seed_is_one_die() {
         let gear = crate::demo::gear();

@@ -17,6 +17,9 @@ mod bundle;
 mod die;
 mod die_mesh;
 mod form;
+mod ideal;
+mod lamp;
+mod microfacet;
 mod mount;
 mod optics;
 mod pattern;
@@ -27,6 +30,7 @@ mod refine;
 mod scene;
 mod sensor;
 mod surface;
+mod transport;
 mod unevenness;
 mod wear;
 
@@ -35,14 +39,15 @@ pub use die::Die;
 pub(crate) use die::flank_of_facet;
 pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
 pub use form::Form;
-pub use mount::Mount;
+pub use ideal::{IdealView, PixelLight};
+pub use mount::{Mount, Saw};
 pub use optics::{HeadOptics, Objective, Pinhole};
 pub use pattern::PatternSpec;
 pub use print::Print;
 pub use rays::{Hit, RayCaster};
-pub use scene::CoreTruth;
+pub use scene::{CoreTruth, Lanes};
 pub use sensor::SensorSpec;
-pub use surface::Surface;
+pub use surface::{Metal, Oil, SprayEdge, Surface};
 pub use unevenness::{Remainder, Unevenness};
 pub use wear::{
     FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
@@ -52,9 +57,10 @@ use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use nalgebra::{Point3, Vector3};
 use random::{Normals, Purpose, stream};
 use rayon::prelude::*;
-use scene::{CoreView, Sight, Stage};
+use scene::{CoreView, Moved, Sight, Stage};
 use sensor::{Rates, Sensor};
 use std::sync::Arc;
+use surface::Finish;
 
 /// Everything that defines a world. The same configuration gives the same frames.
 #[derive(Clone, Debug)]
@@ -76,8 +82,14 @@ pub struct WorldConfig {
     /// By how much head and die shift against each other from frame to frame, along the fringes' change: standard
     /// deviation, µm.
     pub vibration_um: f64,
+    /// By how much they shiver within a frame, faster than it is exposed: standard deviation, µm. Fringes blur.
+    pub shiver_um: f64,
     /// Reflectance.
     pub surface: Surface,
+    /// Where it is sprayed after all.
+    pub spray_edge: Option<SprayEdge>,
+    /// Most places of the die that light may touch between projector and camera; 1 is direct light alone.
+    pub bounces: u32,
     /// What is printed on it, on a calibration target.
     pub print: Option<Print>,
     /// The head.
@@ -110,7 +122,10 @@ impl WorldConfig {
             form: Form::default(),
             mount: Mount::perfect(),
             vibration_um: 0.0,
+            shiver_um: 0.0,
             surface: Surface::sprayed(),
+            spray_edge: None,
+            bounces: 1,
             print: None,
             optics,
             camera_bundle,
@@ -254,6 +269,14 @@ impl WorldError {
     }
 }
 
+/// Most places that light may touch.
+pub const MAX_BOUNCES: u32 = 16;
+
+/// What tells one pose from another, to draw from.
+fn pose_bits(rotation_rad: f64, vertical_mm: f64) -> u64 {
+    rotation_rad.to_bits() ^ vertical_mm.to_bits().rotate_left(32)
+}
+
 /// The bench's world.
 pub struct World {
     cad: Mesh,
@@ -263,9 +286,11 @@ pub struct World {
     optics: HeadOptics,
     mount: Mount,
     vibration_um: f64,
+    shiver_um: f64,
     form: Form,
     sensor_spec: SensorSpec,
-    surface: Surface,
+    finish: Finish,
+    bounces: u32,
     print: Option<Print>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
@@ -287,12 +312,19 @@ impl World {
     /// Builds die, head and sensor (about a second on two cores).
     pub fn new(config: &WorldConfig) -> Result<Self, WorldError> {
         config.optics.validate()?;
-        config.surface.validate()?;
+        let finish = Finish::new(config.surface.clone(), config.spray_edge, config.run_seed)?;
+        WorldError::check(
+            "bounces",
+            f64::from(config.bounces),
+            1.0,
+            f64::from(MAX_BOUNCES),
+        )?;
         config.sensor.validate()?;
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
         WorldError::check("growth", config.growth, 0.9, 1.1)?;
         WorldError::check("vibration_um", config.vibration_um, 0.0, 100.0)?;
+        WorldError::check("shiver_um", config.shiver_um, 0.0, 1000.0)?;
         config.form.validate()?;
         let field = WearField::new(&config.gear, &config.wear)?;
         let mut die = match &config.die_mesh {
@@ -329,9 +361,11 @@ impl World {
             optics: config.optics.clone(),
             mount: config.mount.clone(),
             vibration_um: config.vibration_um,
+            shiver_um: config.shiver_um,
             form: config.form,
             sensor_spec: config.sensor.clone(),
-            surface: config.surface.clone(),
+            finish,
+            bounces: config.bounces,
             print: config.print.clone(),
             camera_bundle,
             projector_bundle,
@@ -376,6 +410,17 @@ impl World {
         self.rays = RayCaster::new(die.mesh());
         self.die = die;
         self.die_mesh = mesh;
+        Ok(())
+    }
+
+    /// Lets the cores' image stand this far along the rows from where it is drawn, px: a head that warms bends. Views prepared before
+    /// show it where it was.
+    ///
+    /// # Errors
+    /// More than ten pixels.
+    pub fn shift_cores(&mut self, shift_px: f64) -> Result<(), WorldError> {
+        WorldError::check("shift_px", shift_px, -10.0, 10.0)?;
+        self.sensor.shift(&self.camera_bundle, shift_px);
         Ok(())
     }
 
@@ -479,32 +524,25 @@ impl World {
                 max: scene::MAX_FREQUENCIES,
             });
         }
-        let stage = Stage {
-            optics: &self.optics,
-            camera_bundle: &self.camera_bundle,
-            projector_bundle: &self.projector_bundle,
-            sights: &self.sights,
-            die: &self.die,
-            rays: &self.rays,
-            surface: &self.surface,
-            print: self.print.as_ref(),
-            seed: self.run_seed,
-        };
-        let emission = scene::emission(&self.optics, &self.projector_bundle, &frequencies);
-        let views = stage.look(
-            self.mount
-                .tool_from_camera(&self.optics, rotation_rad, vertical_mm),
-            &emission,
-        );
+        let tool_from_camera = self
+            .mount
+            .tool_from_camera(&self.optics, rotation_rad, vertical_mm);
+        let views = self
+            .stage((rotation_rad, vertical_mm))
+            .look(tool_from_camera, &frequencies);
 
         let leak = self.optics.dmd_leak_ratio as f32;
         let black = |view: &CoreView| leak * view.light[0];
         let mut per_core = vec![self.core_rates(&views, black)];
         let shifts_mm = self.shifts_mm(rotation_rad, vertical_mm);
         per_core.extend(patterns.iter().zip(shifts_mm).map(|(pattern, shift_mm)| {
-            let shift_rad = pattern.periods * self.turn_per_mm() * shift_mm;
+            let turn_per_mm = pattern.periods * self.turn_per_mm();
+            let moved = Moved {
+                shift_rad: turn_per_mm * shift_mm,
+                kept: (-0.5 * (turn_per_mm * 1e-3 * self.shiver_um).powi(2)).exp(),
+            };
             self.core_rates(&views, |view| {
-                black(view) + scene::brightness(&view.light, pattern, &frequencies, shift_rad)
+                black(view) + scene::brightness(&view.light, pattern, &frequencies, moved)
             })
         }));
         let rates = self.sensor.expose(&per_core);
@@ -514,9 +552,25 @@ impl World {
         })
     }
 
+    /// What a view of a pose, its angle and height, is made of.
+    fn stage(&self, (rotation_rad, vertical_mm): (f64, f64)) -> Stage<'_> {
+        Stage {
+            optics: &self.optics,
+            camera_bundle: &self.camera_bundle,
+            projector_bundle: &self.projector_bundle,
+            sights: &self.sights,
+            die: &self.die,
+            rays: &self.rays,
+            finish: &self.finish,
+            bounces: self.bounces,
+            print: self.print.as_ref(),
+            seed: self.run_seed ^ pose_bits(rotation_rad, vertical_mm),
+        }
+    }
+
     /// Shifts by vibration, frame by frame of a view.
     fn shifts_mm(&self, rotation_rad: f64, vertical_mm: f64) -> impl Iterator<Item = f64> {
-        let pose = rotation_rad.to_bits() ^ vertical_mm.to_bits().rotate_left(32);
+        let pose = pose_bits(rotation_rad, vertical_mm);
         let mut random = Normals::new(stream(self.run_seed ^ pose, Purpose::Vibration));
         let sigma_mm = 1e-3 * self.vibration_um;
         std::iter::repeat_with(move || sigma_mm * random.next())

@@ -29,6 +29,27 @@ pub struct Mount {
     pub vertical_slope: [f64; 2],
     /// Cosine and sine part of the rotary encoder's error, once, twice and three times per turn, rad.
     pub harmonics_rad: [[f64; 2]; 3],
+    /// What no harmonic of low order follows.
+    pub saw: Saw,
+}
+
+/// Error of a rotary encoder that grows evenly and falls back at once, so often per turn: half of its height at most. A disc glued on
+/// with a gap has one tooth, a worn worm wheel as many as it has.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Saw {
+    /// Teeth per turn.
+    pub teeth: u32,
+    /// Largest minus smallest error, rad.
+    pub height_rad: f64,
+}
+
+impl Saw {
+    /// The error at an angle, rad.
+    #[must_use]
+    pub fn at_rad(&self, rotation_rad: f64) -> f64 {
+        let turns = rotation_rad * f64::from(self.teeth) / std::f64::consts::TAU;
+        self.height_rad * (turns.rem_euclid(1.0) - 0.5)
+    }
 }
 
 impl Mount {
@@ -39,6 +60,7 @@ impl Mount {
             nominal_from_camera: Isometry3::identity(),
             vertical_slope: [0.0; 2],
             harmonics_rad: [[0.0; 2]; 3],
+            saw: Saw::default(),
         }
     }
 
@@ -65,6 +87,7 @@ impl Mount {
             nominal_from_camera: Isometry3::from_parts(Translation3::from(head_shift), head_turn),
             vertical_slope: VERTICAL_RAD.map(|sigma| sigma * random.next().clamp(-3.0, 3.0)),
             harmonics_rad,
+            saw: Saw::default(),
         }
     }
 
@@ -76,6 +99,7 @@ impl Mount {
         vertical_mm: f64,
     ) -> Isometry3<f64> {
         let turned_rad = rotation_rad
+            + self.saw.at_rad(rotation_rad)
             + (1_u8..)
                 .zip(self.harmonics_rad)
                 .map(|(order, [cosine, sine])| {
@@ -105,6 +129,32 @@ mod tests {
             Mount::perfect().tool_from_camera(&optics, 0.7, 12.0),
         );
         assert!((said.to_homogeneous() - is.to_homogeneous()).amax() < 1e-12);
+    }
+
+    #[test]
+    fn a_saw_rises_evenly_and_falls_at_once_in_either_sense() {
+        let saw = Saw {
+            teeth: 4,
+            height_rad: 1e-4,
+        };
+        let quarter = 0.25 * std::f64::consts::TAU;
+        for tooth in -5..5 {
+            let start = f64::from(tooth) * quarter;
+            for (share, error) in [(0.001, -0.499), (0.25, -0.25), (0.5, 0.0), (0.999, 0.499)] {
+                let at = saw.at_rad(start + share * quarter);
+                assert!((at - 1e-4 * error).abs() < 1e-9, "{tooth} {share}");
+            }
+        }
+        assert_eq!(Saw::default().at_rad(1.3), 0.0);
+        let optics = HeadOptics::prism_20mm();
+        let mount = Mount {
+            saw,
+            ..Mount::perfect()
+        };
+        let [with, without] = [mount, Mount::perfect()]
+            .map(|mount| mount.tool_from_camera(&optics, 0.1 * quarter, 0.0));
+        let turned = (without.inverse() * with).rotation.angle();
+        assert!((turned - 0.4e-4).abs() < 1e-9, "{turned}");
     }
 
     #[test]

@@ -19,6 +19,7 @@ pub(crate) enum Purpose {
     Unevenness(u8),
     Flanks,
     Frame(u32),
+    Paths(u32),
 }
 
 impl Purpose {
@@ -37,6 +38,7 @@ impl Purpose {
             Self::Unevenness(lens) => [10, i64::from(lens)],
             Self::Flanks => [11, 0],
             Self::Frame(counter) => [12, i64::from(counter)],
+            Self::Paths(core) => [13, i64::from(core)],
         }
     }
 }

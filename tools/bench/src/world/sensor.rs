@@ -87,14 +87,19 @@ pub(crate) struct Sensor {
     spec: SensorSpec,
     size_px: [usize; 2],
     spans: Vec<Span>,
-    /// First weight of each pixel of the spans, and the total as a last entry.
-    starts: Vec<u32>,
-    cores: Vec<u32>,
-    weights: Vec<f32>,
+    seen: Seen,
     response: Vec<f32>,
     normals: Vec<f32>,
     dark: Vec<u16>,
     seed: u64,
+}
+
+/// Cores that the pixels of the spans see.
+struct Seen {
+    /// First weight of each pixel, and the total as a last entry.
+    starts: Vec<u32>,
+    cores: Vec<u32>,
+    weights: Vec<f32>,
 }
 
 /// Light rates of one view on the sensor, e⁻/ms: per span, per pattern, per pixel.
@@ -121,26 +126,9 @@ impl Sensor {
         head_seed: u64,
         run_seed: u64,
     ) -> Self {
-        let reach = 3.5 * spec.core_sigma_px;
-        let rows: Vec<RowWeights> = (0..size_px[1])
-            .into_par_iter()
-            .filter_map(|row| row_weights(spec, size_px, bundle, row, reach))
-            .collect();
-        let (mut spans, mut starts, mut cores, mut weights) =
-            (Vec::new(), vec![0u32], Vec::new(), Vec::new());
-        for row in rows {
-            spans.push(Span {
-                row: row.row,
-                columns: row.columns,
-                first: starts.len() - 1,
-            });
-            let before = cores.len() as u32;
-            starts.extend(row.ends.iter().map(|end| before + end));
-            cores.extend(row.cores);
-            weights.extend(row.weights);
-        }
+        let (spans, seen) = seen(spec, size_px, bundle, 0.0);
         let mut random = Normals::new(stream(head_seed, Purpose::PixelResponse));
-        let response = (1..starts.len())
+        let response = (1..seen.starts.len())
             .map(|_| (1.0 + spec.prnu_ratio * random.next()).max(0.0) as f32)
             .collect();
         let mut random = Normals::new(stream(run_seed, Purpose::NoiseTable));
@@ -159,14 +147,17 @@ impl Sensor {
             spec: spec.clone(),
             size_px,
             spans,
-            starts,
-            cores,
-            weights,
+            seen,
             response,
             normals,
             dark,
             seed: run_seed,
         }
+    }
+
+    /// Moves the cores' image along the rows; every pixel keeps its own response.
+    pub(crate) fn shift(&mut self, bundle: &Bundle, shift_px: f64) {
+        (_, self.seen) = seen(&self.spec, self.size_px, bundle, shift_px);
     }
 
     /// Spreads light per core (e⁻/ms per mean pixel, core by core, one entry per pattern) over the pixels.
@@ -195,13 +186,14 @@ impl Sensor {
                 let length = span.columns.len();
                 for i in 0..length {
                     let pixel = span.first + i;
-                    let seen = self.starts[pixel] as usize..self.starts[pixel + 1] as usize;
+                    let starts = &self.seen.starts;
+                    let seen = starts[pixel] as usize..starts[pixel + 1] as usize;
                     let response = self.response[pixel];
                     for (block, light) in blocks.iter().enumerate() {
                         let mut sum = [0f32; BLOCK];
-                        for (&core, &weight) in self.cores[seen.clone()]
+                        for (&core, &weight) in self.seen.cores[seen.clone()]
                             .iter()
-                            .zip(&self.weights[seen.clone()])
+                            .zip(&self.seen.weights[seen.clone()])
                         {
                             for (s, l) in sum.iter_mut().zip(&light[core as usize]) {
                                 *s += weight * l;
@@ -292,13 +284,45 @@ struct RowWeights {
     weights: Vec<f32>,
 }
 
+/// The pixels that see the bundle, wherever it has moved to, and which of its cores they see.
+fn seen(
+    spec: &SensorSpec,
+    size_px: [usize; 2],
+    bundle: &Bundle,
+    shift_px: f64,
+) -> (Vec<Span>, Seen) {
+    let rows: Vec<RowWeights> = (0..size_px[1])
+        .into_par_iter()
+        .filter_map(|row| row_weights(spec, size_px, bundle, row, shift_px))
+        .collect();
+    let mut spans = Vec::new();
+    let mut seen = Seen {
+        starts: vec![0],
+        cores: Vec::new(),
+        weights: Vec::new(),
+    };
+    for row in rows {
+        spans.push(Span {
+            row: row.row,
+            columns: row.columns,
+            first: seen.starts.len() - 1,
+        });
+        let before = seen.cores.len() as u32;
+        seen.starts.extend(row.ends.iter().map(|end| before + end));
+        seen.cores.extend(row.cores);
+        seen.weights.extend(row.weights);
+    }
+    (spans, seen)
+}
+
 fn row_weights(
     spec: &SensorSpec,
     size_px: [usize; 2],
     bundle: &Bundle,
     row: usize,
-    reach_px: f64,
+    shift_px: f64,
 ) -> Option<RowWeights> {
+    let reach_px = 3.5 * spec.core_sigma_px;
     let [cx, cy] = bundle.spec().centre_px;
     let radius = 0.5 * bundle.spec().diameter_px + 2.0 * bundle.spec().pitch_px() + reach_px;
     let half = (radius * radius - (row as f64 - cy).powi(2))
@@ -321,7 +345,7 @@ fn row_weights(
         weights: Vec::new(),
     };
     for column in columns {
-        let at = [column as f64, row as f64];
+        let at = [column as f64 - shift_px, row as f64];
         for core in bundle.near(at, reach_px).flatten() {
             let [x, y] = bundle.positions_px()[core];
             let distance2 = (x - at[0]).powi(2) + (y - at[1]).powi(2);

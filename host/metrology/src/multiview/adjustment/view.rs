@@ -7,8 +7,6 @@ use crate::surface::{Closest, Surface};
 
 /// Points farther off the surface than this say nothing about the pose, mm.
 const REACH_MM: f64 = 0.15;
-/// Hits at sharp edges belong to neither face.
-const LEAST_SMOOTHNESS: f64 = 0.985;
 /// Form deviation that a real piece has from place to place, mm: neighbouring points share it, so that ten thousand of them
 /// do not say more about the pose than ...
 const FORM_MM: f64 = 0.010;
@@ -70,7 +68,7 @@ pub fn compress_laid(
     let (mut count, mut squares) = (0.0_f64, 0.0);
     for (p, hit) in points.iter().zip(closest) {
         let off_mm = hit.signed_distance_mm;
-        if hit.smoothness < LEAST_SMOOTHNESS || off_mm.abs() > REACH_MM {
+        if !hit.is_smooth() || off_mm.abs() > REACH_MM {
             continue;
         }
         let normal = Vector3::from(hit.normal);

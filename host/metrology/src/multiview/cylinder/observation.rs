@@ -7,8 +7,6 @@ use crate::surface::Closest;
 
 /// Points farther off than this are no part of the surface, mm.
 const REACH_MM: f64 = 0.5;
-/// At sharp edges a distance belongs to neither face.
-const LEAST_SMOOTHNESS: f64 = 0.985;
 
 /// What one view says of one cell.
 #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -75,9 +73,7 @@ pub fn cell_observations(
     let mut hits: Vec<(usize, f64, &Closest)> = closest
         .iter()
         .zip(sigma_mm)
-        .filter(|(hit, _)| {
-            hit.smoothness >= LEAST_SMOOTHNESS && hit.signed_distance_mm.abs() <= REACH_MM
-        })
+        .filter(|(hit, _)| hit.is_smooth() && hit.signed_distance_mm.abs() <= REACH_MM)
         .filter_map(|(hit, &sigma)| {
             let weight = f64::from(sigma).powi(-2);
             let cell = layout.cell_of(hit.point)?;

@@ -273,9 +273,6 @@ impl RecordedView {
 
 /// How long a frame of a plan is exposed: the dark one as the shortest.
 fn exposure_us(kind: FrameKind, exposures_us: &[u32]) -> u32 {
-    let step = match kind {
-        FrameKind::Dark => 0,
-        FrameKind::Fringe { exposure, .. } => exposure,
-    };
+    let step = kind.exposure().unwrap_or(0);
     exposures_us.get(step).copied().unwrap_or_default()
 }

@@ -128,8 +128,8 @@ impl FolderSource {
         for (at, ((kind, path), exposed)) in of.images.iter().zip(times).enumerate() {
             let image = self.image(path, of.said.blake3.get(at))?;
             let sum = checksum(&image.pixels);
-            // Somebody's dark frame may serve several views.
-            if *kind != FrameKind::Dark
+            // Somebody's dark frame may serve several views, and a view may lie in one stripe of a code.
+            if matches!(kind, FrameKind::Fringe { .. })
                 && let Some(earlier) = self.seen.insert(sum, path.clone())
             {
                 let path = path.clone();
@@ -138,10 +138,7 @@ impl FolderSource {
             let label = FrameLabel {
                 view: view as u16,
                 in_view: at as u16,
-                exposure: match *kind {
-                    FrameKind::Dark => 0,
-                    FrameKind::Fringe { exposure, .. } => exposure as u16,
-                },
+                exposure: kind.exposure().unwrap_or(0) as u16,
                 pattern: pattern(&of.images, at),
             };
             frames.push_back(self.frame(image, label, exposed, sum));
@@ -253,20 +250,16 @@ impl FrameSource for FolderSource {
     }
 }
 
-/// The number that a pattern has in its exposure: 0 the dark frame, 1.. the fringes in their order.
+/// The number that a pattern has in its exposure: 0 the dark frame, 1.. the others in their order.
 pub(super) fn pattern(images: &[(FrameKind, PathBuf)], at: usize) -> u16 {
-    let exposure_of = |kind: &FrameKind| match *kind {
-        FrameKind::Dark => None,
-        FrameKind::Fringe { exposure, .. } => Some(exposure),
-    };
     let Some((kind, before)) = images.get(..=at).and_then(<[_]>::split_last) else {
         return 0;
     };
-    let Some(exposure) = exposure_of(&kind.0) else {
+    let Some(exposure) = kind.0.exposure() else {
         return 0;
     };
     let same = before
         .iter()
-        .filter(|(kind, _)| exposure_of(kind) == Some(exposure));
+        .filter(|(kind, _)| kind.exposure() == Some(exposure));
     same.count() as u16 + 1
 }

@@ -41,6 +41,7 @@ impl Default for AxisModels {
                 travel: (-361.0, 361.0),
                 home: 0.0,
                 error: 0.015,
+                backlash: 0.0,
                 stalls_at_move: None,
             },
             vertical: AxisModel {
@@ -54,6 +55,7 @@ impl Default for AxisModels {
                 travel: (-150.0, 150.0),
                 home: 100.0,
                 error: 0.005,
+                backlash: 0.0,
                 stalls_at_move: None,
             },
         }
@@ -130,7 +132,8 @@ impl StageModel {
     fn pose_of(&self, position: impl Fn(&Axis) -> f64) -> TruePose {
         let [rotation, vertical] = [0, 1].map(|n| {
             let axis = &self.axes[n];
-            position(axis) + axis.model.error * self.unit_error(n, axis.profile.target())
+            let astray = axis.model.error * self.unit_error(n, axis.profile.target());
+            position(axis) + astray - 0.5 * axis.model.backlash * axis.sent
         });
         TruePose {
             rotation_rad: rotation.to_radians(),
@@ -296,6 +299,30 @@ mod tests {
             ask(&mut stage, 3_000_000, "2AC?;2MO?;2TP?"),
             "500.0\r\n0\r\n0.000000\r\n"
         );
+    }
+
+    #[test]
+    fn a_table_with_play_stands_elsewhere_when_it_came_from_the_other_side() {
+        let mut axes = AxisModels::default();
+        axes.rotation.backlash = 0.02;
+        axes.vertical.backlash = 0.01;
+        let stood = |way: &str| {
+            let mut stage = StageModel::new(axes, 3);
+            ask(&mut stage, 0, "1MO;2MO");
+            for (number, target) in (1..).zip(way.split(' ')) {
+                ask(
+                    &mut stage,
+                    number * 100_000_000,
+                    &format!("1PA{target};2PA{target}"),
+                );
+            }
+            stage.true_pose(1_000_000_000)
+        };
+        let [below, above, again] = ["5 10", "20 10", "20 10 10"].map(stood);
+        let turned = (above.rotation_rad - below.rotation_rad).to_degrees();
+        assert!((turned - 0.02).abs() < 1e-9, "{turned}");
+        assert!((above.vertical_mm - below.vertical_mm - 0.01).abs() < 1e-9);
+        assert_eq!(above, again, "a move to where it stands moves nothing");
     }
 
     #[test]

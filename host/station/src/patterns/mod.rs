@@ -3,15 +3,24 @@
 //! Brightness is a mirror's share of the exposure: no gamma, no scaling. Patterns are numbered as in a capture plan, from 1;
 //! number 0 is black, which every DMD controller can show without a picture.
 
+mod adaptive;
+mod loading;
+mod passes;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::{Arrangement, Mirrors};
+use flankscope_profilometry::pattern::{Axis, Shown};
 use flankscope_protocol::pattern_memory::{Place, Plane};
 use serde::Serialize;
 
 use crate::files::{hash, write_whole};
+
+pub use adaptive::{Adaptive, CaptureTime, Pass, write_adaptive};
+pub use loading::Loading;
+pub use passes::{Passes, PassesError, Region};
 
 /// How pictures are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -70,12 +79,47 @@ pub struct Pattern {
     pub bit_planes: &'static str,
     /// Bits of a mirror's brightness.
     pub bits: u8,
-    /// Periods over all columns.
-    pub periods: f64,
-    /// Phase step, from 0.
-    pub step: u32,
-    /// Phase steps per period.
-    pub steps: u32,
+    /// Where its fringes or stripes come from.
+    #[serde(flatten)]
+    pub shows: Content,
+}
+
+/// What a pattern shows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Content {
+    /// A phase step.
+    Fringe {
+        /// Periods over all columns, or rows.
+        periods: f64,
+        /// Phase step, from 0.
+        step: u32,
+        /// Phase steps per period.
+        steps: u32,
+    },
+    /// A bit of a Gray code.
+    Code {
+        /// Which, 0 the most significant.
+        code_bit: u32,
+        /// Whether dark and bright are exchanged.
+        complement: bool,
+    },
+}
+
+impl Content {
+    fn of(set: &PatternSet, picture: Shown) -> Self {
+        match picture {
+            Shown::Fringe { set: of, step } => Self::Fringe {
+                periods: set.sets[of].periods,
+                step,
+                steps: set.sets[of].steps,
+            },
+            Shown::Code { bit, complement } => Self::Code {
+                code_bit: bit,
+                complement,
+            },
+        }
+    }
 }
 
 /// One picture.
@@ -118,15 +162,21 @@ impl Manifest {
 
 /// Brightness of every mirror, row by row, 0 dark to 255 bright.
 #[must_use]
-pub fn brightness(set: &PatternSet, frequency: usize, step: u32, mirrors: Mirrors) -> Vec<u8> {
-    let width_px = f64::from(mirrors.columns);
+pub fn brightness(set: &PatternSet, picture: Shown, mirrors: Mirrors) -> Vec<u8> {
+    let shown = |at_px: f64, width_px: u32| {
+        let share = set.intensity(picture, at_px, f64::from(width_px));
+        (255.0 * share).round() as u8
+    };
+    let columns = mirrors.columns as usize;
+    if set.axis == Axis::Rows {
+        return (0..mirrors.rows)
+            .flat_map(|row| std::iter::repeat_n(shown(f64::from(row), mirrors.rows), columns))
+            .collect();
+    }
     // Fringes stand upright: only where a row begins makes a difference.
     let rows = [0, 1].map(|row| {
         (0..mirrors.columns)
-            .map(|column| {
-                let at_px = mirrors.column_px(column, row);
-                (255.0 * set.intensity(frequency, step, at_px, width_px)).round() as u8
-            })
+            .map(|column| shown(mirrors.column_px(column, row), mirrors.columns))
             .collect::<Vec<u8>>()
     });
     (0..mirrors.rows as usize)
@@ -145,6 +195,17 @@ pub fn write(
     mirrors: Mirrors,
     packing: Packing,
 ) -> Result<Manifest, PatternsError> {
+    write_lit(folder, set, mirrors, packing, |_| ())
+}
+
+/// The same, each pattern changed by what lights only some of the mirrors.
+fn write_lit(
+    folder: &Path,
+    set: &PatternSet,
+    mirrors: Mirrors,
+    packing: Packing,
+    light: impl Fn(&mut [u8]),
+) -> Result<Manifest, PatternsError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |source| PatternsError::Write { path, source }
@@ -160,16 +221,10 @@ pub fn write(
         patterns: Vec::new(),
         files: Vec::new(),
     };
-    let all = set
-        .sets
-        .iter()
-        .enumerate()
-        .flat_map(|(frequency, fringes)| {
-            (0..fringes.steps).map(move |step| (frequency, *fringes, step))
-        });
     let mut pictures: Vec<Vec<Vec<u8>>> = Vec::new();
-    for (number, (frequency, fringes, step)) in (1_u16..).zip(all) {
-        let shown = brightness(set, frequency, step, mirrors);
+    for (number, shows) in (1_u16..).zip(set.pictures()) {
+        let mut shown = brightness(set, shows, mirrors);
+        light(&mut shown);
         let (image, pattern_in_image, bit_planes) = match (packing, Place::of(number)) {
             (Packing::Dlpc350, Some(Place { image, plane })) => {
                 let bits = match plane {
@@ -192,9 +247,7 @@ pub fn write(
             pattern_in_image,
             bit_planes,
             bits: 8,
-            periods: fringes.periods,
-            step,
-            steps: fringes.steps,
+            shows: Content::of(set, shows),
         });
     }
     for (image, planes) in (0_u16..).zip(&pictures) {
@@ -301,6 +354,10 @@ mod tests {
         (255.0 * (0.5 + 0.5 * phase.cos())).round() as u8
     }
 
+    fn fringe_picture(set: usize, step: u32) -> Shown {
+        Shown::Fringe { set, step }
+    }
+
     fn near(got: u8, expected: u8) -> bool {
         // A rounding at .5 may go either way.
         got.abs_diff(expected) <= 1
@@ -313,7 +370,7 @@ mod tests {
                 let set = PatternSet::named(name).unwrap();
                 for (frequency, of) in set.sets.iter().enumerate() {
                     for step in 0..of.steps {
-                        let shown = brightness(&set, frequency, step, mirrors);
+                        let shown = brightness(&set, fringe_picture(frequency, step), mirrors);
                         for row in [0, 1, 2, mirrors.rows - 1] {
                             for column in 0..mirrors.columns {
                                 let half = match mirrors.arrangement {
@@ -337,7 +394,7 @@ mod tests {
     #[test]
     fn diamond_mirrors_are_those_of_slstudio() {
         let set = PatternSet::named("insitu12").unwrap();
-        let shown = brightness(&set, 1, 3, DLP4500);
+        let shown = brightness(&set, fringe_picture(1, 3), DLP4500);
         let twice: Vec<u8> = (0..2 * DLP4500.columns)
             .map(|column| fringe(48.0, 3, 8, f64::from(column) / 2.0, DLP4500.columns))
             .collect();
@@ -358,12 +415,8 @@ mod tests {
         let manifest = write(folder.path(), &set, DLP4500, Packing::Dlpc350).unwrap();
         assert_eq!(manifest.patterns.len(), 8);
         assert_eq!(manifest.files.len(), 3, "three patterns to a picture");
-        for (frequency, pattern) in manifest
-            .patterns
-            .iter()
-            .enumerate()
-            .map(|(n, p)| (n / 4, p))
-        {
+        for (number, pattern) in (0..).zip(&manifest.patterns) {
+            let picture = fringe_picture(number / 4, (number % 4) as u32);
             let content = std::fs::read(folder.path().join(&pattern.file)).unwrap();
             let word = |at: usize| u32::from_le_bytes(content[at..at + 4].try_into().unwrap());
             assert_eq!(&content[..2], b"BM");
@@ -376,7 +429,7 @@ mod tests {
                 "R" => 2,
                 other => panic!("{other}"),
             };
-            let shown = brightness(&set, frequency, pattern.step, DLP4500);
+            let shown = brightness(&set, picture, DLP4500);
             for (row, column) in [(0, 0), (0, 911), (1139, 5), (700, 300)] {
                 let at = word(10) as usize + (1139 - row) * 912 * 3 + column * 3 + channel;
                 assert_eq!(content[at], shown[row * 912 + column], "{}", pattern.number);
@@ -396,6 +449,6 @@ mod tests {
         let mut pixels = vec![0; 1024 * 768];
         let info = reader.next_frame(&mut pixels).unwrap();
         assert_eq!((info.width, info.height), (1024, 768));
-        assert_eq!(pixels, brightness(&set, 1, 3, XGA));
+        assert_eq!(pixels, brightness(&set, fringe_picture(1, 3), XGA));
     }
 }

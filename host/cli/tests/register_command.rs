@@ -1,0 +1,80 @@
+//! `register` onto another cloud, as a user runs it.
+
+mod support;
+
+use support::{Random, assert_refused, flankscope, json, write_xyz};
+
+/// A hilly patch of 10 x 10 mm, drawn anew for every seed, moved by `shift_mm` along x, y and z.
+fn hills(seed: u64, count: usize, shift_mm: [f64; 3]) -> Vec<[f64; 3]> {
+    let mut random = Random(seed);
+    (0..count)
+        .map(|_| {
+            let (x, y) = (10.0 * random.uniform(), 10.0 * random.uniform());
+            let z = 0.5 * (x + 0.3 * y).sin() * (0.7 * y).cos() + 0.005 * random.normal();
+            [x + shift_mm[0], y + shift_mm[1], z + shift_mm[2]]
+        })
+        .collect()
+}
+
+fn folder_with_clouds() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_xyz(&folder.path().join("old.xyz"), &hills(1, 20_000, [0.0; 3]));
+    write_xyz(
+        &folder.path().join("new.xyz"),
+        &hills(2, 10_000, [0.2, -0.1, 0.3]),
+    );
+    folder
+}
+
+#[test]
+fn a_view_is_laid_on_an_earlier_one() {
+    let folder = folder_with_clouds();
+    let base = ["register", "--cloud", "new.xyz", "--json", "-"];
+    let onto = ["--reference", "old.xyz", "-o", "laid.ply"];
+    let output = flankscope(folder.path(), &[&base[..], &onto].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let report = json(&output);
+    assert_eq!(report["status"], "registered");
+    assert!(report["teeth"].is_null());
+    for (row, expected_mm) in [-0.2, 0.1, -0.3].into_iter().enumerate() {
+        let mm = report["tool_from_cloud"][row][3].as_f64().unwrap();
+        // Noise of 5 um over the root of ten thousand points, and what a plane through 20 neighbours cuts off the hills, with
+        // the turn's lever of 7 mm.
+        assert!((mm - expected_mm).abs() < 0.01, "{mm} for {expected_mm}");
+    }
+    assert!(folder.path().join("laid.ply").is_file());
+}
+
+#[test]
+fn what_it_is_laid_on_is_asked_for_and_looked_at() {
+    let folder = folder_with_clouds();
+    write_xyz(&folder.path().join("few.xyz"), &hills(3, 12, [0.0; 3]));
+    let register = |more: &[&str]| {
+        let base = ["register", "--cloud", "new.xyz", "-o", "out.ply"];
+        flankscope(folder.path(), &[&base[..], more].concat())
+    };
+    // clap's own words take several lines.
+    for (more, word) in [
+        (&[][..], "--reference <CLOUD>"),
+        (
+            &["--reference", "old.xyz", "--cad", "die.stl"],
+            "cannot be used with",
+        ),
+    ] {
+        let output = register(more);
+        assert_eq!(output.status.code(), Some(3));
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(text.contains(word), "{text}");
+    }
+    for (more, words) in [
+        (
+            &["--reference", "old.xyz", "--method", "paper"][..],
+            &["--method paper", "--cad"][..],
+        ),
+        (&["--reference", "few.xyz"], &["few.xyz", "12", "20"]),
+        (&["--reference", "missing.xyz"], &["missing.xyz"]),
+        (&["--cad", "missing.stl"], &["missing.stl"]),
+    ] {
+        assert_refused(folder.path(), more[1], &register(more), words);
+    }
+}

@@ -1,0 +1,38 @@
+//! Direct and global light (Nayar, Krishnan, Grossberg and Raskar, Fast separation of direct and global components of a scene
+//! using high frequency illumination, SIGGRAPH 2006).
+//!
+//! With every mirror on, a place would send D straight back and G over other surfaces, from within the material, or from a lamp. A
+//! fringe lights half of the scene: whatever reaches the place over many fringes is G / 2 in every step, and D goes with the
+//! fringe, as far as the optics show it. So the mean over the steps is `A = (D + G) / 2` and the amplitude `B = c D / 2`, where c is
+//! the contrast that the optics leave a matt, convex surface in focus (`fringe_contrast` of the head):
+//!
+//! `D = 2 B / c`, `G = 2 A - D`.
+//!
+//! Presumed: what is not direct is even over a fringe. What of it still has fringes counts as direct. Without a stated c it is
+//! taken as 1: D is then the least, G the most it can be.
+
+use super::PhaseEstimate;
+
+/// Electrons with every mirror on, summed over a cell's pixels and the exposures used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightParts {
+    /// Straight from the projector.
+    pub direct_e: f64,
+    /// Over any other way.
+    pub global_e: f64,
+}
+
+impl LightParts {
+    /// Of the finest fringes, which global light can follow least.
+    pub fn of(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
+        let direct_e = 2.0 * finest.modulation_e / fringe_contrast;
+        // Noise can leave less than nothing.
+        let global_e = (2.0 * finest.mean_e - direct_e).max(0.0);
+        Self { direct_e, global_e }
+    }
+
+    /// Share of the global part; NaN without light.
+    pub fn global_ratio(self) -> f64 {
+        self.global_e / (self.direct_e + self.global_e)
+    }
+}
