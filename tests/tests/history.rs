@@ -79,7 +79,11 @@ fn wear_is_shown_against_the_cycles_of_the_tool() {
     let lines = std::fs::read_to_string(table).unwrap();
     assert_eq!(lines.lines().count(), 1 + 5 * 2, "{lines}");
     let page = std::fs::read_to_string(out.join("history.html")).unwrap();
-    assert_eq!(page.matches("<svg").count(), 2);
+    assert_eq!(
+        page.matches("<svg").count(),
+        3,
+        "both flanks together, and each"
+    );
 
     let unknown = history(&file, &["--tool", "another die"]);
     assert_eq!(unknown.code, 3);

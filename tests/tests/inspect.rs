@@ -203,10 +203,10 @@ fn the_report_is_one_file_with_its_pictures_inside() {
     );
     assert_eq!(
         page.matches("<svg").count(),
-        3,
-        "colour bar, histogram, timeline"
+        4,
+        "ring, colour bar, histogram, timeline"
     );
-    for outside in ["http://", "https://", "src=\"/", "<script", "@import"] {
+    for outside in ["http://", "https://", "src=\"/", "<script src", "@import"] {
         assert!(
             !page.contains(outside),
             "the page must need nothing else, but holds {outside}"

@@ -65,7 +65,7 @@ fn a_simulated_check_says_so_in_document_report_and_history() {
         "press 7",
         "Ada",
         "prism head 20 mm",
-        "check 1 of its history",
+        "number 1 of its history",
         check.json["date"].as_str().unwrap(),
     ] {
         assert!(page.contains(said), "{said}");

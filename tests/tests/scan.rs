@@ -180,7 +180,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
         assert!(!whole.json[key].is_null(), "{key} is missing");
     }
     let page = std::fs::read_to_string(report.join("report.html")).unwrap();
-    assert_eq!(page.matches("data:image/png;base64,").count(), 3);
+    assert_eq!(page.matches("data:image/png;base64,").count(), 2);
     let share = format!("for 12 of 84 teeth,<br>{percent:.1} % of the bore");
     assert!(page.contains(&share) && page.contains("SIMULATED BENCH"));
     let cloud = std::fs::read(report.join("map.ply")).unwrap();

@@ -14,7 +14,7 @@ use crate::bench_link::BenchArgs;
 use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::interrupt;
-use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
+use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
 use crate::progress::Watcher;
 use crate::site::Site;
 use crate::terminal::Terminal;
@@ -158,7 +158,7 @@ impl Args {
     fn try_places(&self, report: Option<&PathBuf>) -> anyhow::Result<()> {
         self.common.try_json()?;
         if let Some(folder) = report {
-            try_folder(folder, ReportFolder::OF_CHECK)?;
+            try_report(folder, ReportFolder::OF_CHECK)?;
         }
         self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
         self.record_baseline.as_deref().map_or(Ok(()), try_place)
@@ -197,7 +197,8 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
     let named: Vec<String> = particulars
         .map(|(name, what)| format!("{name} {what}"))
         .collect();
-    writeln!(out, "{date}, {}", named.join(", "))
+    let said = format!("{date}, {}", named.join(", "));
+    writeln!(out, "{}", Terminal::of_stdout().sentence(&said))
 }
 
 /// The figures of every flank, within 80 columns; then why one is no go.
@@ -235,7 +236,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     for f in &inspection.features {
         if let Some(reason) = &f.reason {
             let why = format!("tooth {} {}: {reason}", f.tooth, f.flank);
-            writeln!(out, "{}", terminal.text(&why))?;
+            writeln!(out, "{}", terminal.sentence(&why))?;
         }
     }
     writeln!(
@@ -266,6 +267,8 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
 
 /// A verdict and its reason, as a terminal can show them.
 pub fn in_words(terminal: Terminal, verdict: Word, reason: &str) -> String {
-    let word = terminal.in_colour(verdict, &verdict.as_str().to_uppercase());
-    format!("{word}: {}", terminal.text(reason))
+    let word = verdict.as_str().to_uppercase();
+    let said = terminal.sentence(&format!("{word}: {reason}"));
+    // Wrapped without the colour's signs, which take no column.
+    said.replacen(&word, &terminal.in_colour(verdict, &word), 1)
 }

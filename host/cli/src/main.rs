@@ -38,6 +38,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use output::Outcome;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
@@ -90,14 +93,18 @@ fn main() -> ExitCode {
         }
     };
     // Warnings by default: what the host worked around. FLANKSCOPE_LOG=debug shows every event.
-    let filter = tracing_subscriber::EnvFilter::try_from_env("FLANKSCOPE_LOG")
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn"));
+    let wanted = std::env::var("FLANKSCOPE_LOG").ok();
+    let filter: Targets = wanted
+        .and_then(|wanted| wanted.parse().ok())
+        .unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN));
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(std::io::stderr)
         .without_time()
         // A standard error that is full must not end a check.
         .log_internal_errors(false)
+        .finish()
+        .with(filter)
         .init();
     let result = match cli.command {
         Command::Inspect(args) => inspect::run(&args),

@@ -7,7 +7,10 @@ use std::process::ExitCode;
 use anyhow::Context;
 use flankscope_metrology::verdict::Word;
 use flankscope_station::acquisition::FrameIndex;
+use flankscope_station::report::ReportFolder;
 use flankscope_station::sink::{DocumentFile, ResultSink};
+
+use crate::terminal::Terminal;
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,6 +116,15 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
         .try_for_each(|file| try_place(&folder.join(file)))
 }
 
+/// Makes a folder for reports and tries its places.
+///
+/// # Errors
+/// As [`try_folder`].
+pub fn try_report(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
+    try_folder(folder, files)?;
+    try_folder(&folder.join(ReportFolder::PAGES), &["page.html"])
+}
+
 /// An error with its causes, each once: many name their cause themselves.
 pub fn in_words(error: &anyhow::Error) -> String {
     let mut words = String::new();
@@ -145,7 +157,11 @@ pub fn try_recording(folder: &Path) -> anyhow::Result<()> {
 
 /// Says something on standard error; that nobody can hear it stops nothing.
 pub fn say(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{text}");
+    let _ = writeln!(
+        std::io::stderr(),
+        "{}",
+        Terminal::of_stderr().sentence(text)
+    );
 }
 
 /// What went wrong on paper once a verdict stood. It changes neither the verdict nor the exit code, and keeps no other

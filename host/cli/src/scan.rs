@@ -23,7 +23,7 @@ use crate::help;
 use crate::inspect::{self, write_origin};
 use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
 use crate::interrupt;
-use crate::output::{Common, Complaints, Outcome, say, try_folder, try_place, try_recording};
+use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
 
@@ -331,7 +331,7 @@ impl Args {
     fn try_places(&self) -> anyhow::Result<()> {
         self.common.try_json()?;
         if let Some(folder) = &self.report {
-            try_folder(folder, ReportFolder::OF_SCAN)?;
+            try_report(folder, ReportFolder::OF_SCAN)?;
         }
         self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
         self.mesh.as_deref().map_or(Ok(()), try_place)

@@ -10,6 +10,8 @@ use flankscope_station::report::with_micro;
 pub struct Terminal {
     colours: bool,
     unicode: bool,
+    /// Of a terminal; what goes to a file or another program is not wrapped.
+    columns: Option<usize>,
 }
 
 impl Terminal {
@@ -35,6 +37,8 @@ impl Terminal {
         Self {
             colours: is_terminal && !dumb && variable("NO_COLOR").is_none(),
             unicode: locale.contains("utf-8") || locale.contains("utf8"),
+            // 80 where the terminal does not say.
+            columns: is_terminal.then(textwrap::termwidth),
         }
     }
 
@@ -47,6 +51,15 @@ impl Terminal {
                 .replace('–', "-")
                 .replace('±', "+-")
                 .replace('°', " deg")
+        }
+    }
+
+    /// A sentence of any length as this terminal can show it, wrapped at its width between words.
+    pub fn sentence(self, text: &str) -> String {
+        let text = self.text(text);
+        match self.columns {
+            Some(columns) => textwrap::fill(&text, columns),
+            None => text,
         }
     }
 
@@ -91,6 +104,23 @@ mod tests {
         );
         let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);
         assert_eq!(c.text("±4.5 µm, –"), "+-4.5 um, -");
+    }
+
+    #[test]
+    fn sentences_are_wrapped_on_terminals_alone() {
+        let reason =
+            "tooth 40 left (wear 80.0 um is beyond the stop limit of 50.0 um); look at the die";
+        let narrow = Terminal {
+            columns: Some(40),
+            ..terminal(true, &[("LANG", "C")])
+        };
+        let shown = narrow.sentence(reason);
+        assert!(
+            shown.lines().count() >= 3 && shown.lines().all(|line| line.len() <= 40),
+            "{shown}"
+        );
+        assert_eq!(shown.replace('\n', " "), reason);
+        assert_eq!(terminal(false, &[]).sentence(reason), reason);
     }
 
     #[test]

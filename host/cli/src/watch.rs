@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use flankscope_foundation::date;
 use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_station::inspection::Inspection;
-use flankscope_station::report::{LatestPage, ReportFolder, figure};
+use flankscope_station::report::{Pages, ReportFolder, figure};
 use flankscope_station::sink::LinesFile;
 use flankscope_station::watch::{Checked, WatchEvent, WatchSettings};
 use serde_json::{Value, json};
@@ -18,7 +18,7 @@ use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
 use crate::interrupt;
-use crate::output::{Common, Complaints, Outcome, say, try_folder};
+use crate::output::{Common, Complaints, Outcome, say, try_report};
 use crate::terminal::Terminal;
 
 /// Check every N press cycles: hold the press, check, release it, show the verdict.
@@ -46,7 +46,8 @@ pub struct Args {
     /// The press is never held longer than this, s [default: the station's, or 12]
     #[arg(long)]
     hold_limit_s: Option<f64>,
-    /// Write the last check's report.html into this folder, and a line per check into checks.jsonl
+    /// Write the last check's report.html, every check's own page (reports/), an index and a line per check (checks.jsonl) into
+    /// this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -127,16 +128,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 #[derive(Default)]
 struct Papers {
     lines: Option<LinesFile>,
-    page: Option<LatestPage>,
+    page: Option<Pages>,
 }
 
 impl Papers {
     /// Before anything moves: a watch whose results cannot be written should not begin.
     fn open(folder: &Path) -> anyhow::Result<Self> {
-        try_folder(folder, &["report.html"])?;
+        try_report(folder, ReportFolder::OF_WATCH)?;
         Ok(Self {
             lines: Some(LinesFile::open(&folder.join("checks.jsonl"))?),
-            page: Some(LatestPage(ReportFolder::new(folder))),
+            page: Some(Pages(ReportFolder::new(folder))),
         })
     }
 }

@@ -88,6 +88,24 @@ pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
     found.or_else(|| missed(&format!("Python with {}", modules.join(", "))))
 }
 
+/// Names of the browser whose engine draws the pages in tests.
+pub const BROWSERS: &[&str] = &["chromium", "chromium-browser", "google-chrome"];
+
+/// A browser of the Chromium family, which draws and prints pages without a screen.
+///
+/// # Panics
+/// There is none although everything must run.
+#[must_use]
+pub fn browser() -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let mut folders = std::env::split_paths(&path);
+    let found = folders.find_map(|folder| {
+        let mut programs = BROWSERS.iter().map(|name| folder.join(name));
+        programs.find(|program| program.is_file())
+    });
+    found.or_else(|| missed("Chromium"))
+}
+
 /// Python with two clients of other people for the stage controller.
 ///
 /// # Panics

@@ -48,6 +48,16 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }
+    if !["chromium", "chromium-browser", "google-chrome"]
+        .into_iter()
+        .any(firmware::is_on_path)
+    {
+        missing.push(Missing {
+            what: "pages drawn at three widths and printed",
+            needs: "Chromium",
+            how: "apt-get install chromium",
+        });
+    }
     if !root.join(STAGE_CLIENTS).is_file() {
         missing.push(Missing {
             what: "the emulated stage controller driven by other people's clients (PyMeasure, InstrumentKit)",

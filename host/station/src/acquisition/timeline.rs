@@ -26,6 +26,8 @@ pub enum Device {
     Dmd,
     /// The camera exposed.
     Camera,
+    /// The press was held: head-clear was low, from the controller's claim until the head was out again.
+    Held,
 }
 
 /// When a device was active.
@@ -46,6 +48,8 @@ pub struct Timeline {
     led: Vec<Span>,
     dmd: Vec<Span>,
     camera: Vec<Span>,
+    held: Vec<Span>,
+    held_since: Option<Timestamp>,
     state_since: Timestamp,
     latest: Timestamp,
     led_since: Option<Timestamp>,
@@ -57,7 +61,8 @@ impl Timeline {
     /// Takes one event.
     pub fn note(&mut self, event: &Event) {
         match *event {
-            Event::StateChanged { prev, at, .. } => {
+            Event::StateChanged { prev, next, at, .. } => {
+                self.note_hold(next, at);
                 let since = self.state_since.max(*self.start.get_or_insert(at));
                 let span = self.span(since, at);
                 match prev {
@@ -91,6 +96,16 @@ impl Timeline {
         }
     }
 
+    /// In which states the press is held: all between `Ready` and `Ready`, and what a fault leaves is not known to be clear.
+    fn note_hold(&mut self, next: State, at: Timestamp) {
+        if next != State::Ready {
+            self.held_since.get_or_insert(at);
+        } else if let Some(since) = self.held_since.take() {
+            let span = self.span(since, at);
+            self.held.push(span);
+        }
+    }
+
     fn span(&mut self, from: Timestamp, to: Timestamp) -> Span {
         let start = *self.start.get_or_insert(from);
         let ms = |at: Timestamp| at.since_us(start) as f64 / 1000.0;
@@ -121,7 +136,12 @@ impl Timeline {
 
     /// When each device was active.
     #[must_use]
-    pub fn activities(self) -> Vec<Activity> {
+    pub fn activities(mut self) -> Vec<Activity> {
+        // Not given back while anybody listened.
+        if let Some(since) = self.held_since.take() {
+            let span = self.span(since, self.latest);
+            self.held.push(span);
+        }
         let of = |device, spans| Activity { device, spans };
         vec![
             of(Device::Stages, self.moving),
@@ -129,6 +149,7 @@ impl Timeline {
             of(Device::Led, self.led),
             of(Device::Dmd, self.dmd),
             of(Device::Camera, self.camera),
+            of(Device::Held, self.held),
         ]
     }
 }

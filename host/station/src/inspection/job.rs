@@ -13,7 +13,7 @@ use super::evidence::{Phasors, Recipe};
 use super::failure;
 use super::findings::Findings;
 use super::plan::{PlanningError, ViewPlan};
-use super::result::{FrameCount, Inspection, Pictures, Timing};
+use super::result::{FrameCount, Inspection, Pictures, Timing, Toothing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome};
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Run, Stop,
@@ -331,6 +331,7 @@ impl Station {
                 deviations_um: found.deviations_um,
                 activities: run.timeline.activities(),
                 frame: run.picture,
+                toothing: Toothing::of(&self.subject.tool),
             },
         }
     }

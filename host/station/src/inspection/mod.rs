@@ -45,7 +45,7 @@ pub use recorded::{RecordError, RecordedCheck};
 pub(crate) use recorded::{RecordingNotes, tooth_in_middle};
 pub use result::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Pictures, Timing,
-    ViewRegistration, WeakDirection,
+    Toothing, ViewRegistration, WeakDirection,
 };
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;

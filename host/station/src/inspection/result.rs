@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
@@ -360,6 +362,31 @@ pub struct Pictures {
     pub activities: Vec<Activity>,
     /// One raw frame.
     pub frame: Option<Picture>,
+    /// The toothing around the flanks; absent where the tool is none.
+    pub toothing: Option<Toothing>,
+}
+
+/// A toothing as reports draw it.
+#[derive(Clone, Debug)]
+pub struct Toothing {
+    /// Its drawing.
+    pub gear: GearData,
+    /// Lower and upper end of the judged zone's profile, as radii, mm.
+    pub zone_radius_mm: [f64; 2],
+}
+
+impl Toothing {
+    /// That of a tool.
+    pub(crate) fn of(tool: &Tool) -> Option<Self> {
+        let gear = tool.gear.clone()?;
+        let zone_radius_mm = tool
+            .zone()
+            .map_or_else(|| gear.active_flank_mm(), |zone| zone.radius_mm);
+        Some(Self {
+            gear,
+            zone_radius_mm,
+        })
+    }
 }
 
 /// Mean deviation per cell of one flank.

@@ -1,178 +1,225 @@
-//! Charts as inline SVG: no script, no font file, readable in print.
+//! Charts of a check: who did what when, how the deviations are spread, and what the colours mean.
 
 use std::fmt::Write as _;
 
-use super::svg::{open, ticks};
-use crate::acquisition::{Activity, Device};
+use flankscope_metrology::verdict::Word;
+
+use super::plot::{Axes, Series, binned};
+use super::svg::{open, sign, ticks};
+use crate::acquisition::{Activity, Device, Span};
 
 /// How a device's lane is called and filled.
 fn lane(device: Device) -> (&'static str, &'static str) {
     match device {
         Device::Stages => ("stages move", "#7a8794"),
         Device::Settling => ("settle", "#b9c2cb"),
-        Device::Led => ("LED", "#2f9e5b"),
-        Device::Dmd => ("DMD", "#c77d0a"),
-        Device::Camera => ("camera", "#2b6cb0"),
+        Device::Led => ("LED on", "#e0a100"),
+        Device::Dmd => ("DMD switches", "#8c6bb1"),
+        Device::Camera => ("camera exposes", "#2b6cb0"),
+        Device::Held => ("press held", "#b2182b"),
     }
 }
 
-/// A lane per device over a common time axis.
+/// Where the lanes begin, and how wide and high they are, px.
+const LEFT: f64 = 118.0;
+const WIDTH: f64 = 900.0;
+const LANE: f64 = 24.0;
+
+/// A lane per device over a common time axis, then the press's lines: held, head clear (the controller is ready again), and
+/// the verdict `to_verdict_ms` after the last exposure, or once the head is out.
 #[must_use]
-pub fn timeline(activities: &[Activity]) -> String {
-    const LEFT: f64 = 90.0;
-    const WIDTH: f64 = 900.0;
-    const LANE: f64 = 26.0;
-    let spans = activities.iter().flat_map(|activity| &activity.spans);
-    let end_ms = spans.map(|span| span.end_ms).fold(1.0, f64::max);
+pub fn timeline(activities: &[Activity], verdict: Word, to_verdict_ms: f64) -> String {
+    let spans = |of: &dyn Fn(Device) -> bool| -> Vec<Span> {
+        let asked = activities.iter().filter(|activity| of(activity.device));
+        asked.flat_map(|activity| activity.spans.clone()).collect()
+    };
+    let last = |spans: &[Span]| spans.iter().map(|span| span.end_ms).fold(0.0, f64::max);
+    let held = spans(&|device| device == Device::Held);
+    let evaluated_ms = last(&spans(&|device| device == Device::Camera)) + to_verdict_ms;
+    let verdict_ms = evaluated_ms.max(last(&held));
+    let end_ms = 1.03 * verdict_ms.max(last(&spans(&|_| true))).max(1.0);
+    let clear = between(&held, end_ms);
     let x = |ms: f64| LEFT + ms / end_ms * (WIDTH - LEFT - 10.0);
-    let height = LANE * activities.len() as f64 + 34.0;
-    let mut svg = open(WIDTH, height, "Timeline of LED, DMD, camera and stages");
+    let lanes = activities.len() + 2;
+    let height = LANE * lanes as f64 + 40.0;
+    let bottom = height - 36.0;
+    let mut svg = open(
+        WIDTH,
+        height,
+        "Timeline from the start order to the verdict",
+    );
     for tick in ticks(0.0, end_ms) {
         let at = x(tick);
-        let bottom = height - 28.0;
         let _ = write!(
             svg,
-            r#"<line x1="{at:.1}" y1="0" x2="{at:.1}" y2="{bottom}" class="grid"/>"#
-        );
-        let _ = write!(
-            svg,
-            r#"<text x="{at:.1}" y="{:.1}" text-anchor="middle">{}</text>"#,
-            height - 14.0,
+            r#"<line x1="{at:.1}" y1="0" x2="{at:.1}" y2="{bottom}" class="grid"/><text x="{at:.1}" y="{:.1}" text-anchor="middle">{} s</text>"#,
+            bottom + 16.0,
             tick / 1000.0
         );
     }
-    let _ = write!(
-        svg,
-        r#"<text x="{:.1}" y="{height:.1}" text-anchor="end">time / s</text>"#,
-        WIDTH - 10.0
-    );
-    for (i, activity) in activities.iter().enumerate() {
-        let (name, colour) = lane(activity.device);
-        let top = LANE * i as f64 + 4.0;
+    let mut draw = |number: usize, name: &str, colour: &str, spans: &[Span]| {
+        let top = LANE * number as f64 + 4.0;
         let _ = write!(
             svg,
-            r#"<text x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
+            r#"<text x="{:.1}" y="{:.1}" text-anchor="end">{name}</text>"#,
             LEFT - 8.0,
-            top + 13.0,
-            name
+            top + 12.0
         );
-        for span in &activity.spans {
+        // Next to each other they would be a file of their own; drawn as one shape they still show every pause.
+        let mut shape = String::new();
+        for span in spans {
             // A trigger of a millisecond still shows.
             let width = (x(span.end_ms) - x(span.start_ms)).max(0.6);
             let _ = write!(
-                svg,
-                r#"<rect x="{:.2}" y="{top:.1}" width="{width:.2}" height="{:.1}" fill="{}"/>"#,
+                shape,
+                "M{:.1} {top:.0}h{width:.1}v{h:.0}h-{width:.1}z",
                 x(span.start_ms),
-                LANE - 8.0,
-                colour
+                h = LANE - 8.0
             );
         }
+        let busy_s = spans.iter().map(|s| s.end_ms - s.start_ms).sum::<f64>() / 1e3;
+        let _ = write!(
+            svg,
+            r#"<path d="{shape}" fill="{colour}"><title>{name}: {busy_s:.2} s in all</title></path>"#
+        );
+    };
+    for (number, activity) in activities.iter().enumerate() {
+        let (name, colour) = lane(activity.device);
+        draw(number, name, colour, &activity.spans);
     }
+    draw(lanes - 2, "head clear, ready", "#1b7f5c", &clear);
+    draw(lanes - 1, "verdict", "none", &[]);
+    let at = x(verdict_ms);
+    let top = LANE * (lanes - 1) as f64;
+    let _ = write!(
+        svg,
+        r#"<line x1="{at:.1}" y1="0" x2="{at:.1}" y2="{bottom}" class="mark"/><text x="{:.1}" y="{:.1}" text-anchor="end" font-weight="700">{verdict} at {:.2} s</text>"#,
+        at - 12.0,
+        top + 16.0,
+        verdict_ms / 1e3
+    );
+    let said = format!(
+        "{verdict}: flanks evaluated {:.2} s after the start order",
+        evaluated_ms / 1e3
+    );
+    sign(&mut svg, verdict, [at, top + 12.0], 6.0, &said);
     svg.push_str("</svg>");
     svg
 }
 
-/// A histogram of deviations in µm, with the limits drawn in where they fall into the range.
-#[must_use]
-pub fn histogram(deviations_um: &[f64], half_range_um: f64, marks_um: &[(f64, &str)]) -> String {
-    const BINS: usize = 80;
-    const WIDTH: f64 = 900.0;
-    const HEIGHT: f64 = 240.0;
-    const RIGHT: f64 = 30.0;
-    let (left, bottom, top) = (30.0, HEIGHT - 36.0, 16.0);
-    let mut counts = [0_usize; BINS];
-    let mut outside = 0_usize;
-    for &deviation in deviations_um {
-        let bin = ((deviation + half_range_um) / (2.0 * half_range_um) * BINS as f64).floor();
-        match counts.get_mut(bin as usize) {
-            Some(count) if bin >= 0.0 => *count += 1,
-            _ => outside += 1,
-        }
+/// What lies between spans, from 0 to `end_ms`.
+fn between(spans: &[Span], end_ms: f64) -> Vec<Span> {
+    let mut since = 0.0;
+    let mut found = Vec::new();
+    for span in spans {
+        found.push(Span {
+            start_ms: since,
+            end_ms: span.start_ms,
+        });
+        since = span.end_ms;
     }
-    let peak = counts.iter().copied().max().unwrap_or(0).max(1) as f64;
-    let x = |um: f64| left + (um + half_range_um) / (2.0 * half_range_um) * (WIDTH - left - RIGHT);
-    let mut svg = open(WIDTH, HEIGHT, "Histogram of deviations");
-    for tick in ticks(-half_range_um, half_range_um) {
-        let at = x(tick);
-        let _ = write!(
-            svg,
-            r#"<line x1="{at:.1}" y1="{top}" x2="{at:.1}" y2="{bottom}" class="grid"/>"#
-        );
-        let _ = write!(
-            svg,
-            r#"<text x="{at:.1}" y="{:.1}" text-anchor="middle">{tick}</text>"#,
-            bottom + 16.0
-        );
-    }
-    let width = (WIDTH - left - RIGHT) / BINS as f64;
-    for (bin, &count) in counts.iter().enumerate() {
-        let height = count as f64 / peak * (bottom - top);
-        let centre_um = (bin as f64 + 0.5) / BINS as f64 * 2.0 * half_range_um - half_range_um;
-        let [r, g, b] = super::colour::diverging(centre_um / half_range_um);
-        let _ = write!(
-            svg,
-            r#"<rect x="{:.2}" y="{:.2}" width="{:.2}" height="{height:.2}" fill="rgb({r},{g},{b})" stroke="var(--muted)" stroke-width=".4"/>"#,
-            left + bin as f64 * width,
-            bottom - height,
-            width
-        );
-    }
-    for (um, name) in marks_um.iter().filter(|(um, _)| um.abs() <= half_range_um) {
-        let at = x(*um);
-        let _ = write!(
-            svg,
-            r#"<line x1="{at:.1}" y1="{top}" x2="{at:.1}" y2="{bottom}" class="mark"/>"#
-        );
-        let _ = write!(
-            svg,
-            r#"<text x="{at:.1}" y="{:.1}" text-anchor="middle" class="mark">{name}</text>"#,
-            top - 2.0
-        );
-    }
-    let _ = write!(
-        svg,
-        r#"<text x="{left:.1}" y="{:.1}">points, most in one bin: {peak}</text><text x="{:.1}" y="{:.1}" text-anchor="end">deviation / µm (minus: material missing) · {outside} points beyond the axis</text></svg>"#,
-        HEIGHT - 4.0,
-        WIDTH - RIGHT,
-        HEIGHT - 4.0
-    );
-    svg
+    found.push(Span {
+        start_ms: since,
+        end_ms,
+    });
+    found.retain(|span| span.end_ms > span.start_ms);
+    found
 }
 
-/// A colour bar from `-full_um` to `+full_um`, with the limits drawn in.
+/// A histogram of deviations in µm, with the limits drawn in where they fall into the range.
 #[must_use]
-pub fn colour_bar(full_um: f64, marks_um: &[(f64, &str)]) -> String {
-    const WIDTH: f64 = 420.0;
+pub fn histogram(deviations_um: &[f64], half_range_um: f64, limits_um: Option<[f64; 2]>) -> String {
+    const BINS: usize = 80;
+    let range = [-half_range_um, half_range_um];
+    let (counts, beyond) = binned(deviations_um, range, BINS);
+    let total = deviations_um.len().max(1) as f64;
+    let width = 2.0 * half_range_um / BINS as f64;
+    let bars: Vec<(f64, String)> = counts
+        .iter()
+        .enumerate()
+        .map(|(bin, count)| {
+            let centre = (bin as f64 + 0.5) * width - half_range_um;
+            let [r, g, b] = super::colour::diverging(centre / half_range_um);
+            (100.0 * count / total, format!("rgb({r},{g},{b})"))
+        })
+        .collect();
+    let most = bars.iter().map(|(share, _)| *share).fold(0.1, f64::max);
+    let mut series = vec![Series::Bars(&bars)];
+    if let Some([warn, stop]) = limits_um {
+        series.extend([Series::Mark(-warn, "warn"), Series::Mark(-stop, "stop")]);
+    }
+    let label = format!(
+        "deviation / µm (minus: material missing) · {} points, {beyond} beyond the axis",
+        deviations_um.len()
+    );
+    Axes {
+        title: "Histogram of deviations",
+        size: [900.0, 210.0],
+        x: (range, &label),
+        y: ([0.0, 1.05 * most], "points / %"),
+    }
+    .draw(&series)
+}
+
+/// A colour bar from `-full_um` to `+full_um`, with warning and stop limit drawn in.
+#[must_use]
+pub fn colour_bar(full_um: f64, limits_um: Option<[f64; 2]>) -> String {
     const STEPS: usize = 84;
-    let mut svg = open(WIDTH, 58.0, "Colour bar of the deviation maps");
-    let step = (WIDTH - 40.0) / STEPS as f64;
-    for i in 0..STEPS {
-        let [r, g, b] = super::colour::diverging((i as f64 + 0.5) / STEPS as f64 * 2.0 - 1.0);
+    let colours: Vec<[u8; 3]> = (0..STEPS)
+        .map(|i| super::colour::diverging((i as f64 + 0.5) / STEPS as f64 * 2.0 - 1.0))
+        .collect();
+    let label = "deviation / µm (minus: material missing)";
+    bar(&colours, [-full_um, full_um], label, limits_um)
+}
+
+/// A colour bar of the scale that grows from nothing to `full`.
+#[must_use]
+pub fn amount_bar(full: f64, label: &str) -> String {
+    const STEPS: usize = 42;
+    let colours: Vec<[u8; 3]> = (0..STEPS)
+        .map(|i| super::colour::sequential((i as f64 + 0.5) / STEPS as f64))
+        .collect();
+    bar(&colours, [0.0, full], label, None)
+}
+
+fn bar(
+    colours: &[[u8; 3]],
+    [from, to]: [f64; 2],
+    label: &str,
+    limits_um: Option<[f64; 2]>,
+) -> String {
+    const WIDTH: f64 = 420.0;
+    let mut svg = open(WIDTH, 62.0, &format!("Colours: {label}"));
+    let step = (WIDTH - 40.0) / colours.len() as f64;
+    for (i, [r, g, b]) in colours.iter().enumerate() {
         let _ = write!(
             svg,
-            r#"<rect x="{:.2}" y="16" width="{:.2}" height="16" fill="rgb({r},{g},{b})"/>"#,
+            r#"<rect x="{:.1}" y="16" width="{:.1}" height="16" fill="rgb({r},{g},{b})"/>"#,
             20.0 + i as f64 * step,
             step + 0.3
         );
     }
-    for share in [-1.0, -0.5, 0.0, 0.5, 1.0] {
-        let at = 20.0 + (share + 1.0) / 2.0 * (WIDTH - 40.0);
+    let x = |value: f64| 20.0 + (value - from) / (to - from) * (WIDTH - 40.0);
+    for tick in super::svg::about(5.0, from, to) {
         let _ = write!(
             svg,
-            r#"<text x="{at:.1}" y="46" text-anchor="middle">{:+.0}</text>"#,
-            share * full_um + 0.0
+            r#"<text x="{:.1}" y="46" text-anchor="middle">{tick}</text>"#,
+            x(tick)
         );
     }
-    for (um, name) in marks_um {
-        let at = 20.0 + (um / full_um + 1.0) / 2.0 * (WIDTH - 40.0);
+    let limits = limits_um.map_or(Vec::new(), |[warn, stop]| {
+        vec![(-warn, "warn"), (-stop, "stop")]
+    });
+    for (um, name) in limits.into_iter().filter(|(um, _)| *um >= from) {
+        let at = x(um);
         let _ = write!(
             svg,
-            r#"<line x1="{at:.1}" y1="13" x2="{at:.1}" y2="32" class="mark"/><text x="{at:.1}" y="11" text-anchor="middle" class="mark">{name}</text>"#
+            r#"<line x1="{at:.1}" y1="13" x2="{at:.1}" y2="34" class="mark {name}"/><text x="{at:.1}" y="11" text-anchor="middle" class="mark {name}">{name}</text>"#
         );
     }
     let _ = write!(
         svg,
-        r#"<text x="{:.1}" y="57" text-anchor="middle">deviation / µm</text></svg>"#,
+        r#"<text x="{:.1}" y="60" text-anchor="middle">{label}</text></svg>"#,
         WIDTH / 2.0
     );
     svg
@@ -184,11 +231,35 @@ mod tests {
 
     #[test]
     fn every_point_is_drawn_or_counted_as_beyond_the_axis() {
-        let svg = histogram(&[-1000.0, 0.0, 0.0, 5.0, f64::NAN, 99.9, 100.1], 100.0, &[]);
+        let svg = histogram(
+            &[-1000.0, 0.0, 0.0, 5.0, f64::NAN, 99.9, 100.1],
+            100.0,
+            Some([30.0, 50.0]),
+        );
         assert!(
-            svg.contains("· 3 points beyond the axis"),
+            svg.contains("7 points, 3 beyond the axis"),
             "two beyond and one without a value: {svg}"
         );
-        assert!(svg.contains("most in one bin: 2"));
+        assert!(svg.contains("mark warn") && svg.contains("mark stop"));
+    }
+
+    /// The head is clear where the press is not held, and the verdict comes when flanks are evaluated and the head is out.
+    #[test]
+    fn the_timeline_ends_with_the_verdict() {
+        let span = |start_ms, end_ms| Span { start_ms, end_ms };
+        let of = |device, spans: &[Span]| Activity {
+            device,
+            spans: spans.to_vec(),
+        };
+        let activities = [
+            of(Device::Camera, &[span(1000.0, 2000.0)]),
+            of(Device::Held, &[span(100.0, 3000.0)]),
+        ];
+        assert!(timeline(&activities, Word::Go, 500.0).contains("go at 3.00 s"));
+        let late = timeline(&activities, Word::NoGo, 1750.0);
+        assert!(late.contains("no-go at 3.75 s") && late.contains("press held: 2.90 s in all"));
+        let clear = between(&[span(100.0, 3000.0)], 4000.0);
+        assert_eq!(clear, [span(0.0, 100.0), span(3000.0, 4000.0)]);
+        assert_eq!(between(&[], 5.0), [span(0.0, 5.0)]);
     }
 }

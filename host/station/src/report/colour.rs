@@ -2,6 +2,9 @@
 
 use png::{BitDepth, ColorType, Encoder};
 
+/// Shades to either side of white.
+const STEPS: f64 = 100.0;
+
 /// Colour of a deviation as a share of full scale, −1..1: a diverging scale that a colour-blind reader can tell apart.
 #[must_use]
 pub fn diverging(share: f64) -> [u8; 3] {
@@ -11,7 +14,8 @@ pub fn diverging(share: f64) -> [u8; 3] {
     const WARM: [f64; 3] = [178.0, 24.0, 43.0];
     let share = share.clamp(-1.0, 1.0);
     let end = if share < 0.0 { COOL } else { WARM };
-    let t = share.abs().sqrt(); // small deviations stay visible
+    // Small deviations stay visible; a hundred steps to either side are a palette.
+    let t = (share.abs().sqrt() * STEPS).round() / STEPS;
     std::array::from_fn(|i| (MIDDLE[i] + (end[i] - MIDDLE[i]) * t).round() as u8)
 }
 
@@ -36,26 +40,50 @@ pub fn unmeasured(column: usize, row: usize) -> [u8; 3] {
     }
 }
 
-/// An RGB picture as a `data:` address for an `<img>`.
+/// A coloured picture as a `data:` address for an `<img>`: with a palette where its colours fit into one.
 ///
 /// `pixels` holds `width * height` colours, row by row.
 #[must_use]
 pub fn rgb_data_uri(width: usize, height: usize, pixels: &[[u8; 3]]) -> String {
-    data_uri(width, height, ColorType::Rgb, pixels.as_flattened())
+    let mut palette: Vec<[u8; 3]> = pixels.to_vec();
+    palette.sort_unstable();
+    palette.dedup();
+    let number = |pixel: &[u8; 3]| palette.binary_search(pixel).ok()?.try_into().ok();
+    let indices: Option<Vec<u8>> = pixels.iter().map(number).collect();
+    match indices {
+        Some(indices) => data_uri(
+            width,
+            height,
+            ColorType::Indexed,
+            &indices,
+            palette.as_flattened(),
+        ),
+        None => data_uri(width, height, ColorType::Rgb, pixels.as_flattened(), &[]),
+    }
 }
 
 /// A grey picture as a `data:` address for an `<img>`.
 #[must_use]
 pub fn grey_data_uri(width: usize, height: usize, pixels: &[u8]) -> String {
-    data_uri(width, height, ColorType::Grayscale, pixels)
+    data_uri(width, height, ColorType::Grayscale, pixels, &[])
 }
 
-fn data_uri(width: usize, height: usize, colour: ColorType, bytes: &[u8]) -> String {
+fn data_uri(
+    width: usize,
+    height: usize,
+    colour: ColorType,
+    bytes: &[u8],
+    palette: &[u8],
+) -> String {
     use base64::Engine as _;
     let mut file = Vec::new();
     let mut encoder = Encoder::new(&mut file, width as u32, height as u32);
     encoder.set_color(colour);
     encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    if colour == ColorType::Indexed {
+        encoder.set_palette(palette.to_vec());
+    }
     let written = encoder
         .write_header()
         .and_then(|mut writer| writer.write_image_data(bytes));
@@ -87,15 +115,23 @@ mod tests {
 
     #[test]
     fn pictures_decode_to_what_was_drawn() {
-        let uri = rgb_data_uri(2, 1, &[[1, 2, 3], [4, 5, 6]]);
+        // Few colours, and more than a palette holds.
+        let many: Vec<[u8; 3]> = (0..300_u16).map(|i| [i as u8, (i >> 8) as u8, 7]).collect();
+        for pixels in [vec![[1, 2, 3], [4, 5, 6]], many] {
+            drawn_and_decoded(&pixels);
+        }
+    }
+
+    fn drawn_and_decoded(drawn: &[[u8; 3]]) {
+        let uri = rgb_data_uri(drawn.len(), 1, drawn);
         let (_, data) = uri.split_once("base64,").unwrap();
         let file =
             base64::Engine::decode(&base64::engine::general_purpose::STANDARD, data).unwrap();
-        let mut reader = png::Decoder::new(std::io::Cursor::new(file))
-            .read_info()
-            .unwrap();
+        let mut decoder = png::Decoder::new(std::io::Cursor::new(file));
+        decoder.set_transformations(png::Transformations::EXPAND);
+        let mut reader = decoder.read_info().unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut pixels).unwrap();
-        assert_eq!(pixels, [1, 2, 3, 4, 5, 6]);
+        assert_eq!(pixels, drawn.as_flattened());
     }
 }

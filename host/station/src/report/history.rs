@@ -1,11 +1,11 @@
 //! The page of a tool's history: wear of each flank against cycles.
 
-use std::fmt::Write as _;
-
 use askama::Template;
 use flankscope_foundation::normal::COVERAGE_95;
+use flankscope_metrology::verdict::Word;
 
-use super::svg::{open, ticks};
+use super::trend_chart::{Checks, horizon_cycles, one, overlay};
+use super::{Fact, facts, figure, numbered};
 use crate::history::{Acknowledgement, Check, Forecast};
 
 /// Checks that the page lists, the last ones.
@@ -17,9 +17,10 @@ struct Page<'a> {
     tool: &'a str,
     checks: usize,
     last: Option<&'a Check>,
-    last_number: String,
+    facts: Vec<Fact>,
     simulated: bool,
     unknown: usize,
+    overlay: String,
     flanks: Vec<Flank<'a>>,
     listed: Vec<&'a Check>,
     acknowledgements: &'a [Acknowledgement],
@@ -27,6 +28,8 @@ struct Page<'a> {
 
 struct Flank<'a> {
     forecast: &'a Forecast,
+    verdict: Word,
+    now: String,
     chart: String,
     rate: String,
     remaining: String,
@@ -42,27 +45,57 @@ pub fn history_html(
     acknowledgements: &[Acknowledgement],
     forecasts: &[Forecast],
 ) -> Result<String, askama::Error> {
+    let known = Checks::of(checks);
+    let last = checks.last();
     let flanks = forecasts.iter().map(|forecast| Flank {
         forecast,
-        chart: wear(forecast),
+        verdict: last.map_or(Word::Indeterminate, |check| on_flank(check, forecast)),
+        now: forecast.points.last().map_or_else(
+            || "–".into(),
+            |p| {
+                format!(
+                    "{} ± {}",
+                    figure(Some(p.wear_um)),
+                    figure(Some(COVERAGE_95 * p.u_um))
+                )
+            },
+        ),
+        chart: one(forecast, &known),
         rate: rate(forecast),
         remaining: remaining(forecast),
     });
     let page = Page {
         tool,
         checks: checks.len(),
-        last: checks.last(),
-        last_number: super::numbered(checks.last().map(|last| last.id)),
+        last,
+        facts: last.map_or(Vec::new(), |last| {
+            let cycles = Some(last.tool_cycles);
+            facts(
+                &last.at,
+                tool,
+                numbered(Some(last.id)),
+                cycles,
+                &last.origin,
+            )
+        }),
         simulated: checks.iter().any(|check| check.origin.is_simulated()),
         unknown: checks
             .iter()
             .filter(|check| check.origin.simulated.is_none())
             .count(),
+        overlay: overlay(forecasts, &known),
         flanks: flanks.collect(),
         listed: checks.iter().rev().take(LISTED).collect(),
         acknowledgements,
     };
     page.render()
+}
+
+/// What a check said of a flank.
+fn on_flank(check: &Check, of: &Forecast) -> Word {
+    let mut flanks = check.flanks.iter();
+    let flank = flanks.find(|f| f.tooth == of.tooth && f.flank == of.flank);
+    flank.map_or(Word::Indeterminate, |f| f.verdict)
 }
 
 /// Rate of wear with its interval, µm per thousand cycles.
@@ -82,127 +115,115 @@ pub fn rate(forecast: &Forecast) -> String {
     )
 }
 
-/// Remaining cycles: those that 95 of 100 such flanks do, and those that half of them do.
+/// Remaining cycles: those that 95 of 100 such flanks do, and those that half of them do. No trend is drawn out farther than
+/// ten times the cycles that it was seen over.
 #[must_use]
 pub fn remaining(forecast: &Forecast) -> String {
-    match (forecast.trend, forecast.remaining_cycles.q05) {
-        (None, _) => "–".into(),
-        (Some(_), None) => "no end in sight".into(),
-        (Some(_), Some(q05)) => {
-            let q50 = forecast.remaining_cycles.q50;
-            format!(
-                "{:.0} (half: {})",
-                q05.floor(),
-                q50.map_or_else(
-                    || "not in sight".into(),
-                    |q50| format!("{:.0}", q50.floor())
-                )
-            )
-        }
-    }
+    let Some(horizon) = horizon_cycles(forecast) else {
+        return "–".into();
+    };
+    let within = |cycles: Option<f64>| cycles.filter(|cycles| *cycles <= horizon);
+    let Some(q05) = within(forecast.remaining_cycles.q05) else {
+        return format!("> {horizon:.0}, not extrapolated");
+    };
+    let half = within(forecast.remaining_cycles.q50).map_or_else(
+        || format!("> {horizon:.0}"),
+        |q50| format!("{:.0}", q50.floor()),
+    );
+    format!("{:.0} (half: {half})", q05.floor())
 }
 
-/// Wear against cycles: figures with their expanded uncertainty, limits, changes, and the trend.
-fn wear(forecast: &Forecast) -> String {
-    const WIDTH: f64 = 900.0;
-    const HEIGHT: f64 = 260.0;
-    let (left, right, top, bottom) = (46.0, WIDTH - 60.0, 14.0, HEIGHT - 36.0);
-    let points = &forecast.points;
-    let cycles = |f: fn(f64, f64) -> f64, from: f64| points.iter().map(|p| p.cycles).fold(from, f);
-    let (first, last) = (
-        cycles(f64::min, f64::INFINITY),
-        cycles(f64::max, f64::NEG_INFINITY),
-    );
-    let (first, last) = if first.is_finite() {
-        (first, last)
-    } else {
-        (0.0, 1.0)
-    };
-    let span = (last - first).max(1.0);
-    let wear_um = |f: fn(f64, f64) -> f64, from: f64, side: f64| {
-        points
-            .iter()
-            .map(|p| p.wear_um + side * COVERAGE_95 * p.u_um)
-            .fold(from, f)
-    };
-    let low = wear_um(f64::min, 0.0, -1.0);
-    let high = wear_um(f64::max, 1.1 * forecast.limit_um, 1.0);
-    let height = (high - low).max(1.0);
-    let x = |cycles: f64| left + (cycles - first) / span * (right - left);
-    let y = |um: f64| bottom - (um - low) / height * (bottom - top);
-    let title = format!(
-        "Wear of tooth {} {} against cycles",
-        forecast.tooth, forecast.flank
-    );
-    let mut svg = open(WIDTH, HEIGHT, &title);
-    for tick in ticks(low, low + height) {
-        let at = y(tick);
-        let _ = write!(
-            svg,
-            r#"<line x1="{left}" y1="{at:.1}" x2="{right}" y2="{at:.1}" class="grid"/><text x="{:.1}" y="{:.1}" text-anchor="end">{tick}</text>"#,
-            left - 6.0,
-            at + 4.0
-        );
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::{Point, Series};
+    use crate::origin::Origin;
+
+    /// A flank that wears by `rate_um` per cycle, seen every 10 cycles.
+    fn flank(tooth: u32, rate_um: f64) -> Forecast {
+        let point = |i: i64| Point {
+            check: i + 1,
+            cycles: 10.0 * i as f64,
+            wear_um: rate_um * 10.0 * i as f64 + if i % 2 == 0 { 0.02 } else { -0.02 },
+            u_um: 0.5,
+        };
+        Forecast::of(Series {
+            tooth,
+            flank: "left".into(),
+            warn_um: 30.0,
+            limit_um: 50.0,
+            points: (0..11).map(point).collect(),
+        })
     }
-    for tick in ticks(first, first + span) {
-        let at = x(tick);
-        let _ = write!(
-            svg,
-            r#"<line x1="{at:.1}" y1="{top}" x2="{at:.1}" y2="{bottom}" class="grid"/><text x="{at:.1}" y="{:.1}" text-anchor="middle">{tick}</text>"#,
-            bottom + 16.0
-        );
+
+    fn check(id: i64, verdict: Word) -> Check {
+        let row = |tooth, verdict| crate::history::FlankRow {
+            tooth,
+            flank: "left".into(),
+            wear_um: Some(1.0),
+            u95_um: Some(1.0),
+            warn_um: 30.0,
+            limit_um: 50.0,
+            verdict,
+            code: None,
+        };
+        Check {
+            id,
+            at: format!("2026-02-{id:02}T12:00:00Z"),
+            tool: "die <b>".into(),
+            tool_cycles: 10 * (id - 1),
+            press_cycles: 0,
+            baseline: None,
+            verdict,
+            reason: "because".into(),
+            origin: Origin::default(),
+            serial: None,
+            flanks: vec![row(12, verdict), row(40, Word::Go)],
+        }
     }
-    for (um, name) in [(forecast.warn_um, "warn"), (forecast.limit_um, "stop")] {
-        let at = y(um);
-        let _ = write!(
-            svg,
-            r#"<line x1="{left}" y1="{at:.1}" x2="{right}" y2="{at:.1}" class="mark {name}"/><text x="{:.1}" y="{:.1}" class="mark {name}">{name}</text>"#,
-            right + 6.0,
-            at + 4.0
-        );
+
+    /// 100 cycles of figures say nothing of the 2000th; what they do say is not cut.
+    #[test]
+    fn no_trend_is_drawn_out_far_beyond_its_figures() {
+        assert_eq!(remaining(&flank(12, 0.0)), "> 1000, not extrapolated");
+        assert_eq!(remaining(&flank(12, 0.02)), "> 1000, not extrapolated");
+        let soon = flank(12, 0.4);
+        let words = remaining(&soon);
+        let half: f64 = words
+            .split("half: ")
+            .nth(1)
+            .unwrap()
+            .trim_end_matches(')')
+            .parse()
+            .unwrap();
+        // 10 µm at 0.4 µm per cycle.
+        assert!((20.0..=30.0).contains(&half), "{words}");
+        let few = Forecast {
+            trend: None,
+            ..soon
+        };
+        assert_eq!(remaining(&few), "–");
     }
-    for point in points
-        .iter()
-        .filter(|p| forecast.changes.contains(&p.check))
-    {
-        let at = x(point.cycles);
-        let _ = write!(
-            svg,
-            r#"<line x1="{at:.1}" y1="{top}" x2="{at:.1}" y2="{bottom}" class="change"/><text x="{at:.1}" y="{:.1}" text-anchor="middle" class="change">change</text>"#,
-            top - 3.0
+
+    #[test]
+    fn the_page_shows_verdicts_dates_and_the_way_to_the_limit() {
+        let mut checks: Vec<Check> = (1..=10).map(|id| check(id, Word::Go)).collect();
+        checks.push(check(11, Word::Warn));
+        let forecasts = [flank(12, 0.4), flank(40, 0.0)];
+        let page = history_html("die <b>", &checks, &[], &forecasts).unwrap();
+        assert!(!page.contains("die <b>"), "names are escaped");
+        // An overlay of both, and one for each.
+        assert_eq!(page.matches("<svg").count(), 3);
+        assert_eq!(page.matches("class=\"band\"").count(), 2);
+        // Of eleven figures of the first flank ten are go, as are all of the second.
+        assert_eq!(page.matches("class=\"v-go\"><title>check").count(), 21);
+        assert_eq!(
+            page.matches("class=\"v-warn\"><title>check 11, 2026-02-11T")
+                .count(),
+            1
         );
+        for shown in ["2026-02-01<", "2026-02-11<", "&#62; 1000, not extrapolated"] {
+            assert!(page.contains(shown), "{shown}");
+        }
     }
-    if let Some(trend) = forecast.trend {
-        // From the first point of the line to the edge of the picture.
-        let begin = points
-            .len()
-            .checked_sub(trend.points)
-            .map_or(first, |at| points[at].cycles);
-        let on_line = |cycles: f64| trend.now_um + trend.rate_um * (cycles - trend.now_cycles);
-        let _ = write!(
-            svg,
-            r#"<line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" class="trend"/>"#,
-            x(begin),
-            y(on_line(begin)),
-            x(last),
-            y(on_line(last))
-        );
-    }
-    for point in points {
-        let at = x(point.cycles);
-        let _ = write!(
-            svg,
-            r#"<line x1="{at:.1}" y1="{:.1}" x2="{at:.1}" y2="{:.1}" class="bar"/><circle cx="{at:.1}" cy="{:.1}" r="2.2" class="figure"/>"#,
-            y(point.wear_um - COVERAGE_95 * point.u_um),
-            y(point.wear_um + COVERAGE_95 * point.u_um),
-            y(point.wear_um)
-        );
-    }
-    let _ = write!(
-        svg,
-        r#"<text x="{left}" y="{:.1}">wear / µm</text><text x="{right}" y="{:.1}" text-anchor="end">cycles of the tool</text></svg>"#,
-        HEIGHT - 2.0,
-        HEIGHT - 2.0
-    );
-    svg
 }

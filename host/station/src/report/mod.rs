@@ -1,25 +1,26 @@
 //! The report: one HTML file that needs nothing else, for the screen, the mail and the printer.
 
+mod bars;
 mod chart;
+mod check;
 mod colour;
 mod folder;
 mod history;
 mod plot;
+mod ring;
 mod scan;
 mod scan_files;
 mod svg;
+mod tables;
+mod trend_chart;
 
-use std::collections::BTreeSet;
-
-use askama::Template;
-use flankscope_metrology::verdict::{Code, Word};
-
-pub use folder::{LatestPage, ReportFolder};
+pub use check::html;
+pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 
-use crate::inspection::{FlankDetail, FlankMap, Inspection};
+use crate::inspection::FlankDetail;
 use crate::origin::Origin;
 
 /// What the figures of a check are: the same words in reports, help texts and documentation.
@@ -30,131 +31,27 @@ such a disc, cell the loss of the single cell that lost most (a cell is a fifth 
 the tip edge's rounding. Detects is the least wear that is told from none with 5 % errors of both kinds: damage that takes less \
 than that off every disc of the stated area can hide.";
 
-/// The report's page.
-#[derive(Template)]
-#[template(path = "report.html")]
-struct Page<'a> {
-    inspection: &'a Inspection,
-    origin: &'a Origin,
-    date: &'a str,
-    check: String,
-    /// What to do about what could not be decided.
-    remedies: BTreeSet<Code>,
-    /// Parts of the uncertainty that some flank has.
-    sources: BTreeSet<&'static str>,
-    maps: Vec<Map<'a>>,
-    colour_bar: String,
-    histogram: String,
-    timeline: String,
-    frame: Option<String>,
-    max_abs_um: f64,
-}
+/// A fact about where a result comes from, by its name.
+type Fact = (&'static str, String);
 
-/// A deviation map as a picture.
-struct Map<'a> {
-    map: &'a FlankMap,
-    verdict: Word,
-    picture: String,
-    width_px: f64,
-    height_px: f64,
-    /// Where most is lost: left and top of the disc, and its diameter, px.
-    disc_px: Option<[f64; 3]>,
-}
-
-/// Writes the page of an inspection.
-///
-/// # Errors
-/// The template engine's, which formatting into memory never raises.
-pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
-    let limit_um = inspection
-        .features
-        .iter()
-        .map(|f| f.limit_um)
-        .fold(0.0, f64::max);
-    // Full scale: twice the stop limit, so that a limit violation is dark but not the end of the scale.
-    let full_um = if limit_um > 0.0 {
-        2.0 * limit_um
-    } else {
-        100.0
-    };
-    let pictures = &inspection.pictures;
-    let maps = pictures
-        .maps
-        .iter()
-        .map(|map| draw(map, inspection, full_um))
-        .collect();
-    let marks = inspection
-        .features
-        .first()
-        .map(|f| [(-f.warn_um, "warn"), (-f.limit_um, "stop")]);
-    let details = inspection.features.iter().filter_map(|f| f.detail.as_ref());
-    let page = Page {
-        inspection,
-        origin: &inspection.origin,
-        date: &inspection.date,
-        check: numbered(inspection.id),
-        remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
-        sources: details
-            .flat_map(|detail| detail.shown_budget())
-            .map(|(source, _)| source)
-            .collect(),
-        maps,
-        colour_bar: chart::colour_bar(full_um, marks.as_ref().map_or(&[], |m| m)),
-        histogram: chart::histogram(
-            &pictures.deviations_um,
-            full_um,
-            marks.as_ref().map_or(&[], |m| m),
-        ),
-        timeline: chart::timeline(&pictures.activities),
-        frame: pictures
-            .frame
-            .as_ref()
-            .map(|frame| colour::grey_data_uri(frame.width, frame.height, &frame.grey)),
-        max_abs_um: full_um,
-    };
-    page.render()
+/// What stands under every title.
+fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Origin) -> Vec<Fact> {
+    let mut facts = vec![
+        ("date (UTC)", date.to_owned()),
+        ("tool", tool.to_owned()),
+        ("check", check),
+    ];
+    facts.extend(cycles.map(|cycles| ("cycles", cycles.to_string())));
+    facts.extend(origin.particulars());
+    facts
 }
 
 /// A check by its number in the history.
 fn numbered(id: Option<i64>) -> String {
     id.map_or_else(
         || "in no history".into(),
-        |id| format!("check {id} of its history"),
+        |id| format!("number {id} of its history"),
     )
-}
-
-fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {
-    let pixels: Vec<[u8; 3]> = map
-        .deviation_um
-        .iter()
-        .enumerate()
-        .map(|(place, &um)| {
-            if um.is_finite() {
-                colour::diverging(um / full_um)
-            } else {
-                colour::unmeasured(place % map.columns, place / map.columns)
-            }
-        })
-        .collect();
-    let flank = inspection
-        .features
-        .iter()
-        .find(|f| f.tooth == map.tooth && f.flank == map.flank);
-    let disc_px = flank.and_then(|f| f.detail.as_ref()).map(|detail| {
-        let [along, up] = detail.deepest_at_mm;
-        let radius_mm = (detail.area_mm2 / std::f64::consts::PI).sqrt();
-        let top_mm = map.size_mm[1] - up - radius_mm;
-        [along - radius_mm, top_mm, 2.0 * radius_mm].map(|mm| mm * PX_PER_MM)
-    });
-    const PX_PER_MM: f64 = 48.0;
-    Map {
-        map,
-        verdict: flank.map_or(Word::Indeterminate, |f| f.verdict),
-        disc_px,
-        picture: colour::rgb_data_uri(map.columns, map.rows, &pixels),
-        width_px: map.size_mm[0] * PX_PER_MM,
-        height_px: map.size_mm[1] * PX_PER_MM,
-    }
 }
 
 /// A figure in µm for a table: one decimal, no minus before zero, a dash where there is none.
@@ -202,6 +99,8 @@ pub fn with_micro(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use flankscope_metrology::verdict::Code;
+
     use super::*;
 
     #[test]

@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::svg::{open, ticks};
+use super::svg::{about, open};
 
 const LEFT: f64 = 58.0;
 const RIGHT: f64 = 12.0;
-const TOP: f64 = 10.0;
+const TOP: f64 = 16.0;
 const BOTTOM: f64 = 40.0;
 
 /// What is drawn.
@@ -17,8 +17,23 @@ pub enum Series<'a> {
     Line(&'a [(f64, Option<f64>)], String),
     /// A dot at each point.
     Dots(&'a [(f64, f64)], String),
-    /// A picture (`data:` address) over the whole area between the axes.
-    Picture(String),
+    /// A dot of a colour at each point, with what hovering over it says.
+    Named(&'a [(f64, f64, String, String)]),
+    /// A limit on the axis along the bottom: its value, its name, and the class that tells it from others.
+    Mark(f64, &'a str),
+    /// A picture (`data:` address) over the whole area between the axes, and what its colours mean to those who hover over it.
+    Picture(String, Scale),
+    /// Rectangles of equal size, row by row from the top, this many in a row, each with a colour and what hovering says.
+    Cells(usize, &'a [([u8; 3], String)]),
+}
+
+/// What the colours of a picture mean.
+#[derive(Clone, Copy)]
+pub enum Scale {
+    /// [`super::colour::diverging`], up to so many micrometres to either side.
+    Deviation(f64),
+    /// [`super::colour::sequential`], up to so many.
+    Amount(f64),
 }
 
 /// The axes of a chart.
@@ -44,7 +59,7 @@ impl Axes<'_> {
         let x = |value: f64| LEFT + (value - x_from) / (x_to - x_from) * (right - LEFT);
         let y = |value: f64| bottom - (value - y_from) / (y_to - y_from) * (bottom - TOP);
         let mut svg = open(width, height, self.title);
-        for tick in ticks(x_from, x_to) {
+        for tick in about(((right - LEFT) / 45.0).min(8.0), x_from, x_to) {
             let _ = write!(
                 svg,
                 r#"<line x1="{0:.1}" y1="{TOP}" x2="{0:.1}" y2="{bottom}" class="grid"/><text x="{0:.1}" y="{1:.1}" text-anchor="middle">{tick}</text>"#,
@@ -52,7 +67,7 @@ impl Axes<'_> {
                 bottom + 15.0
             );
         }
-        for tick in ticks(y_from, y_to) {
+        for tick in about(((bottom - TOP) / 20.0).clamp(2.0, 8.0), y_from, y_to) {
             let _ = write!(
                 svg,
                 r#"<line x1="{LEFT}" y1="{0:.1}" x2="{right}" y2="{0:.1}" class="grid"/><text x="{1:.1}" y="{2:.1}" text-anchor="end">{tick}</text>"#,
@@ -97,10 +112,49 @@ impl Axes<'_> {
                         );
                     }
                 }
-                Series::Picture(address) => {
+                Series::Named(points) => {
+                    for (at, value, colour, said) in *points {
+                        let _ = write!(
+                            svg,
+                            r#"<circle cx="{:.1}" cy="{:.1}" r="2.2" fill="{colour}"><title>{said}</title></circle>"#,
+                            x(*at),
+                            y(value.clamp(y_from, y_to))
+                        );
+                    }
+                }
+                Series::Mark(value, name) if (x_from..=x_to).contains(value) => {
+                    let at = x(*value);
                     let _ = write!(
                         svg,
-                        r#"<image href="{address}" x="{LEFT}" y="{TOP}" width="{:.1}" height="{:.1}" preserveAspectRatio="none" style="image-rendering:pixelated"/>"#,
+                        r#"<line x1="{at:.1}" y1="{TOP}" x2="{at:.1}" y2="{bottom}" class="mark {name}"/><text x="{at:.1}" y="{:.1}" text-anchor="middle" class="mark {name}">{name}</text>"#,
+                        TOP - 3.0
+                    );
+                }
+                Series::Mark(..) => {}
+                Series::Cells(columns, cells) => {
+                    let columns = (*columns).max(1);
+                    let rows = cells.len().div_ceil(columns).max(1);
+                    let (wide, high) = (
+                        (right - LEFT) / columns as f64,
+                        (bottom - TOP) / rows as f64,
+                    );
+                    for (place, ([r, g, b], said)) in cells.iter().enumerate() {
+                        let _ = write!(
+                            svg,
+                            r#"<rect x="{:.1}" y="{:.1}" width="{wide:.1}" height="{high:.1}" fill="rgb({r},{g},{b})"><title>{said}</title></rect>"#,
+                            LEFT + (place % columns) as f64 * wide,
+                            TOP + (place / columns) as f64 * high
+                        );
+                    }
+                }
+                Series::Picture(address, scale) => {
+                    let (scale, full) = match scale {
+                        Scale::Deviation(full) => ("deviation", full),
+                        Scale::Amount(full) => ("amount", full),
+                    };
+                    let _ = write!(
+                        svg,
+                        r#"<image href="{address}" x="{LEFT}" y="{TOP}" width="{:.1}" height="{:.1}" preserveAspectRatio="none" style="image-rendering:pixelated" data-scale="{scale}" data-full="{full}" data-x="{x_from} {x_to} {x_label}" data-y="{y_to} {y_from} {y_label}"/>"#,
                         right - LEFT,
                         bottom - TOP
                     );
@@ -165,6 +219,6 @@ mod tests {
         let svg = axes.draw(&[Series::Line(&points, "red".into())]);
         assert_eq!(svg.matches("<polyline").count(), 2);
         // 99 is drawn at the upper edge.
-        assert!(svg.contains(",10.0\""), "{svg}");
+        assert!(svg.contains(",16.0\""), "{svg}");
     }
 }

@@ -6,11 +6,11 @@ use askama::Template;
 use flankscope_foundation::order::quantile;
 use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::multiview::cylinder::Cell;
+use flankscope_metrology::verdict::Word;
 
-use super::plot::{Axes, Series, binned};
-use super::{chart, colour};
+use super::plot::{Axes, Scale, Series, binned};
+use super::{Fact, bars, chart, colour, facts, figure, ring};
 use crate::inspection::Feature;
-use crate::origin::Origin;
 use crate::scan::{
     Adjustment, Metrics, OppositeTeeth, Scan, ScanRegistration, StageErrors, percent,
 };
@@ -23,24 +23,29 @@ const WIDE: f64 = 1150.0;
 const WORST_FLANKS: usize = 10;
 /// Distances across the bore in the table: those farthest from the CAD's.
 const WORST_SPACINGS: usize = 6;
+/// Colour of a line that stands for no verdict.
+const LINE: &str = "#2b6cb0";
 
 #[derive(Template)]
 #[template(path = "scan.html")]
 struct Page<'a> {
     scan: &'a Scan,
-    origin: &'a Origin,
-    date: &'a str,
-    check: &'static str,
+    simulated: bool,
+    facts: Vec<Fact>,
     percent: String,
     registered: usize,
+    summary: Vec<Fact>,
+    ring: Option<String>,
+    bars: String,
     deviation: String,
     colour_bar: String,
     rms_picture: String,
-    rms_lines: String,
+    rms_bar: String,
+    rms_lines: Vec<String>,
     histograms: Vec<Histogram>,
     joint: Option<Joint<'a>>,
     coverage: String,
-    most_views: u32,
+    coverage_bar: String,
     quality: Option<Quality>,
     raster: Option<String>,
     worst: Vec<&'a Feature>,
@@ -53,12 +58,14 @@ struct Joint<'a> {
     adjustment: &'a Adjustment,
     axis: String,
     harmonics: String,
+    /// What the harmonics leave of the views' angles, root mean square, millidegrees, and of how many views.
+    residual: Option<(f64, usize)>,
 }
 
 /// What calibration adds over the field of view: a picture, and its darkest tile, µm.
 struct Quality {
     picture: String,
-    worst_um: f64,
+    bar: String,
 }
 
 /// A histogram with its caption.
@@ -87,29 +94,50 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let off = |of: &OppositeTeeth| of.deviation_um.abs();
     spacing.sort_by(|a, b| off(b).total_cmp(&off(a)));
     spacing.truncate(WORST_SPACINGS);
+    let limits_um = scan.features.first().map(|f| [f.warn_um, f.limit_um]);
+    let deviation = |cell: &Cell| colour::diverging(cell.deviation_mm * 1e3 / full_um);
+    let seen =
+        |cell: &Cell| colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)));
     let page = Page {
         scan,
-        origin: &scan.origin,
-        date: &scan.date,
-        check: "in no history, as all scans",
+        simulated: scan.origin.is_simulated(),
+        facts: facts(
+            &scan.date,
+            &scan.tool,
+            "in no history, as all scans".into(),
+            None,
+            &scan.origin,
+        ),
         percent: percent(scan.coverage_ratio),
         registered: scan.registration.len() - lost.clone().count(),
-        deviation: of_cells(scan, "Deviation over the unrolled bore", |cell| {
-            colour::diverging(cell.deviation_mm * 1e3 / full_um)
-        }),
-        colour_bar: chart::colour_bar(full_um, &[]),
+        summary: summary(scan),
+        ring: scan
+            .toothing
+            .as_ref()
+            .map(|of| ring::ring(of, &scan.features)),
+        bars: bars::flanks(&scan.features, scan.coverage.of_teeth),
+        deviation: of_cells(
+            scan,
+            "Deviation over the unrolled bore",
+            Scale::Deviation(full_um),
+            deviation,
+        ),
+        colour_bar: chart::colour_bar(full_um, limits_um),
         rms_picture: rms_picture(scan),
+        rms_bar: chart::amount_bar(rms_full_um(scan), "RMS of a view / µm"),
         rms_lines: rms_lines(scan),
         histograms: histograms(scan, full_um),
-        joint: scan.adjustment.as_ref().map(|adjustment| Joint {
-            adjustment,
-            axis: axis(&adjustment.found),
-            harmonics: harmonics(scan, &adjustment.found),
-        }),
-        coverage: of_cells(scan, "Views of every cell", |cell| {
-            colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)))
-        }),
-        most_views,
+        joint: scan
+            .adjustment
+            .as_ref()
+            .map(|adjustment| joint(scan, adjustment)),
+        coverage: of_cells(
+            scan,
+            "Views of every cell",
+            Scale::Amount(most_views.max(1).into()),
+            seen,
+        ),
+        coverage_bar: chart::amount_bar(most_views.max(1).into(), "views of a cell"),
         quality: quality(scan),
         raster: scan.metrics.as_ref().and_then(|m| raster(scan, m, full_um)),
         worst,
@@ -121,25 +149,84 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     page.render()
 }
 
-/// Half of the pictures' range: what 99 of 100 cells stay within, on a round number.
+/// The figures that most readers came for, each with its expanded uncertainty.
+fn summary(scan: &Scan) -> Vec<Fact> {
+    let plus_minus =
+        |value: f64, u95: Option<f64>| format!("{} ± {} µm", figure(Some(value)), figure(u95));
+    let mut found = Vec::new();
+    if let Some(worst) = ring::deepest(&scan.features) {
+        found.push(("most lost", ring::in_words(worst)));
+    }
+    let flanks = scan.features.len();
+    let go = scan
+        .features
+        .iter()
+        .filter(|f| f.verdict == Word::Go)
+        .count();
+    found.push(("flanks", format!("{go} of {flanks} go")));
+    if let Some(form) = &scan.form {
+        let at = format!(", largest radius at {:.0}°", form.ovality_deg);
+        found.push((
+            "ovality",
+            plus_minus(form.ovality_um, form.ovality_u95_um) + &at,
+        ));
+        found.push((
+            "taper",
+            plus_minus(form.taper_um, form.taper_u95_um) + " over the height",
+        ));
+    }
+    found
+}
+
+fn joint<'a>(scan: &Scan, adjustment: &'a Adjustment) -> Joint<'a> {
+    let left = scan
+        .registration
+        .iter()
+        .filter_map(|r| r.residual_turn_mdeg);
+    let (sum, count) = left.fold((0.0, 0_usize), |(sum, count), mdeg| {
+        (sum + mdeg * mdeg, count + 1)
+    });
+    Joint {
+        adjustment,
+        axis: axis(&adjustment.found),
+        harmonics: harmonics(scan, &adjustment.found),
+        residual: (count > 0).then(|| ((sum / count as f64).sqrt(), count)),
+    }
+}
+
+/// Half of the pictures' range: what 99 of 100 cells and the stop limits stay within, on a round number.
 pub(super) fn full_scale_um(scan: &Scan) -> f64 {
     let mut sizes: Vec<f64> = scan
         .map
         .cells()
         .map(|cell| (cell.deviation_mm * 1e3).abs())
         .collect();
-    let size = quantile(&mut sizes, 0.99).unwrap_or(0.0);
+    // The stop limit has a colour of its own.
+    let limits = scan.features.iter().map(|f| 1.2 * f.limit_um);
+    let size = limits.fold(quantile(&mut sizes, 0.99).unwrap_or(0.0), f64::max);
     (size / 10.0).ceil().max(LEAST_FULL_UM / 10.0) * 10.0
 }
 
 /// The unrolled bore with its axes, a pixel per cell.
-fn of_cells(scan: &Scan, title: &str, colour_of: impl Fn(&Cell) -> [u8; 3]) -> String {
+fn of_cells(
+    scan: &Scan,
+    title: &str,
+    scale: Scale,
+    colour_of: impl Fn(&Cell) -> [u8; 3],
+) -> String {
     let columns = scan.map.layout().columns;
     let of = |index: usize| scan.map.cell(index / columns, index % columns);
-    unrolled(scan, title, |index| of(index).map(|cell| colour_of(&cell)))
+    unrolled(scan, title, scale, |index| {
+        of(index).map(|cell| colour_of(&cell))
+    })
 }
 
-fn unrolled(scan: &Scan, title: &str, colour_of: impl Fn(usize) -> Option<[u8; 3]>) -> String {
+fn unrolled(
+    scan: &Scan,
+    title: &str,
+    scale: Scale,
+    colour_of: impl Fn(usize) -> Option<[u8; 3]>,
+) -> String {
     let layout = scan.map.layout();
     let pixels: Vec<[u8; 3]> = (0..layout.rows)
         .rev()
@@ -152,11 +239,11 @@ fn unrolled(scan: &Scan, title: &str, colour_of: impl Fn(usize) -> Option<[u8; 3
     let picture = colour::rgb_data_uri(layout.columns, layout.rows, &pixels);
     Axes {
         title,
-        size: [WIDE, 330.0],
+        size: [WIDE, 260.0],
         x: ([-180.0, 180.0], "angle in the die / °"),
         y: (layout.height_mm, "height / mm"),
     }
-    .draw(&[Series::Picture(picture)])
+    .draw(&[Series::Picture(picture, scale)])
 }
 
 /// A figure over the angle in the die, in order.
@@ -188,55 +275,58 @@ fn rms_full_um(scan: &Scan) -> f64 {
     (most.fold(1.0, f64::max) / 5.0).ceil() * 5.0
 }
 
-/// Root mean square distance of every view by layer and position: a pixel per view.
+/// What hovering over a view says.
+fn said(height_mm: f64, angle_deg: f64, rms_um: Option<f64>) -> String {
+    let rms = rms_um.map_or_else(|| "lost".into(), |um| format!("{um:.1} µm"));
+    format!("{angle_deg:.1}°, {height_mm:.1} mm: {rms}")
+}
+
+/// Root mean square distance of every view by layer and position: a cell per view.
 fn rms_picture(scan: &Scan) -> String {
     let layers = layers(scan);
     let full_um = rms_full_um(scan);
     let columns = layers.first().map_or(1, |(_, layer)| layer.len()).max(1);
-    let pixels: Vec<[u8; 3]> = layers
+    let views = layers
         .iter()
         .rev()
-        .flat_map(|(_, layer)| layer)
+        .flat_map(|(height, layer)| layer.iter().map(move |view| (*height, *view)));
+    let cells: Vec<([u8; 3], String)> = views
         .enumerate()
-        .map(|(place, (_, rms))| match rms {
-            Some(um) => colour::sequential(um / full_um),
-            None => colour::unmeasured(place % columns, place / columns),
+        .map(|(place, (height, (angle, rms)))| {
+            let colour = match rms {
+                Some(um) => colour::sequential(um / full_um),
+                None => colour::unmeasured(place % columns, place / columns),
+            };
+            (colour, said(height, angle, rms))
         })
         .collect();
-    let rows = pixels.len() / columns;
+    let rows = cells.len().div_ceil(columns);
     Axes {
         title: "RMS of every view about the form, by layer and position",
-        size: [WIDE, 50.0 + (22.0 * rows as f64).max(100.0)],
+        size: [WIDE, 56.0 + (18.0 * rows as f64).max(70.0)],
         x: ([-180.0, 180.0], "angle in the die / °"),
         y: (scan.map.layout().height_mm, "height / mm"),
     }
-    .draw(&[Series::Picture(colour::rgb_data_uri(
-        columns, rows, &pixels,
-    ))])
+    .draw(&[Series::Cells(columns, &cells)])
 }
 
-fn rms_lines(scan: &Scan) -> String {
-    let layers = layers(scan);
-    let shade = |layer: usize| {
-        let share = (layer + 1) as f64 / layers.len().max(1) as f64;
-        let [r, g, b] = colour::sequential(0.25 + 0.75 * share);
-        format!("rgb({r},{g},{b})")
+/// A small chart per layer, from the top: RMS of its views over the angle, all on the same scale.
+fn rms_lines(scan: &Scan) -> Vec<String> {
+    let full_um = rms_full_um(scan);
+    let chart = |(height, points): &(f64, OverAngle)| {
+        let dots: Vec<(f64, f64, String, String)> = points
+            .iter()
+            .filter_map(|&(angle, rms)| Some((angle, rms?, LINE.into(), said(*height, angle, rms))))
+            .collect();
+        Axes {
+            title: &format!("RMS of the views at {height:.1} mm over the angle"),
+            size: [370.0, 130.0],
+            x: ([-180.0, 180.0], &format!("angle / °, at {height:.1} mm")),
+            y: ([0.0, full_um], "RMS / µm"),
+        }
+        .draw(&[Series::Line(points, LINE.into()), Series::Named(&dots)])
     };
-    let series: Vec<Series<'_>> = layers
-        .iter()
-        .enumerate()
-        .map(|(layer, (_, points))| Series::Line(points, shade(layer)))
-        .collect();
-    Axes {
-        title: "RMS of every view about the form over the angle, a line per layer",
-        size: [WIDE, 240.0],
-        x: (
-            [-180.0, 180.0],
-            "angle in the die / ° (darker: higher layer)",
-        ),
-        y: ([0.0, rms_full_um(scan)], "RMS / µm"),
-    }
-    .draw(&series)
+    layers(scan).iter().rev().map(chart).collect()
 }
 
 /// One view and the merged map in both metrics; the merged map alone where nothing was compared.
@@ -313,7 +403,7 @@ fn histogram(
     let most = bars.iter().map(|(share, _)| *share).fold(0.1, f64::max);
     let svg = Axes {
         title: &name,
-        size: [0.48 * WIDE, 230.0],
+        size: [0.48 * WIDE, 200.0],
         x: (range, "µm"),
         y: ([0.0, 1.05 * most], "points / %"),
     }
@@ -341,7 +431,7 @@ fn axis(found: &StageErrors) -> String {
     let (lower, upper) = (point(ends[0]), point(ends[1]));
     Axes {
         title: "Rotation axis in the die",
-        size: [380.0, 380.0],
+        size: [380.0, 300.0],
         x: ([-reach, reach], "x in the die / mm"),
         y: ([-reach, reach], "y in the die / mm"),
     }
@@ -384,7 +474,7 @@ fn harmonics(scan: &Scan, found: &StageErrors) -> String {
         * 1.1;
     Axes {
         title: "Error of the rotary encoder",
-        size: [WIDE - 400.0, 380.0],
+        size: [WIDE - 400.0, 300.0],
         x: ([-180.0, 180.0], "commanded angle / °"),
         y: ([-most, most], "encoder error / millidegrees"),
     }
@@ -413,7 +503,7 @@ fn quality(scan: &Scan) -> Option<Quality> {
         .collect();
     Some(Quality {
         picture: colour::rgb_data_uri(side, side, &pixels),
-        worst_um,
+        bar: chart::amount_bar(worst_um.max(1.0), "standard uncertainty / µm"),
     })
 }
 
@@ -423,5 +513,10 @@ fn raster(scan: &Scan, metrics: &Metrics, full_um: f64) -> Option<String> {
         let mm = metrics.raster_mm.get(index).copied().flatten()?;
         Some(colour::diverging(mm * 1e3 / full_um))
     };
-    Some(unrolled(scan, "Unrolled and subtracted", of))
+    Some(unrolled(
+        scan,
+        "Unrolled and subtracted",
+        Scale::Deviation(full_um),
+        of,
+    ))
 }

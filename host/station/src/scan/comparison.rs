@@ -234,7 +234,13 @@ pub(super) fn of_surface(
         method: "surface",
         start: "priors of stages and hand-eye, tooth phase searched",
         registered_views: stitched.views.len(),
-        form: stitched.map.form().map(Form::from),
+        form: stitched.map.form().map(|form| match &tool.gear {
+            Some(gear) => {
+                let [low, high] = gear.height_mm;
+                Form::with_sigma(form, stitched.adjustment.form_sigma_mm(high - low))
+            }
+            None => form.into(),
+        }),
         exact,
         metric: "signed distance to the surface, of every view about the form of the whole bore",
         one_view,

@@ -18,7 +18,7 @@ use super::result::{
     Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 use super::stitch::Stitched;
-use crate::inspection::{Feature, FrameCount, PlannedView, Timing, calibration_um};
+use crate::inspection::{Feature, FrameCount, PlannedView, Timing, Toothing, calibration_um};
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -103,6 +103,7 @@ impl Scanner {
             tool: tool.name.clone(),
             versions,
             hashes: self.subject.hashes.clone(),
+            toothing: Toothing::of(&self.subject.tool),
             map: stitched.map,
             quality: stitched.quality,
         })
@@ -265,6 +266,7 @@ fn shared_by_all(stitched: &Stitched, gear: &GearData) -> Adjustment {
             harmonics_mdeg: stages
                 .harmonics_rad()
                 .map(|pair| pair.map(|rad| rad.to_degrees() * 1e3)),
+            u95: adjustment.stage_sigma().into(),
         },
     }
 }

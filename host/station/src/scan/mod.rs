@@ -59,7 +59,8 @@ pub use overlaps::{Step, Steps};
 pub use recorded::RecordedScan;
 pub use reference::{Placement, ReferenceError};
 pub use result::{
-    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, StageU95,
+    Stitching,
 };
 pub use session::SessionError;
 pub use view_pipeline::{Kept, Processing, ProcessingError};

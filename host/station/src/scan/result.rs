@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_foundation::seal::Seal;
+use flankscope_metrology::multiview::adjustment::StageSigma;
 use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
@@ -17,7 +19,7 @@ use super::hinz2019::Hinz2019Stitched;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
 use super::reference::Placement;
-use crate::inspection::{Feature, FrameCount, Timing};
+use crate::inspection::{Feature, FrameCount, Timing, Toothing};
 use crate::origin::Origin;
 
 /// The whole result: serialised as the `--json` document.
@@ -90,6 +92,9 @@ pub struct Scan {
     pub versions: BTreeMap<&'static str, String>,
     /// BLAKE3 of what went in: CAD, tool file, head file.
     pub hashes: BTreeMap<&'static str, String>,
+    /// The toothing, as the report draws it.
+    #[serde(skip)]
+    pub toothing: Option<Toothing>,
     /// Deviations over the unrolled bore.
     #[serde(skip)]
     pub map: CylinderMap,
@@ -312,4 +317,31 @@ pub struct StageErrors {
     pub vertical_lean_mrad: [f64; 2],
     /// Cosine and sine part of the encoder's error once, twice, three times per turn, millidegrees.
     pub harmonics_mdeg: [[f64; 2]; 3],
+    /// Expanded uncertainties (95 %) of some of these.
+    pub u95: StageU95,
+}
+
+/// Expanded uncertainties (95 %) of how die and stages differ from their files.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct StageU95 {
+    /// Of the eccentricity, mm.
+    pub eccentricity_mm: f64,
+    /// Of the tilt, degrees.
+    pub tilt_deg: f64,
+    /// Of the vertical axis's lean, millirad.
+    pub vertical_lean_mrad: [f64; 2],
+    /// Of the encoder's harmonics, millidegrees.
+    pub harmonics_mdeg: [[f64; 2]; 3],
+}
+
+impl From<StageSigma> for StageU95 {
+    fn from(sigma: StageSigma) -> Self {
+        let mdeg = |rad: f64| COVERAGE_95 * rad.to_degrees() * 1e3;
+        Self {
+            eccentricity_mm: COVERAGE_95 * sigma.eccentricity_mm,
+            tilt_deg: COVERAGE_95 * sigma.tilt_rad.to_degrees(),
+            vertical_lean_mrad: sigma.vertical_lean_rad.map(|rad| COVERAGE_95 * rad * 1e3),
+            harmonics_mdeg: sigma.harmonics_rad.map(|pair| pair.map(mdeg)),
+        }
+    }
 }

@@ -48,7 +48,7 @@ pub enum EmulatorError {
 }
 
 /// The image to run: FLANKSCOPE_IMAGE, else what `cargo xtask firmware` built in the repository that holds this program
-/// or the current folder.
+/// or the current folder, or that this program was built from.
 ///
 /// # Errors
 /// There is none.
@@ -65,6 +65,8 @@ pub fn find_image() -> Result<PathBuf, EmulatorError> {
     program
         .ancestors()
         .chain(here.ancestors())
+        // Built elsewhere (CARGO_TARGET_DIR) and run anywhere: the repository that it was built from.
+        .chain(Path::new(env!("CARGO_MANIFEST_DIR")).ancestors())
         .map(|folder| folder.join(IMAGE))
         .find(|path| path.is_file())
         .ok_or(EmulatorError::NoImage { path: IMAGE.into() })

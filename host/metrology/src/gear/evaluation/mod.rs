@@ -545,8 +545,12 @@ fn ratings(gear: &GearData, evaluation: &GearEvaluation, u95_um: f64) -> Vec<Rat
                 quantity.tolerance_um(gear, *CLASSES.end())
             )),
             (_, Some(class)) if best_stateable_class.is_none_or(|least| class < least) => {
+                let next = match best_stateable_class {
+                    Some(best) => format!("class {best} is the best that can be stated"),
+                    None => "no class can be stated".into(),
+                };
                 Some(format!(
-                    "not capable for class {class}: U/T = {:.2}, at most {LARGEST_SHARE}",
+                    "not capable for class {class}: U/T = {:.2}, at most {LARGEST_SHARE}; {next} until U95 is smaller (--u95-um)",
                     u95_um / quantity.tolerance_um(gear, class)
                 ))
             }

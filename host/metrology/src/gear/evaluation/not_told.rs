@@ -118,7 +118,8 @@ impl NotTold {
     pub fn next_step(&self) -> &'static str {
         match self {
             Self::ProfileGap { .. } => {
-                "merge more views of mid face, widen the band (--band-mm), or name the radii that were seen (--usable-mm)"
+                "merge single views of mid face (a scan's map.ply is too coarse for a profile), widen the band (--band-mm), or name \
+                 the radii that were seen (--usable-mm)"
             }
             Self::HelixGap { .. } => {
                 "scan the whole height of the flank, or widen the band (--band-mm)"
@@ -127,8 +128,12 @@ impl NotTold {
             Self::FewPoints { .. } => "merge more views of mid face, or widen the band (--band-mm)",
             Self::Terms { .. } => "scan more of the flank's profile and height",
             Self::NoFlank { first, .. } => first.next_step(),
-            Self::NoNeighbours { .. } => "scan neighbouring teeth at mid face",
-            Self::TeethMissing { .. } => "scan all teeth, both sides, at mid face",
+            Self::NoNeighbours { .. } => {
+                "scan neighbouring teeth at mid face, or widen the band there (--band-mm)"
+            }
+            Self::TeethMissing { .. } => {
+                "scan all teeth, both sides, at mid face, or widen the band there (--band-mm)"
+            }
             Self::NotSeen => "scan the gear's flanks",
             Self::Axis => "scan flanks all around the gear",
         }

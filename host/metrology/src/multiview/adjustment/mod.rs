@@ -28,5 +28,5 @@ mod view;
 pub use local::Local;
 pub use model::{PARAMETERS, Pose, Stages};
 pub use overlap::{Overlap, take_off_common};
-pub use solve::{AdjustmentError, Solution, Weak, solve};
+pub use solve::{AdjustmentError, Solution, StageSigma, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};

@@ -52,7 +52,7 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 /// vertical axis as assembled along the wall and as aligned with a straight edge towards it, an encoder within its data
 /// sheet. How the vertical axis leans towards the wall looks like a conical die in every view: it stays where it was aligned,
 /// and is an uncertainty of the taper.
-const SIGMA: [f64; PARAMETERS] = {
+pub(super) const SIGMA: [f64; PARAMETERS] = {
     let (turn, head, encoder) = (0.2 * DEGREE, DEGREE, 10e-3 * DEGREE);
     [
         turn, turn, turn, 0.5, 0.5, 0.05, head, head, head, 0.5, 0.5, 0.5, 500e-6, 10e-6, encoder,

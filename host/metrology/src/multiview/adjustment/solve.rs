@@ -171,6 +171,45 @@ impl Solution {
     }
 }
 
+/// Standard uncertainties of the errors of die and stages that all views share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StageSigma {
+    /// Of the die's eccentricity, mm.
+    pub eccentricity_mm: f64,
+    /// Of its tilt, rad.
+    pub tilt_rad: f64,
+    /// Of the lean of the vertical axis, along the wall and towards it, rad.
+    pub vertical_lean_rad: [f64; 2],
+    /// Of the encoder's harmonics, cosine and sine, rad.
+    pub harmonics_rad: [[f64; 2]; 3],
+}
+
+impl Solution {
+    /// How well the errors of die and stages are known, priors included.
+    pub fn stage_sigma(&self) -> StageSigma {
+        let between = |i, j| self.covariance[(i, j)] * model::SIGMA[i] * model::SIGMA[j];
+        let of = |i: usize| between(i, i).max(0.0).sqrt();
+        // Along the direction in which the two parts point: what their root of squares changes by.
+        let of_length = |i: usize, j: usize| {
+            let (a, b) = (self.stages.value(i), self.stages.value(j));
+            let length = a.hypot(b);
+            if length <= 0.0 {
+                return of(i).max(of(j));
+            }
+            let (a, b) = (a / length, b / length);
+            let variance =
+                a * a * between(i, i) + 2.0 * a * b * between(i, j) + b * b * between(j, j);
+            variance.max(0.0).sqrt()
+        };
+        StageSigma {
+            eccentricity_mm: of_length(3, 4),
+            tilt_rad: of_length(0, 1),
+            vertical_lean_rad: [of(12), of(13)],
+            harmonics_rad: std::array::from_fn(|m| [of(14 + 2 * m), of(15 + 2 * m)]),
+        }
+    }
+}
+
 /// Solves for what all views share and for each view's own pose residual, from where `start` stands. Overlaps tie the views
 /// to each other; without them each is held by the CAD alone.
 ///

@@ -1,0 +1,242 @@
+//! The pages that people keep, drawn by a browser: at three widths nothing lies beyond the edge, on A4 a result takes two sheets,
+//! and hovering says what the table beside says.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use flankscope_test_requisites::browser;
+use flankscope_tests::{flankscope, run};
+
+/// A phone, a tablet, a screen, px.
+const WIDTHS_PX: [u32; 3] = [400, 800, 1280];
+
+/// A browser that leaves nothing behind.
+struct Browser {
+    program: PathBuf,
+    folder: tempfile::TempDir,
+}
+
+impl Browser {
+    fn found() -> Option<Self> {
+        let program = browser()?;
+        let folder = tempfile::tempdir().unwrap();
+        Some(Self { program, folder })
+    }
+
+    fn command(&self) -> Command {
+        let mut command = Command::new(&self.program);
+        let profile = self.folder.path().join("profile");
+        command.args([
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+        ]);
+        command.arg(format!("--user-data-dir={}", profile.display()));
+        // Nothing of a page needs a network, and nobody is asked for updates.
+        command.args([
+            "--proxy-server=127.0.0.1:9",
+            "--no-first-run",
+            "--virtual-time-budget=4000",
+        ]);
+        command
+    }
+
+    /// What a script at the end of a page says by `say(text)`, in a frame of this width: a window is never narrower than 500 px.
+    fn ask(&self, page: &Path, width_px: u32, script: &str) -> String {
+        let text = std::fs::read_to_string(page).unwrap();
+        let end = format!(
+            "<script>const say = (text) => (parent.document.title = text); {script}</script></body>"
+        );
+        let asked = text.replace("</body>", &end);
+        let asked = asked.replace('&', "&amp;").replace('"', "&quot;");
+        let style = format!("width:{width_px}px;height:900px;border:0");
+        let around = format!(
+            "<!doctype html><title>silent</title><iframe style=\"{style}\" srcdoc=\"{asked}\"></iframe>"
+        );
+        let copy = self.folder.path().join("asked.html");
+        std::fs::write(&copy, around).unwrap();
+        let mut command = self.command();
+        command
+            .arg("--window-size=1500,1000")
+            .arg("--dump-dom")
+            .arg(&copy);
+        let output = command.output().unwrap();
+        let dom = String::from_utf8(output.stdout).unwrap();
+        let title = dom.split("<title>").nth(1);
+        let title = title.and_then(|rest| rest.split("</title>").next());
+        title.unwrap_or_else(|| panic!("{dom}")).to_owned()
+    }
+
+    fn sheets(&self, page: &Path) -> usize {
+        let file = self.folder.path().join("page.pdf");
+        let mut command = self.command();
+        command
+            .arg("--no-pdf-header-footer")
+            .arg(format!("--print-to-pdf={}", file.display()));
+        assert!(command.arg(page).output().unwrap().status.success());
+        let bytes = std::fs::read(file).unwrap();
+        // A page of a PDF is an object of this type; the tree of pages is of another, "/Pages".
+        let text = String::from_utf8_lossy(&bytes);
+        text.matches("/Type /Page\n").count()
+    }
+
+    /// Nothing lies beyond the edge at any width, and the page is printed on so many sheets.
+    fn fits(&self, page: &Path, sheets: usize) {
+        let script = "addEventListener('load', () => say(innerWidth + ' ' + document.documentElement.scrollWidth))";
+        for width in WIDTHS_PX {
+            let said = self.ask(page, width, script);
+            assert_eq!(
+                said,
+                format!("{width} {width}"),
+                "{}: window and page",
+                page.display()
+            );
+        }
+        let printed = self.sheets(page);
+        assert!(
+            (1..=sheets).contains(&printed),
+            "{}: {printed} sheets",
+            page.display()
+        );
+    }
+}
+
+/// Needs nothing but itself.
+fn stands_alone(page: &Path) -> usize {
+    let text = std::fs::read_to_string(page).unwrap();
+    for outside in [
+        "http://",
+        "https://",
+        "src=\"/",
+        "<script src",
+        "@import",
+        "url(http",
+    ] {
+        assert!(
+            !text.contains(outside),
+            "{} holds {outside}",
+            page.display()
+        );
+    }
+    text.len()
+}
+
+#[test]
+fn a_check_is_read_on_a_phone_and_printed_on_two_sheets() {
+    let Some(browser) = Browser::found() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut check = flankscope();
+    check.args([
+        "inspect",
+        "--wear",
+        "40:left:80",
+        "--speed",
+        "max",
+        "--quiet",
+        "--report",
+    ]);
+    assert_eq!(run(check.arg(folder.path())).code, 1);
+    let page = folder.path().join("report.html");
+    assert!(stands_alone(&page) < 250_000, "kept small");
+    browser.fits(&page, 2);
+    browser.fits(&folder.path().join("index.html"), 1);
+
+    // In the middle of the first map, against the table.
+    let script = "addEventListener('load', () => { const map = document.querySelector('[data-scale]'); \
+        const box = map.getBoundingClientRect(); const at = { clientX: box.left + box.width / 2, clientY: box.top + box.height / 2 }; \
+        map.dispatchEvent(new PointerEvent('pointermove', at)); say(document.querySelector('.note').textContent); })";
+    let said = browser.ask(&page, 800, script);
+    let shown: f64 = said
+        .split(' ')
+        .next()
+        .unwrap()
+        .replace('\u{2212}', "-")
+        .parse()
+        .unwrap();
+    let at: Vec<f64> = said
+        .split(" at ")
+        .nth(1)
+        .unwrap()
+        .split(", ")
+        .map(|place| place.split(' ').next().unwrap().parse().unwrap())
+        .collect();
+    let table = std::fs::read_to_string(folder.path().join("cells.csv")).unwrap();
+    let nearest = table
+        .lines()
+        .skip(1)
+        .filter_map(|line| line.strip_prefix("12,left,"))
+        .map(|line| {
+            line.split(',')
+                .map(|n| n.parse().unwrap_or(f64::NAN))
+                .collect::<Vec<f64>>()
+        })
+        .filter(|cell| (cell[0] - at[0]).abs() < 0.11 && (cell[1] - at[1]).abs() < 0.11);
+    // A hundred shades for the root of 0 to 100 µm: a hundredth of the root, at most 0.2 µm near 1 µm. Four cells meet there.
+    let off = nearest
+        .map(|cell| (cell[2] - shown).abs())
+        .fold(f64::INFINITY, f64::min);
+    assert!(
+        off < 0.1 + 0.02 * (100.0 * shown.abs()).sqrt(),
+        "{said}, off by {off}"
+    );
+}
+
+#[test]
+fn a_scan_is_read_on_a_phone_and_printed_on_two_sheets() {
+    let Some(browser) = Browser::found() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut scan = flankscope();
+    scan.args([
+        "scan", "--views", "12x2", "--speed", "max", "--quiet", "--report",
+    ]);
+    assert_eq!(run(scan.arg(folder.path())).code, 0);
+    let page = folder.path().join("report.html");
+    stands_alone(&page);
+    browser.fits(&page, 2);
+    let text = std::fs::read_to_string(&page).unwrap();
+    assert_eq!(
+        text.matches("class=\"flank-bar").count(),
+        168,
+        "two of each of 84 teeth"
+    );
+}
+
+#[test]
+fn a_history_is_read_on_a_phone() {
+    let Some(browser) = Browser::found() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let history = folder.path().join("bench.db");
+    for _ in 0..2 {
+        let mut check = flankscope();
+        check.args([
+            "inspect",
+            "--teeth",
+            "40",
+            "--speed",
+            "max",
+            "--quiet",
+            "--link",
+            "sim",
+            "--history",
+        ]);
+        assert_eq!(run(check.arg(&history)).code, 0);
+    }
+    let mut shown = flankscope();
+    shown
+        .arg("history")
+        .arg(&history)
+        .arg("--quiet")
+        .arg("--report")
+        .arg(folder.path());
+    assert_eq!(run(&mut shown).code, 0);
+    let page = folder.path().join("history.html");
+    stands_alone(&page);
+    browser.fits(&page, 2);
+}
