@@ -1,6 +1,6 @@
 //! Patterns that light only what is measured, against rays cast at every triangle of the drawing.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use flankscope_profilometry::HeadModel;
 use flankscope_tests::{flankscope, run};
@@ -113,14 +113,20 @@ impl Drawing {
     }
 }
 
-#[test]
-fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
+/// The demo die's folder, and the folder that it lies in.
+fn demo_tool() -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let tool = folder.path().join("tool");
     let made = run(flankscope()
         .args(["bench", "demo-tool", "--out"])
         .arg(&tool));
     assert_eq!(made.code, 0, "{}", made.stderr);
+    (folder, tool)
+}
+
+#[test]
+fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
+    let (folder, tool) = demo_tool();
     let out = folder.path().join("out");
     let written = run(flankscope()
         .args([
@@ -227,12 +233,7 @@ fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
 
 #[test]
 fn what_cannot_be_lit_is_refused_by_name() {
-    let folder = tempfile::tempdir().unwrap();
-    let tool = folder.path().join("tool");
-    let made = run(flankscope()
-        .args(["bench", "demo-tool", "--out"])
-        .arg(&tool));
-    assert_eq!(made.code, 0, "{}", made.stderr);
+    let (folder, tool) = demo_tool();
     for (arguments, said) in [
         (["--tooth", "85", "--margin", "0.1"], "teeth 1 to 84"),
         (["--tooth", "40", "--margin", "NaN"], "0 to 2 mm"),

@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{self, Child, ChildStdout, Stdio};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
@@ -15,6 +16,10 @@ use flankscope_station::origin::Link;
 use flankscope_station::settings::StationSettings;
 
 use crate::instrument::Scene;
+
+/// The bench's clock stands while it renders: light over several places takes a busy machine minutes a view. A bench that ends
+/// closes its port.
+const RENDERING: Duration = Duration::from_secs(600);
 
 /// What the hidden subcommand does: run the bench, or write the demo's files.
 #[derive(clap::Subcommand)]
@@ -231,6 +236,7 @@ impl Bench {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
             stall: settings.client().stall.filter(|_| self.real_time),
+            silence: RENDERING,
             ..ClientSettings::default()
         }
     }

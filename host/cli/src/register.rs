@@ -69,7 +69,7 @@ pub struct Args {
     /// Least share of the points that must lie on the surface after the fit, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.5, value_parser = share)]
     least_inliers: f64,
-    /// Teeth about z, where poses one pitch apart look alike [default: what is found in the CAD or the reference]
+    /// Teeth about z, where poses one pitch apart look alike [default: what is found in the CAD; of another cloud nothing is known]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1000))]
     teeth: Option<u32>,
     /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
@@ -148,15 +148,14 @@ impl Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
-    let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
-    let initial = args.start_pose()?;
     let Laid {
+        cloud,
         found,
         teeth,
         elapsed_ms,
     } = match (&args.cad, &args.reference) {
-        (Some(cad), _) => args.on_mesh(cad, &cloud, initial, start)?,
-        (None, Some(reference)) => args.on_cloud(reference, &cloud, initial, start)?,
+        (Some(cad), _) => args.on_mesh(cad, start)?,
+        (None, Some(reference)) => args.on_cloud(reference, start)?,
         (None, None) => bail!("nothing to lay the cloud on: --cad MESH or --reference CLOUD"),
     };
     if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {
@@ -192,24 +191,21 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// A registration, and what went with it.
 struct Laid {
+    cloud: CloudFile,
     found: Registration,
     teeth: Option<u32>,
     elapsed_ms: Elapsed,
 }
 
 impl Args {
-    fn on_mesh(
-        &self,
-        cad: &CadArgs,
-        cloud: &CloudFile,
-        initial: Rigid<Tool, Cloud>,
-        start: Instant,
-    ) -> anyhow::Result<Laid> {
+    fn on_mesh(&self, cad: &CadArgs, start: Instant) -> anyhow::Result<Laid> {
         let Cad { mesh, .. } = cad.load(&self.common)?;
+        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let initial = self.start_pose()?;
         let loaded = Instant::now();
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
-        let teeth = || detect_teeth(&mesh.vertices, &surface, REPEAT_TOLERANCE_MM);
-        let options = self.options(initial, teeth);
+        let found = || detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
+        let options = self.options(initial, self.teeth.or_else(found));
         let prepared = Instant::now();
         let found = match self.method {
             Method::Surface => register(&surface, &cloud.points, None, &options),
@@ -219,45 +215,41 @@ impl Args {
             }
         };
         Ok(Laid {
+            cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
         })
     }
 
-    fn on_cloud(
-        &self,
-        reference: &Path,
-        cloud: &CloudFile,
-        initial: Rigid<Tool, Cloud>,
-        start: Instant,
-    ) -> anyhow::Result<Laid> {
+    fn on_cloud(&self, reference: &Path, start: Instant) -> anyhow::Result<Laid> {
         anyhow::ensure!(
             self.method == Method::Surface,
             "--method paper draws its points on a mesh: name one by --cad instead of --reference"
         );
         let other = load_cloud(reference, self.reference_unit)?;
+        let cloud = load_cloud(&self.cloud, self.cloud_unit)?;
+        let initial = self.start_pose()?;
         let loaded = Instant::now();
         let surface = CloudSurface::new(&other.points, self.noise_mm)
             .with_context(|| format!("cannot use cloud {}", reference.display()))?;
-        // A cloud repeats no better than its points are.
-        let tolerance_mm = REPEAT_TOLERANCE_MM.max(3.0 * self.noise_mm);
-        let teeth = || detect_teeth(&other.points, &surface, tolerance_mm);
-        let options = self.options(initial, teeth);
+        // A part of a ring does not show how often the whole one repeats.
+        let options = self.options(initial, self.teeth);
         let prepared = Instant::now();
         let found = register(&surface, &cloud.points, None, &options);
         Ok(Laid {
+            cloud,
             found,
             teeth: options.teeth,
             elapsed_ms: Elapsed::between([start, loaded, prepared, Instant::now()]),
         })
     }
 
-    fn options(&self, initial: Rigid<Tool, Cloud>, teeth: impl FnOnce() -> Option<u32>) -> Options {
+    fn options(&self, initial: Rigid<Tool, Cloud>, teeth: Option<u32>) -> Options {
         let scaled = Options::for_noise(self.noise_mm);
         Options {
             initial,
-            teeth: self.teeth.or_else(teeth),
+            teeth,
             capture_mm: self.capture_mm.unwrap_or(scaled.capture_mm),
             most_inlier_mm: self.inlier_mm.unwrap_or(scaled.most_inlier_mm),
             least_inlier_ratio: self.least_inliers,

@@ -343,7 +343,7 @@ fn the_number_of_teeth_is_found() {
 
 fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
     let surface = Surface::new(&mesh).unwrap();
-    assert_eq!(detect_teeth(&mesh.vertices, &surface, 0.02), Some(84));
+    assert_eq!(detect_teeth(&mesh, &surface, 0.02), Some(84));
 }
 
 #[test]

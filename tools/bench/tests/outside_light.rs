@@ -337,6 +337,17 @@ fn compare_coarse(what: &str, scale: f64, regions: &BTreeMap<String, Vec<Fringe>
     worst
 }
 
+/// Direct light within noise, indirect within 10 %, evenly lit and by coarse fringes.
+fn assert_agreement(of: &str, direct: f64, even: f64, coarse: f64) {
+    println!("{of}: direct {direct:.4} beyond noise, indirect {even:.3}, coarse {coarse:.3}");
+    assert!(direct < 0.003, "direct light on {of} is {direct} off");
+    assert!(even < 0.1, "light over other places on {of} is {even} off");
+    assert!(
+        coarse < 0.1,
+        "light over other places on {of} comes from elsewhere: {coarse}"
+    );
+}
+
 #[test]
 fn finished_frames_of_another_renderer_show_the_bench_s_light() {
     let mesh = demo::gear()
@@ -361,13 +372,7 @@ fn finished_frames_of_another_renderer_show_the_bench_s_light() {
         });
         let coarse = fringes(&theirs, &ours, 1);
         let coarse = compare_coarse(&format!("{of}, 4 periods"), scale, &coarse);
-        println!("{of}: direct {direct:.4} beyond noise, indirect {even:.3}, coarse {coarse:.3}");
-        assert!(direct < 0.003, "direct light on {of} is {direct} off");
-        assert!(even < 0.1, "light over other places on {of} is {even} off");
-        assert!(
-            coarse < 0.1,
-            "light over other places on {of} comes from elsewhere: {coarse}"
-        );
+        assert_agreement(of, direct, even, coarse);
     }
 }
 
@@ -424,12 +429,6 @@ fn what_another_renderer_makes_of_the_die_today_is_the_bench_s_light() {
             }
         }
         let coarse = compare_coarse(&format!("{of}, 4 periods"), scale, &coarse);
-        println!("{of}: direct {direct:.4} beyond noise, indirect {even:.3}, coarse {coarse:.3}");
-        assert!(direct < 0.003, "direct light on {of} is {direct} off");
-        assert!(even < 0.1, "light over other places on {of} is {even} off");
-        assert!(
-            coarse < 0.1,
-            "light over other places on {of} comes from elsewhere: {coarse}"
-        );
+        assert_agreement(of, direct, even, coarse);
     }
 }

@@ -3,8 +3,9 @@
 use flankscope_foundation::order::median;
 use nalgebra::{Rotation3, Vector3};
 
-use super::Reference;
+use crate::io::mesh::TriMesh;
 use crate::random::uniform;
+use crate::surface::Surface;
 
 /// Most teeth that are looked for.
 const MOST_TEETH: u32 = 400;
@@ -12,19 +13,13 @@ const PROBES: u64 = 64;
 
 /// The largest n of at least 3 for which the surface turned by 2 pi / n about z falls onto itself within `tolerance_mm`
 /// everywhere at 64 probes; none when there is no such n. A body of revolution repeats at any angle and has no teeth: none.
-///
-/// `vertices` (mm, not empty) lie on the surface.
-pub fn detect_teeth<R: Reference>(
-    vertices: &[[f64; 3]],
-    surface: &R,
-    tolerance_mm: f64,
-) -> Option<u32> {
-    let probes = inner_probes(vertices);
+pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Option<u32> {
+    let probes = inner_probes(mesh);
     let fits = |angle: f64| {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
         probes.iter().all(|&probe| {
             let turned: [f64; 3] = (turn * Vector3::from(probe)).into();
-            surface.distance_mm(turned) <= tolerance_mm
+            surface.closest(turned).signed_distance_mm.abs() <= tolerance_mm
         })
     };
     // Irrational parts of a turn tell a body of revolution.
@@ -36,13 +31,14 @@ pub fn detect_teeth<R: Reference>(
         .find(|&n| fits(std::f64::consts::TAU / f64::from(n)))
 }
 
-/// Points spread over the surface, of those nearest the axis: there the teeth of an internal gear are; an outer wall would
+/// Corner points spread over the mesh, those nearest the axis: there the teeth of an internal gear are; an outer wall would
 /// fit any turn.
-fn inner_probes(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
+fn inner_probes(mesh: &TriMesh) -> Vec<[f64; 3]> {
     let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
-    let mut radii: Vec<f64> = vertices.iter().map(radius).collect();
+    let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
     let middle = median(&mut radii).unwrap_or(0.0);
-    let inner: Vec<[f64; 3]> = vertices
+    let inner: Vec<[f64; 3]> = mesh
+        .vertices
         .iter()
         .filter(|v| radius(v) <= middle)
         .copied()

@@ -244,7 +244,7 @@ pub(super) fn against_mesh(
     mesh: &TriMesh,
     surface: &Surface,
 ) -> Result<(), ToolError> {
-    if let Some(found) = detect_teeth(&mesh.vertices, surface, 0.02)
+    if let Some(found) = detect_teeth(mesh, surface, 0.02)
         && found != gear.teeth
     {
         return Err(ToolError::Teeth {

@@ -13,8 +13,6 @@ use super::run::Run;
 use super::session::Acquisition;
 use crate::controller::Client;
 
-/// Longest silence of the controller during a capture: the longest move of the plan's timeouts, and a margin.
-const EVENT_PATIENCE: Duration = Duration::from_secs(15);
 /// Patience for the capture thread once every trigger was fired.
 const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 
@@ -38,9 +36,10 @@ impl<O: Send + 'static> Acquisition<O> {
         watch(Progress::Homing);
         client.order(&Command::Home).await?;
         let mut interrupt = client.interrupt();
+        let silence = client.silence();
         loop {
             let event = tokio::select! {
-                event = client.event(EVENT_PATIENCE) => event?,
+                event = client.event(silence) => event?,
                 () = interrupt.requested() => {
                     client.order(&Command::Abort).await?;
                     return Err(AcquisitionError::Interrupted);
@@ -123,6 +122,7 @@ impl<O: Send + 'static> Acquisition<O> {
         // Set when the controller has nothing more to say, to the time by which the capture thread must have answered.
         let mut captured: Option<Instant> = None;
         let (mut closing, mut closed) = (false, false);
+        let silence = client.silence();
         let mut interrupt = client.interrupt();
         loop {
             self.evaluate_whole_views(run, frames, client.stall_limit())?;
@@ -151,7 +151,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     failure = Some(Stop::Interrupted);
                     client.order(&Command::Abort).await?;
                 }
-                event = client.event(EVENT_PATIENCE), if captured.is_none() => {
+                event = client.event(silence), if captured.is_none() => {
                     let (mut done, mut retracting) = (false, false);
                     match event {
                         Err(error) => {

@@ -25,18 +25,21 @@ pub struct ClientSettings {
     /// Longest time by which triggers and frames may be late against the clock of who tells of them; `None`: the controller's
     /// clock is not real time.
     pub stall: Option<Duration>,
+    /// Longest silence of the controller while it works before the link counts as lost.
+    pub silence: Duration,
     /// Who may wish that what runs ends.
     pub interrupt: Interrupt,
 }
 
 impl Default for ClientSettings {
     /// 250 ms for an answer: a hundred times a frame's time on the wire. 2 s of standing still: a busy host's threads wait for
-    /// a tenth of that.
+    /// a tenth of that. 15 s of silence: the longest move of a plan's timeouts, and a margin.
     fn default() -> Self {
         Self {
             answer: Duration::from_millis(250),
             heartbeat: None,
             stall: Some(Duration::from_secs(2)),
+            silence: Duration::from_secs(15),
             interrupt: Interrupt::never(),
         }
     }
@@ -220,6 +223,12 @@ impl Client {
     #[must_use]
     pub fn interrupt(&self) -> Interrupt {
         self.settings.interrupt.clone()
+    }
+
+    /// Longest silence before the link counts as lost.
+    #[must_use]
+    pub fn silence(&self) -> Duration {
+        self.settings.silence
     }
 
     /// Longest time by which triggers and frames may be late; none where the controller's clock is not real time.

@@ -80,6 +80,8 @@ pub struct Host {
     sequence: u16,
     /// Every event received, with its sequence number.
     pub events: Vec<(u16, Event)>,
+    /// The controller was reset: the end of a frame that this cut off may still be on its way.
+    cut_off: bool,
 }
 
 const SESSION: u32 = 0xC0FFEE;
@@ -92,6 +94,7 @@ impl Host {
             decoder: Decoder::new(),
             sequence: 0,
             events: Vec::new(),
+            cut_off: false,
         }
     }
 
@@ -118,12 +121,17 @@ impl Host {
         let sequence = self.sequence;
         self.send(SESSION, sequence, &command).await;
         loop {
+            let damaged = self.cut_off;
             for reply in self.receive().await {
                 if let (ack, reply) = reply
                     && ack == sequence
                 {
                     return reply;
                 }
+            }
+            if damaged && !self.cut_off {
+                // The reply may have been what the cut frame ran into: a host asks again.
+                self.send(SESSION, sequence, &command).await;
             }
         }
     }
@@ -137,7 +145,14 @@ impl Host {
             let Some(frame) = self.decoder.push(byte) else {
                 continue;
             };
-            let frame = frame.expect("undamaged");
+            let frame = match frame {
+                Ok(frame) => frame,
+                Err(_) if self.cut_off => {
+                    self.cut_off = false;
+                    continue;
+                }
+                Err(error) => panic!("a damaged frame: {error}"),
+            };
             match frame.kind() {
                 Kind::Reply => {
                     replies.push((frame.header().ack, frame.message().expect("a reply")))
@@ -205,10 +220,11 @@ impl Host {
         while let Either::First(_) = select(self.receive(), Timer::at(end)).await {}
     }
 
-    /// Forgets what arrived in part.
+    /// Forgets what arrived in part before a reset; what arrives of it later may damage one frame.
     pub fn forget(&mut self) {
         let _bytes = self.port.take();
         self.decoder = Decoder::new();
+        self.cut_off = true;
     }
 
     /// Sends heartbeats for a while, whether they are answered or not.
