@@ -40,6 +40,8 @@ pub fn flankscope() -> Command {
     let mut command = Command::new(program);
     // The tests' own station.
     command.env("FLANKSCOPE_STATE", state());
+    // Its words are the same on every machine.
+    command.env("LC_ALL", "C");
     command
 }
 

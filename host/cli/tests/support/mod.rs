@@ -12,6 +12,8 @@ pub fn flankscope(folder: &Path, args: &[&str]) -> Output {
             "FLANKSCOPE_STATE",
             concat!(env!("CARGO_TARGET_TMPDIR"), "/station"),
         )
+        // Its words are the same on every machine.
+        .env("LC_ALL", "C")
         .args(args)
         .output()
         .unwrap()
