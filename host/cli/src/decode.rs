@@ -6,11 +6,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_foundation::order::median_of;
-use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::decode::{
-    Cloud, DecodeOptions, Decoder, GridKind, LightMedians, PatchOptions, Rejected,
+    Cloud, ConsistencyOptions, DecodeOptions, Decoder, GridKind, LightMedians, MaskOptions,
+    OrderConsistency, PatchOptions, Rejected,
 };
-use flankscope_profilometry::decode::{ConsistencyOptions, OrderConsistency};
 use flankscope_profilometry::head::{HeadModel, Sensor};
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;

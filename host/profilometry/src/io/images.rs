@@ -265,13 +265,10 @@ impl<R: BufRead + Seek> Opened<R> {
     }
 
     fn tiff(path: &Path, file: R) -> Result<Self, ImageError> {
-        let broken = |source| ImageError::Tiff {
-            path: path.to_owned(),
-            source,
-        };
-        let mut reader = tiff::decoder::Decoder::new(file).map_err(broken)?;
-        let (width, height) = reader.dimensions().map_err(broken)?;
-        let bits = match reader.colortype().map_err(broken)? {
+        let broken = broken_tiff(path);
+        let mut reader = tiff::decoder::Decoder::new(file).map_err(&broken)?;
+        let (width, height) = reader.dimensions().map_err(&broken)?;
+        let bits = match reader.colortype().map_err(&broken)? {
             tiff::ColorType::Gray(bits @ (8 | 16)) => bits,
             other => {
                 return Err(ImageError::NotGrey {
@@ -286,7 +283,7 @@ impl<R: BufRead + Seek> Opened<R> {
             (Tag::Orientation, 1),
             (Tag::SampleFormat, 1),
         ] {
-            let found = reader.find_tag_unsigned::<u32>(tag).map_err(broken)?;
+            let found = reader.find_tag_unsigned::<u32>(tag).map_err(&broken)?;
             let found = found.unwrap_or(usual);
             if found != usual {
                 return Err(ImageError::TiffLayout {
@@ -322,38 +319,29 @@ impl<R: BufRead + Seek> Opened<R> {
             bits,
         } = self.header();
         let (width, height) = (width as usize, height as usize);
-        let image = |pixels| GreyImage {
-            pixels,
-            width,
-            height,
-            bits,
-        };
-        let mut bytes = vec![0; width * height * (bits as usize / 8)];
-        match self {
-            Self::Tiff(mut reader, _) => {
-                let broken = |source| ImageError::Tiff {
-                    path: path.to_owned(),
-                    source,
-                };
-                return match reader.read_image().map_err(broken)? {
-                    DecodingResult::U8(counts) => {
-                        Ok(image(counts.into_iter().map(u16::from).collect()))
-                    }
-                    DecodingResult::U16(counts) => Ok(image(counts)),
-                    _ => Err(ImageError::TiffLayout {
+        let byte_count = width * height * (bits as usize / 8);
+        let pixels = match self {
+            Self::Tiff(mut reader, _) => match reader.read_image().map_err(broken_tiff(path))? {
+                DecodingResult::U8(counts) => counts.into_iter().map(u16::from).collect(),
+                DecodingResult::U16(counts) => counts,
+                _ => {
+                    return Err(ImageError::TiffLayout {
                         path: path.to_owned(),
                         reason: "has no unsigned counts".into(),
-                    }),
-                };
-            }
+                    });
+                }
+            },
             Self::Png(mut reader, _) => {
+                let mut bytes = vec![0; byte_count];
                 let read = reader.next_frame(&mut bytes);
                 read.map_err(|source| ImageError::Png {
                     path: path.to_owned(),
                     source,
                 })?;
+                counts_of_bytes(bytes, bits)
             }
             Self::Pgm(mut file, _) => {
+                let mut bytes = vec![0; byte_count];
                 let whole = file.read_exact(&mut bytes).is_ok();
                 let more = file.fill_buf().is_ok_and(|rest| !rest.is_empty());
                 let wrong = match (whole, more) {
@@ -367,17 +355,32 @@ impl<R: BufRead + Seek> Opened<R> {
                         reason,
                     });
                 }
+                counts_of_bytes(bytes, bits)
             }
-        }
-        // PNG and PGM are big endian.
-        let pixels = if bits == 8 {
-            bytes.into_iter().map(u16::from).collect()
-        } else {
-            let pairs = bytes.as_chunks::<2>().0.iter();
-            pairs.map(|&pair| u16::from_be_bytes(pair)).collect()
         };
-        Ok(image(pixels))
+        Ok(GreyImage {
+            pixels,
+            width,
+            height,
+            bits,
+        })
     }
+}
+
+fn broken_tiff(path: &Path) -> impl Fn(tiff::TiffError) -> ImageError {
+    |source| ImageError::Tiff {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// PNG and PGM are big endian.
+fn counts_of_bytes(bytes: Vec<u8>, bits: u32) -> Vec<u16> {
+    if bits == 8 {
+        return bytes.into_iter().map(u16::from).collect();
+    }
+    let pairs = bytes.as_chunks::<2>().0.iter();
+    pairs.map(|&pair| u16::from_be_bytes(pair)).collect()
 }
 
 /// Reads `P5`, width, height and largest value, with comments between, and the single blank after them.
