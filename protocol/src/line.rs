@@ -5,9 +5,10 @@
 //! left on one and compares them with those in the images.
 
 use core::fmt;
+use serde::{Deserialize, Serialize};
 
 /// Parity of a character.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Parity {
     /// No parity bit.
@@ -19,7 +20,7 @@ pub enum Parity {
 }
 
 /// Who may stop whom.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum FlowControl {
     /// Nobody: each side reads as fast as the other writes.
@@ -32,7 +33,7 @@ pub enum FlowControl {
 ///
 /// Its layout is fixed, so that it can be read out of a board's image: baud in little endian, then one byte each for data
 /// bits, parity, stop bits and flow control.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(C)]
 pub struct Line {
     /// Bit/s.

@@ -10,6 +10,7 @@
 
 use crate::fault::FaultCode;
 use crate::plan::{CapturePlan, Limits, PlanError};
+use crate::stage::{StageConfig, StageError};
 use crate::units::{Micrometres, Microradians, Microseconds, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -48,6 +49,14 @@ pub enum Command {
     ShowVerdict {
         /// Go; everything else is no-go.
         go: bool,
+    },
+    /// Says what stages these are. Before one was accepted in this session, no order moves them; one that differs from the last
+    /// takes effect at the next [`Command::Home`], which is then needed.
+    ConfigureStage {
+        /// The host's [`crate::stage::STAGE_CONFIG_VERSION`].
+        version: u16,
+        /// The stages.
+        stage: StageConfig,
     },
 }
 
@@ -135,6 +144,12 @@ pub enum Refusal {
         /// What would be the fault if it did.
         fault: FaultCode,
     },
+    /// The configuration of the stages breaks a limit.
+    #[error("stages refused: {0}")]
+    Stage(#[from] StageError),
+    /// A motion before the stages were configured in this session.
+    #[error("the stages are not configured in this session; configure them first")]
+    NotConfigured,
 }
 
 /// What the controller is.
@@ -146,7 +161,7 @@ pub struct Identity {
     pub schema: u32,
     /// Firmware release: major, minor, patch.
     pub firmware: [u8; 3],
-    /// Plans are judged by these.
+    /// Plans and stages are judged by these; compiled in.
     pub limits: Limits,
     /// During a capture the host may be silent for this long at most.
     pub host_silence: Microseconds,

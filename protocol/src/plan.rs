@@ -4,7 +4,10 @@
 //! frame 0 = the dark index frame (DMD index 0, all black) at the shortest exposure; then for each exposure, shortest
 //! first, every pattern from DMD index 1 on: set by set, each set step by step.
 
-use crate::units::{Micrometres, Microradians, Microseconds, Milliamps};
+use crate::units::{
+    Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians, Microseconds,
+    Milliamps, MillidegreesPerSecond, MillidegreesPerSecondSquared,
+};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -12,8 +15,8 @@ use serde::{Deserialize, Serialize};
 pub const MAX_VIEWS: usize = 16;
 /// Most exposures per pattern (an HDR series).
 pub const MAX_EXPOSURES: usize = 4;
-/// Most fringe frequencies.
-pub const MAX_FRINGE_SETS: usize = 4;
+/// Most fringe sets: three frequencies in as many passes, and room for a fourth.
+pub const MAX_FRINGE_SETS: usize = 12;
 /// DMD index of the all-black pattern.
 pub const BLACK_PATTERN: u16 = 0;
 /// Fewest phase steps from which a phase can be computed.
@@ -71,7 +74,7 @@ pub struct CapturePlan {
     pub views: Vec<View, MAX_VIEWS>,
     /// Exposure times, strictly ascending.
     pub exposures: Vec<Microseconds, MAX_EXPOSURES>,
-    /// Fringe frequencies, lowest first.
+    /// Fringe frequencies, lowest first; in passes that light one part of the field after the other, all of them once per pass.
     pub fringes: Vec<FringeSet, MAX_FRINGE_SETS>,
     /// LED current.
     pub led: Milliamps,
@@ -140,7 +143,7 @@ impl FrameOrder {
     }
 }
 
-/// Bounds within which a plan is accepted; sent by the controller in its hello.
+/// Bounds within which plans and [`crate::StageConfig`]s are accepted; sent by the controller in its hello.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limits {
     /// Shortest exposure.
@@ -171,13 +174,28 @@ pub struct Limits {
     pub timeout_max: Microseconds,
     /// Longest timeout for a motion.
     pub motion_timeout_max: Microseconds,
+    /// Largest speed of the rotary axis.
+    pub rotation_speed_max: MillidegreesPerSecond,
+    /// Largest acceleration of the rotary axis.
+    pub rotation_acceleration_max: MillidegreesPerSecondSquared,
+    /// Largest speed of the vertical axis.
+    pub vertical_speed_max: MicrometresPerSecond,
+    /// Largest acceleration of the vertical axis.
+    pub vertical_acceleration_max: MicrometresPerSecondSquared,
+    /// Axes that the stage controller counts, from 1.
+    pub stage_axes: u8,
+    /// Slowest line to the stage controller, baud.
+    pub stage_baud_min: u32,
+    /// Fastest line to the stage controller, baud.
+    pub stage_baud_max: u32,
 }
 
 impl Limits {
     /// Limits of the instrument with the 20 mm head.
     ///
     /// LED: a view of 49 frames (`scan16` x 3 exposures up to 50 ms) needs about 2.2 s, so 4 s cold; half duty for ever.
-    /// Travel: one turn either way; ±150 mm of a 300 mm stage.
+    /// Travel: one turn either way; ±150 mm of a 300 mm stage. Speeds and accelerations: two to six times those of
+    /// [`crate::StageConfig::DEFAULT`]; a head of 1 kg at 5 m/s² pushes with 5 N, and stops from 0.3 m/s within 9 mm.
     pub const DEFAULT: Self = Self {
         exposure_min: Microseconds(1_000),
         exposure_max: Microseconds(100_000),
@@ -193,6 +211,13 @@ impl Limits {
         wait_max: Microseconds(2_000_000),
         timeout_max: Microseconds(1_000_000),
         motion_timeout_max: Microseconds(60_000_000),
+        rotation_speed_max: MillidegreesPerSecond(200_000),
+        rotation_acceleration_max: MillidegreesPerSecondSquared(2_000_000),
+        vertical_speed_max: MicrometresPerSecond(300_000),
+        vertical_acceleration_max: MicrometresPerSecondSquared(5_000_000),
+        stage_axes: 3,
+        stage_baud_min: 1_200,
+        stage_baud_max: 921_600,
     };
 }
 

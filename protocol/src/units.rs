@@ -36,6 +36,26 @@ quantity!(
     "urad"
 );
 quantity!(
+    /// Speed of the vertical axis.
+    MicrometresPerSecond(u32),
+    "um/s"
+);
+quantity!(
+    /// Acceleration of the vertical axis.
+    MicrometresPerSecondSquared(u32),
+    "um/s2"
+);
+quantity!(
+    /// Speed of the rotary axis.
+    MillidegreesPerSecond(u32),
+    "mdeg/s"
+);
+quantity!(
+    /// Acceleration of the rotary axis.
+    MillidegreesPerSecondSquared(u32),
+    "mdeg/s2"
+);
+quantity!(
     /// Duration, up to 71 minutes.
     Microseconds(u32),
     "us"

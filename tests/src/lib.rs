@@ -8,7 +8,7 @@ use flankscope_foundation::date::Date;
 use flankscope_gear_cad::{GearKind, GearSpec};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::CalibrationRecord;
-use flankscope_test_requisites::workspace;
+use flankscope_test_requisites::{has_aravis, workspace};
 use serde_json::Value;
 
 /// The `flankscope` command, freshly built in this build's own profile.
@@ -19,9 +19,17 @@ use serde_json::Value;
 pub fn flankscope() -> Command {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
+        // `cargo xtask test` has built it.
+        if let Some(built) = std::env::var_os("FLANKSCOPE_PROGRAM") {
+            return built.into();
+        }
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let mut build = Command::new(cargo);
         build.args(["build", "--quiet", "--offline", "--package", "flankscope"]);
+        if has_aravis() {
+            // As `cargo xtask test` builds it.
+            build.args(["--features", "aravis"]);
+        }
         if !cfg!(debug_assertions) {
             build.arg("--release");
         }
@@ -117,6 +125,7 @@ pub fn press_tool(folder: &Path) -> String {
         lateral_sigma_um: 1.0,
         hold_out: None,
         without_field: None,
+        board: None,
     });
     std::fs::write(&file, head.to_toml().expect("TOML")).expect("written");
     let test = folder.join("head.check.toml");

@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_profilometry::HeadModel;
-use flankscope_tests::{flankscope, run};
+use flankscope_test_requisites::dear;
+use flankscope_tests::{Run, flankscope, inspect, run};
 use serde_json::Value;
 
 /// Möller and Trumbore, Fast, minimum storage ray-triangle intersection (1997): distance along the ray.
@@ -182,6 +183,11 @@ fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
     let plain = picture(&plain.join("high12/pattern-07.png"));
     let shown =
         ["left", "right", "rest"].map(|pass| picture(&out.join(pass).join("pattern-07.png")));
+    // Flanks as the set has them, lands no brighter than they are.
+    let passes = json["passes"].as_array().unwrap().iter();
+    let bright: Vec<f64> = passes.map(|of| number(&of["brightness_ratio"])).collect();
+    assert_eq!(bright[..2], [1.0, 1.0]);
+    assert!((0.05..1.0).contains(&bright[2]), "{bright:?}");
     // 0.1 mm is 12 mirrors at the near end of the volume; a block more for rounding, one for the block's own size.
     let reach = 24.0;
     let (mut inside, mut dark, mut other) = ([0; 3], 0, 0);
@@ -203,8 +209,9 @@ fn mirrors_light_the_flanks_that_rays_through_every_triangle_meet() {
             if let Some(of) = own
                 && near(4.0).iter().all(|found| *found == own)
             {
+                let brightness = (bright[of] * f64::from(plain[at])).round() as u8;
                 assert_eq!(
-                    shown[of][at], plain[at],
+                    shown[of][at], brightness,
                     "column {column} row {row}: {own:?}"
                 );
                 inside[of] += 1;
@@ -252,4 +259,110 @@ fn what_cannot_be_lit_is_refused_by_name() {
         assert_eq!(refused.code, 3, "{arguments:?}: {}", refused.stderr);
         assert!(refused.stderr.contains(said), "{said}: {}", refused.stderr);
     }
+}
+
+/// Pictures of tooth 40 of the demo die, this far beyond what a pass lights.
+fn pictures(tool: &Path, out: &Path, margin_mm: &str) {
+    let written = run(flankscope()
+        .args(["patterns", "--tooth", "40", "--margin", margin_mm, "-q"])
+        .arg("--adaptive")
+        .arg(tool)
+        .arg("-o")
+        .arg(out));
+    assert_eq!(written.code, 0, "{}", written.stderr);
+}
+
+/// A check of a tool folder in passes.
+fn in_passes(tool: &Path, pictures: &Path, arguments: &[&str]) -> Run {
+    let fixed = ["--link", "sim", "--tool"];
+    let [tool, pictures] = [tool, pictures].map(|path| path.to_str().unwrap());
+    inspect(&[&fixed[..], &[tool, "--adaptive", pictures], arguments].concat())
+}
+
+#[test]
+fn a_check_in_passes_finds_wear_and_is_replayed() {
+    let (folder, tool) = demo_tool();
+    let out = folder.path().join("out");
+    pictures(&tool, &out, "0.1");
+    let store = folder.path().join("press.db");
+    let store = store.to_str().unwrap();
+    let worn = ["--wear", "12:left:80:half", "--history", store];
+    // Pictures of tooth 40 do for tooth 12, which the stages bring to the same place.
+    let seen = in_passes(&tool, &out, &[&worn[..], &["--teeth", "12"]].concat());
+    assert_eq!(seen.code, 1, "{}", seen.stderr);
+    assert_eq!(seen.flank(12, "left"), Some("no-go"));
+    assert_eq!(seen.flank(12, "right"), Some("go"));
+    // A dark frame, and 12 patterns at two exposures in three passes.
+    assert_eq!(seen.json["frames"]["triggered"], 1 + 3 * 2 * 12);
+    let lit = seen.json["recipe"]["lit_ratios"].as_array().unwrap();
+    assert_eq!(lit.len(), 3);
+    let again = run(flankscope()
+        .args(["replay", store, "1", "--quiet", "--json", "-"])
+        .arg("--tool")
+        .arg(&tool));
+    assert_eq!(again.code, 1, "{}", again.stderr);
+    assert_eq!(again.json["same"], true, "{}", again.json);
+}
+
+#[test]
+fn pictures_that_do_not_fit_a_check_are_refused_before_anything_moves() {
+    let (folder, tool) = demo_tool();
+    let out = folder.path().join("out");
+    pictures(&tool, &out, "0");
+    let refused = |tool: &Path, said: &str, arguments: &[&str]| {
+        let seen = in_passes(tool, &out, arguments);
+        assert_eq!(seen.code, 3, "{said}: {}", seen.stderr);
+        assert!(seen.stderr.contains(said), "{said}: {}", seen.stderr);
+    };
+    let frames = folder.path().join("frames");
+    let frames = frames.to_str().unwrap();
+    refused(
+        &tool,
+        "--save-frames with --adaptive",
+        &["--save-frames", frames],
+    );
+    // Of another height: what must be lit is dark.
+    let file = tool.join("tool.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let moved = text.replace("\nheight_mm = 33.0", "\nheight_mm = 62.0");
+    assert_ne!(moved, text);
+    std::fs::write(&file, moved).unwrap();
+    refused(&tool, "stay dark in the pictures", &["--teeth", "40"]);
+    std::fs::write(&file, text).unwrap();
+    let file = tool.join("head.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, text.replace("\"high12\"", "\"insitu12\"")).unwrap();
+    refused(&tool, "the pictures show high12", &[]);
+    std::fs::write(out.join("adaptive.json"), "{}").unwrap();
+    refused(&tool, "missing field", &[]);
+}
+
+/// On smoother steel, light over a second flank hides most of what one pass lights.
+#[test]
+fn passes_show_of_polished_steel_what_all_mirrors_at_once_do_not() {
+    if !dear() {
+        return;
+    }
+    let (folder, tool) = demo_tool();
+    let out = folder.path().join("out");
+    pictures(&tool, &out, "0.03");
+    let path = tool.to_str().unwrap();
+    let steel = ["--surface", "polished", "--teeth", "40", "--seed", "3"];
+    let worn = ["--wear", "40:left:80:half"];
+    let coverage = |seen: &Run| {
+        let flanks = seen.json["features"].as_array().unwrap().iter();
+        let of = |flank: &Value| flank["coverage_ratio"].as_f64().unwrap();
+        flanks.map(of).fold(1.0, f64::min)
+    };
+    let plain = inspect(&[&["--link", "sim", "--tool", path][..], &steel].concat());
+    let passes = in_passes(&tool, &out, &steel);
+    println!("seen {:.2} and {:.2}", coverage(&plain), coverage(&passes));
+    assert!(coverage(&passes) > 0.8 && coverage(&passes) > 1.5 * coverage(&plain));
+    // What is seen is right.
+    for flank in passes.json["features"].as_array().unwrap() {
+        let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| flank[key].as_f64().unwrap());
+        assert!(wear_um.abs() < u95_um, "{flank}");
+    }
+    let worn = in_passes(&tool, &out, &[&steel[..], &worn].concat());
+    assert_ne!(worn.flank(40, "left"), Some("go"), "{}", worn.stderr);
 }

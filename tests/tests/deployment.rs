@@ -119,3 +119,65 @@ fn every_command_has_a_man_page_with_its_options_and_every_shell_knows_it() {
         "hidden commands stay hidden"
     );
 }
+
+/// Whatever the Debian package takes is there or is made by the lines that tools/deploy/README.md says, goes below /usr, and
+/// leaves no file of tools/deploy out.
+#[test]
+fn the_debian_package_takes_what_there_is() {
+    let asked = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+        .args([
+            "metadata",
+            "--no-deps",
+            "--offline",
+            "--format-version",
+            "1",
+        ])
+        .current_dir(workspace())
+        .output()
+        .unwrap();
+    let metadata: serde_json::Value = serde_json::from_slice(&asked.stdout).unwrap();
+    let mut packages = metadata["packages"].as_array().unwrap().iter();
+    let package = packages.find(|p| p["name"] == "flankscope").unwrap();
+    let deb = &package["metadata"]["deb"];
+    let of_crate = workspace().join("host/cli");
+    let manual = tempfile::tempdir().unwrap();
+    let made = run(flankscope().arg("manual").arg("--out").arg(manual.path()));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let bins = ["flankscope", "flankscope-camera"];
+    let mut taken = Vec::new();
+    for asset in deb["assets"].as_array().unwrap() {
+        let part = |n: usize| asset[n].as_str().unwrap();
+        let (source, target, mode) = (part(0), part(1), part(2));
+        assert!(target.starts_with("usr/"), "{target}");
+        if let Some(program) = source.strip_prefix("target/release/") {
+            assert!(bins.contains(&program) && mode == "755", "{source}");
+        } else if let Some(page) = source.strip_prefix("../../target/manual/") {
+            let there = match page.strip_suffix("/*.1") {
+                Some(folder) => manual.path().join(folder).join("flankscope.1"),
+                None => manual.path().join(page),
+            };
+            assert!(there.is_file() && mode == "644", "{source}");
+        } else {
+            assert!(of_crate.join(source).is_file() && mode == "644", "{source}");
+        }
+        taken.push(source.to_owned());
+    }
+    for entry in std::fs::read_dir(workspace().join("tools/deploy")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        let asset = format!("../../tools/deploy/{name}");
+        let other = ["README.md", "debian"].contains(&name.as_str());
+        assert!(other || taken.contains(&asset), "{name} is in no package");
+    }
+    let licence = deb["license-file"][0].as_str().unwrap();
+    let scripts = deb["maintainer-scripts"].as_str().unwrap();
+    assert!(of_crate.join(licence).is_file());
+    assert!(of_crate.join(scripts).join("postinst").is_file());
+    // The lines that make what is packed are those of the README.
+    let how = deployed("README.md");
+    for line in [
+        "manual --out target/manual",
+        "cargo deb -p flankscope --no-build",
+    ] {
+        assert!(how.contains(line), "{line}");
+    }
+}

@@ -109,6 +109,9 @@ fn every_example_of_a_help_text_is_understood() {
 /// A newcomer's first steps: a check, a worn one with its page, a history, its page, a replay.
 #[test]
 fn the_readme_s_first_steps_lead_where_it_says() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let steps = [("inspect", 2), ("watch", 2), ("history", 1), ("replay", 1)];
     for (name, count) in steps {

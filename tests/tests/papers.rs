@@ -192,6 +192,7 @@ fn places_are_tried_before_anything_moves() {
         ("scan", "--json", &below),
         ("scan", "--report", &taken),
         ("scan", "--mesh", &nowhere),
+        ("scan", "--cloud", &nowhere),
     ] {
         let mut run = flankscope();
         run.args([command, option, place, "--speed", "max"]);

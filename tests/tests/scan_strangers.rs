@@ -1,5 +1,6 @@
 //! A die that is not the CAD's, or that was put down turned: named, and no map that looks right.
 
+use flankscope_test_requisites::dear;
 use flankscope_tests::{Run, flankscope, run};
 
 fn scan_of(die: &[&str]) -> Run {
@@ -33,6 +34,9 @@ fn another_module_is_named_though_every_view_lies_on_the_cad_almost_well() {
 
 #[test]
 fn a_tooth_less_on_the_same_circle_is_named() {
+    if !dear() {
+        return;
+    }
     let coarser = scan_of(&["--die", "83x0.998795"]);
     let reason = refused(&coarser);
     assert!(
@@ -59,6 +63,9 @@ fn scan_on_day(seed: &str, rest: &[&str]) -> Run {
 
 #[test]
 fn an_earlier_scan_of_the_die_tells_that_it_was_turned_by_a_tooth() {
+    if !dear() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let earlier = folder.path().join("earlier.json");
     let earlier = earlier.to_str().unwrap();

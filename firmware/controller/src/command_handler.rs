@@ -4,9 +4,10 @@ use crate::interlock::{Change, Head, Interlock, Levels, Orders, Phase, VerdictLa
 use crate::sequence::{Actions, Input, Sequence};
 use crate::session::{Judgement, Session};
 use flankscope_protocol::message::Boot;
+use flankscope_protocol::stage::STAGE_CONFIG_VERSION;
 use flankscope_protocol::{
-    Command, Header, Identity, PROTOCOL_VERSION, PressStatus, Refusal, Reply, SCHEMA_HASH, State,
-    Timestamp,
+    Command, Header, Identity, PROTOCOL_VERSION, PressStatus, Refusal, Reply, SCHEMA_HASH,
+    StageError, State, Timestamp,
 };
 
 /// Firmware release, from the package version.
@@ -46,6 +47,8 @@ pub struct CommandHandler {
     /// The verdict at the press.
     pub verdict: VerdictLamp,
     session: Session,
+    /// The stages were accepted in this session.
+    configured: bool,
     boot: Boot,
     orders: Orders,
 }
@@ -60,6 +63,7 @@ impl CommandHandler {
             interlock: Interlock::new(timing),
             verdict: VerdictLamp::new(timing),
             session: Session::new(),
+            configured: false,
             boot,
             orders: Orders::default(),
         }
@@ -167,6 +171,10 @@ impl CommandHandler {
             }
             Command::Heartbeat => {}
             Command::Abort => sequence.abort(now, out),
+            // A head that another session sent into the die may come out without further words.
+            Command::Retract if !self.configured && !sequence.capturing() => {
+                return Err(Refusal::NotConfigured);
+            }
             Command::Retract => match sequence.state() {
                 State::Unhomed => return Err(Refusal::NotHomed),
                 State::Faulted if !sequence.homed() => return Err(Refusal::NotHomed),
@@ -177,12 +185,16 @@ impl CommandHandler {
                     State::Unhomed | State::Ready | State::Faulted => {}
                     state => return Err(Refusal::Busy { state }),
                 }
-                plan.validate(&sequence.config().limits)?;
+                plan.validate(&sequence.plan_limits())?;
                 sequence.store(plan.clone());
+            }
+            Command::Start { .. } | Command::Home if !self.configured => {
+                return Err(Refusal::NotConfigured);
             }
             Command::Start { session } => {
                 let got = *session;
                 match sequence.state() {
+                    State::Ready if sequence.must_home() => return Err(Refusal::NotHomed),
                     State::Ready => {}
                     State::Unhomed => return Err(Refusal::NotHomed),
                     State::Faulted => return Err(faulted(sequence)),
@@ -214,6 +226,19 @@ impl CommandHandler {
                 sequence.acknowledge(now, out);
             }
             Command::ShowVerdict { go } => self.verdict.show(now, *go),
+            Command::ConfigureStage { version, stage } => {
+                match sequence.state() {
+                    State::Unhomed | State::Ready | State::Faulted => {}
+                    state => return Err(Refusal::Busy { state }),
+                }
+                if *version != STAGE_CONFIG_VERSION {
+                    let (got, want) = (*version, STAGE_CONFIG_VERSION);
+                    return Err(StageError::Version { got, want }.into());
+                }
+                stage.validate(&sequence.config().limits)?;
+                sequence.configure(stage);
+                self.configured = true;
+            }
         }
         Ok(Reply::Accepted)
     }
@@ -232,6 +257,7 @@ impl CommandHandler {
             });
         }
         self.session.open(header);
+        self.configured = false;
         Ok(())
     }
 

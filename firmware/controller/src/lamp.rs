@@ -35,11 +35,13 @@ pub struct Lamp {
 }
 
 impl Lamp {
-    /// An LED that is off and cold.
+    /// An LED that is off and cold; where a reset put it out, its current may still flow until `timeout` after the start.
     #[must_use]
-    pub fn new(limits: &Limits) -> Self {
+    pub fn new(limits: &Limits, timeout: Microseconds) -> Self {
         Self {
-            phase: Phase::Dark,
+            phase: Phase::Falling {
+                until: Timestamp(0).after(timeout),
+            },
             enabled: false,
             budget: LedBudget::new(limits),
         }
@@ -49,12 +51,6 @@ impl Lamp {
     #[must_use]
     pub fn enabled(&self) -> bool {
         self.enabled
-    }
-
-    /// Off, and the sense says so too.
-    #[must_use]
-    pub fn confirmed_dark(&self) -> bool {
-        self.phase == Phase::Dark
     }
 
     /// On-time bookkeeping.

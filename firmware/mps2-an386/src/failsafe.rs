@@ -38,7 +38,12 @@ pub fn boot() -> (Boot, u32) {
     // SAFETY: called once, before interrupts are on; any content is a valid `Kept`.
     let Kept { mark, cause } = unsafe { kept.read_volatile() };
     // SAFETY: as above.
-    unsafe { kept.write_volatile(Kept { mark: RUNNING, cause: 0 }) };
+    unsafe {
+        kept.write_volatile(Kept {
+            mark: RUNNING,
+            cause: 0,
+        })
+    };
     match mark {
         PANIC => (Boot::Panic, cause),
         WATCHDOG => (Boot::Watchdog, cause),

@@ -25,9 +25,10 @@ use cortex_m_rt::{entry, exception};
 use flankscope_controller::devices::{PinCamera, PinDmd, PinLed};
 use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
-use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Optics, Sequence, link, press_sequencer, sequence, serve_stage, supervise,
+    CommandHandler, Mailboxes, Optics, Sequence, link, press_sequencer, sequence, serve_stage,
+    supervise,
 };
 use flankscope_protocol::{Line, LineRecord, Microseconds};
 
@@ -46,13 +47,8 @@ static BACKGROUND: Level = Level::new(Irq::Background);
 
 /// How the host's line is set; QEMU does not mind, a board would.
 static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
-/// What the UARTs' dividers divide.
-const UART_CLOCK_HZ: u32 = 25_000_000;
 /// As fast as a UART goes; nothing limits the bench's wires.
 const LEAST_DIVIDER: u32 = 16;
-
-/// 25 MHz / 217 = 115 207 baud.
-const STAGE_DIVIDER: u32 = 217;
 
 /// The controller as delivered, but for a host that runs on the same machine as this emulation and everything else:
 /// it may be silent for a second, as in the in-process simulation.
@@ -94,12 +90,13 @@ async fn transmit() {
 
 #[embassy_executor::task]
 async fn stages() {
-    let driver = Esp301::new(Port(&STAGE), Axes::DEFAULT);
+    let driver = Esp301::new(Port(&STAGE));
     fault_injection::exposed(Task::Stage, serve_stage(driver, &MAIL)).await;
 }
 
 #[embassy_executor::task]
 async fn capture(handler: CommandHandler, optics: PinOptics, press: PinPress<InputPin, Output>) {
+    pins::levels_known().await;
     let work = press_sequencer(handler, optics, press, &MAIL);
     fault_injection::exposed(Task::Sequencer, work).await;
 }
@@ -115,7 +112,7 @@ fn main() -> ! {
     clock::start();
     registers::prioritise();
     pins::BENCH.start(LEAST_DIVIDER);
-    let Some(divider) = HOST_LINE.line().divider(UART_CLOCK_HZ) else {
+    let Some(divider) = HOST_LINE.line().divider(uart::CLOCK_HZ) else {
         failsafe::gone_wrong(line!())
     };
     // Whatever was driven before a reset is not driven any more.
@@ -124,7 +121,6 @@ fn main() -> ! {
     }
     pins::tell(Subject::Started, u16::try_from(cause).unwrap_or(u16::MAX));
     HOST.start(divider);
-    STAGE.start(STAGE_DIVIDER);
 
     let optics = Optics {
         led: PinLed {

@@ -164,10 +164,28 @@ static PATTERN_TAKEN: Input = Input::new();
 /// No answer yet.
 const UNANSWERED: u16 = u16::MAX;
 
+/// Waits until the bench has said how every input stands; a real pin has its level from the first instant.
+pub async fn levels_known() {
+    for input in [
+        &LED_SENSE,
+        &DMD_READY,
+        &CAMERA_READY,
+        &CAMERA_EXPOSING,
+        &PRESS_OPEN_A,
+        &PRESS_OPEN_B,
+        &DIE_CLEAR,
+        &GUARD_CLOSED,
+        &CYCLE,
+        &RETRACT_SWITCH,
+    ] {
+        input.answered().await;
+    }
+}
+
 impl Input {
     const fn new() -> Self {
         Self {
-            value: AtomicU16::new(0),
+            value: AtomicU16::new(UNANSWERED),
             rises: AtomicU32::new(0),
             falls: AtomicU32::new(0),
             waiting: AtomicWaker::new(),
@@ -196,6 +214,11 @@ impl Input {
             }
         })
         .await;
+    }
+
+    async fn answered(&self) {
+        self.wait(|input| input.value.load(Ordering::Acquire) != UNANSWERED)
+            .await;
     }
 
     fn edges(&self) -> (u32, u32) {
@@ -265,9 +288,7 @@ impl PatternPort for PatternBus {
     async fn select(&mut self, pattern: u16) -> Result<(), NotSelected> {
         PATTERN_TAKEN.value.store(UNANSWERED, Ordering::Release);
         tell(Subject::SelectPattern, pattern);
-        PATTERN_TAKEN
-            .wait(|input| input.value.load(Ordering::Acquire) != UNANSWERED)
-            .await;
+        PATTERN_TAKEN.answered().await;
         match PATTERN_TAKEN.value.load(Ordering::Acquire) {
             0 => Err(NotSelected),
             _ => Ok(()),

@@ -12,7 +12,8 @@ use core::task::Poll;
 use cortex_m::peripheral::NVIC;
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_io_async::{ErrorType, Read, Write};
-use flankscope_protocol::MAX_FRAME_BYTES;
+use flankscope_controller::stage::StagePort;
+use flankscope_protocol::{Line, MAX_FRAME_BYTES};
 
 use crate::registers::{Block, Irq};
 
@@ -27,6 +28,9 @@ const CONTROL_TX: u32 = 1 << 0;
 const CONTROL_RX: u32 = 1 << 1;
 const CONTROL_RX_INTERRUPT: u32 = 1 << 3;
 const INTERRUPT_RX: u32 = 1 << 1;
+
+/// What the dividers divide.
+pub const CLOCK_HZ: u32 = 25_000_000;
 
 /// Bytes of the ring; a power of two, more than the longest frame.
 const RING: usize = 512;
@@ -132,6 +136,14 @@ pub struct Port(pub &'static Uart);
 
 impl ErrorType for Port {
     type Error = Infallible;
+}
+
+impl StagePort for Port {
+    /// The UART sends and receives from here on; it has 8N1 and nothing else, which the controller's limits know.
+    fn set_line(&mut self, line: &Line) -> bool {
+        let divider = line.divider(CLOCK_HZ);
+        divider.inspect(|&divider| self.0.start(divider)).is_some()
+    }
 }
 
 impl Read for Port {

@@ -11,12 +11,15 @@ use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, bind_interrupts, dma, interrupt, rcc};
 use embassy_time::Duration;
+use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
 use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
 use flankscope_controller::press::PinPress;
+use flankscope_controller::stage::StagePort;
 use flankscope_controller::{Optics, Watchdog};
 use flankscope_protocol::{
     FlowControl, Limits, Line, LineRecord, MAX_FRAME_BYTES, Microseconds, Milliamps, Parity,
+    StageConfig,
 };
 use static_cell::StaticCell;
 
@@ -38,9 +41,6 @@ bind_interrupts!(struct Irqs {
 
 /// How the host's line is set.
 static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
-
-/// The stage controller's UART, baud.
-const STAGE_BAUD: u32 = 115_200;
 
 /// The fastest that the DMD controller's bus goes.
 const PATTERN_BUS_HZ: u32 = 400_000;
@@ -77,7 +77,7 @@ pub struct Board {
     /// Host link.
     pub host: BufferedUart<'static>,
     /// Stage controller.
-    pub stage: BufferedUart<'static>,
+    pub stage: StageUart,
     /// Not started yet.
     pub watchdog: BoardWatchdog,
 }
@@ -130,8 +130,8 @@ impl Board {
         let [to_host, from_host] = HOST.try_init([[0; MAX_FRAME_BYTES]; 2])?;
         let host =
             BufferedUart::new(p.USART3, p.PD9, p.PD8, to_host, from_host, Irqs, settings).ok()?;
-        let mut settings = usart::Config::default();
-        settings.baudrate = STAGE_BAUD;
+        // As a host has it set later.
+        let settings = uart(StageConfig::DEFAULT.line);
         let [to_stage, from_stage] = STAGE.try_init([[0; 128]; 2])?;
         let stage =
             BufferedUart::new(p.USART2, p.PD6, p.PD5, to_stage, from_stage, Irqs, settings).ok()?;
@@ -139,9 +139,37 @@ impl Board {
             press,
             optics,
             host,
-            stage,
+            stage: StageUart(stage),
             watchdog: BoardWatchdog(IndependentWatchdog::new(p.IWDG1, WATCHDOG_US)),
         })
+    }
+}
+
+/// The stage controller's UART: no RTS and CTS either, which the controller's limits know.
+pub struct StageUart(BufferedUart<'static>);
+
+impl StagePort for StageUart {
+    fn set_line(&mut self, line: &Line) -> bool {
+        self.0.set_config(&uart(*line)).is_ok()
+    }
+}
+
+impl ErrorType for StageUart {
+    type Error = usart::Error;
+}
+
+impl Read for StageUart {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, usart::Error> {
+        Read::read(&mut self.0, buffer).await
+    }
+}
+
+impl Write for StageUart {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, usart::Error> {
+        Write::write(&mut self.0, bytes).await
+    }
+    async fn flush(&mut self) -> Result<(), usart::Error> {
+        Write::flush(&mut self.0).await
     }
 }
 

@@ -12,14 +12,14 @@ use cortex_m_rt::entry;
 use embassy_executor::{Executor, InterruptExecutor};
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
-use embassy_stm32::usart::{BufferedUart, BufferedUartRx, BufferedUartTx};
-use flankscope_controller::stage::esp301::{Axes, Esp301};
+use embassy_stm32::usart::{BufferedUartRx, BufferedUartTx};
+use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
     CommandHandler, Mailboxes, Sequence, link, press_sequencer, sequence, serve_stage, supervise,
 };
 use static_cell::StaticCell;
 
-use crate::board::{Board, BoardOptics, BoardPress, BoardWatchdog};
+use crate::board::{Board, BoardOptics, BoardPress, BoardWatchdog, StageUart};
 
 static MAIL: Mailboxes = Mailboxes::supervised();
 static URGENT: InterruptExecutor = InterruptExecutor::new();
@@ -36,8 +36,8 @@ async fn transmit(port: BufferedUartTx<'static>) {
 }
 
 #[embassy_executor::task]
-async fn stages(port: BufferedUart<'static>) {
-    serve_stage(Esp301::new(port, Axes::DEFAULT), &MAIL).await;
+async fn stages(port: StageUart) {
+    serve_stage(Esp301::new(port), &MAIL).await;
 }
 
 #[embassy_executor::task]

@@ -4,6 +4,8 @@ use core::convert::Infallible;
 use core::future::poll_fn;
 use core::task::{Poll, Waker};
 use embedded_io_async::{ErrorType, Read, Write};
+use flankscope_controller::stage::StagePort;
+use flankscope_protocol::Line;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -42,11 +44,16 @@ impl Pipe {
     }
 }
 
-/// One end of a UART. Bytes written arrive at the other end at once.
+/// How one end is set; nobody has set it: as the other end.
+type Setting = Arc<Mutex<Option<Line>>>;
+
+/// One end of a UART. Bytes written arrive at the other end at once, and as other bytes where both are set differently.
 #[derive(Debug, Clone)]
 pub struct Port {
     incoming: Pipe,
     outgoing: Pipe,
+    line: Setting,
+    line_there: Setting,
 }
 
 impl Port {
@@ -54,21 +61,39 @@ impl Port {
     #[must_use]
     pub fn pair() -> (Self, Self) {
         let (a, b) = (Pipe::default(), Pipe::default());
+        let (here, there) = (Setting::default(), Setting::default());
         (
             Self {
                 incoming: a.clone(),
                 outgoing: b.clone(),
+                line: Arc::clone(&here),
+                line_there: Arc::clone(&there),
             },
             Self {
                 incoming: b,
                 outgoing: a,
+                line: there,
+                line_there: here,
             },
         )
     }
 
     /// Writes from any thread; never waits.
     pub fn send(&self, bytes: &[u8]) {
-        self.outgoing.write(bytes);
+        let setting = |of: &Setting| *of.lock().unwrap_or_else(PoisonError::into_inner);
+        match (setting(&self.line), setting(&self.line_there)) {
+            (Some(here), Some(there)) if here != there => {
+                // What a receiver makes of bits at another speed is no text.
+                let garbled: Vec<u8> = bytes.iter().map(|byte| byte | 0x80).collect();
+                self.outgoing.write(&garbled);
+            }
+            _ => self.outgoing.write(bytes),
+        }
+    }
+
+    /// Sets this end's line.
+    pub fn set(&self, line: Line) {
+        *self.line.lock().unwrap_or_else(PoisonError::into_inner) = Some(line);
     }
 
     /// Takes what has arrived, without waiting.
@@ -80,6 +105,13 @@ impl Port {
 
 impl ErrorType for Port {
     type Error = Infallible;
+}
+
+impl StagePort for Port {
+    fn set_line(&mut self, line: &Line) -> bool {
+        self.set(*line);
+        true
+    }
 }
 
 impl Read for Port {

@@ -7,7 +7,6 @@ use core::future::poll_fn;
 use core::task::{Poll, Waker};
 use embassy_time::{Duration, Instant, Timer};
 use flankscope_controller::liveness::Task;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_controller::{Mailboxes, Watchdog, sequence, supervise};
 use flankscope_protocol::message::Boot;
 use std::rc::Rc;
@@ -53,7 +52,6 @@ impl Slot {
 pub struct Controller {
     wiring: Rc<Wiring>,
     config: sequence::Config,
-    axes: Axes,
     slots: Rc<[Rc<Slot>; 5]>,
     fed_at: Rc<Cell<Instant>>,
     resets: Rc<RefCell<Vec<u64>>>,
@@ -70,11 +68,10 @@ impl Watchdog for Feeder {
 impl Controller {
     /// Powers up.
     #[must_use]
-    pub fn power_up(sim: &Sim, wiring: Rc<Wiring>, config: sequence::Config, axes: Axes) -> Self {
+    pub fn power_up(sim: &Sim, wiring: Rc<Wiring>, config: sequence::Config) -> Self {
         let controller = Self {
             wiring,
             config,
-            axes,
             slots: Rc::default(),
             fed_at: Rc::new(Cell::new(Instant::now())),
             resets: Rc::default(),
@@ -118,7 +115,7 @@ impl Controller {
     fn start(&self, why: Boot) {
         let mail: &'static Mailboxes = Box::leak(Box::new(Mailboxes::supervised()));
         self.fed_at.set(Instant::now());
-        for (task, future) in tasks(&self.wiring, self.config, self.axes, why, mail) {
+        for (task, future) in tasks(&self.wiring, self.config, why, mail) {
             self.slots[task as usize].put(future);
         }
         let feeder = Feeder(Rc::clone(&self.fed_at));

@@ -11,7 +11,7 @@ use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
 use flankscope_controller::liveness::Task;
-use flankscope_controller::stage::esp301::{Axes, Esp301};
+use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
     CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence,
     serve_stage,
@@ -218,9 +218,9 @@ impl Wiring {
 }
 
 /// Puts the controller on its side of the wiring, without a watchdog.
-pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, axes: Axes) {
+pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config) {
     let mail: &'static Mailboxes = Box::leak(Box::default());
-    for (_, task) in tasks(wiring, config, axes, Boot::PowerUp, mail) {
+    for (_, task) in tasks(wiring, config, Boot::PowerUp, mail) {
         sim.spawn(task);
     }
 }
@@ -229,7 +229,6 @@ pub fn spawn_controller(sim: &Sim, wiring: &Wiring, config: sequence::Config, ax
 pub(crate) fn tasks(
     wiring: &Wiring,
     config: sequence::Config,
-    axes: Axes,
     boot: Boot,
     mail: &'static Mailboxes,
 ) -> [(Task, BoxedTask); 4] {
@@ -253,7 +252,7 @@ pub(crate) fn tasks(
     };
     let press = board.press.pins();
     let handler = CommandHandler::new(Sequence::new(config), boot);
-    let stages = Esp301::new(wiring.controller_stage.clone(), axes);
+    let stages = Esp301::new(wiring.controller_stage.clone());
     let (rx, tx) = (
         wiring.controller_link.clone(),
         wiring.controller_link.clone(),

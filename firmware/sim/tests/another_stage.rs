@@ -3,7 +3,7 @@
 use embassy_time::{Duration, Instant, Timer};
 use flankscope_controller::stage::{Pose, Stage, StageFault, StageRequest};
 use flankscope_controller::{Mailboxes, serve_stage};
-use flankscope_protocol::{Fault, Micrometres, Microradians, View};
+use flankscope_protocol::{Fault, Micrometres, Microradians, StageConfig, View};
 use flankscope_sim::{Clock, Sim, now_us};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -66,7 +66,10 @@ fn a_driver_of_your_own_serves_the_sequence() {
     let told = Rc::clone(&reports);
     sim.spawn(async move {
         let requests = [
-            StageRequest::Home { ticket: 1 },
+            StageRequest::Home {
+                ticket: 1,
+                stage: StageConfig::DEFAULT,
+            },
             StageRequest::Move { ticket: 2, view },
             StageRequest::Retract {
                 ticket: 3,

@@ -43,6 +43,14 @@ impl FrameIds {
         self.last = None;
     }
 
+    /// A frame came without a number: it is the one after the last.
+    pub fn unnumbered(&mut self) {
+        self.last = self.last.map(|last| match self.counting {
+            Counting::Sixteen => last % 65_535 + 1,
+            Counting::SixtyFour => last.saturating_add(1),
+        });
+    }
+
     /// Frames that are missing before this one.
     ///
     /// # Errors
@@ -98,6 +106,23 @@ mod tests {
                 let then = (0..=left_out).fold(start, |id, _| next(id));
                 assert_eq!(ids.missing_before(then), Ok(left_out), "{start}");
             }
+        }
+    }
+
+    #[test]
+    fn a_frame_without_a_number_is_the_next_one() {
+        for (counting, first, then) in [
+            (Counting::Sixteen, 65_534, 2),
+            (Counting::SixtyFour, 65_534, 65_537),
+        ] {
+            let mut ids = FrameIds::new(counting);
+            // Nothing is known before the first number.
+            ids.unnumbered();
+            assert_eq!(ids.missing_before(first), Ok(0));
+            ids.unnumbered();
+            ids.unnumbered();
+            assert_eq!(ids.missing_before(then), Ok(0), "{counting:?}");
+            assert!(ids.missing_before(then).is_err());
         }
     }
 

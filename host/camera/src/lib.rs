@@ -6,14 +6,18 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`backend`] | the four verbs of a camera, and a folder of images as one |
+//! | [`command`] | which camera, from the command line |
+//! | [`backend`] | the four verbs of a camera; a folder of images as one, and what speaks GigE Vision or USB3 Vision |
 //! | [`unpack`] | a camera's packed samples into the slot's |
 //! | [`frame_id`] | which frames are missing, by numbers that wrap |
 //! | [`serve`] | the loop between them |
 //! | [`diagnosis`] | what is wrong with the link, in words |
 
 pub mod backend;
+pub mod command;
 pub mod diagnosis;
 pub mod frame_id;
+#[cfg(feature = "aravis")]
+mod namespace;
 pub mod serve;
 pub mod unpack;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use flankscope_frames::{FrameHeader, FrameSink, FrameSlot, Labels, Ready};
 
-use crate::backend::{Backend, CameraError, Description, Next, Taken};
+use crate::backend::{Backend, CameraError, Description, Next, Status, Taken};
 use crate::diagnosis::{diagnose, largest_socket_buffer};
 use crate::frame_id::FrameIds;
 
@@ -13,15 +13,17 @@ const PATIENCE: Duration = Duration::from_millis(2);
 /// How often an unplugged camera is looked for.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// Serves the host until no frame can come any more; `say` hears what somebody should know.
+/// Serves the host until no frame can come any more, or nobody `wants` one; `say` hears what somebody should know.
 ///
-/// A camera that is gone is looked for again: until then frames are missing, and the host sees that.
+/// A camera that is gone is looked for again: until then frames are missing, and the host sees that. One that cannot be armed
+/// stays unarmed, and the host moves nothing.
 ///
 /// # Errors
-/// The camera cannot be configured at the start.
+/// The camera cannot be configured, at the start or after it came back.
 pub fn serve(
     backend: &mut impl Backend,
     sink: &mut impl FrameSink,
+    wants: &dyn Fn() -> bool,
     say: &mut dyn FnMut(&str),
 ) -> Result<(), CameraError> {
     let mut server = Server {
@@ -30,28 +32,43 @@ pub fn serve(
         labels: Labels::default(),
         counter: 0,
         session: 0,
+        missing: 0,
         slot: None,
     };
     server.introduce(backend.configure()?, sink, say);
-    loop {
+    while wants() {
         match server.step(backend, sink, say) {
             Ok(true) => {}
-            Ok(false) => return Ok(()),
-            Err(error) => {
+            Ok(false) => break,
+            Err(error @ CameraError::Gone { .. }) => {
                 say(&error.to_string());
                 server.slot = None;
-                let description = loop {
-                    match backend.configure() {
-                        Ok(description) => break description,
-                        Err(CameraError::Gone { .. }) => std::thread::sleep(RETRY),
-                        Err(error) => return Err(error),
-                    }
+                let Some(description) = look_again(backend, wants)? else {
+                    break;
                 };
                 say("the camera is back");
                 server.introduce(description, sink, say);
             }
+            Err(error) => say(&error.to_string()),
         }
     }
+    server.diagnose(backend, say);
+    Ok(())
+}
+
+/// Looks for a camera that is gone until it is there; nothing if nobody wants it any more.
+fn look_again(
+    backend: &mut impl Backend,
+    wants: &dyn Fn() -> bool,
+) -> Result<Option<Description>, CameraError> {
+    while wants() {
+        match backend.configure() {
+            Ok(description) => return Ok(Some(description)),
+            Err(CameraError::Gone { .. }) => std::thread::sleep(RETRY),
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(None)
 }
 
 struct Server<S> {
@@ -61,6 +78,8 @@ struct Server<S> {
     /// Number of the next frame since the process started.
     counter: u32,
     session: u32,
+    /// Frames that never came, since the last arming.
+    missing: u64,
     /// Loaned, and still empty.
     slot: Option<S>,
 }
@@ -106,10 +125,14 @@ impl<S: FrameSlot> Server<S> {
         say: &mut dyn FnMut(&str),
     ) -> Result<bool, CameraError> {
         if let Some(arm) = sink.armed() {
-            if let Some(words) = diagnose(&backend.status(), largest_socket_buffer()) {
-                say(&words);
+            self.diagnose(backend, say);
+            self.missing = 0;
+            if let Err(error) = backend.arm(arm.frames()) {
+                // The host hears that it is not.
+                self.session = 0;
+                self.speak(sink, say);
+                return Err(error);
             }
-            backend.arm(arm.frames())?;
             self.labels.arm(arm);
             self.ids.iter_mut().for_each(FrameIds::armed);
             self.session = arm.session;
@@ -127,8 +150,13 @@ impl<S: FrameSlot> Server<S> {
                     return match backend.next(&mut nowhere, PATIENCE)? {
                         Next::Nothing => Ok(true),
                         Next::End => Ok(false),
-                        Next::Whole(Taken { id, .. }) | Next::Incomplete { id } => {
+                        Next::Whole(Taken { id, .. }) => {
                             say(&error.to_string());
+                            self.skip(Some(id), say);
+                            let _ = self.label();
+                            Ok(true)
+                        }
+                        Next::Incomplete { id } => {
                             self.skip(id, say);
                             let _ = self.label();
                             Ok(true)
@@ -149,7 +177,7 @@ impl<S: FrameSlot> Server<S> {
                 let _ = self.label();
             }
             Next::Whole(taken) => {
-                self.skip(taken.id, say);
+                self.skip(Some(taken.id), say);
                 let (counter, session, label) = self.label();
                 let header = FrameHeader {
                     session,
@@ -174,11 +202,26 @@ impl<S: FrameSlot> Server<S> {
         Ok(true)
     }
 
+    /// Says why frames were missing since the last arming, if they were.
+    fn diagnose(&self, backend: &impl Backend, say: &mut dyn FnMut(&str)) {
+        let status = Status {
+            missing: self.missing,
+            ..backend.status()
+        };
+        if let Some(words) = diagnose(&status, largest_socket_buffer()) {
+            say(&words);
+        }
+    }
+
     /// Counts the frames that are missing before this one.
-    fn skip(&mut self, id: u64, say: &mut dyn FnMut(&str)) {
+    fn skip(&mut self, id: Option<u64>, say: &mut dyn FnMut(&str)) {
         let Some(ids) = &mut self.ids else { return };
+        let Some(id) = id else {
+            return ids.unnumbered();
+        };
         match ids.missing_before(id) {
             Ok(missing) => {
+                self.missing += u64::from(missing);
                 for _ in 0..missing {
                     let _ = self.label();
                 }

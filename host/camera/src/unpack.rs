@@ -60,21 +60,55 @@ impl FromStr for PixelFormat {
 
     /// By the name that a camera gives it.
     fn from_str(name: &str) -> Result<Self, UnpackError> {
-        Ok(match name {
-            "Mono8" => Self::Mono8,
-            "Mono10" => Self::Mono10,
-            "Mono12" => Self::Mono12,
-            "Mono16" => Self::Mono16,
-            "Mono10p" => Self::Mono10p,
-            "Mono12p" => Self::Mono12p,
-            "Mono10Packed" => Self::Mono10Packed,
-            "Mono12Packed" => Self::Mono12Packed,
-            _ => return Err(UnpackError::Format { got: name.into() }),
-        })
+        let mut all = Self::ALL.into_iter();
+        let named = all.find(|format| format.name() == name);
+        named.ok_or_else(|| UnpackError::Format { got: name.into() })
     }
 }
 
 impl PixelFormat {
+    /// Every one.
+    pub const ALL: [Self; 8] = [
+        Self::Mono8,
+        Self::Mono10,
+        Self::Mono12,
+        Self::Mono16,
+        Self::Mono10p,
+        Self::Mono12p,
+        Self::Mono10Packed,
+        Self::Mono12Packed,
+    ];
+
+    /// The name that a camera gives it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mono8 => "Mono8",
+            Self::Mono10 => "Mono10",
+            Self::Mono12 => "Mono12",
+            Self::Mono16 => "Mono16",
+            Self::Mono10p => "Mono10p",
+            Self::Mono12p => "Mono12p",
+            Self::Mono10Packed => "Mono10Packed",
+            Self::Mono12Packed => "Mono12Packed",
+        }
+    }
+
+    /// Its number (EMVA, Pixel Format Values 2.1): the third byte is how many bits a sample takes on the wire.
+    #[must_use]
+    pub fn pfnc(self) -> u32 {
+        match self {
+            Self::Mono8 => 0x0108_0001,
+            Self::Mono10 => 0x0110_0003,
+            Self::Mono12 => 0x0110_0005,
+            Self::Mono16 => 0x0110_0007,
+            Self::Mono10p => 0x010A_0046,
+            Self::Mono12p => 0x010C_0047,
+            Self::Mono10Packed => 0x010C_0004,
+            Self::Mono12Packed => 0x010C_0006,
+        }
+    }
+
     /// Bits of a sample.
     #[must_use]
     pub fn bits(self) -> u32 {
@@ -170,17 +204,6 @@ fn groups<const P: usize, const B: usize>(
 mod tests {
     use super::*;
 
-    const ALL: [PixelFormat; 8] = [
-        PixelFormat::Mono8,
-        PixelFormat::Mono10,
-        PixelFormat::Mono12,
-        PixelFormat::Mono16,
-        PixelFormat::Mono10p,
-        PixelFormat::Mono12p,
-        PixelFormat::Mono10Packed,
-        PixelFormat::Mono12Packed,
-    ];
-
     fn set(bytes: &mut [u8], bit: usize, value: u16, of: u32) {
         bytes[bit / 8] |= (((value >> of) & 1) as u8) << (bit % 8);
     }
@@ -214,7 +237,7 @@ mod tests {
 
     #[test]
     fn every_format_comes_back_at_every_length() {
-        for format in ALL {
+        for format in PixelFormat::ALL {
             for length in 0..30_usize {
                 let mask = u16::MAX >> (16 - format.bits());
                 let sent: Vec<u16> = (0..length as u16)
@@ -224,8 +247,11 @@ mod tests {
                 let mut got = vec![0xAAAA; length];
                 format.unpack(&bytes, &mut got).unwrap();
                 assert_eq!(got, sent, "{format:?} {length}");
-                assert_eq!(format!("{format:?}").parse(), Ok(format));
             }
+            assert_eq!(format.name().parse(), Ok(format));
+            assert_eq!(format.name(), format!("{format:?}"));
+            let wire_bits = (format.pfnc() >> 16) & 0xFF;
+            assert_eq!(format.bytes(8), wire_bits as usize, "{format:?}");
         }
     }
 

@@ -9,12 +9,16 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
 use flankscope_bench::config::{BenchConfig, ControllerKind, Speed, Stands, SurfaceKind};
+use flankscope_bench::link::CameraLink;
 use flankscope_bench::process::{Farewell, Hello};
+use flankscope_bench::world::Carries;
 use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
+use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
-use flankscope_station::settings::StationSettings;
+use flankscope_station::settings::{Stages, StationSettings};
 
+use crate::camera_process::CameraProcess;
 use crate::instrument::Scene;
 
 /// The bench's clock stands while it renders: light over several places takes a busy machine minutes a view. A bench that ends
@@ -28,6 +32,10 @@ pub enum Command {
     Bench(flankscope_bench::process::Command),
     #[command(flatten)]
     Demo(flankscope_demo::Command),
+    /// The process of the bench's GigE camera.
+    #[cfg(feature = "aravis")]
+    #[command(subcommand)]
+    Camera(flankscope_camera::command::Camera),
 }
 
 /// Runs the hidden subcommand.
@@ -35,6 +43,8 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Bench(command) => flankscope_bench::process::run(command),
         Command::Demo(command) => flankscope_demo::run(command),
+        #[cfg(feature = "aravis")]
+        Command::Camera(camera) => flankscope_camera::command::run(camera),
     }
 }
 
@@ -65,6 +75,8 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
         ("--wear", !args.wear.is_empty()),
         ("--die-mesh", args.die_mesh.is_some()),
         ("--frame-fault", args.frame_fault.is_some()),
+        ("--camera", args.camera != CameraLink::default()),
+        ("--gige-trouble", args.gige_trouble.is_some()),
         ("--surface", args.surface != SurfaceKind::default()),
         ("--sprayed-above-mm", args.sprayed_above_mm.is_some()),
         ("--bounces", args.bounces.is_some()),
@@ -140,6 +152,8 @@ pub struct Bench {
     child: Child,
     stdout: BufReader<ChildStdout>,
     hello: Hello,
+    /// What takes the packets of its GigE camera.
+    camera: Option<CameraProcess>,
     /// Whether its clock is that of the world.
     real_time: bool,
 }
@@ -158,6 +172,20 @@ pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
+/// Refuses a camera that this build has not, and troubles of another one.
+fn has_camera(args: &BenchArgs) -> anyhow::Result<()> {
+    if args.camera == CameraLink::Gige && !cfg!(feature = "aravis") {
+        bail!(
+            "--camera gige: this build speaks no GigE Vision; apt-get install libaravis-dev libusb-1.0-0-dev, then build it with \
+             --features aravis"
+        );
+    }
+    if args.camera != CameraLink::Gige && args.gige_trouble.is_some() {
+        bail!("--gige-trouble: there is no GigE camera; add --camera gige");
+    }
+    Ok(())
+}
+
 impl Bench {
     /// Starts the bench for the folder of a tool or a target, with its camera sending frames below `root`.
     pub fn start(
@@ -166,7 +194,9 @@ impl Bench {
         scene: Scene<'_>,
         folder: &Path,
         root: &SharedRoot,
+        stages: &Stages,
     ) -> anyhow::Result<Self> {
+        has_camera(args)?;
         let folder = folder.to_path_buf();
         let config = BenchConfig {
             root: root.path().to_path_buf(),
@@ -184,10 +214,16 @@ impl Bench {
             bench: args.clone(),
             press: scene.press.cloned(),
             die: scene.die.cloned(),
+            rotary_carries: match stages.moves {
+                Moves::Head => Carries::Head,
+                Moves::Die | Moves::Outside => Carries::Die,
+            },
+            pictures: scene.pictures.map(Path::to_path_buf),
         };
         let program =
             std::env::current_exe().context("cannot find this program to start the bench")?;
-        let mut child = process::Command::new(program)
+        let program = program.display().to_string();
+        let mut child = process::Command::new(&program)
             .args(["bench", "run"])
             // Ctrl-C is for the host: it ends the bench when the head is out.
             .process_group(0)
@@ -212,6 +248,7 @@ impl Bench {
                 child,
                 stdout,
                 hello,
+                camera: None,
                 real_time: args.speed.value == Speed(1.0),
             },
             Err(_) => {
@@ -220,6 +257,11 @@ impl Bench {
                 bail!("the simulated bench did not start");
             }
         };
+        if let Some(arguments) = &bench.hello.camera {
+            let command = ["bench", "camera", "aravis"].map(String::from);
+            let command = [&[program][..], &command, arguments].concat();
+            bench.camera = CameraProcess::start(&command, root.path())?;
+        }
         if bench.child.try_wait()?.is_some() {
             bail!("the simulated bench ended early");
         }
@@ -243,6 +285,8 @@ impl Bench {
 
     /// Ends the bench and takes its truth, and a line for the user if it did not keep up with real time.
     pub fn finish(mut self) -> anyhow::Result<(serde_json::Value, Option<String>)> {
+        // The camera does not vanish under whoever takes its frames.
+        self.camera = None;
         drop(self.child.stdin.take());
         let mut text = String::new();
         self.stdout.read_to_string(&mut text)?;
@@ -255,7 +299,41 @@ impl Bench {
 
 impl Drop for Bench {
     fn drop(&mut self) {
+        self.camera = None;
         drop(self.child.stdin.take());
         let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Given {
+        #[command(flatten)]
+        bench: BenchArgs,
+    }
+
+    /// Without Aravis a GigE camera is refused with how to get it; its troubles are refused without it.
+    #[test]
+    fn a_camera_that_is_not_there_is_refused_with_the_remedy() {
+        let refused = |arguments: &[&str]| {
+            let given = Given::parse_from([&["inspect"], arguments].concat());
+            has_camera(&given.bench)
+                .err()
+                .map(|error| error.to_string())
+        };
+        assert_eq!(refused(&[]), None);
+        let without = refused(&["--camera", "gige"]);
+        assert_eq!(without.is_none(), cfg!(feature = "aravis"));
+        if let Some(words) = without {
+            for word in ["--features aravis", "libaravis-dev"] {
+                assert!(words.contains(word), "{words}");
+            }
+        }
+        let alone = refused(&["--gige-trouble", "free-runs"]).unwrap();
+        assert!(alone.contains("--camera gige"), "{alone}");
     }
 }

@@ -9,7 +9,7 @@ use anyhow::{Context, bail, ensure};
 use flankscope_foundation::date::{self, Date};
 use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::Target;
+use flankscope_profilometry::calibrate::{Captures, Target};
 use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
 use flankscope_station::calibration::{
     Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
@@ -19,6 +19,7 @@ use flankscope_station::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
+use crate::calibrate_board::{self, Order};
 use crate::help;
 use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
 use crate::interrupt;
@@ -47,9 +48,17 @@ use crate::site::{Place, Site};
 pub struct Args {
     #[arg(long, value_name = "DIR", help = help::TARGET)]
     target: Option<PathBuf>,
-    /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml [default: none]
+    /// Images made elsewhere instead of captures: folder with captures.toml and PLAN.toml, or with board.toml [default: none]
     #[arg(long, value_name = "DIR", conflicts_with = "check")]
     images: Option<PathBuf>,
+    /// Which board the images show, for a checkerboard, ChArUco board or circles [default: board.toml among the images, if it is there]
+    #[arg(
+        long,
+        value_name = "BOARD.toml",
+        requires = "images",
+        conflicts_with = "target"
+    )]
+    board: Option<PathBuf>,
     #[command(flatten)]
     place: Place,
     /// Where the head goes; its core map and its first self-test are written beside it
@@ -131,6 +140,19 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
+    if let (Some(images), Some(output)) = (&args.images, &args.output)
+        && (args.board.is_some() || args.target.is_none() && !images.join(Captures::FILE).is_file())
+    {
+        args.common.try_json()?;
+        can_write(output)?;
+        let order = Order {
+            images,
+            board: args.board.as_deref(),
+            output,
+            valid_days: args.valid_days,
+        };
+        return calibrate_board::run(&order, &args.common);
+    }
     let passing = scratch()?;
     let folder = match &args.target {
         Some(folder) => folder.clone(),
@@ -142,17 +164,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     match (&args.check, &args.output) {
         (Some(head), _) => check(args, of_target, &folder, target, head),
         (None, Some(output)) => {
-            ensure!(
-                output
-                    .parent()
-                    .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
-                "cannot write {}: its folder does not exist",
-                output.display()
-            );
+            can_write(output)?;
             let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
             let job = Job {
                 args,
-                site: args.place.site(&[of_target])?,
+                site: args
+                    .place
+                    .site(&[of_target])?
+                    .with_own_stages("a calibration")?,
                 folder: &folder,
                 target,
                 output,
@@ -164,6 +183,18 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         (None, None) => bail!("--output or --check is needed"),
     }
+}
+
+/// Before anything is measured: the head's folder is there.
+fn can_write(output: &Path) -> anyhow::Result<()> {
+    ensure!(
+        output
+            .parent()
+            .is_none_or(|folder| folder == Path::new("") || folder.is_dir()),
+        "cannot write {}: its folder does not exist",
+        output.display()
+    );
+    Ok(())
 }
 
 /// Tests a head; one that fails cannot tell anything, hence indeterminate.
@@ -186,6 +217,7 @@ fn check(
         made != Some(true),
     );
     let site = args.place.site(&[of_target, of_head])?;
+    let site = site.with_own_stages("a calibration")?;
     let setting = &site.setting;
     site.takes_head(&head)?;
     begin(args, &site, &target, &head)?;

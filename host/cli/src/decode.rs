@@ -5,10 +5,11 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
+use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::order::median_of;
 use flankscope_profilometry::decode::{
     Cloud, ConsistencyOptions, DecodeOptions, Decoder, GridKind, LightMedians, MaskOptions,
-    OrderConsistency, PatchOptions, Rejected,
+    OrderConsistency, PatchOptions, PhaseMaps, Rejected,
 };
 use flankscope_profilometry::head::{HeadModel, Sensor};
 use flankscope_profilometry::plan::Plan;
@@ -81,8 +82,21 @@ pub struct Args {
     /// Write light straight from the projector and over other ways at every point, too (properties direct and global, electrons).
     #[arg(long)]
     light_parts: bool,
+    /// Write phase, modulation, mean, fringe order, projector column and depth of every cell, too, as arrays for NumPy.
+    #[arg(long, value_name = "MAPS.npz", value_parser = npz_file)]
+    phase: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
+}
+
+fn npz_file(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().is_some_and(|ending| ending == "npz") {
+        true => Ok(path),
+        false => Err(
+            "the maps are written as arrays for NumPy: a name that ends in .npz is needed".into(),
+        ),
+    }
 }
 
 #[derive(Serialize)]
@@ -164,6 +178,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         write_ply(file, cloud, args.light_parts)
     })
     .with_context(|| format!("cannot write {}", args.output.display()))?;
+    if let Some(path) = &args.phase {
+        let maps = decoder.maps(&accumulator, &decoded)?;
+        flankscope_station::files::stream_whole(path, |file| write_maps(file, &maps))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
     let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;
     let document = Document {
         count: cloud.len(),
@@ -237,6 +256,22 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
                 ..patches
             }),
     }
+}
+
+fn write_maps(file: &mut dyn Write, maps: &PhaseMaps) -> io::Result<()> {
+    let of_cells = maps.shape.as_slice();
+    let of_sets = [&[maps.periods.len()], of_cells].concat();
+    let mut npz = NpzWriter::new(file);
+    npz.array("periods", &[maps.periods.len()], &maps.periods)?;
+    npz.array("pixel_px", &[of_cells, &[2]].concat(), &maps.pixel_px)?;
+    npz.array("phase_rad", &of_sets, &maps.phase_rad)?;
+    npz.array("modulation_e", &of_sets, &maps.modulation_e)?;
+    npz.array("mean_e", &of_sets, &maps.mean_e)?;
+    npz.array("order", of_cells, &maps.order)?;
+    npz.array("column_px", of_cells, &maps.column_px)?;
+    npz.array("depth_mm", of_cells, &maps.depth_mm)?;
+    npz.array("sigma_z_mm", of_cells, &maps.sigma_z_mm)?;
+    npz.finish().map(drop)
 }
 
 fn write_ply(file: &mut dyn Write, cloud: &Cloud, light_parts: bool) -> io::Result<()> {

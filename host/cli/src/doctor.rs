@@ -217,7 +217,12 @@ impl Args {
                 return findings;
             }
         };
-        let mut findings = doctor::controller(&instrument.port, instrument.settings).to_vec();
+        let mut findings = doctor::controller(
+            &instrument.port,
+            instrument.settings,
+            &site.settings.stages.config(),
+        )
+        .to_vec();
         findings.push(camera(&mut instrument.station, site));
         findings
     }

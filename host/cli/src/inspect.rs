@@ -72,6 +72,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .as_ref()
         .or(site.settings.report.folder.as_ref());
     args.try_places(report)?;
+    anyhow::ensure!(
+        args.save_frames.is_none() || !site.settings.stages.poses.is_some(),
+        "--save-frames with [stages.poses]: a recording says where the stages stood, not what was said of the camera"
+    );
+    anyhow::ensure!(
+        args.save_frames.is_none() || args.source.adaptive.is_none(),
+        "--save-frames with --adaptive: a recording's plan cannot say what each pass lit; leave one of them out"
+    );
     let seals = seals()?;
     let mut complaints = Complaints::default();
     let (mut inspection, instrument) = match &recording {
@@ -213,7 +221,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
         let line = format!(
             "{:>5} {:<6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>7} {:>8} {:>4.0}%  ",
             f.tooth,
-            f.flank,
+            f.side(),
             figure(f.wear_um),
             figure(f.u95_um),
             figure(f.mean_um),
@@ -235,7 +243,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     }
     for f in &inspection.features {
         if let Some(reason) = &f.reason {
-            let why = format!("tooth {} {}: {reason}", f.tooth, f.flank);
+            let why = format!("{}: {reason}", f.label());
             writeln!(out, "{}", terminal.sentence(&why))?;
         }
     }

@@ -14,6 +14,7 @@ use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter, Retention};
 use flankscope_station::inspection::{RecordedCheck, Station, Subject};
 use flankscope_station::origin::Link;
+use flankscope_station::patterns::Adaptive;
 use flankscope_station::seal::{Kind, SealError, Seals};
 
 use crate::bench_link::{
@@ -42,6 +43,10 @@ pub struct Source {
     /// Temperature of the tool in degrees C; a tool file with the section `temperature` needs it
     #[arg(long, value_name = "DEGC", allow_negative_numbers = true)]
     pub tool_temperature: Option<f64>,
+    /// Show the patterns in passes that light left flanks, right flanks and the rest one after the other, by the pictures in this
+    /// folder (`flankscope patterns --adaptive`), which the DMD is loaded with: for flanks that light each other
+    #[arg(long, value_name = "DIR")]
+    pub adaptive: Option<PathBuf>,
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
     #[arg(long, value_enum, value_name = "GRID")]
     pub grid: Option<Grid>,
@@ -94,6 +99,12 @@ impl Source {
 
     /// What stores the checks of a subject in the history at `path`.
     fn writer(&self, path: &Path, site: &Site, subject: &Subject) -> anyhow::Result<HistoryWriter> {
+        anyhow::ensure!(
+            subject.tool.patches.is_empty(),
+            "history {}: it keeps flanks, and tool {:?} has patches; leave the history out, and keep the --json of every check",
+            path.display(),
+            subject.tool.name
+        );
         let history = History::open(path, &subject.seals)?;
         history.takes_head(&subject.head_id())?;
         let unknown = history.of_unknown_origin()?;
@@ -148,6 +159,8 @@ pub struct Scene<'a> {
     pub target: bool,
     /// Teeth that are judged instead of the tool file's.
     pub teeth: Option<&'a [u32]>,
+    /// Pictures that the DMD is loaded with instead of the head file's.
+    pub pictures: Option<&'a Path>,
 }
 
 /// The files that make a head.
@@ -208,6 +221,7 @@ impl Instrument {
         let scene = Scene {
             press,
             teeth: source.teeth.as_deref(),
+            pictures: source.adaptive.as_deref(),
             ..Scene::default()
         };
         let store = source.store(site)?;
@@ -221,8 +235,16 @@ impl Instrument {
             |mut subject, root| {
                 source.furnish(&mut subject, site.link())?;
                 let teeth = source.teeth.as_deref();
+                let lit_ratios = match &source.adaptive {
+                    Some(folder) => {
+                        let pictures = Adaptive::open(folder)?;
+                        pictures.lit_ratios(&subject.tool, &subject.head, teeth)?
+                    }
+                    None => Vec::new(),
+                };
                 let known = subject.clone();
-                let station = Station::open(subject, site.setting.clone(), teeth, root)?;
+                let setting = site.setting.clone();
+                let station = Station::open(subject, setting, teeth, lit_ratios, root)?;
                 writer = store
                     .map(|path| source.writer(path, site, &known))
                     .transpose()?;
@@ -242,6 +264,10 @@ pub fn recorded_check(
     quiet: bool,
 ) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
     fits_recording(bench, None)?;
+    anyhow::ensure!(
+        source.adaptive.is_none(),
+        "--adaptive with --frames: nothing is shown, the frames are there"
+    );
     let store = source.store(site)?;
     let mut subject = recorded_subject([&source.tool, &source.head], recording, site, quiet)?;
     source.furnish(&mut subject, site.link())?;
@@ -314,7 +340,8 @@ impl<S> Instrument<S> {
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
         let station = station(Arc::clone(&root))?;
         let Link::Port(port) = link else {
-            let bench = Bench::start(bench, link, scene, folder, &root)?;
+            let stages = &site.settings.stages;
+            let bench = Bench::start(bench, link, scene, folder, &root, stages)?;
             return Ok(Self {
                 station,
                 port: bench.port().to_path_buf(),

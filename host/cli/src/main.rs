@@ -8,6 +8,7 @@ mod bench_link;
 #[path = "no_bench.rs"]
 mod bench_link;
 mod calibrate;
+mod calibrate_board;
 mod camera_process;
 mod decode;
 mod deviation;

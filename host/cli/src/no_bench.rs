@@ -6,7 +6,7 @@ use anyhow::bail;
 use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::origin::Link;
-use flankscope_station::settings::StationSettings;
+use flankscope_station::settings::{Stages, StationSettings};
 
 use crate::instrument::Scene;
 
@@ -60,6 +60,7 @@ impl Bench {
         _: Scene<'_>,
         _: &Path,
         _: &SharedRoot,
+        _: &Stages,
     ) -> anyhow::Result<Self> {
         bail!("this build has no simulated bench: name the controller's port by --link")
     }

@@ -164,9 +164,14 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
 fn told(written: &Adaptive, output: &Path) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
     for pass in &written.passes {
-        let folder = output.join(pass.lights);
+        let folder = output.join(pass.lights.name());
         let lit = 100.0 * pass.lit_ratio;
-        writeln!(out, "{}: {lit:.1} % of the mirrors", folder.display())?;
+        let bright = 100.0 * pass.brightness_ratio;
+        writeln!(
+            out,
+            "{}: {lit:.1} % of the mirrors, {bright:.0} % bright",
+            folder.display()
+        )?;
     }
     let time = &written.time;
     writeln!(

@@ -40,6 +40,7 @@ impl Watcher {
         let line = match progress {
             Progress::Connected => "controller answered".into(),
             Progress::Homing => "stages reference".into(),
+            Progress::Planned(time) => format!("plan: {time}"),
             Progress::Moving { view, number, of } => {
                 self.at = view;
                 format!(

@@ -6,6 +6,7 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use flankscope_metrology::cloud::surface::CloudSurface;
+use flankscope_metrology::gear::Kind;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::registration::{
@@ -204,7 +205,12 @@ impl Args {
         let initial = self.start_pose()?;
         let loaded = Instant::now();
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
-        let found = || detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM);
+        // Most often the teeth point inwards; a body of revolution inside says that they do not.
+        let found = || {
+            [Kind::Internal, Kind::External]
+                .into_iter()
+                .find_map(|kind| detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM, kind))
+        };
         let options = self.options(initial, self.teeth.or_else(found));
         let prepared = Instant::now();
         let found = match self.method {

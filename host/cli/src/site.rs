@@ -7,6 +7,7 @@ use anyhow::Context;
 use flankscope_profilometry::HeadModel;
 use flankscope_station::acquisition::Recording;
 use flankscope_station::inspection::Subject;
+use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::{Link, RecordingId, Setting};
 use flankscope_station::settings::StationSettings;
 
@@ -115,6 +116,16 @@ pub struct Site {
 }
 
 impl Site {
+    /// Refuses a station whose head is carried by somebody else, for `what` needs its own stages.
+    pub fn with_own_stages(self, what: &str) -> anyhow::Result<Self> {
+        anyhow::ensure!(
+            self.settings.stages.moves != Moves::Outside,
+            "stages.moves = \"outside\": {what} moves the station's own stages, and the controller claims the press for them alone; \
+             it needs moves = \"die\" or \"head\""
+        );
+        Ok(self)
+    }
+
     /// Through which link.
     pub fn link(&self) -> &Link {
         &self.setting.link
@@ -191,6 +202,14 @@ impl Site {
     pub fn takes_head(&self, head: &HeadModel) -> anyhow::Result<()> {
         let link = self.link();
         let made = head.calibration.as_ref();
+        if let Some(board) = made.and_then(|made| made.board.as_ref()) {
+            anyhow::bail!(
+                "head \"{}\" was calibrated by an ordinary board, which does not tell {}: it measures clouds (flankscope decode), but \
+                 judges nothing; calibrate it by a target of certified plates (flankscope calibrate --target DIR -o HEAD.toml)",
+                head.name,
+                board.unknown.join(", ")
+            );
+        }
         anyhow::ensure!(
             link.is_simulated() || made.and_then(|made| made.simulated) != Some(true),
             "head \"{}\" was calibrated on the simulated bench, {link} is a real press: calibrate it there \

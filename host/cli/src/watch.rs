@@ -61,7 +61,7 @@ pub struct Args {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
-    let site = args.source.site()?;
+    let site = args.source.site()?.with_own_stages("a watch")?;
     let hold_limit_s = args
         .hold_limit_s
         .unwrap_or(site.settings.press.hold_limit_s);
@@ -207,12 +207,7 @@ impl<'a> Log<'a> {
                 .total_cmp(&b.wear_um.unwrap_or(f64::NEG_INFINITY))
         });
         let worst = worst.map_or_else(String::new, |f| {
-            format!(
-                ", most worn: tooth {} {} {} um",
-                f.tooth,
-                f.flank,
-                figure(f.wear_um)
-            )
+            format!(", most worn: {} {} um", f.label(), figure(f.wear_um))
         });
         let held_s = inspection.timing_ms.total / 1000.0;
         let on = Terminal::of_stderr();

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use flankscope_test_requisites::shared;
+use flankscope_test_requisites::{python_with, shared};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 const PLAN: &str = r#"
@@ -103,6 +103,59 @@ fn camera_pixel(point: [f64; 3]) -> [f64; 2] {
     ]
 }
 
+/// NumPy reads the maps, finds in the frames the phases that they have (three steps: Creath 1988), and columns by order and
+/// phase.
+fn maps_are_what_numpy_makes_of_the_frames(data: &Path, maps: &Path) {
+    let Some(python) = python_with(&["numpy"]) else {
+        return;
+    };
+    // The frames as bytes, so that Python needs no library for images.
+    let folder = tempfile::tempdir().expect("a folder");
+    for frame in 0..6 {
+        let name = format!("frame_{frame:02}.png");
+        let file = std::io::BufReader::new(std::fs::File::open(data.join(&name)).expect("a frame"));
+        let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
+        let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+        let info = reader.next_frame(&mut pixels).expect("pixels");
+        assert_eq!(info.color_type, png::ColorType::Grayscale);
+        assert_eq!(info.bit_depth, png::BitDepth::Eight);
+        std::fs::write(folder.path().join(format!("{frame}")), pixels).expect("written");
+    }
+    let script = r#"
+import sys, numpy as np
+maps = np.load(sys.argv[1])
+shape = maps["column_px"].shape
+assert shape == (1352, 1688), shape
+assert maps["periods"].tolist() == [1, 16]
+tau = 2 * np.pi
+for at, frames in [(1, (0, 1, 2)), (0, (3, 4, 5))]:
+    frames = [np.fromfile(f"{sys.argv[2]}/{n}", np.uint8).reshape(shape).astype(float) for n in frames]
+    sums = sum(frame * np.exp(2j * np.pi * n / 3) for n, frame in enumerate(frames))
+    phase, seen = maps["phase_rad"][at], np.abs(sums) > 30
+    seen &= np.isfinite(phase)
+    off = np.angle(np.exp(1j * (phase - np.angle(sums))))[seen]
+    assert seen.sum() > 100_000 and np.abs(off).max() < 1e-4, (seen.sum(), np.abs(off).max())
+told = maps["order"] != -2**31
+assert (told == np.isfinite(maps["column_px"])).all() and told.sum() > 90_000
+# 16 periods over the projector's width, which the head file says; the phase is zero at column 0.
+width = np.median(maps["column_px"][told] / ((maps["order"] + maps["phase_rad"][1] / tau)[told] / 16))
+column = (maps["order"] + maps["phase_rad"][1] / tau) * width / 16
+assert abs(width / round(width) - 1) < 1e-3, width
+# Smoothing moves a phase by less than half a fringe.
+assert np.abs(column - maps["column_px"])[told].max() <= width / 32 * 1.001
+points = np.isfinite(maps["depth_mm"])
+assert (told | ~points).all() and (maps["sigma_z_mm"][points] > 0).all()
+print(points.sum())
+"#;
+    let said = Command::new(python)
+        .args(["-c", script])
+        .args([maps, folder.path()])
+        .output()
+        .expect("Python starts");
+    let errors = String::from_utf8_lossy(&said.stderr);
+    assert!(said.status.success(), "{errors}");
+}
+
 #[test]
 fn real_frames_agree_with_the_reference_cloud() {
     let Some(data) = shared("data/fringe-skull") else {
@@ -112,12 +165,13 @@ fn real_frames_agree_with_the_reference_cloud() {
     let plan = folder.path().join("PLAN.toml");
     std::fs::write(&plan, PLAN).expect("written");
     let cloud = folder.path().join("cloud.ply");
+    let maps = folder.path().join("maps.npz");
     let output = decode(
         &data,
         &plan,
         &data.join("calibration.xml"),
         &cloud,
-        &["--json", "-"],
+        &["--json", "-", "--phase", maps.to_str().expect("UTF-8")],
     );
     assert!(
         output.status.success(),
@@ -135,6 +189,8 @@ fn real_frames_agree_with_the_reference_cloud() {
         .map(|count| count.as_u64().expect("a count"))
         .sum();
     assert_eq!(points.len() as u64 + rejected, 1688 * 1352);
+
+    maps_are_what_numpy_makes_of_the_frames(&data, &maps);
 
     let reference = positions(&data.join("reference.ply"));
     assert_eq!(reference.len(), 93_876);

@@ -8,6 +8,7 @@
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
 //! | [`seal`] | whose word a file is |
 //! | [`display`] | figures in sentences |
+//! | [`npz`] | arrays for NumPy |
 //! | [`normal`] | normal distribution: coverage and guard factors, probability of conformity |
 //!
 //! It depends on no room of this workspace; every library and program of the host may depend on it.
@@ -24,6 +25,7 @@
 pub mod date;
 pub mod display;
 pub mod normal;
+pub mod npz;
 pub mod order;
 pub mod rigid;
 pub mod seal;

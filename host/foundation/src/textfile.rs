@@ -1,5 +1,6 @@
 //! Files that people write: read with a size limit, complained about with file and line.
 
+use std::borrow::Cow;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -56,7 +57,7 @@ pub enum TextFileError {
         /// What was found.
         got: String,
         /// What would be right.
-        expected: &'static str,
+        expected: Cow<'static, str>,
     },
 }
 
@@ -68,16 +69,20 @@ pub struct BadValue {
     /// What was found.
     pub got: String,
     /// What would be right.
-    pub expected: &'static str,
+    pub expected: Cow<'static, str>,
 }
 
 impl BadValue {
     /// A complaint.
-    pub fn new(key: impl Into<String>, got: impl std::fmt::Debug, expected: &'static str) -> Self {
+    pub fn new(
+        key: impl Into<String>,
+        got: impl std::fmt::Debug,
+        expected: impl Into<Cow<'static, str>>,
+    ) -> Self {
         Self {
             key: key.into(),
             got: format!("{got:?}"),
-            expected,
+            expected: expected.into(),
         }
     }
 

@@ -6,6 +6,8 @@
 //!  cloud         points by themselves: neighbours, outliers, merging
 //!  surface       triangles: exact signed distance, random points
 //!  gear          teeth and flanks, ISO 1328 evaluation
+//!  patch         any other parts of the CAD, each with a frame of its own
+//!  feature       where on flanks or patches a point lies
 //!  registration  one cloud laid on CAD
 //!  deviation     distances of the points laid on it
 //!  multiview     many views laid on CAD together, merged over the bore
@@ -34,9 +36,11 @@
 
 pub mod cloud;
 pub mod deviation;
+pub mod feature;
 pub mod gear;
 pub mod io;
 pub mod multiview;
+pub mod patch;
 mod random;
 pub mod registration;
 mod simd;

@@ -3,6 +3,7 @@
 mod support;
 
 use flankscope_foundation::rigid::Rigid;
+use flankscope_metrology::gear::Kind;
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
     Options, Prior, Reason, Registration, Status, detect_teeth, register,
@@ -343,7 +344,10 @@ fn the_number_of_teeth_is_found() {
 
 fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
     let surface = Surface::new(&mesh).unwrap();
-    assert_eq!(detect_teeth(&mesh, &surface, 0.02), Some(84));
+    assert_eq!(
+        detect_teeth(&mesh, &surface, 0.02, Kind::Internal),
+        Some(84)
+    );
 }
 
 #[test]

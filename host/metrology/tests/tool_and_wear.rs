@@ -440,7 +440,7 @@ fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
             .collect();
         let places = wear::places(gear, &closest);
         let response = Response::new(&contacts, &after, None, &options);
-        let both = leakage::of_tooth(gear, &zone, judged.0, &response, &contacts, &places);
+        let both = leakage::of_feature(gear, &zone, judged.0, &response, &contacts, &places);
         let leakage = both[usize::from(judged.1 == Flank::Right)];
         // How far the second pose moved each judged point along its normal, against the first.
         let (mut hidden, mut count) = (0.0_f64, 0.0_f64);

@@ -7,7 +7,7 @@ use flankscope_profilometry::cells::{CellGrid, Grid};
 use flankscope_profilometry::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 use flankscope_profilometry::head::ImageCircle;
 use flankscope_profilometry::pattern::PatternSet;
-use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder};
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder};
 
 const LIGHT: Light = Light {
     mean_e: 8000.0,
@@ -359,4 +359,89 @@ fn brightness_tells_dark_from_lit() {
             Err(FrameError::FringeFrameDark { .. })
         ));
     }
+}
+
+/// Sums of a pass: `halves` are the amplitudes left and right at the shortest exposure, of full scale; each half has phases of its
+/// own.
+fn pass(decoder: &Decoder, exposures_us: &[u32], halves: [f64; 2]) -> Accumulator {
+    let [width, height] = decoder.size_px().map(|px| px as usize);
+    let full = f64::from(decoder.full_scale_dn());
+    let mut sums = decoder.begin();
+    for kind in decoder.capture_order() {
+        let counts = |half: usize| match kind {
+            FrameKind::Fringe {
+                exposure,
+                set,
+                step,
+            } => {
+                let longer = f64::from(exposures_us[exposure]) / f64::from(exposures_us[0]);
+                let steps = PatternSet::named("insitu12").unwrap().sets[set].steps;
+                let turn = std::f64::consts::TAU * f64::from(step) / f64::from(steps);
+                let phase = 0.3 + set as f64 + 2.0 * half as f64;
+                full * longer * halves[half] * (1.0 + (phase + turn).cos())
+            }
+            _ => 0.0,
+        };
+        let pixel = |at: usize| {
+            let half = usize::from(at % width >= width / 2);
+            (0.02 * full + counts(half)).min(full) as u16
+        };
+        let pixels: Vec<u16> = (0..width * height).map(pixel).collect();
+        sums.add(FrameView::packed(&pixels, width, height), kind)
+            .unwrap();
+    }
+    sums
+}
+
+#[test]
+fn of_passes_every_cell_has_the_sums_of_the_one_that_lights_it() {
+    const FINEST: usize = 1;
+    let head = head();
+    let exposures_us = [10_000, 40_000];
+    let options = DecodeOptions {
+        binning: 1,
+        ..DecodeOptions::for_head(&head)
+    };
+    let set = PatternSet::named("insitu12").unwrap();
+    let decoder = Decoder::new(&head, &set, &exposures_us, options).unwrap();
+    let pass = |halves| pass(&decoder, &exposures_us, halves);
+    let width = head.camera.width_px as usize;
+    let cells = width * head.camera.height_px as usize;
+    let amplitude = |sums: &Accumulator, cell: usize| {
+        let phasor = sums.phasor(FINEST, cell).unwrap();
+        phasor.re.hypot(phasor.im)
+    };
+    // The left half saturates in the long exposure of its own pass, and then has the smaller sum of the two.
+    let (left, right) = (pass([0.2, 0.005]), pass([0.06, 0.075]));
+    assert_eq!(left.phasor(FINEST, 0).unwrap().exposures, 1);
+    assert!(amplitude(&left, 0) < amplitude(&right, 0));
+    for (mut joined, other) in [(left.clone(), &right), (right.clone(), &left)] {
+        decoder
+            .join_passes(&mut joined, std::slice::from_ref(other))
+            .unwrap();
+        for cell in 0..cells {
+            let own = if cell % width < width / 2 {
+                &left
+            } else {
+                &right
+            };
+            for set in 0..=FINEST {
+                assert_eq!(joined.phasor(set, cell), own.phasor(set, cell), "{cell}");
+            }
+        }
+    }
+    // Blinded in a pass: nothing of another stands in.
+    let blind = pass([2.0, 0.005]);
+    let mut joined = right.clone();
+    decoder.join_passes(&mut joined, &[blind]).unwrap();
+    assert_eq!(joined.phasor(FINEST, 0).unwrap().exposures, 0);
+    assert_eq!(
+        joined.phasor(FINEST, width - 1),
+        right.phasor(FINEST, width - 1)
+    );
+    // A pass that is not whole is refused.
+    assert!(matches!(
+        decoder.join_passes(&mut joined, &[decoder.begin()]),
+        Err(DecodeError::Incomplete { .. })
+    ));
 }

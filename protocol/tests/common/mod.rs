@@ -88,7 +88,7 @@ pub fn longest_plan() -> CapturePlan {
 }
 
 pub fn commands() -> Vec<Command> {
-    each!(Command:
+    let mut all = each!(Command:
         Command::Hello { .. } => Command::Hello { protocol: 1, schema: 0x1234_5678 },
         Command::LoadPlan(_) => Command::LoadPlan(short_plan()),
         Command::Start { .. } => Command::Start { session: 3 },
@@ -99,7 +99,15 @@ pub fn commands() -> Vec<Command> {
         Command::Status => Command::Status,
         Command::AcknowledgeFault => Command::AcknowledgeFault,
         Command::ShowVerdict { .. } => Command::ShowVerdict { go: true },
-    )
+        Command::ConfigureStage { .. } =>
+            Command::ConfigureStage { version: stage::STAGE_CONFIG_VERSION, stage: StageConfig::DEFAULT },
+    );
+    all.extend(
+        stages()
+            .into_iter()
+            .map(|stage| Command::ConfigureStage { version: 9, stage }),
+    );
+    all
 }
 
 pub fn states() -> Vec<State> {
@@ -183,6 +191,68 @@ fn plan_errors() -> Vec<PlanError> {
     all
 }
 
+fn stage_values() -> Vec<StageValue> {
+    each!(StageValue:
+        StageValue::Baud => StageValue::Baud,
+        StageValue::RotationNumber => StageValue::RotationNumber,
+        StageValue::RotationSpeed => StageValue::RotationSpeed,
+        StageValue::RotationAcceleration => StageValue::RotationAcceleration,
+        StageValue::RotationFrom => StageValue::RotationFrom,
+        StageValue::RotationTo => StageValue::RotationTo,
+        StageValue::RotationHome => StageValue::RotationHome,
+        StageValue::RotationHomeSpeed => StageValue::RotationHomeSpeed,
+        StageValue::VerticalNumber => StageValue::VerticalNumber,
+        StageValue::VerticalSpeed => StageValue::VerticalSpeed,
+        StageValue::VerticalAcceleration => StageValue::VerticalAcceleration,
+        StageValue::VerticalFrom => StageValue::VerticalFrom,
+        StageValue::VerticalTo => StageValue::VerticalTo,
+        StageValue::VerticalHome => StageValue::VerticalHome,
+        StageValue::VerticalHomeSpeed => StageValue::VerticalHomeSpeed,
+    )
+}
+
+fn stage_errors() -> Vec<StageError> {
+    let what = StageValue::VerticalTo;
+    let mut all = each!(StageError:
+        StageError::Version { .. } => StageError::Version { got: 2, want: 1 },
+        StageError::Outside { .. } => StageError::Outside { what, got: -9, min: -8, max: 8 },
+        StageError::Inverted { .. } => StageError::Inverted { what, got: -9, limit: 8 },
+        StageError::SameNumber { .. } => StageError::SameNumber { got: 1 },
+        StageError::TooSlow { .. } => StageError::TooSlow {
+            what: StageValue::VerticalSpeed,
+            value: 1,
+            got: Microseconds(375_001_562),
+            limit: Microseconds(60_000_000),
+        },
+        StageError::LineForm { .. } =>
+            StageError::LineForm { got: Line { parity: Parity::Odd, flow: FlowControl::RtsCts, ..Line::HOST } },
+    );
+    all.extend(stage_values().into_iter().map(|what| StageError::Outside {
+        what,
+        got: 9,
+        min: -8,
+        max: 8,
+    }));
+    all
+}
+
+/// The stages with every way of homing.
+fn stages() -> Vec<StageConfig> {
+    let mut stage = StageConfig::DEFAULT;
+    let ways = each!(HomeAt:
+        HomeAt::SwitchAndIndex => HomeAt::SwitchAndIndex,
+        HomeAt::Switch => HomeAt::Switch,
+        HomeAt::UpperLimit => HomeAt::UpperLimit,
+        HomeAt::LowerLimit => HomeAt::LowerLimit,
+    );
+    ways.into_iter()
+        .map(|home_at| {
+            (stage.rotation.home_at, stage.vertical.home_at) = (home_at, home_at);
+            stage
+        })
+        .collect()
+}
+
 fn refusals() -> Vec<Refusal> {
     let mut all = each!(Refusal:
         Refusal::ProtocolVersion { .. } => Refusal::ProtocolVersion { got: 2, want: 1 },
@@ -197,8 +267,11 @@ fn refusals() -> Vec<Refusal> {
         Refusal::NotHomed => Refusal::NotHomed,
         Refusal::Faulted { .. } => Refusal::Faulted { fault: Fault::LedNotOn.code() },
         Refusal::Interlock { .. } => Refusal::Interlock { fault: Fault::PressNotOpen.code() },
+        Refusal::Stage(_) => Refusal::Stage(StageError::SameNumber { got: 1 }),
+        Refusal::NotConfigured => Refusal::NotConfigured,
     );
     all.extend(plan_errors().into_iter().map(Refusal::Plan));
+    all.extend(stage_errors().into_iter().map(Refusal::Stage));
     all
 }
 

@@ -13,8 +13,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use flankscope_frames::{
-    FrameHeader, FrameLabel, FrameSender, FrameSink, FrameSlot, Labels, LoanedFrame, Overflow,
-    Ready, SealedFrame, SharedRoot, monotonic_ns,
+    FrameHeader, FrameLabel, FrameSink, FrameSlot, Labels, Ready, SealedFrame, monotonic_ns,
 };
 use flankscope_sim::{Hold, Remote};
 
@@ -123,18 +122,17 @@ pub(crate) fn give_way() {
     let _ = rustix::process::nice(10);
 }
 
-/// Starts the camera thread for a world, with frames going to the host that owns `root`. `gives_way`: it computes only
-/// when nobody else wants to.
+/// Starts the camera thread for a world, with frames going where `open` leads. `gives_way`: it computes only when nobody else
+/// wants to.
 ///
 /// # Errors
-/// The host's services cannot be opened.
-pub fn start(
+/// Those of `open`.
+pub fn start<S: FrameSink>(
     world: World,
     patterns: Vec<PatternSpec>,
     ageing: Ageing,
     troubles: Troubles,
-    root: SharedRoot,
-    overflow: Overflow,
+    open: impl FnOnce() -> anyhow::Result<S> + Send + 'static,
     gives_way: bool,
 ) -> anyhow::Result<(CameraThread, Camera)> {
     let (jobs, queue) = channel();
@@ -146,7 +144,7 @@ pub fn start(
                 give_way();
             }
             // Ports stay on the thread that made them.
-            match FrameSender::open(&root, overflow) {
+            match open() {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
                     FrameRenderer::new(world, patterns, ageing, troubles, sender).run(&queue);
@@ -222,12 +220,12 @@ impl ExposureSink for Camera {
 }
 
 /// What the thread works with.
-struct FrameRenderer {
+struct FrameRenderer<S: FrameSink> {
     world: World,
     patterns: Vec<PatternSpec>,
-    sender: FrameSender,
+    sender: S,
     views: VecDeque<([u64; 2], ViewState)>,
-    ready: VecDeque<(u32, SealedFrame<LoanedFrame>)>,
+    ready: VecDeque<(u32, SealedFrame<S::Slot>)>,
     labels: Labels,
     ageing: Ageing,
     /// Strokes of the press so far, and after how many the world's die is.
@@ -247,13 +245,13 @@ struct FrameRenderer {
 /// A head that warms has moved by two thirds of what it will after so many views.
 const VIEWS_OF_WARMING: f64 = 3.0;
 
-impl FrameRenderer {
+impl<S: FrameSink> FrameRenderer<S> {
     fn new(
         world: World,
         patterns: Vec<PatternSpec>,
         ageing: Ageing,
         troubles: Troubles,
-        sender: FrameSender,
+        sender: S,
     ) -> Self {
         Self {
             world,
@@ -425,7 +423,7 @@ impl FrameRenderer {
         exposure: &Exposure,
         (session, label): (u32, FrameLabel),
         ended_monotonic_ns: u64,
-    ) -> Option<(u32, SealedFrame<LoanedFrame>)> {
+    ) -> Option<(u32, SealedFrame<S::Slot>)> {
         let [width, height] = self.world.size_px();
         let frame = match self.sender.loan(width * height, exposure.counter) {
             Ok(frame) => frame,
@@ -452,7 +450,7 @@ impl FrameRenderer {
         Some((exposure.counter, frame.seal(header)))
     }
 
-    fn render(&mut self, exposure: &Exposure, mut frame: LoanedFrame) -> Option<LoanedFrame> {
+    fn render(&mut self, exposure: &Exposure, mut frame: S::Slot) -> Option<S::Slot> {
         let key = [
             exposure.rotation_rad.to_bits(),
             exposure.vertical_mm.to_bits(),

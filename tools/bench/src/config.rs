@@ -11,7 +11,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::camera::FrameFault;
 use crate::demo::OtherDie;
-use crate::world::{MAX_BOUNCES, Saw, SprayEdge, Surface, Wear};
+use crate::link::{CameraLink, Trouble};
+use crate::world::{Carries, MAX_BOUNCES, Saw, SprayEdge, Surface, Wear};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -34,6 +35,12 @@ pub struct BenchConfig {
     pub press: Option<PressArgs>,
     /// A die put down by hand; without this the drawing's own, exactly in place.
     pub die: Option<DieArgs>,
+    /// What the rotary stage carries.
+    pub rotary_carries: Carries,
+    /// Folder of pictures that the DMD is loaded with, as `flankscope patterns --adaptive` writes it; without one, what the head
+    /// file names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pictures: Option<PathBuf>,
 }
 
 /// What stands before the head.
@@ -112,6 +119,13 @@ pub struct BenchArgs {
     /// A camera that misbehaves, to see what the instrument makes of it: lose|repeat|extra:FRAME, `:once` may follow
     #[arg(long, value_name = "KIND:FRAME")]
     pub frame_fault: Option<Given<FrameFault>>,
+    /// How frames come: written into shared memory, or as packets of a GigE Vision camera, by Aravis, on a network of their own
+    /// (in a build with the feature aravis)
+    #[arg(long, value_name = "LINK", value_enum, default_value_t)]
+    pub camera: CameraLink,
+    /// A GigE camera that misbehaves: free-runs, colour, unplugged:FRAME, or lost:SHARE of its packets
+    #[arg(long, value_name = "KIND")]
+    pub gige_trouble: Option<Given<Trouble>>,
 }
 
 /// What a die's surface is.
@@ -475,6 +489,8 @@ mod tests {
             bench,
             press: Some(press),
             die: Some(die),
+            rotary_carries: Carries::Head,
+            pictures: Some("pictures".into()),
         };
         let text = serde_json::to_string(&sent).unwrap();
         assert!(!text.contains('\n'), "one line");

@@ -8,6 +8,8 @@
 //! | [`world`] | die, light and sensor: what a frame shows |
 //! | [`ageing`] | how the die wears with press cycles |
 //! | [`camera`] | exposures to frames in shared memory |
+//! | `gige` | the same frames as those of a GigE Vision camera (feature `gige`) |
+//! | [`link`] | how its frames leave the bench |
 //! | [`truth`] | what really was photographed |
 //! | [`zones`] | how far the die is from its drawing where it is judged |
 //! | [`damage`] | random damage, cut into the mesh of a die |
@@ -27,6 +29,9 @@ pub mod demo;
 pub mod devices;
 pub mod die_file;
 pub mod files;
+#[cfg(feature = "gige")]
+pub mod gige;
+pub mod link;
 pub mod process;
 pub mod qemu;
 pub mod specimen;

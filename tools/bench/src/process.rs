@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, ensure};
-use flankscope_frames::{Overflow, SharedRoot};
+use flankscope_frames::{FrameSender, Overflow, SharedRoot};
 use nalgebra::{UnitQuaternion, Vector3};
 use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
@@ -20,6 +20,8 @@ use crate::camera::{self, Troubles};
 use crate::config::{BenchConfig, ControllerKind, Given, Speed, Stands, SurfaceKind};
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::die_file;
+use crate::files::pictures;
+use crate::link::CameraLink;
 use crate::qemu::{Figures, Machine, find_image};
 use crate::specimen::Specimen;
 use crate::truth::{FormTruth, MeshTruth, Truth};
@@ -56,6 +58,9 @@ pub struct Esp301Args {
 pub struct Hello {
     /// The controller's port.
     pub port: PathBuf,
+    /// What a camera process must be told to find the camera; none where the frames come by themselves.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<Vec<String>>,
     heartbeat_us: u64,
 }
 
@@ -182,6 +187,7 @@ fn apply(
         config.mount.table_from_die *=
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
     }
+    config.mount.rotary_carries = asked.rotary_carries;
     config.mount.saw = bench
         .encoder_saw
         .as_ref()
@@ -208,6 +214,11 @@ fn apply(
 fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let Speed(speed) = asked.bench.speed.value;
     let seed = asked.bench.seed;
+    // Before the first thread.
+    #[cfg(feature = "gige")]
+    if asked.bench.camera == CameraLink::Gige {
+        crate::gige::network::enter()?;
+    }
     // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
     let controller = match asked.controller {
         ControllerKind::Sim => Controller::InProcess,
@@ -229,19 +240,33 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let gives_way = matches!(controller, Controller::Emulated(_));
     let Specimen {
         mut config,
-        patterns,
+        mut patterns,
         top_mm,
         judged,
+        has_flanks,
     } = match &asked.stands {
         Stands::Tool(path) => Specimen::tool(path, asked.teeth.as_deref())?,
         Stands::Target(folder) => Specimen::target(folder, seed)?,
     };
+    let of_teeth = asked.die.as_ref().is_some_and(|die| die.die.is_some())
+        || !asked.bench.wear.is_empty()
+        || asked
+            .press
+            .as_ref()
+            .is_some_and(|press| !press.wear_rate.is_empty());
+    ensure!(
+        has_flanks || !of_teeth,
+        "--wear, --wear-rate and --die are for the teeth of a gear, and the tool has no [gear]; --die-mesh puts any damage there"
+    );
     let meant = |given: &[Given<Wear>]| given.iter().map(|wear| wear.value).collect();
     let ageing = Ageing {
         initial: meant(&asked.bench.wear),
         per_cycle: meant(asked.press.as_ref().map_or(&[], |press| &press.wear_rate)),
     };
     let die_mesh = apply(&mut config, asked, &ageing)?;
+    if let Some(folder) = &asked.pictures {
+        (patterns, config.passes) = pictures::load(folder, config.optics.projector_size_px)?;
+    }
     let world = World::new(&config)?;
     // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
     let overflow = if speed > 1.0 {
@@ -249,18 +274,31 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     } else {
         Overflow::Drop
     };
-    let (camera_thread, camera) = camera::start(
-        world,
-        patterns,
-        ageing,
-        Troubles {
-            fault: asked.bench.frame_fault.as_ref().map(|fault| fault.value),
-            core_drift_px: asked.bench.core_drift_px,
-        },
-        SharedRoot::of_owner(&asked.root)?,
-        overflow,
-        gives_way,
-    )?;
+    let troubles = Troubles {
+        fault: asked.bench.frame_fault.as_ref().map(|fault| fault.value),
+        core_drift_px: asked.bench.core_drift_px,
+    };
+    let (arguments, (camera_thread, camera)) = match asked.bench.camera {
+        CameraLink::SharedMemory => {
+            let root = SharedRoot::of_owner(&asked.root)?;
+            let open = move || Ok(FrameSender::open(&root, overflow)?);
+            let started = camera::start(world, patterns, ageing, troubles, open, gives_way)?;
+            (None, started)
+        }
+        #[cfg(feature = "gige")]
+        CameraLink::Gige => {
+            let (size_px, sensor) = (world.size_px(), world.sensor().clone());
+            let arguments = crate::gige::arguments(&sensor);
+            let trouble = asked.bench.gige_trouble.as_ref().map(|given| given.value);
+            let open = move || crate::gige::GigeCamera::open(size_px, &sensor, trouble);
+            let started = camera::start(world, patterns, ageing, troubles, open, gives_way)?;
+            (Some(arguments), started)
+        }
+        #[cfg(not(feature = "gige"))]
+        CameraLink::Gige => {
+            anyhow::bail!("this bench was built without its GigE camera (feature gige)")
+        }
+    };
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.seed = seed;
@@ -284,6 +322,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         "{}",
         serde_json::to_string(&Hello {
             port: instrument.port().to_path_buf(),
+            camera: arguments,
             heartbeat_us
         })?
     )?;
@@ -296,6 +335,9 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     let (mut truth, world) = camera_thread.finish()?;
     if let Some(judged) = &judged {
         truth.compared(&world, judged);
+    }
+    if !has_flanks {
+        truth.flanks.clear();
     }
     truth.die_mesh = die_mesh;
     truth.form = asked.die.as_ref().map(|die| FormTruth {

@@ -6,7 +6,7 @@ use anyhow::Context;
 use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
 
 use crate::demo;
-use crate::files::{Gear, HeadFile, Kind, TargetFile, ToolFile, mesh};
+use crate::files::{DEMO_PATTERNS, Gear, HeadFile, Kind, TargetFile, ToolFile, mesh};
 use crate::world::{FlankId, PatternSpec, WorldConfig};
 use crate::zones::Judged;
 
@@ -20,20 +20,30 @@ pub struct Specimen {
     pub top_mm: Option<f64>,
     /// What is judged of it.
     pub judged: Option<Judged>,
+    /// Whether it is a gear: what is none has no flanks, wherever its surface lies.
+    pub has_flanks: bool,
 }
 
 impl Specimen {
-    /// The target of a folder before the demo head, whatever the folder says of one; `seed` draws how its plates lie.
+    /// The target of a folder before the demo head's lenses, whatever the folder says of them; its DMD shows the patterns that the
+    /// folder's head.toml names. `seed` draws how the plates lie.
     ///
     /// # Errors
-    /// The target's file cannot be read.
+    /// A file cannot be read, or names patterns that the bench has not.
     pub fn target(folder: &Path, seed: u64) -> anyhow::Result<Self> {
         let target = TargetFile::load(&folder.join("target.toml"))?;
+        let head = folder.join("head.toml");
+        let head = match head.exists() {
+            true => HeadFile::load(&head)?,
+            false => HeadFile::demo(),
+        };
         Ok(Self {
             config: demo::target_world(&target, seed),
-            patterns: PatternSpec::insitu12(),
+            patterns: shown(&head)?,
             top_mm: None,
             judged: None,
+            // Nobody asks for a target's.
+            has_flanks: true,
         })
     }
 
@@ -50,24 +60,43 @@ impl Specimen {
         } else {
             HeadFile::demo()
         };
-        let Some(gear) = &tool.gear else {
-            anyhow::bail!("the tool has no [gear]: the bench cannot tell its flanks")
-        };
         let cad = path.with_file_name("").join(&tool.cad.file);
         let cad = mesh::load(&cad, tool.cad.unit.mm())
             .with_context(|| format!("cannot use CAD file {}", cad.display()))?;
-        let gear_spec = gear_of(gear, &cad)?;
+        let top_mm = match &tool.gear {
+            Some(gear) => gear.height_mm[1],
+            None => top_of(&cad),
+        };
+        let gear_spec = match &tool.gear {
+            Some(gear) => gear_of(gear, &cad)?,
+            // As before a calibration target: no facet lies on its flanks.
+            None => demo::gear(),
+        };
         let mut config = WorldConfig::new(cad, gear_spec);
         head.impose(&mut config.optics);
-        let patterns = head.pattern_set.as_deref().unwrap_or("insitu12");
         Ok(Self {
-            judged: judged(&tool, gear, &config, teeth),
+            judged: tool
+                .gear
+                .as_ref()
+                .and_then(|gear| judged(&tool, gear, &config, teeth)),
             config,
-            patterns: PatternSpec::named(patterns)
-                .with_context(|| format!("the bench's DMD has no pattern set {patterns:?}"))?,
-            top_mm: Some(gear.height_mm[1]),
+            patterns: shown(&head)?,
+            top_mm: Some(top_mm),
+            has_flanks: tool.gear.is_some(),
         })
     }
+}
+
+/// Height of the upper end of what is no gear, mm.
+fn top_of(cad: &Mesh) -> f64 {
+    let heights = cad.vertices.iter().map(|vertex| vertex[2]);
+    heights.fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// What the DMD of a head shows.
+fn shown(head: &HeadFile) -> anyhow::Result<Vec<PatternSpec>> {
+    let name = head.pattern_set.as_deref().unwrap_or(DEMO_PATTERNS);
+    PatternSpec::named(name).with_context(|| format!("the bench's DMD has no pattern set {name:?}"))
 }
 
 fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {

@@ -98,9 +98,9 @@ fn inject(image: &Path, fault: FaultInjection, expected: Boot) {
         .take()
         .unwrap_or_else(|| panic!("{fault:?}: not finished in two minutes"));
     assert_eq!(identity.boot, expected, "{fault:?}");
-    assert_eq!(status.state, State::Unhomed, "{fault:?}");
+    assert_eq!(status.state, State::Unhomed, "{fault:?}: {status:?}");
     assert!(!status.homed && !status.led_on && !status.press.head_clear && !status.press.go);
-    assert_eq!(again, Reply::Refused(Refusal::NotHomed), "{fault:?}");
+    assert_eq!(again, Reply::Refused(Refusal::NotConfigured), "{fault:?}");
     let after = emulated.trace().split_off(ordered_at);
     let restart = after
         .iter()

@@ -11,7 +11,7 @@ use flankscope_bench::demo;
 use flankscope_bench::devices::{Exposure, ExposureSink};
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
 use flankscope_frames::conformance::{CommandRig, Settings, run};
-use flankscope_frames::{Overflow, SharedRoot};
+use flankscope_frames::{FrameSender, Overflow, SharedRoot};
 
 const PROCESS_VARIABLE: &str = "FLANKSCOPE_TEST_CAMERA";
 
@@ -28,8 +28,10 @@ fn camera_process() {
         PatternSpec::insitu12(),
         Ageing::default(),
         Troubles::default(),
-        SharedRoot::of_owner(Path::new(&root)).unwrap(),
-        Overflow::Drop,
+        move || {
+            let root = SharedRoot::of_owner(Path::new(&root))?;
+            Ok(FrameSender::open(&root, Overflow::Drop)?)
+        },
         false,
     )
     .unwrap();

@@ -5,7 +5,6 @@ mod common;
 use common::{Host, Notebook, Notes, plan};
 use flankscope_bench::devices::{DeviceConfig, DmdTiming, LedTiming, spawn_all};
 use flankscope_controller::sequence::Config;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::*;
 use flankscope_sim::{Clock, Edge, Sim, Wiring, now_us, spawn_controller};
 use std::cell::RefCell;
@@ -28,7 +27,7 @@ fn run<F: Future<Output = Host> + 'static>(
     let wiring = Wiring::new(&sim);
     let notebook = Notebook::default();
     let world = spawn_all(&sim, &wiring, &devices, notebook.clone());
-    spawn_controller(&sim, &wiring, Config::DEFAULT, Axes::DEFAULT);
+    spawn_controller(&sim, &wiring, Config::DEFAULT);
     let finished = Rc::new(RefCell::new(None));
     let script = script(Host::new(wiring.host.clone()));
     let result = Rc::clone(&finished);
@@ -375,6 +374,15 @@ fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
             host.order(Command::LoadPlan(far)).await,
             Reply::Refused(Refusal::Plan(refused))
         );
+        assert_eq!(
+            host.order(Command::Start { session: 5 }).await,
+            Reply::Refused(Refusal::NotConfigured)
+        );
+        assert_eq!(
+            host.order(Command::Retract).await,
+            Reply::Refused(Refusal::NotConfigured)
+        );
+        assert_eq!(host.order(common::stages()).await, Reply::Accepted);
         assert_eq!(
             host.order(Command::Start { session: 5 }).await,
             Reply::Refused(Refusal::NotHomed)

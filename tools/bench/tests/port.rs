@@ -43,6 +43,7 @@ fn capture(config: InstrumentConfig) {
             protocol: PROTOCOL_VERSION,
             schema: SCHEMA_HASH,
         },
+        common::stages(),
         Command::Home,
         Command::LoadPlan(plan),
         Command::Start { session: 5 },

@@ -5,7 +5,6 @@ mod common;
 use common::{Host, Notebook, plan};
 use flankscope_bench::devices::{DeviceConfig, DeviceFault, PressModel, World, spawn_all};
 use flankscope_controller::sequence::Config;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::*;
 use flankscope_sim::{Board, Clock, Edge, Sim, Wiring, now_us, spawn_controller};
 use std::cell::RefCell;
@@ -37,7 +36,7 @@ fn run_with<F: Future<Output = Host> + 'static>(
         ..DeviceConfig::default()
     };
     let world = spawn_all(&sim, &wiring, &devices, Notebook::default());
-    spawn_controller(&sim, &wiring, config, Axes::DEFAULT);
+    spawn_controller(&sim, &wiring, config);
     let finished = Rc::new(RefCell::new(None));
     let script = script(
         Host::new(wiring.host.clone()),

@@ -7,7 +7,6 @@ mod common;
 use common::{Host, Notebook, plan};
 use flankscope_bench::devices::{DeviceConfig, spawn_all};
 use flankscope_controller::sequence::Config;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::{Command, Event};
 use flankscope_sim::{Clock, Controller, Edge, Sim, Wiring, now_us};
 use std::cell::Cell;
@@ -30,7 +29,7 @@ fn edges() -> Vec<Edge> {
     let sim = Sim::new(Clock::Stepped);
     let wiring = Rc::new(Wiring::new(&sim));
     spawn_all(&sim, &wiring, &DeviceConfig::default(), Notebook::default());
-    let _running = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT, Axes::DEFAULT);
+    let _running = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT);
     let finished = Rc::new(Cell::new(false));
     let (done, mut host) = (Rc::clone(&finished), Host::new(wiring.host.clone()));
     sim.spawn(async move {

@@ -7,7 +7,6 @@ use embassy_time::Timer;
 use flankscope_bench::devices::{DeviceConfig, spawn_all};
 use flankscope_controller::liveness::Task;
 use flankscope_controller::sequence::Config;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::*;
 use flankscope_sim::{Clock, Controller, Sim, Wiring, now_us};
@@ -33,7 +32,7 @@ fn hang(task: Task, hang_at_ms: u64) {
     let sim = Sim::new(Clock::Stepped);
     let wiring = Rc::new(Wiring::new(&sim));
     let world = spawn_all(&sim, &wiring, &DeviceConfig::default(), Notebook::default());
-    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT, Axes::DEFAULT);
+    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT);
     let finished = Rc::new(RefCell::new(None));
     let (hung, result) = (controller.clone(), Rc::clone(&finished));
     let mut host = Host::new(wiring.host.clone());
@@ -72,7 +71,7 @@ fn hang(task: Task, hang_at_ms: u64) {
     assert_eq!(identity.boot, Boot::Watchdog, "{what}");
     assert_eq!(status.state, State::Unhomed, "{what}");
     assert!(!status.homed && !status.led_on && !status.press.head_clear && !status.press.go);
-    assert_eq!(start, Reply::Refused(Refusal::NotHomed), "{what}");
+    assert_eq!(start, Reply::Refused(Refusal::NotConfigured), "{what}");
     for line in [
         "led_enable",
         "led_sense",
@@ -98,7 +97,7 @@ fn a_healthy_controller_is_never_reset() {
     let sim = Sim::new(Clock::Stepped);
     let wiring = Rc::new(Wiring::new(&sim));
     spawn_all(&sim, &wiring, &DeviceConfig::default(), Notebook::default());
-    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT, Axes::DEFAULT);
+    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT);
     let finished = Rc::new(RefCell::new(false));
     let result = Rc::clone(&finished);
     let mut host = Host::new(wiring.host.clone());

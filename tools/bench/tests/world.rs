@@ -2,7 +2,7 @@
 
 use flankscope_bench::demo;
 use flankscope_bench::world::{
-    BundleSpec, CoreTruth, PatternSpec, ViewState, World, WorldConfig, WorldError,
+    BundleSpec, CoreTruth, MirrorMask, PatternSpec, ViewState, World, WorldConfig, WorldError,
 };
 use flankscope_gear_cad::Mesh;
 use std::f64::consts::TAU;
@@ -172,6 +172,121 @@ fn the_phase_on_a_plane_is_that_of_similar_triangles() {
             mean(&modulations)
         );
     }
+}
+
+#[test]
+fn a_pass_lights_what_its_mirrors_reach_and_nothing_else() {
+    let mut config = before_a_plane();
+    config.optics.dmd_leak_ratio = 0.0;
+    let size_px = config.optics.projector_size_px;
+    let middle = size_px[0] / 2;
+    let mask = |lit: &dyn Fn(usize) -> u8| {
+        let brightness = (0..size_px[0] * size_px[1]).map(|at| lit(at % size_px[0]));
+        MirrorMask::new(size_px, brightness.collect()).expect("one for each mirror")
+    };
+    config.passes = vec![
+        mask(&|column| if column < middle { 255 } else { 0 }),
+        mask(&|_| 255),
+        mask(&|_| 51),
+    ];
+    let world = World::new(&config).expect("a valid world");
+    // Pattern 1 of the first pass, 2 of the second, 3 of the third.
+    let view = world.prepare(0.0, 0.0, &[even()]).expect("a valid view");
+    let truth = world.truth(&view);
+    let [half, all, faint] =
+        [1, 2, 3].map(|pattern| at_cores(&world, truth, &frame(&world, &view, pattern, 20_000, 1)));
+    // Blur and crosstalk of both bundles carry light over some pitches.
+    let reach_px = 8.0 * world.projector_bundle().spec().pitch_px();
+    let edge_px = middle as f64 - 0.5;
+    let mut seen = [0; 2];
+    for (at, t) in truth.iter().enumerate() {
+        let from_edge_px = t.projector_px[0] - edge_px;
+        if !t.lit || all[at] < 200.0 || from_edge_px.abs() < reach_px {
+            continue;
+        }
+        let is_dark = from_edge_px > 0.0;
+        seen[usize::from(is_dark)] += 1;
+        let ratio = half[at] / all[at];
+        let expected = if is_dark { 0.0 } else { 1.0 };
+        assert!((ratio - expected).abs() < 0.1, "{t:?}: {ratio}");
+        assert!((faint[at] / all[at] - 0.2).abs() < 0.1, "{t:?}");
+    }
+    assert!(seen.into_iter().all(|count| count > 20_000), "{seen:?}");
+    let wrong = MirrorMask::new(size_px, vec![255; 7]);
+    assert!(matches!(wrong, Err(WorldError::Buffer { got: 7, .. })));
+}
+
+#[test]
+fn shivering_within_a_frame_takes_contrast_as_a_gaussian_does_and_moves_nothing() {
+    let shiver_um = 30.0;
+    let still = World::new(&before_a_plane()).expect("a valid world");
+    let shaken = World::new(&WorldConfig {
+        shiver_um,
+        ..before_a_plane()
+    })
+    .expect("a valid world");
+    let views = [&still, &shaken].map(|world| {
+        let view = world.prepare(0.0, 0.0, &PatternSpec::insitu12());
+        (world, view.expect("a valid view"))
+    });
+    let measured = [0, 1].map(|of| {
+        let (world, view) = &views[of];
+        [(1, 4), (5, 8)].map(|(first, steps)| phases(world, view, first, steps, 20_000))
+    });
+    let truth = still.truth(&views[0].1);
+    let alive = |t: &CoreTruth| t.lit && still.camera_bundle().gains()[t.core as usize] > 0.0;
+    for (set, periods) in [4.0, 48.0].into_iter().enumerate() {
+        let pairs = measured[0][set].iter().zip(&measured[1][set]);
+        let lit: Vec<[(f64, f64); 2]> = truth
+            .iter()
+            .zip(pairs)
+            .filter(|(of, _)| alive(of))
+            .map(|(_, (still, shaken))| [*still, *shaken])
+            .collect();
+        assert!(lit.len() > 80_000, "{}", lit.len());
+        let kept = |at: usize| mean(&lit.iter().map(|of| of[at].1).collect::<Vec<_>>());
+        // 2252.8 px at 22 mm: so many turns of phase pass a point that moves by the shiver.
+        let turns = periods * 1e-3 * shiver_um * 2252.8 / 22.0 / 1024.0;
+        let expected = (-0.5 * (TAU * turns).powi(2)).exp();
+        let ratio = kept(1) / kept(0);
+        assert!(
+            (ratio - expected).abs() < 0.01,
+            "{periods} periods: {ratio} instead of {expected}"
+        );
+        let moved: Vec<f64> = lit.iter().map(|[a, b]| wrapped(b.0 - a.0)).collect();
+        assert!(mean(&moved).abs() < 0.002, "{periods} periods");
+    }
+}
+
+#[test]
+fn a_head_that_warms_moves_its_cores_along_the_rows() {
+    let mut world = World::new(&before_a_plane()).expect("a valid world");
+    let shown = |world: &World| {
+        let view = world.prepare(0.0, 0.0, &[even()]).expect("a valid view");
+        frame(world, &view, 1, 20_000, 1)
+    };
+    let before = shown(&world);
+    let shift_px = 3;
+    world
+        .shift_cores(f64::from(shift_px))
+        .expect("within limits");
+    let after = shown(&world);
+    let [width, height] = world.size_px();
+    // Which displacement along rows and columns fits best, by the squares of what is left in the middle of the image.
+    let left = |dx: i64, dy: i64| -> f64 {
+        let rows = height / 2 - 100..height / 2 + 100;
+        let columns = width / 2 - 100..width / 2 + 100;
+        let places = rows.flat_map(|row| columns.clone().map(move |column| (row, column)));
+        let off = |(row, column): (usize, usize)| {
+            let from = (row as i64 - dy) as usize * width + (column as i64 - dx) as usize;
+            (f64::from(after[row * width + column]) - f64::from(before[from])).powi(2)
+        };
+        places.map(off).sum()
+    };
+    let tried = (-5..=5).flat_map(|dx| (-2..=2).map(move |dy| (dx, dy)));
+    let best = tried.min_by(|a, b| left(a.0, a.1).total_cmp(&left(b.0, b.1)));
+    assert_eq!(best, Some((i64::from(shift_px), 0)));
+    assert!(world.shift_cores(11.0).is_err());
 }
 
 #[test]

@@ -122,6 +122,7 @@ impl Originals {
         write("cloud.xyz", &text_cloud())?;
         write("head.yml", OPENCV)?;
         write("station.toml", STATION)?;
+        write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
         // A short core map, and a head that names it by its hash.
@@ -153,6 +154,7 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("worn/PLAN.toml", Structure::Toml, 6),
     ("worn/frames.toml", Structure::Toml, 6),
     ("station.toml", Structure::Toml, 8),
+    ("poses.csv", Structure::Text, 4),
     ("baseline.json", Structure::Json, 5),
     ("press.db", Structure::Sqlite, 3),
     ("tool/die.ply", Structure::Ply, 2),
@@ -181,8 +183,12 @@ kp: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0., 0., 0., 0.
 Rp: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\n\
 Tp: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ -10., 0., 0. ]\n\
 frameWidth: 1280\nframeHeight: 1024\nscreenResX: 912\nscreenResY: 1140\n";
+const POSES: &[u8] = b"# by the arm\ntooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad\n\
+12,-13.97,16.07,33.0,0.5,0.5,0.5,0.5,0.02,0.3\n40,20.9,-4.1,33.0,1,0,0,0,0.02,0.3\n";
 const STATION: &[u8] = b"[light]\nled_ma = 1000\n\n[timing]\nsettle_ms = 100\npattern_settle_us = 200\ncamera_readout_us = 13000\n\n[stages]\n\
-rotation_error_mdeg = 15.0\nvertical_error_um = 5.0\nmount_um = 10.0\nmount_mrad = 0.2\nclearance_mm = 20.0\n\n[history]\nfile = \"press.db\"\n\
+rotation_error_mdeg = 15.0\nvertical_error_um = 5.0\nmount_um = 10.0\nmount_mrad = 0.2\nclearance_mm = 20.0\nmoves = \"head\"\n\n\
+[stages.line]\nbaud = 19200\n\n[stages.rotation]\naxis = 1\nspeed_deg_s = 80.0\nacceleration_deg_s2 = 320.0\n\
+travel_deg = [-180.0, 180.0]\nhome_deg = 0.0\nhome_speed_deg_s = 40.0\nhome_at = \"switch\"\n\n[stages.poses]\nfile = \"poses.csv\"\n\n[history]\nfile = \"press.db\"\n\
 keep_phasors = 1000\nkeep_phasors_gb = 10.0\n\n[report]\nfolder = \"report\"\n";
 
 fn binary_stl() -> Vec<u8> {

@@ -15,6 +15,7 @@ use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::files;
 use flankscope_station::history::History;
+use flankscope_station::poses::PoseTable;
 use flankscope_station::seal::Seals;
 use flankscope_station::settings::StationSettings;
 use serde_json::Value;
@@ -144,6 +145,7 @@ impl Readers {
             "target/target.toml" => accepted(Target::load(&path))?,
             "worn/PLAN.toml" => accepted(Plan::load(&path))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
+            "poses.csv" => accepted(PoseTable::load(&path))?,
             "station.toml" => accepted(StationSettings::load(&path))?,
             "baseline.json" => self.baseline(&path)?,
             "press.db" => self.history(content)?,

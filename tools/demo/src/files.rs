@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
+use flankscope_bench::files::DEMO_PATTERNS;
 use flankscope_bench::world::{HeadOptics, Pinhole, SensorSpec};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
@@ -95,7 +96,7 @@ pub fn head() -> HeadModel {
     HeadModel {
         name: "prism head 20 mm".into(),
         working_distance_mm: Some(20.0),
-        pattern_set: Some("insitu12".into()),
+        pattern_set: Some(DEMO_PATTERNS.into()),
         exposures_us: EXPOSURES_US.to_vec(),
         binning: BINNING,
         camera: pinhole_file(&optics.camera, optics.camera_size_px),

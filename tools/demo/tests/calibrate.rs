@@ -377,6 +377,9 @@ fn die_points(config: &WorldConfig, head: &HeadModel) -> Vec<Pair> {
 /// volume and from the die.
 #[test]
 fn an_uneven_lens_is_learnt_from_the_plates() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
     const LENS_ERROR_UM: f64 = 2.0;
     let captured = capture(5, LENS_ERROR_UM);
     let (target, optics) = (&captured.target, &captured.optics);
@@ -402,6 +405,9 @@ fn an_uneven_lens_is_learnt_from_the_plates() {
 /// Images in a folder give the head that their frames give without it, bit for bit; what is wrong with a folder is named.
 #[test]
 fn captures_in_a_folder_give_the_same_head() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
     const SEED: u64 = 7;
     let target = demo::target();
     let config = demo::target_world(&target, SEED);
@@ -521,6 +527,9 @@ fn off_plane_um(cloud: &Cloud) -> Vec<([u16; 2], [f64; 2], f64)> {
 /// other), and goes where points are averaged over the cells that wear is judged by.
 #[test]
 fn ripple_comes_again_and_goes_with_the_cells() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
     let target = demo::target();
     let world = World::new(&demo::target_world(&target, 3)).expect("a world");
     let mut head = demo::head();

@@ -14,6 +14,24 @@ pub fn everything() -> bool {
     std::env::var_os("FLANKSCOPE_TEST_ALL").is_some()
 }
 
+/// All cases where everything must run, else the first so many.
+///
+/// # Panics
+/// There are not so many.
+#[must_use]
+pub fn at_least<T>(first: usize, cases: &[T]) -> &[T] {
+    if everything() { cases } else { &cases[..first] }
+}
+
+/// Whether a test of half a minute and more runs, of which others show a part: where everything must run. Says so.
+#[must_use]
+pub fn dear() -> bool {
+    if !everything() {
+        eprintln!("SKIPPED: cargo xtask test --all runs it");
+    }
+    everything()
+}
+
 /// The repository.
 #[must_use]
 pub fn workspace() -> &'static Path {
@@ -117,6 +135,26 @@ pub fn stage_clients() -> Option<PathBuf> {
         true => Some(python),
         false => missed(&format!("{STAGE_CLIENTS} (tools/peers/README.md)")),
     }
+}
+
+/// Whether Aravis' library is there, which speaks GigE Vision and USB3 Vision.
+#[must_use]
+pub fn has_aravis() -> bool {
+    let mut asked = std::process::Command::new("pkg-config");
+    let asked = asked.args(["--exists", "--print-errors", ARAVIS]).output();
+    asked.is_ok_and(|output| output.status.success())
+}
+
+/// As `pkg-config` knows the oldest library that is used.
+const ARAVIS: &str = "aravis-0.8 >= 0.8.20";
+
+/// Whether tests of GigE cameras can run.
+///
+/// # Panics
+/// They cannot although everything must run.
+#[must_use]
+pub fn aravis() -> bool {
+    has_aravis() || missed("Aravis (libaravis-dev and libusb-1.0-0-dev)").is_some()
 }
 
 fn missed(what: &str) -> Option<PathBuf> {

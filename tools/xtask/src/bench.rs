@@ -103,7 +103,7 @@ pub fn run(root: &Path, peers: Option<&str>) -> Result<(), String> {
 pub fn instructions(root: &Path) -> Result<(), String> {
     let folder = root.join("target/bench-data");
     data::make(&folder)?;
-    instructions::check(root, &folder)
+    instructions::check(&folder)
 }
 
 /// How cost grows, as pictures in `docs/bench`.

@@ -60,7 +60,7 @@ const ROOMS: &[Room] = &[
         STATION,
         &[PROTOCOL, FRAMES, FOUNDATION, PROFILOMETRY, METROLOGY],
     ),
-    // The bench is a separate process; the command only embeds it, behind a feature.
+    // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (
         CLI,
         &[
@@ -71,6 +71,7 @@ const ROOMS: &[Room] = &[
             STATION,
             BENCH,
             DEMO,
+            CAMERA,
         ],
     ),
     // Nothing that decodes, registers or judges: a world that shares a formula with the instrument proves nothing.
@@ -100,18 +101,19 @@ const ROOMS: &[Room] = &[
 ];
 
 /// What tests alone may see beside that (`[dev-dependencies]`): the CAD of a specimen, made by a leaf that shares no formula
-/// with what is tested; what lies outside of the repository; and the host's pairing of triggers and frames, which the bench's fault campaign asks whether it
-/// takes a spoiled view. Nothing that ships gets an arrow by this.
+/// with what is tested; what lies outside of the repository, and what runs in which run; and the host's pairing of triggers and
+/// frames, which the bench's fault campaign asks whether it takes a spoiled view. Nothing that ships gets an arrow by this.
 const TESTS_ONLY: &[Room] = &[
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
     (STATION, &[TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
     (BENCH, &[STATION, TEST_REQUISITES]),
+    (DEMO, &[TEST_REQUISITES]),
 ];
 
 /// What a deployment leaves out of the command.
-const OPTIONAL: &[(&str, &str)] = &[(CLI, BENCH), (CLI, DEMO)];
+const OPTIONAL: &[(&str, &str)] = &[(CLI, BENCH), (CLI, DEMO), (CLI, CAMERA)];
 
 /// One dependency between rooms.
 #[derive(Clone, Debug)]

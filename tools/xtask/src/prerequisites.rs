@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
-use crate::firmware;
+use flankscope_test_requisites::{BROWSERS, STAGE_CLIENTS, has_aravis};
 
-/// As `flankscope_test_requisites::STAGE_CLIENTS`.
-const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
+use crate::firmware;
 
 /// Something a group of tests needs and this machine lacks.
 pub struct Missing {
@@ -48,14 +47,18 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             how: "apt-get install qemu-system-arm rustc-web cargo-web rust-web-src lld, then cargo xtask firmware",
         });
     }
-    if !["chromium", "chromium-browser", "google-chrome"]
-        .into_iter()
-        .any(firmware::is_on_path)
-    {
+    if !BROWSERS.iter().any(|name| firmware::is_on_path(name)) {
         missing.push(Missing {
             what: "pages drawn at three widths and printed",
             needs: "Chromium",
             how: "apt-get install chromium",
+        });
+    }
+    if !has_aravis() {
+        missing.push(Missing {
+            what: "the check with every frame through a GigE Vision camera",
+            needs: "Aravis 0.8.20 or newer, with its headers",
+            how: "apt-get install libaravis-dev libusb-1.0-0-dev pkg-config",
         });
     }
     if !root.join(STAGE_CLIENTS).is_file() {

@@ -8,11 +8,9 @@ use flankscope_protocol::{Limits, Micrometres, Microradians, Microseconds};
 pub struct Config {
     /// Plans are judged by these.
     pub limits: Limits,
-    /// Position of the vertical stage at its home switch: the head is clear of the die there.
-    pub home_vertical: Micrometres,
-    /// For a whole reference run.
+    /// For a whole reference run, at least; stages that need longer for their travel have longer.
     pub home_timeout: Microseconds,
-    /// For a retract.
+    /// For a retract, at least.
     pub retract_timeout: Microseconds,
     /// How long the host may say nothing during a capture.
     pub host_silence: Microseconds,
@@ -31,13 +29,12 @@ pub struct Config {
 }
 
 impl Config {
-    /// The instrument with the 20 mm head; the home switch sits 100 mm above the working zero, clear of a 66 mm die.
+    /// The instrument with the 20 mm head.
     ///
     /// Tolerances are three times the stages' own errors (±15 mdeg = 262 urad, ±5 um). A pulse 100 us too long would
     /// brighten a 10 ms frame by 1 %.
     pub const DEFAULT: Self = Self {
         limits: Limits::DEFAULT,
-        home_vertical: Micrometres(100_000),
         home_timeout: Microseconds::from_millis(30_000),
         retract_timeout: Microseconds::from_millis(5_000),
         host_silence: Microseconds::from_millis(100),

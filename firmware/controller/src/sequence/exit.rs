@@ -104,9 +104,13 @@ impl Sequence {
                 vertical: self.retract_position(),
             },
         );
+        let patience = self
+            .config
+            .retract_timeout
+            .max(self.stage.retract_timeout());
         self.enter(
             Step::Retracting {
-                until: now.after(self.config.retract_timeout),
+                until: now.after(patience),
                 then,
             },
             why,
@@ -128,6 +132,6 @@ impl Sequence {
     pub(super) fn retract_position(&self) -> Micrometres {
         self.plan
             .as_ref()
-            .map_or(self.config.home_vertical, |plan| plan.retract)
+            .map_or(self.stage.vertical.home, |plan| plan.retract)
     }
 }

@@ -31,8 +31,8 @@ pub use view::earliest_trigger;
 use crate::interlock::{Head, Position};
 use crate::lamp::{Confirmed, Lamp};
 use flankscope_protocol::{
-    CapturePlan, Event, Fault, Micrometres, Microradians, Microseconds, PressStatus, State, Status,
-    Timestamp, Why,
+    CapturePlan, Event, Fault, Limits, Micrometres, Microradians, Microseconds, PressStatus,
+    StageConfig, State, Status, Timestamp, Why,
 };
 use signals::push;
 
@@ -113,6 +113,10 @@ enum Step {
 #[derive(Debug, Clone)]
 pub struct Sequence {
     config: Config,
+    /// The stages as they are in force.
+    stage: StageConfig,
+    /// Others, from the next reference run on.
+    next_stage: Option<StageConfig>,
     plan: Option<CapturePlan>,
     step: Step,
     lamp: Lamp,
@@ -141,14 +145,16 @@ impl Sequence {
     pub fn new(config: Config) -> Self {
         Self {
             config,
+            stage: StageConfig::DEFAULT,
+            next_stage: None,
             plan: None,
             step: Step::Unhomed,
-            lamp: Lamp::new(&config.limits),
+            lamp: Lamp::new(&config.limits, config.led_off_timeout),
             fault: None,
             homed: false,
             parked: false,
             rotation: Microradians(0),
-            vertical: config.home_vertical,
+            vertical: StageConfig::DEFAULT.vertical.home,
             ticket: 0,
             view: 0,
             frame: 0,
@@ -165,6 +171,25 @@ impl Sequence {
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// The stages as they are in force: since the last reference run.
+    #[must_use]
+    pub fn stage(&self) -> &StageConfig {
+        &self.stage
+    }
+
+    /// What plans are judged by: the compiled limits, and the travel of the stages.
+    #[must_use]
+    pub fn plan_limits(&self) -> Limits {
+        let stage = self.next_stage.as_ref().unwrap_or(&self.stage);
+        self.config.limits.within(stage)
+    }
+
+    /// Other stages were configured since the last reference run.
+    #[must_use]
+    pub fn must_home(&self) -> bool {
+        self.next_stage.is_some()
     }
 
     /// The stored plan.
@@ -248,7 +273,7 @@ impl Sequence {
             view: self.view,
             frame: self.frame,
             led_on: self.lamp.enabled(),
-            homed: self.homed,
+            homed: self.homed && !self.must_home(),
             rotation: self.rotation,
             vertical: self.vertical,
             press: PressStatus::default(),

@@ -2,11 +2,20 @@
 
 use super::signals::{Action, Actions, push};
 use super::{Sequence, Step, Then};
-use flankscope_protocol::{CapturePlan, Timestamp, Why};
+use flankscope_protocol::{CapturePlan, StageConfig, Timestamp, Why};
 
 impl Sequence {
     pub(crate) fn store(&mut self, plan: CapturePlan) {
         self.plan = Some(plan);
+    }
+
+    /// Other stages than before need a reference run, which puts them in force; what moves until then moves as before. A plan that
+    /// was judged by the travel of the old ones is none.
+    pub(crate) fn configure(&mut self, stage: &StageConfig) {
+        self.next_stage = (*stage != self.stage).then_some(*stage);
+        if self.next_stage.is_some() {
+            self.plan = None;
+        }
     }
 
     pub(crate) fn start(&mut self, now: Timestamp, out: &mut Actions) {
@@ -25,11 +34,13 @@ impl Sequence {
 
     pub(crate) fn home(&mut self, now: Timestamp, out: &mut Actions) {
         (self.homed, self.parked) = (false, false);
+        self.stage = self.next_stage.take().unwrap_or(self.stage);
         let ticket = self.next_ticket();
         push(out, Action::Home { ticket });
+        let patience = self.config.home_timeout.max(self.stage.home_timeout());
         self.enter(
             Step::Homing {
-                until: now.after(self.config.home_timeout),
+                until: now.after(patience),
             },
             Why::Home,
             now,

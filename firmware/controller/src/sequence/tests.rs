@@ -88,7 +88,7 @@ impl Rig {
     fn new(config: Config) -> Self {
         let home = View {
             rotation: Microradians(0),
-            vertical: config.home_vertical,
+            vertical: StageConfig::DEFAULT.vertical.home,
         };
         let world = World {
             led: false,
@@ -166,7 +166,7 @@ impl Rig {
                     }
                 }
                 Action::Home { ticket } => {
-                    let vertical = self.sequence.config().home_vertical;
+                    let vertical = self.sequence.stage().vertical.home;
                     let view = View {
                         rotation: Microradians(0),
                         vertical,
@@ -675,6 +675,19 @@ fn an_led_that_goes_its_own_way_is_a_fault() {
         }
     }
     assert!(provoked.0 > 300 && provoked.1 >= 6, "{provoked:?}");
+}
+
+#[test]
+fn a_current_that_flows_after_a_reset_has_its_time_to_be_gone() {
+    for (gone_ms, fault) in [(0, None), (49, None), (51, Some(Fault::LedStuckOn))] {
+        let mut rig = Rig::new(config());
+        rig.world.led_flips_at = Timestamp(gone_ms * 1_000);
+        rig.run();
+        assert_eq!(rig.sequence.fault(), fault, "gone after {gone_ms} ms");
+        // Once it is gone it stays so.
+        rig.input(Input::LedSense(true));
+        assert_eq!(rig.sequence.fault(), Some(Fault::LedStuckOn));
+    }
 }
 
 #[test]

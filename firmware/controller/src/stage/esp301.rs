@@ -7,23 +7,25 @@
 //! |---------------|---------------------------------------------|
 //! | `1MO`         | motor on                                    |
 //! | `1VA80`       | velocity, units per second                  |
+//! | `1AC320`      | acceleration, units per second²             |
+//! | `1AG320`      | deceleration, units per second²             |
+//! | `1OH80`       | velocity of the search for home             |
 //! | `2SH100`      | position that the home switch stands for    |
-//! | `1OR`         | search for home                             |
+//! | `1OR1`        | search for home: 1 switch and index, 2 switch, 3 upper limit, 4 lower limit |
+//! | `1SL-360`     | lower end of the travel                     |
+//! | `1SR360`      | upper end of the travel                     |
 //! | `1PA12.5`     | move to absolute position                   |
-//! | `1ST`         | stop                                        |
+//! | `1ST`         | stop; without a number, every axis          |
 //! | `1MD?`        | 1 = motion done                             |
 //! | `1TP?`        | actual position                             |
 //! | `TB?`         | oldest error                                |
 
-use super::{Pose, Stage, StageFault, StageRequest, decimal};
+use super::{Pose, Stage, StageFault, StagePort, StageRequest, decimal};
 use embassy_time::{Duration, with_timeout};
-use embedded_io_async::{Read, Write};
-use flankscope_protocol::{Fault, Micrometres, Microradians};
+use flankscope_protocol::{Fault, HomeAt, Line as Serial, Micrometres, Microradians, StageConfig};
 
-/// Axis 1: rotation in degrees.
-const ROTATION: char = '1';
-/// Axis 2: vertical in millimetres.
-const VERTICAL: char = '2';
+/// What a stop is sent at before anybody has said how the line is set: after a reset something may still move.
+const USUAL_BAUDS: [u32; 7] = [9_600, 19_200, 38_400, 57_600, 115_200, 460_800, 921_600];
 /// The controller answers questions within a few milliseconds even while it moves.
 const REPLY_TIMEOUT: Duration = Duration::from_millis(200);
 /// Longer than the controller ever pauses within or before an answer it is late with.
@@ -35,26 +37,6 @@ const DEGREES_PER_RADIAN_MILLIONTHS: i64 = 57_295_780;
 
 type Line = heapless::String<80>;
 
-/// What is true of the mechanics.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Axes {
-    /// Rotary velocity in thousandths of a degree per second.
-    pub rotation_mdeg_per_s: u32,
-    /// Vertical velocity in micrometres per second.
-    pub vertical_um_per_s: u32,
-    /// Position of the vertical stage at its home switch.
-    pub home_vertical: Micrometres,
-}
-
-impl Axes {
-    /// URS150BCC (80 deg/s) and IMS300V (100 mm/s), home 100 mm above the working zero.
-    pub const DEFAULT: Self = Self {
-        rotation_mdeg_per_s: 80_000,
-        vertical_um_per_s: 100_000,
-        home_vertical: Micrometres(100_000),
-    };
-}
-
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Homing {
     No,
@@ -62,25 +44,73 @@ enum Homing {
     Rotation,
 }
 
+/// One axis, in the controller's own units: degrees or millimetres, in millionths.
+#[derive(Debug, Clone, Copy)]
+struct Axis {
+    number: char,
+    speed: i64,
+    acceleration: i64,
+    from: i64,
+    to: i64,
+    home: i64,
+    home_speed: i64,
+    home_at: HomeAt,
+}
+
+/// Rotation and vertical axis.
+#[derive(Debug, Clone, Copy)]
+struct Axes {
+    rotation: Axis,
+    vertical: Axis,
+}
+
+impl Axes {
+    fn of(stage: &StageConfig) -> Self {
+        let (turn, lift) = (&stage.rotation, &stage.vertical);
+        let millionths = |thousandths: u32| i64::from(thousandths) * 1_000;
+        Self {
+            rotation: Axis {
+                number: digit(turn.number),
+                speed: millionths(turn.speed.get()),
+                acceleration: millionths(turn.acceleration.get()),
+                from: rotation_deg(turn.from),
+                to: rotation_deg(turn.to),
+                home: rotation_deg(turn.home),
+                home_speed: millionths(turn.home_speed.get()),
+                home_at: turn.home_at,
+            },
+            vertical: Axis {
+                number: digit(lift.number),
+                speed: millionths(lift.speed.get()),
+                acceleration: millionths(lift.acceleration.get()),
+                from: vertical_mm(lift.from),
+                to: vertical_mm(lift.to),
+                home: vertical_mm(lift.home),
+                home_speed: millionths(lift.home_speed.get()),
+                home_at: lift.home_at,
+            },
+        }
+    }
+}
+
 /// The driver. Owns its UART.
 #[derive(Debug)]
 pub struct Esp301<P> {
     port: P,
-    axes: Axes,
+    /// None before the first reference run.
+    axes: Option<Axes>,
     homing: Homing,
-    prepared: bool,
     /// A question was given up: its answer may still come.
     out_of_step: bool,
 }
 
-impl<P: Read + Write> Esp301<P> {
-    /// Nothing is sent before the first request.
-    pub const fn new(port: P, axes: Axes) -> Self {
+impl<P: StagePort> Esp301<P> {
+    /// Nothing is sent before the first request, and nothing but a stop before the first reference run.
+    pub const fn new(port: P) -> Self {
         Self {
             port,
-            axes,
+            axes: None,
             homing: Homing::No,
-            prepared: false,
             out_of_step: false,
         }
     }
@@ -164,7 +194,9 @@ impl<P: Read + Write> Esp301<P> {
 
     async fn axis_question(&mut self, axis: char, question: &str) -> Result<i64, StageFault> {
         let mut line = Line::new();
-        build(&mut line, &[Part::Axis(axis), Part::Text(question)])?;
+        if line.push(axis).is_err() || line.push_str(question).is_err() {
+            return Err(nonsense());
+        }
         let mut answer = Line::new();
         self.ask(&line, &mut answer).await?;
         decimal::read(answer.trim().as_bytes()).ok_or_else(nonsense)
@@ -184,108 +216,124 @@ impl<P: Read + Write> Esp301<P> {
         Ok(())
     }
 
-    /// Motors on, velocities, meaning of the home switch.
-    async fn prepare(&mut self) -> Result<(), StageFault> {
-        self.forget_errors().await?;
-        let mut line = Line::new();
-        for (axis, speed) in [
-            (ROTATION, i64::from(self.axes.rotation_mdeg_per_s) * 1_000),
-            (VERTICAL, i64::from(self.axes.vertical_um_per_s) * 1_000),
-        ] {
-            build(
-                &mut line,
-                &[
-                    Part::Axis(axis),
-                    Part::Text("MO;"),
-                    Part::Axis(axis),
-                    Part::Text("VA"),
-                    Part::Number(speed),
-                ],
-            )?;
-            self.order(&line).await?;
+    /// Line, motors on, dynamics, search for home and what it stands for.
+    async fn prepare(&mut self, stage: &StageConfig) -> Result<Axes, StageFault> {
+        if !self.port.set_line(&stage.line) {
+            return Err(nonsense());
         }
-        let home = vertical_mm(self.axes.home_vertical);
-        build(
-            &mut line,
-            &[Part::Axis(VERTICAL), Part::Text("SH"), Part::Number(home)],
-        )?;
-        self.order(&line).await?;
-        self.prepared = true;
+        self.forget_errors().await?;
+        let axes = Axes::of(stage);
+        for axis in [&axes.rotation, &axes.vertical] {
+            self.order_axis(axis, &[Order::Plain("MO"), Order::Set("VA", axis.speed)])
+                .await?;
+            self.order_axis(
+                axis,
+                &[
+                    Order::Set("AC", axis.acceleration),
+                    Order::Set("AG", axis.acceleration),
+                ],
+            )
+            .await?;
+            self.order_axis(
+                axis,
+                &[
+                    Order::Set("OH", axis.home_speed),
+                    Order::Set("SH", axis.home),
+                ],
+            )
+            .await?;
+        }
+        Ok(axes)
+    }
+
+    /// Ends of the travel: they count from the home that was found.
+    async fn set_travel(&mut self, axes: &Axes) -> Result<(), StageFault> {
+        for axis in [&axes.rotation, &axes.vertical] {
+            self.order_axis(
+                axis,
+                &[Order::Set("SL", axis.from), Order::Set("SR", axis.to)],
+            )
+            .await?;
+        }
         Ok(())
     }
 
-    async fn order_axis(&mut self, axis: char, order: &str) -> Result<(), StageFault> {
+    /// One line of orders to an axis.
+    async fn order_axis(&mut self, axis: &Axis, orders: &[Order]) -> Result<(), StageFault> {
         let mut line = Line::new();
-        build(&mut line, &[Part::Axis(axis), Part::Text(order)])?;
+        build(&mut line, orders.iter().map(|order| (axis, *order)))?;
         self.order(&line).await
+    }
+
+    async fn search(&mut self, axis: &Axis) -> Result<(), StageFault> {
+        let mode = match axis.home_at {
+            HomeAt::SwitchAndIndex => "OR1",
+            HomeAt::Switch => "OR2",
+            HomeAt::UpperLimit => "OR3",
+            HomeAt::LowerLimit => "OR4",
+        };
+        self.order_axis(axis, &[Order::Plain(mode)]).await
+    }
+
+    /// Halts every axis, also of a controller that nobody has said anything of.
+    async fn stop(&mut self) -> Result<(), StageFault> {
+        if self.axes.is_some() {
+            // The retract is next, and must not wait for what a controller in trouble may answer.
+            return self.send("ST").await;
+        }
+        for baud in USUAL_BAUDS {
+            if self.port.set_line(&Serial {
+                baud,
+                ..StageConfig::DEFAULT.line
+            }) {
+                self.send("ST").await?;
+            }
+        }
+        Ok(())
     }
 }
 
-impl<P: Read + Write> Stage for Esp301<P> {
+impl<P: StagePort> Stage for Esp301<P> {
     async fn start(&mut self, request: StageRequest) -> Result<(), StageFault> {
-        if request == StageRequest::Stop && !self.prepared {
-            // After a reset: first of all nothing moves.
-            self.send("1ST;2ST").await?;
-        }
-        if !self.prepared {
-            self.prepare().await?;
-        }
         self.homing = Homing::No;
-        let mut line = Line::new();
-        match request {
-            StageRequest::Home { .. } => {
+        match (request, self.axes) {
+            (StageRequest::Home { stage, .. }, _) => {
+                let axes = self.prepare(&stage).await?;
+                self.axes = Some(axes);
                 self.homing = Homing::Vertical;
-                self.forget_errors().await?;
-                return self.order_axis(VERTICAL, "OR").await;
+                self.search(&axes.vertical).await
             }
-            StageRequest::Move { view, .. } => build(
-                &mut line,
-                &[
-                    Part::Axis(ROTATION),
-                    Part::Text("PA"),
-                    Part::Number(rotation_deg(view.rotation)),
-                    Part::Text(";"),
-                    Part::Axis(VERTICAL),
-                    Part::Text("PA"),
-                    Part::Number(vertical_mm(view.vertical)),
-                ],
-            )?,
-            StageRequest::Retract { vertical, .. } => {
+            (StageRequest::Stop, _) => self.stop().await,
+            (StageRequest::Move { view, .. }, Some(axes)) => {
+                let mut line = Line::new();
+                let turn = Order::Set("PA", rotation_deg(view.rotation));
+                let lift = Order::Set("PA", vertical_mm(view.vertical));
+                build(&mut line, [(&axes.rotation, turn), (&axes.vertical, lift)])?;
+                self.order(&line).await
+            }
+            (StageRequest::Retract { vertical, .. }, Some(axes)) => {
                 // Whatever went wrong before may have switched the motor off, a limit switch does. And it left its
                 // error: whether this order is obeyed shows in where the head stands.
-                build(
-                    &mut line,
-                    &[
-                        Part::Axis(VERTICAL),
-                        Part::Text("MO;"),
-                        Part::Axis(VERTICAL),
-                        Part::Text("PA"),
-                        Part::Number(vertical_mm(vertical)),
-                    ],
-                )?;
+                let mut line = Line::new();
+                let out = [Order::Plain("MO"), Order::Set("PA", vertical_mm(vertical))];
+                build(&mut line, out.map(|order| (&axes.vertical, order)))?;
                 self.send(&line).await?;
-                return self.forget_errors().await;
+                self.forget_errors().await
             }
-            StageRequest::Stop => {
-                build(
-                    &mut line,
-                    &[
-                        Part::Axis(ROTATION),
-                        Part::Text("ST;"),
-                        Part::Axis(VERTICAL),
-                        Part::Text("ST"),
-                    ],
-                )?;
-                // The retract is next, and must not wait for what a controller in trouble may answer.
-                return self.send(&line).await;
-            }
+            (StageRequest::Move { .. } | StageRequest::Retract { .. }, None) => Err(StageFault {
+                fault: Fault::OutOfStep,
+                detail: 0,
+            }),
         }
-        self.order(&line).await
     }
 
     async fn standing(&mut self) -> Result<Option<Pose>, StageFault> {
-        for axis in [VERTICAL, ROTATION] {
-            match self.axis_question(axis, "MD?").await? {
+        let Some(axes) = self.axes else {
+            // Nothing was set off.
+            return Err(nonsense());
+        };
+        for axis in [axes.vertical, axes.rotation] {
+            match self.axis_question(axis.number, "MD?").await? {
                 0 => return Ok(None),
                 1_000_000 => {}
                 _ => return Err(nonsense()),
@@ -293,18 +341,22 @@ impl<P: Read + Write> Stage for Esp301<P> {
         }
         match self.homing {
             Homing::Vertical => {
-                // The head is clear of the die now; only then may the die turn.
+                // The head is clear of the die now; only then may die or head turn.
                 self.homing = Homing::Rotation;
-                self.order_axis(ROTATION, "OR").await?;
+                self.search(&axes.rotation).await?;
                 return Ok(None);
             }
-            Homing::Rotation => self.homing = Homing::No,
+            Homing::Rotation => {
+                self.homing = Homing::No;
+                self.oldest_error().await?;
+                self.set_travel(&axes).await?;
+            }
             Homing::No => {}
         }
         // A stand that is none: a limit switch, a following error.
         self.oldest_error().await?;
-        let rotation = self.axis_question(ROTATION, "TP?").await?;
-        let vertical = self.axis_question(VERTICAL, "TP?").await?;
+        let rotation = self.axis_question(axes.rotation.number, "TP?").await?;
+        let vertical = self.axis_question(axes.vertical.number, "TP?").await?;
         let pose = rotation_from_deg(rotation).zip(vertical_from_mm(vertical));
         let (rotation, vertical) = pose.ok_or_else(nonsense)?;
         Ok(Some(Pose { rotation, vertical }))
@@ -325,21 +377,36 @@ fn nonsense() -> StageFault {
     }
 }
 
-enum Part<'a> {
-    Axis(char),
-    Text(&'a str),
-    /// In millionths.
-    Number(i64),
+/// What one axis is told.
+#[derive(Clone, Copy)]
+enum Order {
+    Plain(&'static str),
+    /// With a number, in millionths.
+    Set(&'static str, i64),
 }
 
-fn build(line: &mut Line, parts: &[Part<'_>]) -> Result<(), StageFault> {
+/// One line of orders, each behind the number of its axis.
+fn build<'a>(
+    line: &mut Line,
+    orders: impl IntoIterator<Item = (&'a Axis, Order)>,
+) -> Result<(), StageFault> {
     line.clear();
-    let fits = parts.iter().all(|part| match part {
-        Part::Axis(axis) => line.push(*axis).is_ok(),
-        Part::Text(text) => line.push_str(text).is_ok(),
-        Part::Number(millionths) => decimal::write(*millionths, line),
+    let fits = orders.into_iter().all(|(axis, order)| {
+        let apart = line.is_empty() || line.push(';').is_ok();
+        apart
+            && line.push(axis.number).is_ok()
+            && match order {
+                Order::Plain(name) => line.push_str(name).is_ok(),
+                Order::Set(name, millionths) => {
+                    line.push_str(name).is_ok() && decimal::write(millionths, line)
+                }
+            }
     });
     if fits { Ok(()) } else { Err(nonsense()) }
+}
+
+fn digit(number: u8) -> char {
+    char::from(b'0'.saturating_add(number.min(9)))
 }
 
 /// Nearest multiple, half away from zero.

@@ -6,15 +6,18 @@ pub mod decimal;
 pub mod esp301;
 
 use crate::sequence::Input;
-use flankscope_protocol::{Fault, Micrometres, Microradians, View};
+use embedded_io_async::{Read, Write};
+use flankscope_protocol::{Fault, Line, Micrometres, Microradians, StageConfig, View};
 
 /// An order to the stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StageRequest {
-    /// Reference both axes, vertical first.
+    /// Reference both axes, vertical first. Nothing but [`StageRequest::Stop`] comes before.
     Home {
         /// Repeated in the report.
         ticket: u16,
+        /// What these stages are, from here on.
+        stage: StageConfig,
     },
     /// Both axes to a view.
     Move {
@@ -37,9 +40,9 @@ pub enum StageRequest {
 impl StageRequest {
     pub(crate) fn ticket(self) -> Option<u16> {
         match self {
-            Self::Home { ticket } | Self::Move { ticket, .. } | Self::Retract { ticket, .. } => {
-                Some(ticket)
-            }
+            Self::Home { ticket, .. }
+            | Self::Move { ticket, .. }
+            | Self::Retract { ticket, .. } => Some(ticket),
             Self::Stop => None,
         }
     }
@@ -88,6 +91,12 @@ impl From<StageReport> for Input {
             },
         }
     }
+}
+
+/// The controller's port to the stages: bytes, on a line that a station's file sets.
+pub trait StagePort: Read + Write {
+    /// Sets the line for all bytes from here on; what was written before must have left. `false` if the port cannot.
+    fn set_line(&mut self, line: &Line) -> bool;
 }
 
 /// A driver for both stages.

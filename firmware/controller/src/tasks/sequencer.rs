@@ -160,7 +160,8 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
                     follow_up = Some(Input::PatternSelected(matches!(taken, Ok(Ok(())))));
                 }
                 Action::Home { ticket } => {
-                    follow_up = ask(mail, StageRequest::Home { ticket }).or(follow_up)
+                    let stage = *handler.sequence.stage();
+                    follow_up = ask(mail, StageRequest::Home { ticket, stage }).or(follow_up)
                 }
                 Action::Move { ticket, view } => {
                     follow_up = ask(mail, StageRequest::Move { ticket, view }).or(follow_up);

@@ -256,7 +256,7 @@ impl Backend for Folder {
         self.shown += 1;
         if !self.show(&image, slot)? {
             self.status.incomplete += 1;
-            return Ok(Next::Incomplete { id: self.id });
+            return Ok(Next::Incomplete { id: Some(self.id) });
         }
         self.status.whole += 1;
         Ok(Next::Whole(Taken {

@@ -1,5 +1,7 @@
 //! The four verbs of a camera.
 
+#[cfg(feature = "aravis")]
+mod aravis;
 mod folder;
 
 use std::time::Duration;
@@ -7,6 +9,8 @@ use std::time::Duration;
 use crate::frame_id::Counting;
 use crate::unpack::UnpackError;
 
+#[cfg(feature = "aravis")]
+pub use aravis::{Aravis, Settings, Stamp};
 pub use folder::Folder;
 
 /// What a camera says of itself once it is configured.
@@ -54,8 +58,8 @@ pub enum Next {
     Whole(Taken),
     /// A frame of which something is missing: nobody may see its pixels.
     Incomplete {
-        /// The camera's own number.
-        id: u64,
+        /// The camera's own number, where that came.
+        id: Option<u64>,
     },
     /// No frame will come any more.
     End,

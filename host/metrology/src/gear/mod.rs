@@ -17,7 +17,7 @@ pub enum Kind {
     External,
 }
 
-/// A tooth's side.
+/// A tooth's side, or the only one of what is no tooth.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Deserialize, serde::Serialize,
 )]
@@ -27,27 +27,36 @@ pub enum Flank {
     Left,
     /// Towards decreasing angle.
     Right,
+    /// A patch's only side.
+    Face,
 }
 
 impl Flank {
-    /// Both, in a fixed order.
+    /// Both of a tooth, in a fixed order.
     pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
 
-    /// +1 for left, -1 for right: the sign of the angle from the tooth's centre.
+    /// +1 for left, -1 for right: the sign of the angle from the tooth's centre. A face has none.
     pub fn sign(self) -> f64 {
         match self {
             Self::Left => 1.0,
             Self::Right => -1.0,
+            Self::Face => 0.0,
+        }
+    }
+
+    /// Its word in files.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+            Self::Face => "face",
         }
     }
 }
 
 impl std::fmt::Display for Flank {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Left => "left",
-            Self::Right => "right",
-        })
+        f.write_str(self.word())
     }
 }
 
@@ -112,18 +121,18 @@ pub enum GearError {
     },
 }
 
-/// A place on a flank.
+/// A place on a flank, or on a patch ([`crate::feature`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FlankPlace {
-    /// Tooth, from 1.
+    /// Tooth or patch, from 1.
     pub tooth: u32,
     /// Side.
     pub flank: Flank,
-    /// Distance from the axis, mm.
+    /// Distance from the axis, mm; of a patch, the length along it.
     pub radius_mm: f64,
-    /// Length along the involute from the base circle, mm.
+    /// Length along the involute from the base circle, mm; of a patch, along it from its origin.
     pub profile_mm: f64,
-    /// Height, mm.
+    /// Height, mm; of a patch, up from its origin.
     pub height_mm: f64,
 }
 

@@ -3,6 +3,7 @@
 use flankscope_foundation::order::median;
 use nalgebra::{Rotation3, Vector3};
 
+use crate::gear::Kind;
 use crate::io::mesh::TriMesh;
 use crate::random::uniform;
 use crate::surface::Surface;
@@ -13,8 +14,14 @@ const PROBES: u64 = 64;
 
 /// The largest n of at least 3 for which the surface turned by 2 pi / n about z falls onto itself within `tolerance_mm`
 /// everywhere at 64 probes; none when there is no such n. A body of revolution repeats at any angle and has no teeth: none.
-pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Option<u32> {
-    let probes = inner_probes(mesh);
+/// `kind` says on which side of the body teeth are looked for.
+pub fn detect_teeth(
+    mesh: &TriMesh,
+    surface: &Surface,
+    tolerance_mm: f64,
+    kind: Kind,
+) -> Option<u32> {
+    let probes = toothed_probes(mesh, kind);
     let fits = |angle: f64| {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
         probes.iter().all(|&probe| {
@@ -31,19 +38,22 @@ pub fn detect_teeth(mesh: &TriMesh, surface: &Surface, tolerance_mm: f64) -> Opt
         .find(|&n| fits(std::f64::consts::TAU / f64::from(n)))
 }
 
-/// Corner points spread over the mesh, those nearest the axis: there the teeth of an internal gear are; an outer wall would
-/// fit any turn.
-fn inner_probes(mesh: &TriMesh) -> Vec<[f64; 3]> {
+/// Corner points spread over the half of the mesh's corners that the teeth are in: the one nearer to the axis of an internal
+/// gear, the other one of an external gear. The body's wall would fit any turn, or as many as it has facets.
+fn toothed_probes(mesh: &TriMesh, kind: Kind) -> Vec<[f64; 3]> {
     let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
     let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
     let middle = median(&mut radii).unwrap_or(0.0);
-    let inner: Vec<[f64; 3]> = mesh
+    let toothed: Vec<[f64; 3]> = mesh
         .vertices
         .iter()
-        .filter(|v| radius(v) <= middle)
+        .filter(|v| match kind {
+            Kind::Internal => radius(v) <= middle,
+            Kind::External => radius(v) >= middle,
+        })
         .copied()
         .collect();
     (0..PROBES)
-        .map(|i| inner[(uniform(1, i) * inner.len() as f64) as usize])
+        .map(|i| toothed[(uniform(1, i) * toothed.len() as f64) as usize])
         .collect()
 }

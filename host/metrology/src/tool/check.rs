@@ -4,6 +4,7 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 
+use super::patch_file::without_teeth;
 use super::{File, Inspect, Temperature, ToolError};
 use crate::gear::{Flank, GearData};
 use crate::io::mesh::TriMesh;
@@ -56,10 +57,21 @@ pub(super) fn values(path: &Path, file: &File) -> Result<(), ToolError> {
     if let Some(temperature) = &file.temperature {
         of_temperature(&is, temperature)?;
     }
+    if !file.patch.is_empty() {
+        let path = path.to_owned();
+        match (&file.gear, &file.inspect) {
+            (Some(_), _) => return Err(ToolError::GearAndPatches { path }),
+            (None, None) => return Err(ToolError::NotInspected { path }),
+            (None, Some(inspect)) => without_teeth(&path, inspect)?,
+        }
+    }
     let Some(inspect) = &file.inspect else {
         return Ok(());
     };
     alone(&is, inspect)?;
+    if inspect.teeth.is_empty() && file.patch.is_empty() {
+        return is.refuse("inspect.teeth (count)", 0.0, "at least one tooth");
+    }
     limits(&is, inspect, file.gear.as_ref())?;
     if let Some(gear) = &file.gear {
         zone(&is, inspect, gear)?;
@@ -128,9 +140,6 @@ fn alone(is: &Refusal<'_>, inspect: &Inspect) -> Result<(), ToolError> {
     }
     if !(0.5..1.0).contains(&inspect.probability) {
         return is.refuse("inspect.probability", inspect.probability, "0.5 to below 1");
-    }
-    if inspect.teeth.is_empty() {
-        return is.refuse("inspect.teeth (count)", 0.0, "at least one tooth");
     }
     let [down, up] = inspect.zone_height_mm;
     if !(-1000.0..up).contains(&down) || up > 1000.0 {
@@ -244,7 +253,7 @@ pub(super) fn against_mesh(
     mesh: &TriMesh,
     surface: &Surface,
 ) -> Result<(), ToolError> {
-    if let Some(found) = detect_teeth(mesh, surface, 0.02)
+    if let Some(found) = detect_teeth(mesh, surface, 0.02, gear.kind)
         && found != gear.teeth
     {
         return Err(ToolError::Teeth {

@@ -2,14 +2,18 @@
 
 mod as_built;
 mod check;
+mod patch_file;
 
 use std::path::{Path, PathBuf};
 
 pub use as_built::AsBuiltError;
+use patch_file::PatchFile;
 
+use crate::feature::Features;
 use crate::gear::{Flank, GearData, GearError};
 use crate::io::Unit;
 use crate::io::mesh::{self, MeshError, TriMesh};
+use crate::patch::{PatchError, Patches};
 use crate::surface::Surface;
 use crate::surface::orientation::{Unsigned, orient};
 use crate::verdict::flank::{Limits, TipLimits};
@@ -43,6 +47,8 @@ pub struct Tool {
     pub surface: Surface,
     /// Gear data, checked against the mesh.
     pub gear: Option<GearData>,
+    /// Patches of the CAD, of a tool that is no gear.
+    pub patches: Patches,
     /// What to inspect.
     pub inspect: Option<Inspect>,
     /// Standard uncertainty of a flank's form as built, µm; none when nothing is said of it.
@@ -69,9 +75,11 @@ pub struct Cad {
 #[derive(Debug, Clone, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Inspect {
-    /// Teeth to look at, from 1.
+    /// Teeth to look at, from 1; empty where patches are looked at.
+    #[serde(default)]
     pub teeth: Vec<u32>,
-    /// Height at which the head looks, mm.
+    /// Height at which the head looks, mm; not a number where patches say it.
+    #[serde(default = "unsaid")]
     pub height_mm: f64,
     /// Least and largest radius of the judged zone, mm; without it, the flank without the outermost tenth of a module at
     /// the tip and the root's rounding.
@@ -233,6 +241,10 @@ impl Temperature {
     }
 }
 
+fn unsaid() -> f64 {
+    f64::NAN
+}
+
 fn default_area() -> f64 {
     AREA_MM2
 }
@@ -277,6 +289,8 @@ struct File {
     serial: Option<String>,
     cad: Cad,
     gear: Option<GearData>,
+    #[serde(default)]
+    patch: Vec<PatchFile>,
     inspect: Option<Inspect>,
     temperature: Option<Temperature>,
 }
@@ -324,6 +338,44 @@ pub enum ToolError {
         path: PathBuf,
         /// Cause.
         source: GearError,
+    },
+    /// Facets of a patch are not named, or in more than one way.
+    #[error("{}: patch {name:?}: {what}", path.display())]
+    PatchFacets {
+        /// The file.
+        path: PathBuf,
+        /// Name of the patch.
+        name: String,
+        /// What is wrong and what would be right.
+        what: String,
+    },
+    /// A patch that is none of this CAD.
+    #[error("{}: {source}", path.display())]
+    Patch {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: Box<PatchError>,
+    },
+    /// Flanks and patches in one file.
+    #[error("{}: [gear] and [[patch]] in one file; flanks and patches are inspected by a file each, which may name the same CAD", path.display())]
+    GearAndPatches {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Patches without a word on how they are judged.
+    #[error("{}: [[patch]] without [inspect]; its warn_um and limit_um are needed to judge them", path.display())]
+    NotInspected {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Something that is said of teeth where there are none.
+    #[error("{}: inspect.{key} is said of the teeth of a [gear], and this file has patches; leave it out, a [[patch]] has a zone and a datum of its own", path.display())]
+    OfTeeth {
+        /// The file.
+        path: PathBuf,
+        /// Key.
+        key: &'static str,
     },
     /// The CAD file is unusable.
     #[error("cannot use CAD file {} (cad.file in {}): {source}", cad.display(), path.display())]
@@ -422,8 +474,12 @@ impl Tool {
             path: path.clone(),
             source,
         })?;
-        let file = parse(&path, &text)?;
+        let mut file = parse(&path, &text)?;
         check::values(&path, &file)?;
+        let specs = std::mem::take(&mut file.patch).into_iter();
+        let specs: Vec<_> = specs
+            .map(|patch| patch.spec(&path))
+            .collect::<Result<_, _>>()?;
         let folder = path.parent().unwrap_or(Path::new("."));
         let cad = folder.join(&file.cad.file);
         let in_mesh = |source| ToolError::Mesh {
@@ -445,6 +501,15 @@ impl Tool {
                 surface = Surface::new(&mesh).map_err(in_mesh)?;
             }
         }
+        let disc_mm2 = file
+            .inspect
+            .as_ref()
+            .map_or(AREA_MM2, |inspect| inspect.wear_area_mm2);
+        let patches = Patches::new(&specs, &mesh, &surface, disc_mm2);
+        let patches = patches.map_err(|source| ToolError::Patch {
+            path: path.clone(),
+            source: Box::new(source),
+        })?;
         let as_built_um = match &file.inspect {
             Some(inspect) => as_built::as_built_um(&path, file.gear.as_ref(), inspect)?,
             None => None,
@@ -457,6 +522,7 @@ impl Tool {
             mesh,
             surface,
             gear: file.gear,
+            patches,
             inspect: file.inspect,
             as_built_um,
             temperature: file.temperature,
@@ -471,7 +537,43 @@ impl Tool {
             .join(&self.cad.file)
     }
 
-    /// The zone to judge; none without gear data or without anything to inspect.
+    /// What of it is judged: a gear's flanks, else its patches, of which there may be none.
+    pub fn features(&self) -> Features<'_> {
+        self.gear
+            .as_ref()
+            .map_or(Features::Patches(&self.patches), Features::Gear)
+    }
+
+    /// Numbers of the teeth or patches that are inspected; none where nothing is.
+    pub fn inspected(&self) -> Vec<u32> {
+        match (&self.gear, &self.inspect) {
+            (_, None) => Vec::new(),
+            (Some(_), Some(inspect)) => inspect.teeth.clone(),
+            (None, Some(_)) => self.patches.judged(),
+        }
+    }
+
+    /// Height of its upper end, mm: of the toothing, else of the CAD.
+    pub fn top_mm(&self) -> f64 {
+        self.gear
+            .as_ref()
+            .map_or(self.surface.bounds().high[2], |gear| gear.height_mm[1])
+    }
+
+    /// The zone to judge of a tooth or a patch; none where there is nothing to inspect.
+    pub fn zone_of(&self, number: u32) -> Option<Zone> {
+        let patch = || {
+            let patch = self.patches.get(number)?;
+            let [radius_mm, height_mm] = patch.zone_mm;
+            Some(Zone {
+                radius_mm,
+                height_mm,
+            })
+        };
+        self.zone().or_else(patch)
+    }
+
+    /// The zone to judge of every tooth; none without gear data or without anything to inspect.
     pub fn zone(&self) -> Option<Zone> {
         let (gear, inspect) = (self.gear.as_ref()?, self.inspect.as_ref()?);
         let [down, up] = inspect.zone_height_mm;

@@ -275,11 +275,11 @@ pub enum Reason {
     TipUnseen,
     /// The pose hides too much of the wear.
     #[error(
-        "the pose hides {:.0} % of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
-        Number(100.0 * leakage), Number(100.0 * limit)
+        "the pose hides {} of the flank's wear, at most {:.0} % may be; fit to other surfaces (inspect.datum) or bring in a better stage",
+        share(*leakage), Number(100.0 * limit)
     )]
     Leakage {
-        /// Worst leakage of the flank.
+        /// Worst leakage of the flank; not finite where it cannot be told.
         leakage: f64,
         /// Largest that leaves enough to see.
         limit: f64,
@@ -310,6 +310,15 @@ pub enum Reason {
         /// What exactly, in the words of the part that found it.
         sentence: String,
     },
+}
+
+/// A share in words, in per cent where it is known.
+fn share(ratio: f64) -> String {
+    if ratio.is_finite() {
+        format!("{:.0} %", 100.0 * ratio)
+    } else {
+        "an unknown part (too few points were seen)".into()
+    }
 }
 
 impl Reason {

@@ -1,4 +1,4 @@
-//! The points of one cloud, laid on the flanks of the teeth that are asked for.
+//! The points of one cloud, laid on the flanks of the teeth, or on the patches, that are asked for.
 
 use flankscope_foundation::order::median_of;
 use nalgebra::{Vector3, Vector6};
@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use super::field::{Field, Sample};
 use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, Settings, Zone, edge};
-use crate::gear::{Flank, FlankPlace, GearData};
+use crate::feature::Features;
+use crate::gear::{Flank, FlankPlace};
 use crate::registration::Registration;
 use crate::surface::Closest;
 
@@ -20,36 +21,40 @@ struct Grid {
     counts: Option<RayCounts>,
     /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
     motions: Vec<(Vector6<f64>, u32)>,
-    edge: edge::TipBand,
+    /// Of a tooth.
+    edge: Option<edge::TipBand>,
 }
 
-/// Where each closest point lies on the gear; none off the flanks.
-pub fn places(gear: &GearData, closest: &[Closest]) -> Vec<Option<FlankPlace>> {
+/// Where each closest point lies; none off the flanks or patches.
+pub fn places<'a>(
+    features: impl Into<Features<'a>>,
+    closest: &[Closest],
+) -> Vec<Option<FlankPlace>> {
     // The CAD point, not the measured one, says where on the flank we are: wear must not move a point out of its zone.
-    closest
-        .iter()
-        .map(|c| gear.place(c.point, c.normal))
-        .collect()
+    let features = features.into();
+    closest.iter().map(|c| features.place(c)).collect()
 }
 
-/// Evaluates both flanks of each of `teeth`.
+/// Evaluates all sides of each of `teeth`, which number a gear's teeth or a tool's patches.
 ///
 /// `registration` brings the covariance of the pose into the uncertainty.
-pub fn evaluate(
-    gear: &GearData,
+pub fn evaluate<'a>(
+    features: impl Into<Features<'a>>,
     zone: &Zone,
     teeth: &[u32],
     measured: Measured<'_>,
     registration: Option<&Registration>,
     settings: &Settings,
 ) -> Vec<FlankWear> {
-    let places = places(gear, measured.closest);
-    evaluate_placed(gear, zone, teeth, measured, &places, registration, settings)
+    let features = features.into();
+    let places = places(features, measured.closest);
+    let of = registration;
+    evaluate_placed(features, zone, teeth, measured, &places, of, settings)
 }
 
-/// As [`evaluate`], of points of which is known where they lie on the gear ([`places`]).
-pub fn evaluate_placed(
-    gear: &GearData,
+/// As [`evaluate`], of points of which is known where they lie ([`places`]).
+pub fn evaluate_placed<'a>(
+    features: impl Into<Features<'a>>,
     zone: &Zone,
     teeth: &[u32],
     measured: Measured<'_>,
@@ -57,15 +62,16 @@ pub fn evaluate_placed(
     registration: Option<&Registration>,
     settings: &Settings,
 ) -> Vec<FlankWear> {
-    let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
+    let features = features.into();
+    let profile_from_mm = features.along_mm(zone.radius_mm[0]);
     let size_mm = [
-        gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
+        features.along_mm(zone.radius_mm[1]) - profile_from_mm,
         zone.height_mm[1] - zone.height_mm[0],
     ];
     let empty = Field::unmeasured(size_mm, settings.cell_mm());
     let mut grids: Vec<Grid> = teeth
         .iter()
-        .flat_map(|&tooth| Flank::BOTH.map(|flank| (tooth, flank)))
+        .flat_map(|&tooth| features.sides().iter().map(move |&flank| (tooth, flank)))
         .map(|(tooth, flank)| Grid {
             tooth,
             flank,
@@ -73,7 +79,7 @@ pub fn evaluate_placed(
             samples: Vec::new(),
             counts: measured.sight.map(|_| RayCounts::new(empty.wear_mm.len())),
             motions: vec![(Vector6::zeros(), 0); empty.wear_mm.len()],
-            edge: edge::TipBand::new(gear),
+            edge: features.gear().map(edge::TipBand::new),
         })
         .collect();
     let centre = Vector3::from(registration.map_or([0.0; 3], |r| r.centre_mm));
@@ -88,13 +94,15 @@ pub fn evaluate_placed(
     let points = measured.points.iter().zip(measured.closest);
     for (index, ((point, closest), place)) in points.zip(places).enumerate() {
         let Some(place) = place else {
-            if let Some(under) = edge::UnderEdge::of(gear, *point)
+            if let Some(gear) = features.gear()
+                && let Some(under) = edge::UnderEdge::of(gear, *point)
                 && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
                 && let Some(grid) = grids
                     .iter_mut()
                     .find(|g| (g.tooth, g.flank) == (under.tooth, under.flank))
+                && let Some(edge) = &mut grid.edge
             {
-                grid.edge.add_under(gear, &under);
+                edge.add_under(gear, &under);
             }
             continue;
         };
@@ -107,7 +115,9 @@ pub fn evaluate_placed(
             continue;
         }
         let wear_mm = -closest.signed_distance_mm;
-        grid.edge.add(place, wear_mm);
+        if let Some(edge) = &mut grid.edge {
+            edge.add(place, wear_mm);
+        }
         let Some(cell) = grid.empty.cell_at(at_mm) else {
             continue;
         };
@@ -133,7 +143,7 @@ pub fn evaluate_placed(
     }
     let rays = measured
         .sight
-        .map(|sight| sight.ray_places(gear, measured, places));
+        .map(|sight| sight.ray_places(features, measured, places));
     for place in rays.iter().flatten() {
         let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
         if let Some(grid) = grids.iter_mut().find(wanted)
@@ -150,14 +160,14 @@ pub fn evaluate_placed(
     }
     grids
         .into_par_iter()
-        .map(|grid| grid.wear(gear, registration, settings))
+        .map(|grid| grid.wear(features, registration, settings))
         .collect()
 }
 
 impl Grid {
     fn wear(
         self,
-        gear: &GearData,
+        features: Features<'_>,
         registration: Option<&Registration>,
         settings: &Settings,
     ) -> FlankWear {
@@ -186,7 +196,8 @@ impl Grid {
         );
         // Pose and temperature move edge and flank alike; calibration does not.
         let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
-        wear.tip = self.edge.loss(gear, level_mm, settings.calibration_mm);
+        let edge = self.edge.as_ref().zip(features.gear());
+        wear.tip = edge.and_then(|(edge, gear)| edge.loss(gear, level_mm, settings.calibration_mm));
         wear
     }
 }

@@ -6,7 +6,8 @@
 //! lands. What a turn hides of the first of these, the view's evidence tells ([`crate::wear::PoseEvidence`]); of the other two
 //! what is left to see on the flanks tells how much may be hidden.
 
-use crate::gear::{Flank, FlankPlace, GearData};
+use crate::feature::Features;
+use crate::gear::{Flank, FlankPlace};
 use crate::registration::{Contact, Response};
 use crate::wear::Zone;
 
@@ -87,25 +88,29 @@ impl Templates {
     }
 }
 
-/// The leakage of both flanks of a tooth, left first. `places` says where each contact of the response lies, none off the
-/// flanks.
-pub fn of_tooth(
-    gear: &GearData,
+/// The leakage of both flanks of a tooth, left first, or of a patch. `places` says where each contact of the response lies, none
+/// off the features. A patch slopes from end to end of its zone.
+pub fn of_feature<'a>(
+    features: impl Into<Features<'a>>,
     zone: &Zone,
     tooth: u32,
     response: &Response<'_>,
     contacts: &[Contact],
     places: &[Option<FlankPlace>],
-) -> [Leakage; 2] {
-    let [tip, root] = [gear.tip_radius_mm, gear.root_radius_mm].map(|r| gear.profile_mm(r));
-    let [from, to] = zone.radius_mm.map(|r| gear.profile_mm(r));
+) -> Vec<Leakage> {
+    let features = features.into();
+    let [from, to] = zone.radius_mm.map(|r| features.along_mm(r));
+    let [tip, root] = features.gear().map_or([from, to], |gear| {
+        [gear.tip_radius_mm, gear.root_radius_mm].map(|r| gear.profile_mm(r))
+    });
     let [low, high] = zone.height_mm;
-    let templates = Flank::BOTH.map(|flank| Templates {
+    let templates = features.sides().iter().map(|&flank| Templates {
         key: (tooth, flank),
         tip,
         root,
         middle: [0.5 * (from + to), 0.5 * (low + high)],
     });
+    let templates: Vec<Templates> = templates.collect();
     // One pass over the contacts for all that is asked: five templates for either side, and the ring.
     let answers = response.answers(|i| {
         let mut fields = [0.0; 11];
@@ -148,7 +153,7 @@ pub fn of_tooth(
             ring: f64::sqrt(of_ring / count),
         }
     };
-    [0, 1].map(of_side)
+    (0..templates.len()).map(of_side).collect()
 }
 
 #[cfg(test)]
@@ -156,12 +161,13 @@ mod tests {
     use nalgebra::{Isometry3, Vector3};
 
     use super::*;
+    use crate::gear::GearData;
     use crate::gear::tests::ring84;
     use crate::random::uniform;
     use crate::registration::{Options, Prior};
     use flankscope_foundation::rigid::Rigid;
 
-    /// The leakage of one flank, template by template: what [`of_tooth`] has to equal. `places` says where each contact of the response lies, none off the flanks.
+    /// The leakage of one flank, template by template: what [`of_feature`] has to equal. `places` says where each contact of the response lies, none off the flanks.
     fn of_flank(
         gear: &GearData,
         zone: &Zone,
@@ -266,7 +272,7 @@ mod tests {
         let options = Options::default();
         let centre = gear.flank_point(40, Flank::Left, 42.0, 33.0).unwrap();
         let response = Response::of_points(&contacts, (centre, 4.0), Some(&prior), &options);
-        let both = of_tooth(&gear, &zone, 40, &response, &contacts, &places);
+        let both = of_feature(&gear, &zone, 40, &response, &contacts, &places);
         for (of, flank) in both.into_iter().zip(Flank::BOTH) {
             let simple = of_flank(&gear, &zone, (40, flank), &response, &contacts, &places);
             assert_eq!(of, simple, "{flank}");

@@ -42,12 +42,12 @@ use crate::gear::Flank;
 use crate::surface::Closest;
 use crate::wear::leakage::Leakage;
 
-/// The part of each flank that is judged.
+/// The part of each flank that is judged, or of a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Zone {
-    /// Least and largest radius, mm.
+    /// Least and largest radius, mm; of a patch, length along it from its origin.
     pub radius_mm: [f64; 2],
-    /// Least and largest height, mm.
+    /// Least and largest height, mm; of a patch, up from its origin.
     pub height_mm: [f64; 2],
 }
 
@@ -132,7 +132,7 @@ pub struct Measured<'a> {
 /// takes for go.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlankWear {
-    /// Tooth, from 1.
+    /// Tooth or patch, from 1.
     pub tooth: u32,
     /// Side.
     pub flank: Flank,
@@ -206,8 +206,8 @@ impl FlankWear {
 pub struct PoseSensitivity {
     /// Leakage of the pose.
     pub leakage: Leakage,
-    /// What the view says of its own pose about the axis.
-    pub evidence: Arc<PoseEvidence>,
+    /// What the view says of its own pose about the axis; none of a patch, whose pose rests on its datum.
+    pub evidence: Option<Arc<PoseEvidence>>,
     /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
     /// settings state is known.
     pub form_scatter_mm: f64,
@@ -369,23 +369,33 @@ impl FlankWear {
         if let Some(sensitivity) = &self.sensitivity {
             let forms = [self.since_baseline, false]
                 .map(|since| settings.form_mm(since).hypot(sensitivity.form_scatter_mm));
-            let turns = self
-                .evidence
-                .iter()
-                .map(|of| of.turn(before, forms[0], forms[1]));
-            let turn = Turn::of_all(turns);
-            shift_mm = self.flank.sign() * turn.mean_mm;
-            // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
-            let both_mm = sensitivity
-                .leakage
-                .u_of_all_mm(turn.both_sides_mm)
-                .min(turn.both_hidden_mm);
-            self.budget.shared_mm = turn.u_mm.hypot(both_mm);
-            self.turn = Some(turn);
+            if !self.evidence.is_empty() {
+                let turns = self
+                    .evidence
+                    .iter()
+                    .map(|of| of.turn(before, forms[0], forms[1]));
+                let turn = Turn::of_all(turns);
+                shift_mm = self.flank.sign() * turn.mean_mm;
+                // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
+                let both_mm = sensitivity
+                    .leakage
+                    .u_of_all_mm(turn.both_sides_mm)
+                    .min(turn.both_hidden_mm);
+                self.budget.shared_mm = turn.u_mm.hypot(both_mm);
+                self.turn = Some(turn);
+            }
             self.budget.temperature_mm = sensitivity.temperature_mm;
+            let passed_on = 1f64.hypot(sensitivity.others_form);
             if !self.since_baseline {
-                self.budget.as_built_mm =
-                    settings.as_built_mm * 1f64.hypot(sensitivity.others_form);
+                self.budget.as_built_mm = settings.as_built_mm * passed_on;
+            }
+            // What a patch has lost is a distance from its datum, of which calibration knows either end no better.
+            if self.evidence.is_empty() {
+                let one_end_mm = match self.since_baseline {
+                    true => settings.drift_mm,
+                    false => settings.calibration_mm,
+                };
+                self.budget.calibration_mm = one_end_mm * passed_on;
             }
             self.budget.leakage_mm = sensitivity.leakage.u_mm(figures.depth_mm.value + shift_mm);
         }
@@ -474,7 +484,7 @@ impl FlankWear {
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
     pub fn with(mut self, sensitivity: PoseSensitivity, settings: &Settings) -> Self {
-        self.evidence = vec![Arc::clone(&sensitivity.evidence)];
+        self.evidence = sensitivity.evidence.iter().cloned().collect();
         self.sensitivity = Some(sensitivity);
         self.settle(None, settings);
         self

@@ -14,7 +14,8 @@ use nalgebra::Vector3;
 
 use super::Measured;
 use super::field::Field;
-use crate::gear::{FlankPlace, GearData};
+use crate::feature::Features;
+use crate::gear::FlankPlace;
 use crate::surface::{Closest, Surface};
 
 /// A point farther from the CAD may belong to a ray that meets another face than the point's foot lies on, mm.
@@ -45,27 +46,29 @@ impl Sight<'_> {
         (1.0 - cosine * cosine).max(0.0).sqrt() / cosine
     }
 
-    /// Where the rays meet flanks of the CAD: of every point, then of those without one. `places` says where the points lie.
-    pub fn ray_places(
+    /// Where the rays meet flanks or patches of the CAD: of every point, then of those without one. `places` says where the points
+    /// lie.
+    pub fn ray_places<'f>(
         &self,
-        gear: &GearData,
+        features: impl Into<Features<'f>>,
         measured: Measured<'_>,
         places: &[Option<FlankPlace>],
     ) -> Vec<FlankPlace> {
+        let features = features.into();
         let points = measured.points.iter().zip(measured.closest);
-        let of_points = points
-            .zip(places)
-            .filter_map(|((point, closest), place)| self.of_point(gear, *point, closest, *place));
+        let of_points = points.zip(places).filter_map(|((point, closest), place)| {
+            self.of_point(features, *point, closest, *place)
+        });
         let without = self
             .without_point
             .iter()
-            .filter_map(|direction| self.first_met(gear, Vector3::from(*direction)));
+            .filter_map(|direction| self.first_met(features, Vector3::from(*direction)));
         of_points.chain(without).collect()
     }
 
     fn of_point(
         &self,
-        gear: &GearData,
+        features: Features<'_>,
         point: [f64; 3],
         closest: &Closest,
         place: Option<FlankPlace>,
@@ -80,20 +83,20 @@ impl Sight<'_> {
                 return place;
             }
             let met = Vector3::from(point) - direction * (off_mm / cosine);
-            return gear.place(met.into(), closest.normal);
+            return features.place_near(met.into(), closest);
         }
         // Deep under an edge, or far off: its ray may have met a flank on the way.
         (off_mm.abs() > FAR_MM)
-            .then(|| self.first_met(gear, from.normalize()))
+            .then(|| self.first_met(features, from.normalize()))
             .flatten()
     }
 
     /// Where a ray first meets the surface, if that is on a flank.
-    fn first_met(&self, gear: &GearData, direction: Vector3<f64>) -> Option<FlankPlace> {
+    fn first_met(&self, features: Features<'_>, direction: Vector3<f64>) -> Option<FlankPlace> {
         let met = self
             .surface
             .first_met(self.camera_mm, direction.into(), self.range_mm)?;
-        gear.place(met.point, met.normal)
+        features.place(&met)
     }
 }
 

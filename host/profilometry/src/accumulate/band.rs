@@ -116,6 +116,25 @@ impl Band {
         }
     }
 
+    /// Takes all sums of its `index`-th cell from another band of the same cells.
+    pub fn take(&mut self, index: usize, from: &Self) {
+        for (own, from) in self.merged.iter_mut().zip(&from.merged) {
+            own.planes.re[index] = from.planes.re[index];
+            own.planes.im[index] = from.planes.im[index];
+            own.planes.sum[index] = from.planes.sum[index];
+            own.exposures[index] = from.exposures[index];
+            if let (Some(own), Some(from)) =
+                (own.chi_square.get_mut(index), from.chi_square.get(index))
+            {
+                *own = *from;
+            }
+        }
+        for (own, from) in self.code.iter_mut().zip(&from.code) {
+            own.difference[index] = from.difference[index];
+            own.amplitude[index] = from.amplitude[index];
+        }
+    }
+
     /// Adds the band's part of a frame and returns the sum of the pixels read.
     pub(super) fn add(&mut self, layout: &Layout, frame: FrameView<'_>, work: Work) -> u64 {
         #[cfg(target_arch = "x86_64")]

@@ -3,7 +3,7 @@
 //! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark depends on
 //! a few of them, and only those are summed.
 
-use nalgebra::{DMatrix, DVector, Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{DVector, Isometry3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::least_squares::{Normal, Problem};
@@ -216,11 +216,7 @@ impl Bundle<'_> {
     fn of_view(&self, view: usize) -> Normal {
         const PLAIN: usize = SHARED + OF_PLATE + OF_VIEW;
         let unknowns = PLAIN + self.of_fields();
-        let mut share = Normal {
-            cost: 0.0,
-            hessian: DMatrix::zeros(unknowns, unknowns),
-            gradient: DVector::zeros(unknowns),
-        };
+        let mut share = Normal::zero(unknowns);
         let scene = self.scene(view);
         let stepped = |unknown: usize, sign: f64| {
             let mut scene = scene.clone();
@@ -266,30 +262,16 @@ impl Bundle<'_> {
 
 impl Problem for Bundle<'_> {
     fn normal(&self) -> Normal {
-        let unknowns = self.unknowns();
-        let mut normal = Normal {
-            cost: 0.0,
-            hessian: DMatrix::zeros(unknowns, unknowns),
-            gradient: DVector::zeros(unknowns),
-        };
+        let mut normal = Normal::zero(self.unknowns());
         let shares: Vec<_> = (0..self.kept.len())
             .into_par_iter()
             .map(|view| self.of_view(view))
             .collect();
         for (view, share) in shares.into_iter().enumerate() {
-            let places = self.places(view);
-            normal.cost += share.cost;
-            for (i, &row) in places.iter().enumerate() {
-                normal.gradient[row] += share.gradient[i];
-                for (j, &column) in places[..=i].iter().enumerate() {
-                    normal.hessian[(row.max(column), row.min(column))] += share.hessian[(i, j)];
-                }
-            }
+            normal.add(&share, &self.places(view));
         }
         for (at, off, sigma) in self.priors() {
-            normal.cost += (off / sigma).powi(2);
-            normal.gradient[at] += off / (sigma * sigma);
-            normal.hessian[(at, at)] += 1.0 / (sigma * sigma);
+            normal.add_prior(at, off, sigma);
         }
         normal
     }

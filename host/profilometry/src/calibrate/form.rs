@@ -2,9 +2,10 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vector4};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vector4};
 
 use flankscope_foundation::order::quantile;
+use flankscope_foundation::rigid::nearest_rotation;
 
 /// What is left over after a fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,9 +96,17 @@ fn moments(points: &[[f64; 3]]) -> (Vector3<f64>, Matrix3<f64>) {
 /// A point and its partner.
 pub(crate) type Pair = ([f64; 3], [f64; 3]);
 
-/// Root mean square distance between points and their partners after the best rigid motion (Kabsch 1976); `None` for fewer
-/// than three pairs or points on a line.
+/// Root mean square distance between points and their partners after the best rigid motion; `None` as of [`rigid_motion`].
 pub(crate) fn rigid_rms_mm(pairs: &[Pair]) -> Option<f64> {
+    let motion = rigid_motion(pairs)?;
+    let square =
+        |(from, to): &Pair| (motion * Point3::from(*from) - Point3::from(*to)).norm_squared();
+    let squares: f64 = pairs.iter().map(square).sum();
+    Some((squares / pairs.len() as f64).sqrt())
+}
+
+/// The rigid motion that lays points onto their partners best (Kabsch 1976); `None` for fewer than three pairs or points on a line.
+pub(crate) fn rigid_motion(pairs: &[Pair]) -> Option<Isometry3<f64>> {
     if pairs.len() < 3 {
         return None;
     }
@@ -131,14 +140,9 @@ pub(crate) fn rigid_rms_mm(pairs: &[Pair]) -> Option<f64> {
     // The smallest direction is mirrored where a plain product would mirror all of space.
     let mirror = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
     let rotation = u * mirror * v_t;
-    let squares: f64 = pairs
-        .iter()
-        .map(|pair| {
-            let (from, to) = away(pair);
-            (rotation * from - to).norm_squared()
-        })
-        .sum();
-    Some((squares / count).sqrt())
+    let rotation = nearest_rotation(&rotation);
+    let shift = to_centre - rotation * from_centre;
+    Some(Isometry3::from_parts(shift.into(), rotation))
 }
 
 /// A fitted sphere.

@@ -12,6 +12,35 @@ pub(crate) struct Normal {
     pub gradient: DVector<f64>,
 }
 
+impl Normal {
+    /// Equations that nothing was added to yet.
+    pub fn zero(unknowns: usize) -> Self {
+        Self {
+            cost: 0.0,
+            hessian: DMatrix::zeros(unknowns, unknowns),
+            gradient: DVector::zeros(unknowns),
+        }
+    }
+
+    /// Adds the equations of a part of the observations, whose unknowns stand at `places` here.
+    pub fn add(&mut self, share: &Self, places: &[usize]) {
+        self.cost += share.cost;
+        for (i, &row) in places.iter().enumerate() {
+            self.gradient[row] += share.gradient[i];
+            for (j, &column) in places[..=i].iter().enumerate() {
+                self.hessian[(row.max(column), row.min(column))] += share.hessian[(i, j)];
+            }
+        }
+    }
+
+    /// Adds what is known of an unknown before: that it is `off` from there, with a standard uncertainty.
+    pub fn add_prior(&mut self, unknown: usize, off: f64, sigma: f64) {
+        self.cost += (off / sigma).powi(2);
+        self.gradient[unknown] += off / (sigma * sigma);
+        self.hessian[(unknown, unknown)] += 1.0 / (sigma * sigma);
+    }
+}
+
 /// What is minimised. Unknowns are steps from the state that the problem holds.
 pub(crate) trait Problem {
     /// Equations about the present state.

@@ -29,8 +29,10 @@
 //! | `eye` | triangulation with a head |
 //! | `self_test` | a plane and a sphere, measured |
 //! | `record` | what it writes into the head's file |
+//! | `board` | the same from an ordinary board: no certified pose, no blank plate |
 
 mod adjust;
+pub mod board;
 mod bundle;
 mod captures;
 pub mod cores;
@@ -71,7 +73,7 @@ pub enum CalibrateError {
         /// Its value.
         got: String,
         /// What would be right.
-        expected: &'static str,
+        expected: std::borrow::Cow<'static, str>,
     },
     /// Hardly any light, or hardly any dots.
     #[error(

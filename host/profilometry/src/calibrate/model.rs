@@ -45,7 +45,7 @@ const HAND_EYE_SHIFT: usize = 23;
 
 /// How well the starting values are believed where the views say nothing: coefficients of distortion (k1, k2, p1, p2), and
 /// the projector's shift along its rows, mm. With fields that shift is but another name for the same sheets of light: it stays.
-const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
+pub(crate) const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
 const ROW_SHIFT_SIGMA_MM: f64 = 0.1;
 const ROW_SHIFT_BESIDE_FIELDS_MM: f64 = 1e-3;
 
@@ -245,16 +245,7 @@ impl Scene {
         at_mm: [f64; 2],
         radius_mm: f64,
     ) -> Option<[[f64; 2]; 2]> {
-        let depth_mm = (camera_from_plate * Point3::new(at_mm[0], at_mm[1], 0.0)).z;
-        let gradient = camera_from_plate.rotation * Vector3::x();
-        let across = camera_from_plate.rotation * Vector3::y();
-        let back = radius_mm * radius_mm / depth_mm;
-        let seen = Point3::new(
-            at_mm[0] - back * gradient.z,
-            at_mm[1] - back * across.z,
-            0.0,
-        );
-        let p_camera = camera_from_plate * seen;
+        let p_camera = middle_of_image(camera_from_plate, at_mm, radius_mm);
         let p_projector = self.projector_from_camera * p_camera;
         if !(p_camera.z > 0.0 && p_projector.z > 0.0) {
             return None;
@@ -313,8 +304,21 @@ pub(crate) fn head_unknowns(scene: &Scene) -> impl Iterator<Item = usize> {
     (0..SHARED).chain(FIRST_OF_FIELD..FIRST_OF_FIELD + fields)
 }
 
+/// Where, in the camera frame, the middle of a circle's elliptic image lies on its plate: see [`Scene::observation`].
+pub(crate) fn middle_of_image(
+    camera_from_plate: &Isometry3<f64>,
+    at_mm: [f64; 2],
+    radius_mm: f64,
+) -> Point3<f64> {
+    let depth_mm = (camera_from_plate * Point3::new(at_mm[0], at_mm[1], 0.0)).z;
+    let along = camera_from_plate.rotation * Vector3::x();
+    let across = camera_from_plate.rotation * Vector3::y();
+    let back = radius_mm * radius_mm / depth_mm;
+    camera_from_plate * Point3::new(at_mm[0] - back * along.z, at_mm[1] - back * across.z, 0.0)
+}
+
 /// Turns the axes and leaves the origin.
-fn turn_about_origin(pose: &mut Isometry3<f64>, turn: UnitQuaternion<f64>) {
+pub(crate) fn turn_about_origin(pose: &mut Isometry3<f64>, turn: UnitQuaternion<f64>) {
     pose.rotation = UnitQuaternion::new_normalize((turn * pose.rotation).into_inner());
 }
 

@@ -1,7 +1,8 @@
 //! What an adjustment writes into the head's file.
 
 use super::adjust::Adjusted;
-use crate::head::{CalibrationRecord, FRAMES, HeadModel, HoldOut, geometry_blake3};
+use super::board::{Board, BoardAdjusted};
+use crate::head::{BoardRecord, CalibrationRecord, FRAMES, HeadModel, HoldOut, geometry_blake3};
 use flankscope_foundation::date::Date;
 
 impl CalibrationRecord {
@@ -33,6 +34,50 @@ impl CalibrationRecord {
             lateral_sigma_um: 1e3 * adjusted.lateral_sigma_mm,
             hold_out,
             without_field,
+            board: None,
+        }
+    }
+
+    /// The record of a head by an ordinary board; `pitch_sigma_mm` if somebody certified its pitch.
+    pub fn of_board(
+        adjusted: &BoardAdjusted,
+        board: &Board,
+        pitch_sigma_mm: Option<f64>,
+        date: Date,
+        valid_days: u32,
+    ) -> Self {
+        let [depth_sigma_um, lateral_sigma_um] = adjusted.sigma_mm.map(|mm| 1e3 * mm);
+        let used = adjusted.poses.iter().filter(|pose| pose.used).count();
+        let scale = pitch_sigma_mm.is_none().then_some("scale");
+        let unknown = ["stage_from_camera", "sensor", "volume"]
+            .into_iter()
+            .chain(scale);
+        Self {
+            date,
+            expires: date.plus_days(valid_days),
+            target: board.to_string(),
+            link: None,
+            simulated: None,
+            frames: FRAMES[..2].iter().map(|&frame| frame.to_owned()).collect(),
+            unit: "mm".to_owned(),
+            blake3: geometry_blake3(&adjusted.head),
+            views: used as u32,
+            dots: adjusted.points as u32,
+            dropped: adjusted.dropped as u32,
+            camera_rms_px: adjusted.camera_rms_px[0],
+            projector_rms_px: adjusted.projector_rms_px[0],
+            depth_sigma_um,
+            lateral_sigma_um,
+            hold_out: adjusted.hold_out,
+            without_field: None,
+            board: Some(BoardRecord {
+                kind: board.kind.to_string(),
+                points: board.points.map(|n| n as u32),
+                pitch_mm: board.pitch_mm,
+                scale_sigma_ratio: pitch_sigma_mm.map(|sigma| sigma / board.pitch_mm),
+                depth_mm: adjusted.depth_mm,
+                unknown: unknown.map(str::to_owned).collect(),
+            }),
         }
     }
 }

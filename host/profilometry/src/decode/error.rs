@@ -29,7 +29,7 @@ pub enum DecodeError {
         /// Its value.
         got: String,
         /// What would be right.
-        expected: &'static str,
+        expected: std::borrow::Cow<'static, str>,
     },
     /// An option beyond its limits.
     #[error("option {option} = {got}: {expected}")]

@@ -5,8 +5,10 @@ mod coded;
 mod conditioned;
 mod error;
 mod floor;
+mod maps;
 mod neighbourhood;
 mod options;
+mod passes;
 mod rays;
 
 use std::f64::consts::TAU;
@@ -34,6 +36,7 @@ use cell::{CellResult, Fate};
 use coded::CodeLadder;
 use conditioned::Conditioned;
 pub use error::DecodeError;
+pub use maps::PhaseMaps;
 use neighbourhood::Neighbourhood;
 pub use options::{DecodeOptions, GridKind, OrderConsistency};
 use rays::{Ray, projector_size_px, rays};
@@ -43,6 +46,7 @@ use rays::{Ray, projector_size_px, rays};
 pub struct Decoder {
     layout: Arc<Layout>,
     patterns: PatternSet,
+    exposures_us: Vec<u32>,
     options: DecodeOptions,
     size_px: [u32; 2],
     sensor: Sensor,
@@ -166,6 +170,7 @@ impl Decoder {
         Ok(Self {
             layout: Arc::new(layout),
             patterns: patterns.clone(),
+            exposures_us: exposures_us.to_vec(),
             options,
             size_px: [head.camera.width_px, head.camera.height_px],
             sensor,
@@ -383,16 +388,31 @@ impl Decoder {
     /// As [`Self::finish`].
     pub fn columns(&self, accumulator: &Accumulator) -> Result<Vec<CellColumn>, DecodeError> {
         self.admit(accumulator)?;
-        let view = self.plain(accumulator);
+        Ok(self.shown(accumulator, &self.plain(accumulator)))
+    }
+
+    /// The same with phasors smoothed as the options say.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn smoothed_columns(
+        &self,
+        accumulator: &Accumulator,
+    ) -> Result<Vec<CellColumn>, DecodeError> {
+        self.admit(accumulator)?;
+        Ok(self.shown(accumulator, &self.condition(accumulator)))
+    }
+
+    fn shown(&self, accumulator: &Accumulator, view: &Conditioned<'_>) -> Vec<CellColumn> {
         let finest = self.layout.steps.len() - 1;
-        let of_band = |band: &Band| -> Vec<CellColumn> {
+        let of_band = |(band, conditioned): (&Band, &Band)| -> Vec<CellColumn> {
             let cell = |index: usize| {
                 let ray = &self.rays[band.first_cell + index];
                 let noise = self.noise(band, index);
                 let mean_e = self
                     .estimate(band, index, finest, &noise)
                     .map_or(f64::NAN, |estimate| estimate.mean_e);
-                let column = self.column(&view, band, index, ray).ok();
+                let column = self.column(view, conditioned, index, ray).ok();
                 CellColumn {
                     pixel: ray.pixel,
                     mean_e,
@@ -401,8 +421,9 @@ impl Decoder {
             };
             (0..band.cells).map(cell).collect()
         };
-        let bands: Vec<_> = accumulator.bands.par_iter().map(of_band).collect();
-        Ok(bands.into_iter().flatten().collect())
+        let bands = accumulator.bands.par_iter();
+        let bands: Vec<_> = bands.zip(&view.accumulator.bands).map(of_band).collect();
+        bands.into_iter().flatten().collect()
     }
 
     fn admit(&self, accumulator: &Accumulator) -> Result<(), DecodeError> {

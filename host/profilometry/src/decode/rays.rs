@@ -62,7 +62,7 @@ pub(crate) fn rays(
                     .ok_or_else(|| DecodeError::Head {
                         key: "camera.distortion".to_owned(),
                         got: format!("{:?} at pixel {pixel:?}", head.camera.distortion),
-                        expected: "must have an inverse everywhere in the image",
+                        expected: "must have an inverse everywhere in the image".into(),
                     })?;
                 let Some(volume) = head.volume else {
                     // The frequencies tell all columns apart: the middle of the projector.

@@ -48,6 +48,28 @@ pub struct CalibrationRecord {
     /// The same plates without the residual fields of the lenses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub without_field: Option<HoldOut>,
+    /// Of an ordinary board, whose poses nobody certified: what it was, and what it cannot tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<BoardRecord>,
+}
+
+/// An ordinary board that a head was calibrated by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardRecord {
+    /// Checkerboard, ChArUco board or circles.
+    pub kind: String,
+    /// Points along its sides.
+    pub points: [u32; 2],
+    /// From point to point: all lengths of the head are in proportion to it.
+    pub pitch_mm: f64,
+    /// Standard uncertainty of that, as a part of it; absent: not known, and so is the scale of every length.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_sigma_ratio: Option<f64>,
+    /// Where its points were along the camera's axis, nearest and farthest: beyond, the lenses are extrapolated.
+    pub depth_mm: [f64; 2],
+    /// What such a calibration does not tell.
+    pub unknown: Vec<String>,
 }
 
 /// What a head makes of plates that it was not fitted to.
@@ -122,12 +144,19 @@ impl CalibrationRecord {
                 "must be \"mm\"",
             ));
         }
-        if self.frames != FRAMES {
-            return Err(BadValue::new(
-                "calibration.frames",
-                &self.frames,
+        // An ordinary board stands anywhere: it ties the head to no stage.
+        let (frames, expected) = match &self.board {
+            None => (
+                &FRAMES[..],
                 "must be [\"camera\", \"projector\", \"stage\"]",
-            ));
+            ),
+            Some(_) => (
+                &FRAMES[..2],
+                "must be [\"camera\", \"projector\"] beside [calibration.board], which tells no place of the head on its stage",
+            ),
+        };
+        if self.frames != frames {
+            return Err(BadValue::new("calibration.frames", &self.frames, expected));
         }
         if self.expires < self.date {
             return Err(BadValue::new(

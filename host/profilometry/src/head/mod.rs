@@ -23,7 +23,7 @@ use flankscope_foundation::date::Date;
 use flankscope_foundation::seal::Seal;
 use flankscope_foundation::textfile::{self, BadValue};
 
-pub use calibration::{CalibrationRecord, HoldOut, RecordError};
+pub use calibration::{BoardRecord, CalibrationRecord, HoldOut, RecordError};
 pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
@@ -118,6 +118,37 @@ impl HeadModel {
             head.self_test = SelfTest::load(path)?;
         }
         Ok(head)
+    }
+
+    /// A head of which nothing but lenses and their places is known.
+    #[must_use]
+    pub fn of_lenses(
+        name: &str,
+        camera: Pinhole,
+        projector: Pinhole,
+        projector_from_camera: RigidTransform,
+    ) -> Self {
+        Self {
+            name: name.to_owned(),
+            working_distance_mm: None,
+            pattern_set: None,
+            exposures_us: Vec::new(),
+            binning: 1,
+            camera,
+            projector,
+            mirrors: None,
+            fringe_contrast: None,
+            projector_from_camera,
+            stage_from_camera: None,
+            sensor: None,
+            volume: None,
+            image_circle: None,
+            cores: None,
+            calibration: None,
+            seal: None,
+            self_test: None,
+            core_map: None,
+        }
     }
 
     /// Whether a calibrated head may judge on a day: its calibration counts, and its last self-test was passed and is not

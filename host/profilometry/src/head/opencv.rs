@@ -59,29 +59,13 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         rotation: [[r[0], r[1], r[2]], [r[3], r[4], r[5]], [r[6], r[7], r[8]]],
         translation_mm: storage.matrix::<3>(storage.which(TRANSLATION)?, "3 numbers in mm")?,
     };
-    Ok(HeadModel {
-        name: path
-            .file_stem()
-            .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned()),
-        working_distance_mm: None,
-        pattern_set: None,
-        exposures_us: Vec::new(),
-        binning: 1,
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    Ok(HeadModel::of_lenses(
+        &name,
         camera,
         projector,
         projector_from_camera,
-        stage_from_camera: None,
-        sensor: None,
-        volume: None,
-        image_circle: None,
-        cores: None,
-        calibration: None,
-        self_test: None,
-        seal: None,
-        core_map: None,
-        mirrors: None,
-        fringe_contrast: None,
-    })
+    ))
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ const FRAME_PATIENCE: Duration = Duration::from_secs(5);
 pub(crate) const RETRACT_RESERVE: Duration = Duration::from_millis(1500);
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Brings a controller without a fault to `Ready`: references its stages if they are not.
+    /// Brings a controller without a fault to `Ready`: tells it which stages these are, and references them if they are not.
     pub(crate) async fn make_ready(
         &self,
         client: &mut Client,
@@ -30,7 +30,8 @@ impl<O: Send + 'static> Acquisition<O> {
         if let Some(fault) = status.fault {
             return Err(AcquisitionError::Faulted { fault });
         }
-        if status.homed {
+        client.configure(&self.program.stage).await?;
+        if client.status().await?.homed {
             return Ok(());
         }
         watch(Progress::Homing);
@@ -224,7 +225,7 @@ impl<O: Send + 'static> Acquisition<O> {
         for captured in run.session.take_complete(frames_per_view) {
             let CapturedView {
                 view,
-                accumulator,
+                sums,
                 frames,
                 handover_ns,
                 problem,
@@ -237,7 +238,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     self.saved.retain(|of| of.session != saved.session());
                     saved.discard();
                 }
-                self.order(Order::Recycle(accumulator))?;
+                self.order(Order::Recycle(sums))?;
                 continue;
             };
             let triggers = run
@@ -270,7 +271,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     let saved = saved.map(|saved| saved.of_view(view_number, triggers));
                     self.saved.extend(saved);
                     run.session.evaluating += 1;
-                    work.send((view_number, accumulator))
+                    work.send((view_number, sums))
                         .map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
                 }
                 Err(problem) => {
@@ -279,7 +280,7 @@ impl<O: Send + 'static> Acquisition<O> {
                     if let Some(saved) = saved {
                         saved.discard();
                     }
-                    self.order(Order::Recycle(accumulator))?;
+                    self.order(Order::Recycle(sums))?;
                 }
             }
         }

@@ -6,6 +6,7 @@ use flankscope_protocol::{FaultCode, PlanError};
 use super::pairing::PairingError;
 use super::program::ProgramError;
 use super::recording::ImageProblem;
+use super::route::RouteTime;
 use crate::controller::ClientError;
 use flankscope_frames::{ReceiveError, ServiceError};
 
@@ -144,6 +145,9 @@ pub enum ViewError {
     /// A recorded frame cannot be used.
     #[error(transparent)]
     Image(#[from] ImageProblem),
+    /// Nobody said where the camera stood, or what was said is not to be trusted.
+    #[error("{0}")]
+    Pose(String),
     /// One more than was triggered, and nobody knows before which of the others.
     #[error("the camera sent a frame beyond the plan")]
     BeyondPlan,
@@ -156,6 +160,8 @@ pub enum Progress {
     Connected,
     /// The stages reference.
     Homing,
+    /// The way through the views is planned.
+    Planned(RouteTime),
     /// The head moves to a view.
     Moving {
         /// Which.

@@ -13,6 +13,8 @@
 //! | file | holds |
 //! |---|---|
 //! | `program` | positions, patterns and exposures: to a capture plan |
+//! | `route` | in which order the positions are visited |
+//! | `sums` | of the frames of a view, pass by pass |
 //! | `session` | the threads that frames and sums pass through |
 //! | `capture` | one capture followed from its plan to its last view |
 //! | `recapture` | what is captured once more |
@@ -30,8 +32,10 @@ mod program;
 mod recapture;
 mod recorder;
 mod recording;
+mod route;
 mod run;
 mod session;
+mod sums;
 mod timeline;
 
 pub(crate) use capture::RETRACT_RESERVE;
@@ -42,6 +46,7 @@ pub(crate) use recapture::AfterStop;
 pub use recorder::Picture;
 pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
 pub(crate) use recording::{Playback, RecordedView, SavedView};
+pub use route::{Route, RouteTime};
 pub(crate) use run::{Counts, Run};
 pub use session::Acquisition;
 pub use timeline::{Activity, Device, Span};

@@ -149,6 +149,9 @@ pub fn lateness(
 
 /// Checks that the frames of a view are its triggers, one for one: by count, number, pattern, length and time.
 ///
+/// What a camera has not measured cannot be compared with what was commanded. Where it says when an exposure ended, that is its
+/// time; where it does not, the frame's arrival is, and only half of the way to the next trigger is near enough.
+///
 /// # Errors
 /// The first thing that does not fit.
 pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingError> {
@@ -180,18 +183,34 @@ pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingE
         let got_us = frame
             .exposure_end_us
             .saturating_sub(frame.exposure_start_us);
-        if got_us.abs_diff(commanded_us) > EXPOSURE_TOLERANCE_US {
+        let length = frame.measured & FrameHeader::EXPOSURE_MEASURED != 0;
+        if length && got_us.abs_diff(commanded_us) > EXPOSURE_TOLERANCE_US {
             return Err(PairingError::Exposure {
                 frame: i,
                 got_us,
                 commanded_us,
             });
         }
-        let got_us = frame
-            .exposure_start_us
-            .saturating_sub(first_frame.exposure_start_us);
-        let fired_us = trigger.camera_at.since_us(first_trigger.camera_at);
-        if got_us.abs_diff(fired_us) > INTERVAL_TOLERANCE_US {
+        let end = frame.measured & FrameHeader::END_MEASURED != 0;
+        let (got_us, fired_us) = match length {
+            true => (
+                frame
+                    .exposure_start_us
+                    .saturating_sub(first_frame.exposure_start_us),
+                trigger.camera_at.since_us(first_trigger.camera_at),
+            ),
+            false => (
+                frame
+                    .exposure_end_us
+                    .saturating_sub(first_frame.exposure_end_us),
+                trigger.end_at.since_us(first_trigger.end_at),
+            ),
+        };
+        let tolerance_us = match end {
+            true => INTERVAL_TOLERANCE_US,
+            false => half_a_step_us(triggers),
+        };
+        if got_us.abs_diff(fired_us) > tolerance_us {
             return Err(PairingError::Interval {
                 frame: i,
                 got_us,
@@ -200,6 +219,13 @@ pub fn pair(triggers: &[Trigger], frames: &[FrameHeader]) -> Result<(), PairingE
         }
     }
     Ok(())
+}
+
+/// Half of the shortest time between two triggers: a frame that is off by less is nobody else's.
+fn half_a_step_us(triggers: &[Trigger]) -> u64 {
+    let steps = triggers.windows(2);
+    let steps = steps.map(|two| two[1].end_at.since_us(two[0].end_at));
+    steps.min().unwrap_or(u64::MAX) / 2
 }
 
 #[cfg(test)]
@@ -233,6 +259,7 @@ mod tests {
                         exposure: 0,
                         pattern: i,
                     },
+                    measured: FrameHeader::ALL_MEASURED,
                     exposure_start_us: camera_start,
                     exposure_end_us: camera_start + 10_001,
                     ..FrameHeader::default()
@@ -327,6 +354,35 @@ mod tests {
                     "frame {i} late: {late:?}"
                 );
             }
+        }
+    }
+
+    /// A camera that knows when its exposures ended but not how long they were, and one that knows neither.
+    #[test]
+    fn what_was_not_measured_is_not_believed() {
+        let (triggers, frames) = view();
+        let of = |measured: u32, change: &dyn Fn(&mut Vec<FrameHeader>)| {
+            let mut frames = frames.clone();
+            for frame in &mut frames {
+                frame.measured = measured;
+                frame.exposure_start_us = frame.exposure_end_us;
+            }
+            change(&mut frames);
+            pair(&triggers, &frames)
+        };
+        let later = |frame: &mut FrameHeader, us| {
+            frame.exposure_start_us += us;
+            frame.exposure_end_us += us;
+        };
+        let end = FrameHeader::END_MEASURED;
+        assert_eq!(of(end, &|_| ()), Ok(()));
+        assert_eq!(of(0, &|_| ()), Ok(()));
+        // Frames come when they come, but not as late as the next one.
+        for i in 1..5 {
+            assert!(of(end, &|f| later(&mut f[i], 5_000)).is_err());
+            assert_eq!(of(0, &|f| later(&mut f[i], 5_000)), Ok(()));
+            assert!(of(0, &|f| later(&mut f[i], 15_000)).is_err());
+            assert!(of(0, &|f| _ = f.remove(i)).is_err());
         }
     }
 }

@@ -2,11 +2,11 @@
 
 use flankscope_profilometry::PatternSet;
 use flankscope_protocol::{
-    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps, Timeouts,
-    View,
+    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps,
+    StageConfig, Timeouts, View,
 };
 
-use crate::settings::{Light, Timing};
+use crate::settings::{Light, Stages, Timing};
 
 /// Where the stages stand for a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +17,31 @@ pub struct StagePosition {
     pub vertical_mm: f64,
 }
 
+impl StagePosition {
+    /// Where the axes stand for a die turned by `turn_rad` before the head: what turns is the station's, and an angle beyond the
+    /// travel is taken a whole turn back where that lies within. At home where they carry neither.
+    #[must_use]
+    pub fn of(turn_rad: f64, vertical_mm: f64, stages: &Stages) -> Self {
+        let Some(axis_rad) = stages.moves.axis_rad(turn_rad) else {
+            return Self {
+                rotation_rad: stages.rotation.home_deg.to_radians(),
+                vertical_mm: stages.vertical.home_mm,
+            };
+        };
+        let [from, to] = stages.rotation.travel_deg.map(f64::to_radians);
+        let back_rad = match axis_rad {
+            angle if angle > to => angle - std::f64::consts::TAU,
+            angle if angle < from => angle + std::f64::consts::TAU,
+            angle => angle,
+        };
+        let within = back_rad >= from && back_rad <= to;
+        Self {
+            rotation_rad: if within { back_rad } else { axis_rad },
+            vertical_mm,
+        }
+    }
+}
+
 /// All views of a run and how each is exposed.
 #[derive(Clone, Debug)]
 pub struct Program {
@@ -24,6 +49,8 @@ pub struct Program {
     pub positions: Vec<StagePosition>,
     /// Fringe patterns.
     pub patterns: PatternSet,
+    /// Share of all mirrors' light that each pass gives, where the patterns are shown in passes; empty: once, by all mirrors.
+    pub lit_ratios: Vec<f64>,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
     /// Vertical position of the retracted head, mm.
@@ -32,6 +59,8 @@ pub struct Program {
     pub timing: Timing,
     /// How bright it is.
     pub light: Light,
+    /// What moves.
+    pub stage: StageConfig,
 }
 
 /// What a capture plan cannot say.
@@ -58,7 +87,44 @@ pub enum ProgramError {
     },
 }
 
+impl StagePosition {
+    /// In the wire's units.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View {
+            rotation: Microradians((self.rotation_rad * 1e6).round() as i32),
+            vertical: Micrometres((self.vertical_mm * 1e3).round() as i32),
+        }
+    }
+}
+
 impl Program {
+    /// Time for the frames of a view: an exposure with the pattern before it, or the readout of the frame before where that takes
+    /// longer, s.
+    #[must_use]
+    pub fn exposure_s(&self) -> f64 {
+        let patterns: u32 = self.patterns.sets.iter().map(|set| set.steps).sum();
+        let frame_us = |&exposure_us: &u32| {
+            let shown_us = exposure_us.saturating_add(self.timing.pattern_settle_us);
+            f64::from(shown_us.max(self.timing.camera_readout_us))
+        };
+        let dark_us = self.exposures_us.first().map_or(0.0, frame_us);
+        let fringes_us: f64 = self.exposures_us.iter().map(frame_us).sum();
+        (dark_us + fringes_us * f64::from(patterns) * self.passes() as f64) / 1e6
+    }
+
+    /// How often the patterns are shown.
+    #[must_use]
+    pub fn passes(&self) -> usize {
+        self.lit_ratios.len().max(1)
+    }
+
+    /// Time for what moved to stand still, s.
+    #[must_use]
+    pub fn settling_s(&self) -> f64 {
+        f64::from(self.timing.settle_ms) / 1e3
+    }
+
     /// The capture plan for some of its views, under a session number of its own.
     ///
     /// # Errors
@@ -84,16 +150,15 @@ impl Program {
             dmd_settle: Microseconds(timing.pattern_settle_us),
             camera_readout: Microseconds(timing.camera_readout_us),
             retract: Micrometres((self.retract_mm * 1e3).round() as i32),
-            timeouts: Timeouts::default(),
+            timeouts: Timeouts {
+                motion: Timeouts::default().motion.max(self.stage.motion_timeout()),
+                ..Timeouts::default()
+            },
         };
         let too_many = |what, got, limit| ProgramError::TooMany { what, got, limit };
         let limit = plan.views.capacity();
         for at in views.iter().filter_map(|&view| self.positions.get(view)) {
-            let view = View {
-                rotation: Microradians((at.rotation_rad * 1e6).round() as i32),
-                vertical: Micrometres((at.vertical_mm * 1e3).round() as i32),
-            };
-            let pushed = plan.views.push(view);
+            let pushed = plan.views.push(at.view());
             pushed.map_err(|_| too_many("views", views.len(), limit))?;
         }
         let limit = plan.exposures.capacity();
@@ -102,13 +167,15 @@ impl Program {
             pushed.map_err(|_| too_many("exposures", self.exposures_us.len(), limit))?;
         }
         let limit = plan.fringes.capacity();
-        for set in &self.patterns.sets {
+        let sets = &self.patterns.sets;
+        let shown = std::iter::repeat_n(sets, self.passes()).flatten();
+        for set in shown {
             let set = FringeSet {
                 periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
                 steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
             };
             let pushed = plan.fringes.push(set);
-            pushed.map_err(|_| too_many("fringe sets", self.patterns.sets.len(), limit))?;
+            pushed.map_err(|_| too_many("fringe sets", self.passes() * sets.len(), limit))?;
         }
         Ok(plan)
     }
@@ -117,6 +184,7 @@ impl Program {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinematics::Moves;
 
     fn program(views: usize) -> Program {
         Program {
@@ -127,10 +195,12 @@ mod tests {
                 })
                 .collect(),
             patterns: PatternSet::named("article8").unwrap(),
+            lit_ratios: Vec::new(),
             exposures_us: vec![10_000],
             retract_mm: 86.0,
             timing: Timing::default(),
             light: Light::default(),
+            stage: StageConfig::DEFAULT,
         }
     }
 
@@ -149,6 +219,34 @@ mod tests {
             limit + 1
         );
         assert_eq!(error.to_string(), named);
+    }
+
+    #[test]
+    fn angles_beyond_the_travel_are_taken_a_turn_back_where_that_lies_within() {
+        let mut stages = Stages::default();
+        let at = |turn_deg: f64, stages: &Stages| {
+            let at = StagePosition::of(turn_deg.to_radians(), 33.0, stages);
+            at.rotation_rad.to_degrees().round()
+        };
+        assert_eq!(at(-181.0, &stages), -181.0);
+        stages.rotation.travel_deg = [-180.0, 180.0];
+        assert_eq!(at(-181.0, &stages), 179.0);
+        stages.moves = Moves::Head;
+        assert_eq!(at(-170.0, &stages), 170.0);
+        assert_eq!(at(-181.0, &stages), -179.0);
+        // What no turn takes within stays as it is, and is refused by name.
+        stages.rotation.travel_deg = [-90.0, 90.0];
+        assert_eq!(at(170.0, &stages), -170.0);
+        let mut program = program(1);
+        program.positions[0].rotation_rad = -2.97;
+        program.stage = stages.config();
+        let limits = Limits::DEFAULT.within(&program.stage);
+        let plan = program.capture_plan(&[0], &limits).unwrap();
+        let refused = plan.validate(&limits).unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            "rotation -2970000 urad is outside -1570796 urad .. 1570796 urad"
+        );
     }
 
     #[test]

@@ -6,11 +6,12 @@ use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, TryRecvError};
 use std::time::{Duration, Instant};
 
+use flankscope_profilometry::FrameView;
 use flankscope_profilometry::head::Sensor;
-use flankscope_profilometry::{Accumulator, FrameKind, FrameView};
 
 use super::error::{CameraError, ViewError};
 use super::recording::{SavedCapture, Saver};
+use super::sums::{PlannedFrame, ViewSums};
 use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource, Ready, ReceiveError};
 
 /// How long the thread sleeps for a frame before it looks for orders.
@@ -37,8 +38,8 @@ pub enum Order {
     Arm(Arm),
     /// All triggers of the armed plan were fired: whatever is still open is incomplete.
     Close,
-    /// An accumulator that may be used again.
-    Recycle(Accumulator),
+    /// Sums that may be used again.
+    Recycle(ViewSums),
     /// Frames are also written to files from here on.
     Save(Saver),
 }
@@ -49,7 +50,7 @@ pub struct CapturedView {
     /// View number in the session.
     pub view: u16,
     /// The sums.
-    pub accumulator: Accumulator,
+    pub sums: ViewSums,
     /// Headers of the frames, in order of arrival.
     pub frames: Vec<FrameHeader>,
     /// From hand-over by the camera process to sight by the host, per frame, ns.
@@ -85,8 +86,8 @@ pub struct Keepsake {
 /// How frames are judged and kept.
 #[derive(Clone, Copy, Debug)]
 pub struct RecorderSettings {
-    /// A dark frame's mean must stay below this, every fringe frame's above, DN.
-    pub dark_limit_dn: f64,
+    /// What is brighter counts as lit, DN.
+    pub lit_dn: f64,
     /// The frame that the report shows.
     pub keepsake: Keepsake,
     /// Full scale of the sensor, DN.
@@ -154,11 +155,11 @@ impl HeadCamera {
 pub struct Recorder<'a, S: FrameSource> {
     source: S,
     settings: RecorderSettings,
-    kinds: Vec<FrameKind>,
+    planned: Vec<PlannedFrame>,
     orders: Receiver<Order>,
     events: tokio::sync::mpsc::UnboundedSender<Recorded>,
-    fresh: Box<dyn Fn() -> Accumulator + 'a>,
-    spare: Vec<Accumulator>,
+    fresh: Box<dyn Fn() -> ViewSums + 'a>,
+    spare: Vec<ViewSums>,
     arm: Option<Arm>,
     /// Frames since arming.
     arrived: u32,
@@ -170,20 +171,20 @@ pub struct Recorder<'a, S: FrameSource> {
 }
 
 impl<'a, S: FrameSource> Recorder<'a, S> {
-    /// A recorder of frames from `source`; `kinds` is the order of a view's frames, `fresh` makes empty sums.
+    /// A recorder of frames from `source`; `planned` are a view's frames in their order, `fresh` makes empty sums.
     pub fn new(
         source: S,
         settings: RecorderSettings,
-        kinds: Vec<FrameKind>,
+        planned: Vec<PlannedFrame>,
         orders: Receiver<Order>,
         events: tokio::sync::mpsc::UnboundedSender<Recorded>,
-        fresh: impl Fn() -> Accumulator + 'a,
+        fresh: impl Fn() -> ViewSums + 'a,
     ) -> Self {
         let spare = vec![fresh(), fresh()];
         Self {
             source,
             settings,
-            kinds,
+            planned,
             orders,
             events,
             fresh: Box::new(fresh),
@@ -208,9 +209,9 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                     self.show();
                     let _ = self.events.send(Recorded::Closed);
                 }
-                Ok(Order::Recycle(mut accumulator)) => {
-                    accumulator.reset();
-                    self.spare.push(accumulator);
+                Ok(Order::Recycle(mut sums)) => {
+                    sums.reset();
+                    self.spare.push(sums);
                 }
                 Ok(Order::Save(saver)) => self.saver = Some(saver),
                 Err(TryRecvError::Empty) => {}
@@ -245,10 +246,10 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         };
         self.source.arm(arm).map_err(unreachable)?;
         let end = Instant::now() + CAMERA_PATIENCE;
-        let mut heard = false;
+        let mut heard = None;
         while Instant::now() < end {
             if let Some(word) = self.source.ready().map_err(unreachable)? {
-                heard = true;
+                heard = Some(word.session);
                 if word.session == arm.session {
                     return self.settings.camera.fits(&word);
                 }
@@ -261,8 +262,11 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         Err(CameraError::NotReady {
             patience_ms: CAMERA_PATIENCE.as_millis(),
             state: match heard {
-                true => "its process is there, but armed for another capture",
-                false => "its process has not come, or has ended",
+                Some(0) => {
+                    "its process is there, but cannot arm it, and says why on standard error"
+                }
+                Some(_) => "its process is there, but armed for another capture",
+                None => "its process has not come, or has ended",
             },
         })
     }
@@ -283,12 +287,12 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
             self.close();
         }
         if self.open.is_none() {
-            let accumulator = self.spare.pop().unwrap_or_else(|| (self.fresh)());
+            let sums = self.spare.pop().unwrap_or_else(|| (self.fresh)());
             self.open = Some(CapturedView {
                 view: header.label.view,
-                accumulator,
-                frames: Vec::with_capacity(self.kinds.len()),
-                handover_ns: Vec::with_capacity(self.kinds.len()),
+                sums,
+                frames: Vec::with_capacity(self.planned.len()),
+                handover_ns: Vec::with_capacity(self.planned.len()),
                 problem: None,
                 saved: self.saver.as_mut().map(Saver::begin),
             });
@@ -304,21 +308,19 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
                 .saturating_sub(header.published_monotonic_ns),
         );
         if open.problem.is_none() {
-            open.problem = match self.kinds.get(usize::from(header.label.in_view)) {
+            open.problem = match self.planned.get(usize::from(header.label.in_view)) {
                 _ if header.session != arm.session => Some(ViewError::Session {
                     got: header.session,
                     expected: arm.session,
                 }),
                 None => Some(ViewError::Incomplete {
                     got: open.frames.len(),
-                    planned: self.kinds.len(),
+                    planned: self.planned.len(),
                 }),
-                Some(&kind) => open
-                    .accumulator
-                    .add(view_of(&frame), kind)
-                    .and_then(|level| level.check_content(kind, settings.dark_limit_dn))
-                    .err()
-                    .map(ViewError::from),
+                Some(&planned) => {
+                    let added = open.sums.add(view_of(&frame), planned);
+                    added.err().map(ViewError::from)
+                }
             };
         }
         if let (Some(saver), Some(saved)) = (&mut self.saver, &mut open.saved) {
@@ -330,7 +332,7 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         {
             self.kept = Some(frame);
         }
-        if open.frames.len() == self.kinds.len() && open.problem.is_none() {
+        if open.frames.len() == self.planned.len() && open.problem.is_none() {
             self.close();
         }
     }
@@ -357,10 +359,10 @@ impl<'a, S: FrameSource> Recorder<'a, S> {
         let Some(mut view) = self.open.take() else {
             return;
         };
-        if view.problem.is_none() && view.frames.len() < self.kinds.len() {
+        if view.problem.is_none() && view.frames.len() < self.planned.len() {
             view.problem = Some(ViewError::Incomplete {
                 got: view.frames.len(),
-                planned: self.kinds.len(),
+                planned: self.planned.len(),
             });
         }
         let _ = self.events.send(Recorded::View(Box::new(view)));
@@ -414,7 +416,7 @@ fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
             .and_then(|rest| rest.get(..view.width))
             .unwrap_or_default()
     };
-    let lit = |dn: u16| f64::from(dn) > settings.dark_limit_dn;
+    let lit = |dn: u16| f64::from(dn) > settings.lit_dn;
     let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
     let mut histogram = vec![0_usize; usize::from(settings.full_scale_dn) + 1];
     for y in 0..view.height {
@@ -438,9 +440,7 @@ fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
         brighter = brighter.saturating_sub(count);
         here
     });
-    let black = settings
-        .dark_limit_dn
-        .min(f64::from(settings.full_scale_dn));
+    let black = settings.lit_dn.min(f64::from(settings.full_scale_dn));
     let span = (white.unwrap_or(0) as f64 - black).max(1.0);
     let grey = |dn: u16| ((f64::from(dn) - black) / span * 255.0).clamp(0.0, 255.0) as u8;
     let grey = (low[1]..high[1])
@@ -480,7 +480,7 @@ mod tests {
             pattern: 1,
         };
         let settings = RecorderSettings {
-            dark_limit_dn: 140.0,
+            lit_dn: 140.0,
             keepsake,
             full_scale_dn: 4095,
             camera: HeadCamera {
@@ -542,7 +542,7 @@ mod tests {
 
     fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
         let settings = RecorderSettings {
-            dark_limit_dn: 140.0,
+            lit_dn: 140.0,
             keepsake: Keepsake {
                 exposure: 0,
                 pattern: 1,
@@ -562,7 +562,7 @@ mod tests {
         let mut recorder = Recorder {
             source,
             settings,
-            kinds: Vec::new(),
+            planned: Vec::new(),
             orders: receiver,
             events,
             fresh: Box::new(|| unreachable!("nothing is summed")),

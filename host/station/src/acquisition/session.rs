@@ -6,13 +6,14 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 
 use flankscope_frames::FrameSource;
-use flankscope_profilometry::{Accumulator, Decoder, FrameKind};
+use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::sync::mpsc as channel;
 
 use super::error::AcquisitionError;
 use super::program::Program;
 use super::recorder::{HeadCamera, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
 use super::recording::{SavedView, Saver};
+use super::sums::{ViewSums, planned_frames};
 
 /// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
 ///
@@ -23,7 +24,7 @@ pub struct Acquisition<O> {
     orders: Option<Orders>,
     pub(super) recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
-    pub(super) work: Option<mpsc::Sender<(usize, Accumulator)>>,
+    pub(super) work: Option<mpsc::Sender<(usize, ViewSums)>>,
     pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
     compute: Option<JoinHandle<()>>,
     /// Captures whose frames lie on the disk, where that was asked for.
@@ -42,7 +43,7 @@ impl<O: Send + 'static> Acquisition<O> {
         mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
     ) -> Result<Self, AcquisitionError> {
         let settings = RecorderSettings {
-            dark_limit_dn: decoder.dark_limit_dn(),
+            lit_dn: decoder.dark_limit_dn(),
             keepsake: Keepsake {
                 exposure: program.exposures_us.len() as u16 / 2,
                 // The last of the finest fringes.
@@ -63,6 +64,7 @@ impl<O: Send + 'static> Acquisition<O> {
         let (recorded_sender, recorded) = channel::unbounded_channel();
         let (ready_sender, ready) = mpsc::channel();
         let capture_decoder = Arc::clone(decoder);
+        let lit_ratios = program.lit_ratios.clone();
         // Ports stay on the thread that made them.
         let capture = std::thread::Builder::new()
             .name("capture".into())
@@ -72,12 +74,11 @@ impl<O: Send + 'static> Acquisition<O> {
                     Err(error) => return drop(ready_sender.send(Err(error))),
                 };
                 let _ = ready_sender.send(Ok(()));
-                let kinds: Vec<FrameKind> = capture_decoder.capture_order().collect();
-                let fresh = || capture_decoder.begin();
+                let fresh = || ViewSums::new(&capture_decoder, lit_ratios.len());
                 Recorder::new(
                     source,
                     settings,
-                    kinds,
+                    planned_frames(&capture_decoder, &lit_ratios),
                     order_receiver,
                     recorded_sender,
                     fresh,
@@ -88,15 +89,16 @@ impl<O: Send + 'static> Acquisition<O> {
         ready
             .recv()
             .map_err(|_| AcquisitionError::Thread { thread: "capture" })??;
-        let (work, to_do) = mpsc::channel::<(usize, Accumulator)>();
+        let (work, to_do) = mpsc::channel::<(usize, ViewSums)>();
         let (outcome_sender, outcomes) = channel::unbounded_channel();
         let recycle = order_sender.clone();
+        let compute_decoder = Arc::clone(decoder);
         let compute = std::thread::Builder::new()
             .name("compute".into())
             .spawn(move || {
-                while let Ok((view, accumulator)) = to_do.recv() {
-                    let outcome = evaluate(view, &accumulator);
-                    let _ = recycle.send(Order::Recycle(accumulator));
+                while let Ok((view, mut sums)) = to_do.recv() {
+                    let outcome = evaluate(view, sums.joined(&compute_decoder));
+                    let _ = recycle.send(Order::Recycle(sums));
                     if outcome_sender.send((view, Box::new(outcome))).is_err() {
                         return;
                     }
@@ -113,6 +115,11 @@ impl<O: Send + 'static> Acquisition<O> {
             compute: Some(compute),
             saved: Vec::new(),
         })
+    }
+
+    /// What stages, projector and camera are to do.
+    pub(crate) fn program(&self) -> &Program {
+        &self.program
     }
 
     /// Has all frames that follow written into `folder`, beside being summed.

@@ -11,14 +11,17 @@
 //! | `views` | which positions a target asks for |
 //! | `job` | from the captures to the head |
 //! | `folder` | the same from images made elsewhere |
+//! | `board` | a head from an ordinary board, of images made elsewhere |
 //! | `fitness` | plane and sphere measured with it, today and every week |
 
+mod board;
 mod fitness;
 mod folder;
 mod job;
 mod survey;
 mod views;
 
+pub use board::{BoardFolder, BoardFolderError};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;
 pub use job::{Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport};

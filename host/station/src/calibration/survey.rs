@@ -81,17 +81,18 @@ impl<O: Send + 'static> Surveyor<O> {
         let exposures_us = vec![target.exposure_us];
         let decoder = Decoder::new(head, &patterns, &exposures_us, options)?;
         let decoder = Arc::new(decoder);
-        let positions = positions.iter().map(|at| StagePosition {
-            rotation_rad: at.rotation_rad,
-            vertical_mm: at.vertical_mm,
-        });
+        let positions = positions
+            .iter()
+            .map(|at| StagePosition::of(at.rotation_rad, at.vertical_mm, &station.stages));
         let program = Program {
             positions: positions.collect(),
             patterns,
+            lit_ratios: Vec::new(),
             exposures_us,
             retract_mm: target.retract_mm,
             timing: station.timing.clone(),
             light: station.light.clone(),
+            stage: station.stages.config(),
         };
         let views = program.positions.len();
         let own = Arc::clone(&decoder);

@@ -4,8 +4,10 @@ use std::collections::VecDeque;
 use std::path::Path;
 use std::time::Duration;
 
+use flankscope_protocol::stage::STAGE_CONFIG_VERSION;
 use flankscope_protocol::{
-    Command, Event, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, Status,
+    Command, Event, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, StageConfig,
+    Status,
 };
 use tokio::time::{Instant, timeout_at};
 
@@ -206,6 +208,20 @@ impl Client {
             Reply::Accepted => Ok(()),
             _ => Err(ClientError::Unfitting),
         }
+    }
+
+    /// Says which stages these are; plans are judged by their travel from here on.
+    ///
+    /// # Errors
+    /// The controller refuses them, or no answer.
+    pub async fn configure(&mut self, stage: &StageConfig) -> Result<(), ClientError> {
+        let command = Command::ConfigureStage {
+            version: STAGE_CONFIG_VERSION,
+            stage: *stage,
+        };
+        self.order(&command).await?;
+        self.identity.limits = self.identity.limits.within(stage);
+        Ok(())
     }
 
     /// What the controller is doing.

@@ -4,7 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use flankscope_protocol::message::Boot;
-use flankscope_protocol::{Identity, Line, PROTOCOL_VERSION, State, Status};
+use flankscope_protocol::{
+    Identity, Line, Micrometres, Microradians, PROTOCOL_VERSION, StageConfig, State, Status,
+};
 use serde_json::json;
 
 use super::Finding;
@@ -14,7 +16,7 @@ const CHECK: &str = "controller";
 
 /// Says hello and asks for the status; nothing moves. The second finding is of the stages, the third of the press.
 #[must_use]
-pub fn controller(port: &Path, settings: ClientSettings) -> [Finding; 3] {
+pub fn controller(port: &Path, settings: ClientSettings, stage: &StageConfig) -> [Finding; 3] {
     let unasked = |why: &str| {
         [
             Finding::not_asked("stages", why),
@@ -24,7 +26,7 @@ pub fn controller(port: &Path, settings: ClientSettings) -> [Finding; 3] {
     match ask(port, settings) {
         Ok((identity, status, answer_ms)) => [
             answered(&identity, &status, answer_ms),
-            stages(&status),
+            stages(&status, &identity, stage),
             press(&status),
         ],
         Err(error) => {
@@ -111,23 +113,63 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
     finding.with(figures)
 }
 
-fn stages(status: &Status) -> Finding {
+/// The stages as the station's file has them; the controller is told of them only by who measures.
+fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding {
     let [rotation_deg, vertical_mm] = [
         f64::from(status.rotation.get()).to_degrees() / 1e6,
         f64::from(status.vertical.get()) / 1e3,
     ];
+    let (turn, lift) = (&stage.rotation, &stage.vertical);
+    let deg = |angle: Microradians| (f64::from(angle.get()).to_degrees() / 1e3).round() / 1e3;
+    let mm = |place: Micrometres| f64::from(place.get()) / 1e3;
+    let per_s = |thousandths: u32| f64::from(thousandths) / 1e3;
     let figures = json!({
         "homed": status.homed,
         "rotation_deg": rotation_deg,
         "vertical_mm": vertical_mm,
+        "line": stage.line.to_string(),
+        "rotation": {
+            "axis": turn.number,
+            "travel_deg": [deg(turn.from), deg(turn.to)],
+            "speed_deg_s": per_s(turn.speed.get()),
+            "acceleration_deg_s2": per_s(turn.acceleration.get()),
+            "home_deg": deg(turn.home),
+        },
+        "vertical": {
+            "axis": lift.number,
+            "travel_mm": [mm(lift.from), mm(lift.to)],
+            "speed_mm_s": per_s(lift.speed.get()),
+            "acceleration_mm_s2": per_s(lift.acceleration.get()),
+            "home_mm": mm(lift.home),
+        },
     });
-    let seen = match status.homed {
+    let stands = match status.homed {
         true => format!("referenced, at {rotation_deg:.3} deg and {vertical_mm:.3} mm"),
         false => {
             "not referenced since the controller started: the next check references them".into()
         }
     };
-    Finding::ok("stages", seen).with(figures)
+    let seen = format!(
+        "{stands}; axis {} turns {} to {} deg at {} deg/s, axis {} raises {} to {} mm at {} mm/s, line {}",
+        turn.number,
+        deg(turn.from),
+        deg(turn.to),
+        per_s(turn.speed.get()),
+        lift.number,
+        mm(lift.from),
+        mm(lift.to),
+        per_s(lift.speed.get()),
+        stage.line,
+    );
+    let finding = match stage.validate(&identity.limits) {
+        Ok(()) => Finding::ok("stages", seen),
+        Err(error) => Finding::failed(
+            "stages",
+            format!("{seen}; the controller would refuse them: {error}"),
+            "correct [stages] in station.toml: these limits are compiled into the controller",
+        ),
+    };
+    finding.with(figures)
 }
 
 fn press(status: &Status) -> Finding {

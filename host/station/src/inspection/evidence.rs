@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::job::Subject;
 use super::plan::{PlannedView, ViewPlan};
 use crate::files;
+use crate::poses::StatedPose;
 
 /// How a check looks at a tool, beside what its files say.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,6 +17,9 @@ pub struct Recipe {
     pub teeth: Vec<u32>,
     /// Patterns.
     pub pattern_set: String,
+    /// Share of all mirrors' light that each pass of the patterns gives; none: they are shown once, by all mirrors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lit_ratios: Vec<f64>,
     /// Exposures, µs.
     pub exposures_us: Vec<u32>,
     /// What a point is made of: `core` or `pixel`.
@@ -38,6 +42,9 @@ pub struct RecordedRecipe {
     pub dark_frame: bool,
     /// The sensor, where it is not the one of the head's file.
     pub sensor: Option<Sensor>,
+    /// Where the camera stood, by view from 0, where somebody else than the stages said so.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub poses: Vec<(usize, StatedPose)>,
 }
 
 impl Recipe {
@@ -49,17 +56,25 @@ impl Recipe {
         };
         let teeth: Vec<u32> = plan.views.iter().map(|view| view.tooth).collect();
         let by_files = ViewPlan::new(&subject.tool, &subject.head, Some(&teeth));
-        let recorded = by_files.is_ok_and(|by_files| by_files == *plan);
+        let recorded = by_files.is_ok_and(|by_files| {
+            let lit_ratios = plan.lit_ratios.clone();
+            ViewPlan {
+                lit_ratios,
+                ..by_files
+            } == *plan
+        });
         let recorded = (!recorded).then(|| RecordedRecipe {
             views: plan.views.clone(),
             patterns: plan.patterns.clone(),
             dark_frame: plan.dark_frame,
             sensor: plan.sensor,
+            poses: plan.stated.all(),
         });
         Self {
             teeth,
             recorded,
             pattern_set: plan.patterns.name.clone(),
+            lit_ratios: plan.lit_ratios.clone(),
             exposures_us: plan.exposures_us.clone(),
             grid: grid.into(),
             temperature_degc: subject.temperature_degc,

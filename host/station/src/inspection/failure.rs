@@ -14,7 +14,7 @@ impl From<&ViewError> for Reason {
                 Code::FrameUnreadable
             }
             ViewError::Image(_) => Code::FrameContent,
-            ViewError::NotRecorded { .. } => Code::NotCaptured,
+            ViewError::NotRecorded { .. } | ViewError::Pose(_) => Code::NotCaptured,
             ViewError::Pairing(PairingError::Count { .. } | PairingError::Counter { .. })
             | ViewError::Incomplete { .. } => Code::FramesMissing,
             ViewError::Pairing(

@@ -54,7 +54,7 @@ impl FlankCriteria {
         };
         Some(match self.judged_wear(&together) {
             Ok(wear) => {
-                let judged = Judged::of_wear(&wear, absolute, &self.limits);
+                let judged = Judged::of_wear(&wear, absolute, &self.limits).named(&self.tool);
                 if measured.len() > 1 {
                     judged.from_captures(measured.iter().map(|wear| self.figure(wear)).collect())
                 } else {

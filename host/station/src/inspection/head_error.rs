@@ -15,19 +15,25 @@ pub(crate) fn calibration_um(tool: &Tool, head: &HeadModel) -> f64 {
     head.calibration
         .as_ref()
         .map_or(1e3 * tool.wear_settings().calibration_mm, |record| {
-            let (sin, cos) = normal_from_circumference_rad(tool).sin_cos();
-            let own_um = (record.depth_sigma_um * sin).hypot(record.lateral_sigma_um * cos);
+            let [depth_um, lateral_um] = [record.depth_sigma_um, record.lateral_sigma_um];
+            let own_um = match normal_from_circumference_rad(tool) {
+                Some(angle_rad) => {
+                    let (sin, cos) = angle_rad.sin_cos();
+                    (depth_um * sin).hypot(lateral_um * cos)
+                }
+                None => depth_um.max(lateral_um),
+            };
             own_um.max(stated_um.unwrap_or(0.0))
         })
 }
 
-/// Angle between a flank's normal and the circumference in the middle of the judged zone. Without a gear: half a right angle.
-fn normal_from_circumference_rad(tool: &Tool) -> f64 {
+/// Angle between a flank's normal and the circumference in the middle of the judged zone. A patch may face anywhere: the larger of
+/// both uncertainties is then as much as it can feel.
+fn normal_from_circumference_rad(tool: &Tool) -> Option<f64> {
     let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
     let of_gear = |gear: &GearData| {
         let radius_mm = middle(tool.zone().map_or(gear.active_flank_mm(), |z| z.radius_mm));
         (gear.base_radius_mm() / radius_mm).min(1.0).acos()
     };
-    let none = std::f64::consts::FRAC_PI_4;
-    tool.gear.as_ref().map_or(none, of_gear)
+    tool.gear.as_ref().map(of_gear)
 }

@@ -14,18 +14,21 @@ use super::failure;
 use super::findings::Findings;
 use super::plan::{PlanningError, ViewPlan};
 use super::result::{FrameCount, Inspection, Pictures, Timing, Toothing};
-use super::views::{Evaluator, EvaluatorError, ViewOutcome};
+use super::views::{Evaluator, EvaluatorError, ViewOutcome, hand_eye};
 use crate::acquisition::{
-    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Run, Stop,
+    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Route, Run, Stop,
+    ViewError,
 };
 use crate::baseline::Baseline;
 use crate::controller::{Client, ClientSettings};
 use crate::die::DieKey;
 use crate::origin::{HeadId, Origin, Setting};
+use crate::poses::{PoseError, PoseProgram, PoseSource};
 use crate::seal::Seals;
 use crate::settings::StationSettings;
 use crate::sink::{ResultSink, SinkError};
 use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
+use flankscope_protocol::View;
 
 /// What is inspected, with what.
 #[derive(Clone, Debug)]
@@ -100,6 +103,9 @@ pub enum InspectError {
     /// The tool cannot be evaluated.
     #[error(transparent)]
     Evaluator(#[from] EvaluatorError),
+    /// Nobody can say where the camera stands.
+    #[error(transparent)]
+    Pose(#[from] PoseError),
 }
 
 /// The instrument's host side for checks: its threads run, frames have a place to arrive.
@@ -112,11 +118,14 @@ pub struct Station {
     pub(super) setting: Setting,
     /// Largest count of the camera.
     pub(super) full_scale_dn: u16,
+    /// Who is asked where the camera stands.
+    poses: Option<PoseProgram>,
 }
 
 impl Station {
     /// Starts the capture and compute threads for one subject, with frames arriving below `root`. Results say that they
-    /// come from `setting`.
+    /// come from `setting`. `lit_ratios` are the shares of all mirrors' light that the passes of the patterns give; none: they are
+    /// shown once, by all mirrors.
     ///
     /// # Errors
     /// The subject is unfit, or shared memory is refused.
@@ -124,12 +133,26 @@ impl Station {
         subject: Subject,
         setting: Setting,
         teeth: Option<&[u32]>,
+        lit_ratios: Vec<f64>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
-        let plan = ViewPlan::new(&subject.tool, &subject.head, teeth)?;
+        let plan = ViewPlan {
+            lit_ratios,
+            ..ViewPlan::new(&subject.tool, &subject.head, teeth)?
+        };
+        plan.check_way(&subject.tool, &subject.head, &subject.station)?;
+        let poses = match subject.station.stages.poses.open()? {
+            Some(PoseSource::Table(table)) => {
+                plan.take_poses(&table, hand_eye(&subject)?)?;
+                None
+            }
+            Some(PoseSource::Program(program)) => Some(program),
+            None => None,
+        };
         let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let source = move || Ok(FrameReceiver::create(&root)?);
-        Self::fed_by(source, subject, setting, plan, decoder)
+        let station = Self::fed_by(source, subject, setting, plan, decoder)?;
+        Ok(Self { poses, ..station })
     }
 
     /// The same for frames that were recorded, and the end at which they are called for.
@@ -168,6 +191,7 @@ impl Station {
             acquisition,
             setting,
             full_scale_dn: decoder.full_scale_dn(),
+            poses: None,
         })
     }
 
@@ -225,8 +249,12 @@ impl Station {
     ) -> Result<Inspection, InspectError> {
         let begun_ns = monotonic_ns();
         let status = client.status().await.map_err(AcquisitionError::from)?;
-        let rotation_rad = f64::from(status.rotation.get()) * 1e-6;
-        let order = self.plan.order_from(rotation_rad);
+        let stands = View {
+            rotation: status.rotation,
+            vertical: status.vertical,
+        };
+        let Route { order, time } = self.acquisition.program().quickest_from(stands);
+        watch(Progress::Planned(time));
         let mut run = Run::new(order.clone(), hold_limit);
         // What a head that must not judge would measure is not worth the press's time.
         let stopped = match self.subject.head.fit_on(Date::today()) {
@@ -248,16 +276,62 @@ impl Station {
         order: &[usize],
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
-        let missing = |run: &mut Run<ViewOutcome>, views: &[usize], _: Option<&Stop>| {
-            Ok::<_, AcquisitionError>(run.without_outcome(views))
-        };
-        let captured =
-            self.acquisition
-                .capture_settled(client, run, order, AfterStop::End, missing, watch);
+        if self.poses.is_some() {
+            return self.capture_where_told(client, run, order, watch).await;
+        }
+        let captured = self.acquisition.capture_settled(
+            client,
+            run,
+            order,
+            AfterStop::End,
+            without_outcome,
+            watch,
+        );
         if let Some(stopped) = captured.await? {
             return Ok(Some(stopped));
         }
         self.repeat_open_views(client, run, watch).await
+    }
+
+    /// Captures one view after the other, each where somebody says that the camera stands. A view without a pose is not captured;
+    /// none is measured again, for the camera has gone on.
+    async fn capture_where_told(
+        &mut self,
+        client: &mut Client,
+        run: &mut Run<ViewOutcome>,
+        order: &[usize],
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Option<Stop>, InspectError> {
+        let stage_from_camera = hand_eye(&self.subject)?;
+        for view in order {
+            let wanted = self.plan.wanted(*view, stage_from_camera);
+            self.plan.stated.remove(*view);
+            let Some(program) = &mut self.poses else {
+                break;
+            };
+            match program.reach(&wanted, &client.interrupt()).await {
+                Ok(pose) => self.plan.stated.insert(*view, pose),
+                Err(PoseError::Interrupted { .. }) => return Ok(Some(Stop::Interrupted)),
+                Err(why) => {
+                    tracing::warn!(view, %why, "no pose");
+                    run.problems.insert(*view, ViewError::Pose(why.to_string()));
+                    continue;
+                }
+            }
+            let views = std::slice::from_ref(view);
+            let captured = self.acquisition.capture_settled(
+                client,
+                run,
+                views,
+                AfterStop::End,
+                without_outcome,
+                watch,
+            );
+            if let Some(stopped) = captured.await? {
+                return Ok(Some(stopped));
+            }
+        }
+        Ok(None)
     }
 
     /// The result of a check, by a controller with this firmware if there was one.
@@ -330,11 +404,21 @@ impl Station {
                 maps: found.maps,
                 deviations_um: found.deviations_um,
                 activities: run.timeline.activities(),
+                moves: self.subject.station.stages.moves,
                 frame: run.picture,
                 toothing: Toothing::of(&self.subject.tool),
             },
         }
     }
+}
+
+/// What of an attempt is to be captured once more.
+fn without_outcome(
+    run: &mut Run<ViewOutcome>,
+    views: &[usize],
+    _: Option<&Stop>,
+) -> Result<Vec<usize>, AcquisitionError> {
+    Ok(run.without_outcome(views))
 }
 
 /// High-water mark of this process's resident memory, from the kernel.

@@ -2,12 +2,14 @@
 //!
 //! | file | holds |
 //! |---|---|
+//! | `patch_view` | where the stages stand to look at a patch |
 //! | `plan` | which poses, patterns and exposures: from tool and head to a plan of views |
 //! | `job` | one check, from hello to verdict |
 //! | `recorded` | the same check on frames that were recorded |
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `datum` | points inside a patch's datum |
 //! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `pose_sensitivity` | what the pose does to a flank's figures |
@@ -17,6 +19,7 @@
 //! | `verdict` | flanks to one verdict |
 //! | `result` | the JSON document and the report's material |
 
+mod datum;
 mod evidence;
 mod failure;
 mod field;
@@ -24,6 +27,8 @@ mod findings;
 mod flank_decision;
 mod head_error;
 mod job;
+mod patch_view;
+mod place;
 mod plan;
 mod pose_sensitivity;
 mod recorded;
@@ -40,6 +45,7 @@ pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
+pub use patch_view::PatchViewError;
 pub use plan::{PlannedView, PlanningError, ViewPlan};
 pub use recorded::{RecordError, RecordedCheck};
 pub(crate) use recorded::{RecordingNotes, tooth_in_middle};

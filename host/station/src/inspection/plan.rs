@@ -1,24 +1,27 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
-use flankscope_foundation::rigid::{Camera, Rigid, Stage, Tool as ToolFrame};
-use flankscope_metrology::gear::GearData;
+use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage, Tool as ToolFrame};
+use flankscope_metrology::gear::{GearData, Kind};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Recipe, RecordedRecipe};
+use super::patch_view::{self, PatchViewError};
 use crate::acquisition::{Program, Recording, StagePosition};
+use crate::kinematics::{Moves, SweptVolume, tool_from_camera};
+use crate::poses::{PoseError, PoseTable, StatedPoses, Wanted};
 use crate::settings::StationSettings;
 
-/// One view: which tooth is in its middle, and where the stages must stand.
+/// One view: which tooth or patch is in its middle, and where the stages must stand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedView {
-    /// Tooth in the middle of the field.
+    /// Tooth, or number of the patch, in the middle of the field.
     pub tooth: u32,
-    /// Commanded angle of the rotary stage, rad.
+    /// How far the die is turned before the head, rad ([`crate::kinematics`]); the rotary stage's commanded angle where it turns
+    /// the die.
     pub rotation_rad: f64,
     /// Commanded position of the vertical stage, mm.
     pub vertical_mm: f64,
@@ -38,7 +41,7 @@ impl PlannedView {
         &self,
         stage_from_camera: Rigid<Stage, Camera>,
     ) -> Rigid<ToolFrame, Camera> {
-        tool_from_stage(self.rotation_rad) * lifted(self.vertical_mm, stage_from_camera)
+        tool_from_camera(self.rotation_rad, self.vertical_mm, stage_from_camera)
     }
 }
 
@@ -49,6 +52,8 @@ pub struct ViewPlan {
     pub views: Vec<PlannedView>,
     /// Fringe patterns.
     pub patterns: PatternSet,
+    /// Share of all mirrors' light that each pass gives, where they are shown in passes; empty: once, by all mirrors.
+    pub lit_ratios: Vec<f64>,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
     /// Whether a dark frame precedes each view.
@@ -57,6 +62,8 @@ pub struct ViewPlan {
     pub sensor: Option<Sensor>,
     /// Upper face of the die, mm.
     pub top_mm: f64,
+    /// Where the camera stood, where somebody else than the stages says so.
+    pub stated: StatedPoses,
 }
 
 /// Why no plan can be made.
@@ -68,6 +75,9 @@ pub enum PlanningError {
         "the tool has no [gear] and [inspect] section; a check needs both (see docs/formats.md)"
     )]
     NoGear,
+    /// A patch that the head cannot look at.
+    #[error(transparent)]
+    Patch(#[from] PatchViewError),
     /// No teeth to inspect.
     #[error(
         "no tooth is to be inspected; name some with --teeth or in the tool file's inspect.teeth"
@@ -108,6 +118,33 @@ pub enum PlanningError {
         /// The tooth.
         tooth: u32,
     },
+    /// The head would touch the teeth of an external gear on its way.
+    #[error(
+        "the head's window comes as near as {nearest_mm:.1} mm to the axis and the teeth reach out to {tip_mm:.1} mm: it would touch \
+         them between {} and {} mm of height; an external gear is looked at from outside: correct stage_from_camera of the head file, \
+         or gear.kind and tip_radius_mm of the tool file", heights_mm[0], heights_mm[1]
+    )]
+    TouchesOutside {
+        /// Window nearest to the axis, mm.
+        nearest_mm: f64,
+        /// Radius of the tooth tips, mm.
+        tip_mm: f64,
+        /// Heights that are swept, mm.
+        heights_mm: [f64; 2],
+    },
+    /// The head would touch the teeth on its way.
+    #[error(
+        "the head's window reaches {reach_mm:.1} mm from the axis and the bore is open to {bore_mm:.1} mm: it would touch the teeth \
+         between {} and {} mm of height; correct stage_from_camera of the head file or tip_radius_mm of the tool file", heights_mm[0], heights_mm[1]
+    )]
+    Touches {
+        /// Farthest window from the axis, mm.
+        reach_mm: f64,
+        /// Radius of the tooth tips, mm.
+        bore_mm: f64,
+        /// Heights that are swept, mm.
+        heights_mm: [f64; 2],
+    },
     /// Too many views for one plan.
     #[error("{got} teeth are too many for one check; at most {limit}")]
     TooMany {
@@ -137,10 +174,8 @@ impl ViewPlan {
         head: &HeadModel,
         teeth: Option<&[u32]>,
     ) -> Result<Self, PlanningError> {
-        let (Some(gear), Some(inspect)) = (&tool.gear, &tool.inspect) else {
-            return Err(PlanningError::NoGear);
-        };
-        let teeth = teeth.unwrap_or(&inspect.teeth);
+        let inspected = tool.inspected();
+        let teeth = teeth.unwrap_or(&inspected);
         let limit = flankscope_protocol::plan::MAX_VIEWS;
         if teeth.len() > limit {
             return Err(PlanningError::TooMany {
@@ -148,7 +183,10 @@ impl ViewPlan {
                 limit,
             });
         }
-        let views = Self::nominal(tool, teeth)?;
+        let views = match &tool.gear {
+            None if !tool.patches.is_empty() => Self::of_patches(tool, head, teeth)?,
+            _ => Self::nominal(tool, teeth)?,
+        };
         let lacks = |what| PlanningError::HeadLacks { what };
         let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
         if head.exposures_us.is_empty() {
@@ -157,14 +195,15 @@ impl ViewPlan {
         if head.stage_from_camera.is_none() {
             return Err(lacks("stage_from_camera"));
         }
-        let top_mm = gear.height_mm[1];
         Ok(Self {
             views,
             patterns,
+            lit_ratios: Vec::new(),
             exposures_us: head.exposures_us.clone(),
             dark_frame: true,
             sensor: None,
-            top_mm,
+            top_mm: tool.top_mm(),
+            stated: StatedPoses::default(),
         })
     }
 
@@ -198,8 +237,29 @@ impl ViewPlan {
                 vertical_mm: inspect.height_mm,
             });
         }
-        let mut angles_rad: Vec<&mut f64> = views.iter_mut().map(|v| &mut v.rotation_rad).collect();
-        close_ranks(&mut angles_rad);
+        close_ranks(&mut angles_of(&mut views));
+        Ok(views)
+    }
+
+    /// Where the stages stand to have each of these patches in the middle of a view.
+    fn of_patches(
+        tool: &Tool,
+        head: &HeadModel,
+        numbers: &[u32],
+    ) -> Result<Vec<PlannedView>, PlanningError> {
+        if numbers.is_empty() {
+            return Err(PlanningError::NoTeeth);
+        }
+        for (i, &got) in numbers.iter().enumerate() {
+            if numbers.iter().take(i).any(|&earlier| earlier == got) {
+                return Err(PlanningError::Twice { got });
+            }
+        }
+        let mut views = patch_view::nominal(tool, head, numbers)?;
+        for view in &mut views {
+            view.rotation_rad = wrapped(view.rotation_rad);
+        }
+        close_ranks(&mut angles_of(&mut views));
         Ok(views)
     }
 
@@ -214,10 +274,12 @@ impl ViewPlan {
         Self {
             views,
             patterns: plan.patterns.clone(),
+            lit_ratios: Vec::new(),
             exposures_us: plan.exposures_us.clone(),
             dark_frame: plan.dark_frame,
             sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),
             top_mm: gear.height_mm[1],
+            stated: StatedPoses::default(),
         }
     }
 
@@ -231,7 +293,10 @@ impl ViewPlan {
         recipe: &Recipe,
     ) -> Result<Self, PlanningError> {
         let Some(recorded) = &recipe.recorded else {
-            return Self::new(tool, head, Some(&recipe.teeth));
+            return Ok(Self {
+                lit_ratios: recipe.lit_ratios.clone(),
+                ..Self::new(tool, head, Some(&recipe.teeth))?
+            });
         };
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
         let RecordedRecipe {
@@ -239,15 +304,80 @@ impl ViewPlan {
             patterns,
             dark_frame,
             sensor,
+            poses,
         } = recorded.clone();
         Ok(Self {
             views,
             patterns: patterns.checked()?,
+            lit_ratios: recipe.lit_ratios.clone(),
             exposures_us: recipe.exposures_us.clone(),
             dark_frame,
             sensor,
             top_mm: gear.height_mm[1],
+            stated: poses.into_iter().collect(),
         })
+    }
+
+    /// Looks whether the space that a head takes on its way through the views is free.
+    ///
+    /// # Errors
+    /// It is not free: the head would touch the teeth, an internal gear's from inside or an external one's from outside, or the
+    /// CAD that patches are on.
+    pub(crate) fn check_way(
+        &self,
+        tool: &Tool,
+        head: &HeadModel,
+        settings: &StationSettings,
+    ) -> Result<(), PlanningError> {
+        let Some(hand_eye) = &head.stage_from_camera else {
+            return Ok(());
+        };
+        let (Ok(hand_eye), Ok(projector)) = (
+            hand_eye.rigid::<Stage, Camera>(),
+            head.projector_from_camera.rigid::<Projector, Camera>(),
+        ) else {
+            return Ok(());
+        };
+        let views = self.views.iter().map(|v| (v.rotation_rad, v.vertical_mm));
+        let out_mm = self.top_mm + settings.stages.clearance_mm;
+        let moves = settings.stages.moves;
+        let Some(gear) = &tool.gear else {
+            return match moves {
+                // Whoever carries the head knows its way.
+                Moves::Outside => Ok(()),
+                Moves::Die | Moves::Head => Ok(patch_view::check_way(
+                    tool,
+                    &self.views,
+                    out_mm,
+                    hand_eye,
+                    projector,
+                )?),
+            };
+        };
+        let swept = SweptVolume::of(moves, views, out_mm, hand_eye, projector.isometry());
+        if swept.heights_mm[0] >= gear.height_mm[1] {
+            return Ok(());
+        }
+        let SweptVolume {
+            reach_mm,
+            nearest_mm,
+            heights_mm,
+            ..
+        } = swept;
+        let tip_mm = gear.tip_radius_mm;
+        match gear.kind {
+            Kind::Internal if reach_mm >= tip_mm => Err(PlanningError::Touches {
+                reach_mm,
+                bore_mm: tip_mm,
+                heights_mm,
+            }),
+            Kind::External if nearest_mm <= tip_mm => Err(PlanningError::TouchesOutside {
+                nearest_mm,
+                tip_mm,
+                heights_mm,
+            }),
+            Kind::Internal | Kind::External => Ok(()),
+        }
     }
 
     /// What makes points of its frames; with a mask, every point says how much the fringes oscillate around it.
@@ -271,37 +401,56 @@ impl ViewPlan {
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
 
+    /// What somebody who says where the camera stands is asked for a view.
+    pub(crate) fn wanted(&self, view: usize, stage_from_camera: Rigid<Stage, Camera>) -> Wanted {
+        let planned = &self.views[view];
+        Wanted {
+            view: view + 1,
+            tooth: planned.tooth,
+            tool_from_camera: planned.tool_from_camera(stage_from_camera),
+        }
+    }
+
+    /// Takes the poses of all views from a table.
+    ///
+    /// # Errors
+    /// One is missing, or none to be trusted.
+    pub(crate) fn take_poses(
+        &self,
+        table: &PoseTable,
+        stage_from_camera: Rigid<Stage, Camera>,
+    ) -> Result<(), PoseError> {
+        for view in 0..self.views.len() {
+            let pose = table.reach(&self.wanted(view, stage_from_camera))?;
+            self.stated.insert(view, pose);
+        }
+        Ok(())
+    }
+
     /// What it asks of stages, projector and camera.
     pub(crate) fn program(&self, settings: &StationSettings) -> Program {
-        let position = |view: &PlannedView| StagePosition {
-            rotation_rad: view.rotation_rad,
-            vertical_mm: view.vertical_mm,
+        let position = |view: &PlannedView| {
+            StagePosition::of(view.rotation_rad, view.vertical_mm, &settings.stages)
         };
         Program {
             positions: self.views.iter().map(position).collect(),
             patterns: self.patterns.clone(),
+            lit_ratios: self.lit_ratios.clone(),
             exposures_us: self.exposures_us.clone(),
-            retract_mm: self.top_mm + settings.stages.clearance_mm,
+            retract_mm: match settings.stages.moves {
+                Moves::Outside => settings.stages.vertical.home_mm,
+                Moves::Die | Moves::Head => self.top_mm + settings.stages.clearance_mm,
+            },
             timing: settings.timing.clone(),
             light: settings.light.clone(),
+            stage: settings.stages.config(),
         }
     }
+}
 
-    /// The views in the order of the shortest way for a rotary stage that stands at `rotation_rad`: from the nearer end
-    /// of the sweep to the other.
-    #[must_use]
-    pub fn order_from(&self, rotation_rad: f64) -> Vec<usize> {
-        let mut order: Vec<usize> = (0..self.views.len()).collect();
-        let angle = |&view: &usize| self.views[view].rotation_rad;
-        order.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-        let (Some(first), Some(last)) = (order.first().map(angle), order.last().map(angle)) else {
-            return order;
-        };
-        if (last - rotation_rad).abs() < (first - rotation_rad).abs() {
-            order.reverse();
-        }
-        order
-    }
+/// The turns of views.
+fn angles_of(views: &mut [PlannedView]) -> Vec<&mut f64> {
+    views.iter_mut().map(|v| &mut v.rotation_rad).collect()
 }
 
 /// The same angle in −π..π.
@@ -333,17 +482,6 @@ fn close_ranks(angles_rad: &mut [&mut f64]) {
     } else if after > 0 {
         above.iter_mut().for_each(|angle| **angle -= turn);
     }
-}
-
-/// The die turns by the commanded angle; seen from the die, the stage turns the other way.
-fn tool_from_stage(rotation_rad: f64) -> Rigid<ToolFrame, Stage> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -rotation_rad);
-    Rigid::from_isometry(Isometry3::from_parts(Translation3::identity(), turn))
-}
-
-/// The vertical stage raises the head.
-fn lifted(vertical_mm: f64, stage_from_camera: Rigid<Stage, Camera>) -> Rigid<Stage, Camera> {
-    Rigid::from_isometry(Translation3::new(0.0, 0.0, vertical_mm) * stage_from_camera.isometry())
 }
 
 #[cfg(test)]

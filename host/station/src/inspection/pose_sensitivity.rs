@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use flankscope_foundation::order::median_of;
-use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
+use flankscope_metrology::feature::Features;
+use flankscope_metrology::gear::{Flank, FlankPlace};
 use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Temperature;
-use flankscope_metrology::wear::leakage;
+use flankscope_metrology::wear::leakage::{self, Leakage};
 use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 
@@ -17,7 +18,7 @@ const LEAST_POINTS: usize = 100;
 
 /// A view after its fit.
 pub(super) struct Fitted<'a> {
-    pub gear: &'a GearData,
+    pub features: Features<'a>,
     pub zone: &'a Zone,
     pub registration: &'a Registration,
     pub prior: &'a Prior,
@@ -27,10 +28,10 @@ pub(super) struct Fitted<'a> {
     /// Every point on the surface, and whether the fit used it.
     pub closest: &'a [Closest],
     pub used: &'a [bool],
-    /// Where every point lies on the gear.
+    /// Where every point lies.
     pub places: &'a [Option<FlankPlace>],
     pub temperature: Option<&'a Temperature>,
-    /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on.
+    /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on, but of a patch's datum always.
     pub form_in_doubt: bool,
 }
 
@@ -49,8 +50,8 @@ impl OnFlank {
 }
 
 impl Fitted<'_> {
-    /// The sensitivities of both flanks of `tooth`.
-    pub fn on(&self, tooth: u32) -> [PoseSensitivity; 2] {
+    /// The sensitivities of both flanks of `tooth`, or of that patch.
+    pub fn on(&self, tooth: u32) -> Vec<PoseSensitivity> {
         let contacts: Vec<Contact> = self
             .closest
             .iter()
@@ -65,13 +66,29 @@ impl Fitted<'_> {
         };
         let answer = response.answer(|i| grown(&contacts[i]));
         let places = self.places;
-        let seen = self.seen(places);
-        let evidence = Arc::new(self.evidence(tooth, &seen));
+        // A patch has no sides between which a turn could share wear; its pose rests on its datum.
+        let (evidence, others): (_, Vec<(u32, Flank)>) = match self.features {
+            Features::Gear(_) => {
+                let seen = self.seen(places);
+                let evidence = Arc::new(self.evidence(tooth, &seen));
+                (Some(evidence), seen.into_keys().collect())
+            }
+            Features::Patches(_) => {
+                let mut keys: Vec<_> = places
+                    .iter()
+                    .flatten()
+                    .map(|p| (p.tooth, p.flank))
+                    .collect();
+                keys.sort_unstable();
+                keys.dedup();
+                (None, keys)
+            }
+        };
         // How much of a unit error in the form of each other flank the pose passes on.
-        let answers: Vec<_> = seen
-            .keys()
-            .filter(|(other, _)| self.form_in_doubt && *other != tooth)
-            .map(|&key| {
+        let answers: Vec<_> = others
+            .into_iter()
+            .filter(|(other, _)| (self.form_in_doubt || evidence.is_none()) && *other != tooth)
+            .map(|key| {
                 let on = |i: usize| {
                     let here = places[i].map(|place| (place.tooth, place.flank));
                     f64::from(here == Some(key))
@@ -79,8 +96,16 @@ impl Fitted<'_> {
                 response.answer(on)
             })
             .collect();
-        let leakage = leakage::of_tooth(self.gear, self.zone, tooth, &response, &contacts, places);
-        Flank::BOTH.map(|flank| {
+        let leakage = leakage::of_feature(
+            self.features,
+            self.zone,
+            tooth,
+            &response,
+            &contacts,
+            places,
+        );
+        let sides = self.features.sides().iter().zip(leakage);
+        let of_side = |(&flank, leakage): (&Flank, Leakage)| {
             let (mut sum, mut count) = (0.0, 0.0);
             let mut passed_on = vec![0.0; answers.len()];
             for (contact, place) in contacts.iter().zip(places) {
@@ -98,13 +123,14 @@ impl Fitted<'_> {
             let mean = |sum: f64| if count > 0.0 { sum / count } else { 0.0 };
             let squares: f64 = passed_on.iter().map(|&sum| mean(sum).powi(2)).sum();
             PoseSensitivity {
-                leakage: leakage[usize::from(flank == Flank::Right)],
-                evidence: Arc::clone(&evidence),
+                leakage,
+                evidence: evidence.clone(),
                 form_scatter_mm: 0.0,
                 others_form: squares.sqrt(),
                 temperature_mm: self.temperature.map_or(0.0, |t| mean(sum).abs() * t.u_k),
             }
-        })
+        };
+        sides.map(of_side).collect()
     }
 
     /// What was seen of each flank in view.

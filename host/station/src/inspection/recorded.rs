@@ -12,13 +12,14 @@ use flankscope_profilometry::HeadModel;
 use super::failure;
 use super::job::{InspectError, Station, Subject};
 use super::plan::{PlannedView, PlanningError, ViewPlan};
-use super::views::ViewOutcome;
+use super::views::{ViewOutcome, hand_eye};
 use crate::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, Playback, Progress, RecordedView, Recording, Run,
     SavedView, ViewError,
 };
 use crate::files::write_whole;
 use crate::origin::Setting;
+use crate::poses::PoseTable;
 use crate::sink::ResultSink;
 use flankscope_frames::monotonic_ns;
 
@@ -51,6 +52,9 @@ impl RecordedCheck {
     ) -> Result<Self, InspectError> {
         let views = recording.views(&subject.head)?;
         let (plan, of_views) = plan(&subject.tool, &subject.head, recording, teeth)?;
+        if let Some(table) = recording.poses() {
+            plan.take_poses(&PoseTable::load(&table)?, hand_eye(&subject)?)?;
+        }
         let captures = of_views
             .iter()
             .map(|of| of.iter().filter_map(|&at| views.get(at).cloned()).collect());
@@ -185,6 +189,7 @@ impl RecordingNotes<'_> {
             });
         }
         let index = FrameIndex {
+            poses: None,
             simulated: self.setting.link.is_simulated(),
             taken: Some(Date::today()),
             plan: "PLAN.toml".into(),

@@ -12,19 +12,23 @@ use serde::Serialize;
 
 use crate::baseline::{Baseline, BaselineError, Reference};
 use crate::die::DieKey;
+use crate::kinematics::Moves;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
 use crate::acquisition::{Activity, Counts, Picture};
 use flankscope_frames::Frame;
 
-/// One inspected flank: a row of the table.
+/// One inspected flank or patch: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
-    /// Tooth number, 1 is the first.
+    /// Tooth number, 1 is the first; of a patch, its place among those of the tool file.
     pub tooth: u32,
-    /// `left` or `right`.
+    /// `left` or `right`; of a patch `face`.
     pub flank: String,
+    /// Name of the patch, where it is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patch: Option<String>,
     /// Wear, µm, positive for loss; absent when it could not be measured.
     pub wear_um: Option<f64>,
     /// Expanded uncertainty of the wear (95 %), µm.
@@ -98,6 +102,20 @@ pub struct FlankDetail {
     pub detection_limit_um: f64,
     /// Standard uncertainty of the wear by source, µm.
     pub budget_um: BTreeMap<&'static str, f64>,
+}
+
+impl Feature {
+    /// Which side of its tooth it is, or the name of its patch.
+    #[must_use]
+    pub fn side(&self) -> &str {
+        self.patch.as_deref().unwrap_or(&self.flank)
+    }
+
+    /// What it is called in a sentence.
+    #[must_use]
+    pub fn label(&self) -> String {
+        super::verdict::label(self.patch.as_deref(), self.tooth, &self.flank)
+    }
 }
 
 impl FlankDetail {
@@ -360,6 +378,8 @@ pub struct Pictures {
     pub deviations_um: Vec<f64>,
     /// Activity of the devices.
     pub activities: Vec<Activity>,
+    /// What their rotary stage turned.
+    pub moves: Moves,
     /// One raw frame.
     pub frame: Option<Picture>,
     /// The toothing around the flanks; absent where the tool is none.
@@ -394,14 +414,24 @@ impl Toothing {
 pub struct FlankMap {
     /// Tooth number.
     pub tooth: u32,
-    /// `left` or `right`.
+    /// `left` or `right`; of a patch `face`.
     pub flank: String,
-    /// Cells along the profile (from tip to root).
+    /// Name of the patch, where it is one.
+    pub patch: Option<String>,
+    /// Cells along the profile (from tip to root), or along the patch.
     pub columns: usize,
-    /// Cells along the die axis.
+    /// Cells along the die axis, or up the patch.
     pub rows: usize,
-    /// Size of the map, mm: profile, axis.
+    /// Size of the map, mm: profile, axis; of a patch along and up.
     pub size_mm: [f64; 2],
     /// Mean deviation, µm, row by row from the top; NaN without points.
     pub deviation_um: Vec<f64>,
+}
+
+impl FlankMap {
+    /// Which side of its tooth it is, or the name of its patch.
+    #[must_use]
+    pub fn side(&self) -> &str {
+        self.patch.as_deref().unwrap_or(&self.flank)
+    }
 }

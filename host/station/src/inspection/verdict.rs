@@ -12,11 +12,13 @@ use flankscope_metrology::wear::{Budget, Figure, FlankWear};
 
 use super::result::{Expanded, Feature, FlankDetail};
 
-/// One flank with its verdict.
+/// One flank or patch with its verdict.
 #[derive(Clone, Debug)]
 pub struct Judged {
     tooth: u32,
     flank: Flank,
+    /// Name of the patch that it is.
+    patch: Option<String>,
     wear_um: Option<f64>,
     u95_um: Option<f64>,
     mean_um: Option<f64>,
@@ -46,6 +48,7 @@ impl Judged {
         Self {
             tooth: wear.tooth,
             flank: wear.flank,
+            patch: None,
             wear_um: finite_um(wear.wear_mm),
             u95_um: finite_um(wear.u95_mm()),
             mean_um: finite_um(wear.mean_mm),
@@ -69,6 +72,18 @@ impl Judged {
     /// The wear, µm, where there is one.
     pub(crate) fn wear_um(&self) -> Option<f64> {
         self.wear_um
+    }
+
+    /// The same, called by the name of its patch where it is one of the tool's.
+    pub(crate) fn named(mut self, tool: &Tool) -> Self {
+        let patch = tool.features().patch(self.tooth);
+        self.patch = patch.map(|patch| patch.name.clone());
+        self
+    }
+
+    /// What it is called.
+    fn label(&self) -> String {
+        label(self.patch.as_deref(), self.tooth, &self.flank.to_string())
     }
 
     /// The same, with the heights that it is for, mm.
@@ -142,6 +157,7 @@ impl From<Judged> for Feature {
         Self {
             tooth: judged.tooth,
             flank: judged.flank.to_string(),
+            patch: judged.patch,
             wear_um: judged.wear_um,
             u95_um: judged.u95_um,
             mean_um: judged.mean_um,
@@ -158,11 +174,12 @@ impl From<Judged> for Feature {
     }
 }
 
-/// Both flanks of a tooth that could not be measured.
+/// All sides of a tooth or patch that could not be measured.
 pub fn unmeasured(tooth: u32, tool: &Tool, why: &Reason) -> Vec<Judged> {
-    Flank::BOTH
-        .map(|flank| unmeasured_flank(tooth, flank, tool, why))
-        .into()
+    let sides = tool.features().sides().iter();
+    sides
+        .map(|&flank| unmeasured_flank(tooth, flank, tool, why))
+        .collect()
 }
 
 /// A flank that could not be measured.
@@ -174,6 +191,7 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
     Judged {
         tooth,
         flank,
+        patch: None,
         wear_um: None,
         u95_um: None,
         mean_um: None,
@@ -189,6 +207,15 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
         cause: None,
         measured: false,
     }
+    .named(tool)
+}
+
+/// What a flank or a patch is called in a sentence.
+pub(super) fn label(patch: Option<&str>, tooth: u32, flank: &str) -> String {
+    patch.map_or_else(
+        || format!("tooth {tooth} {flank}"),
+        |name| format!("patch {name}"),
+    )
 }
 
 /// The tool's verdict and one sentence about it. A check that stopped early is never a go; a go against a CAD of which it is
@@ -212,7 +239,7 @@ pub fn of_tool(
                     .as_ref()
                     .map(|cause| cause.sentence(&flank.verdict));
                 let why = cause.map_or_else(String::new, |why| format!(" ({why})"));
-                format!("tooth {} {}{why}", flank.tooth, flank.flank)
+                format!("{}{why}", flank.label())
             })
             .collect();
         names.join(", ")
@@ -224,8 +251,12 @@ pub fn of_tool(
             } else {
                 ""
             };
+            let what = match flanks.first().is_some_and(|of| of.patch.is_some()) {
+                true => "patches",
+                false => "flanks",
+            };
             format!(
-                "all {} flanks are within the warning limit{presumed}",
+                "all {} {what} are within the warning limit{presumed}",
                 flanks.len()
             )
         }

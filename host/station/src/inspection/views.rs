@@ -1,31 +1,35 @@
-//! One captured view to its flanks: points, pose, deviation, wear.
+//! One captured view to its flanks or its patch: points, pose, deviation, wear.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-use flankscope_foundation::rigid::{Camera, Cloud, Rigid, RigidError, Stage, Tool as ToolFrame};
+use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage};
 use flankscope_metrology::cloud::outlier;
-use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::feature::Features;
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
-use flankscope_metrology::surface::{Closest, Surface};
+use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight, Zone};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
-use nalgebra::{Isometry3, Matrix6, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
+use super::datum;
 use super::evidence::Phasors;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
 use super::job::Subject;
+use super::place::Place;
 use super::plan::ViewPlan;
 use super::pose_sensitivity::Fitted;
 use super::result::{FlankMap, Light, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
 use crate::baseline::Reference;
+use crate::poses::StatedPoses;
 use crate::settings::Stages;
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
@@ -114,7 +118,9 @@ impl ViewOutcome {
         self.registration.extend(again.registration);
         self.phasors.extend(again.phasors);
         self.captures.extend(again.captures);
-        for (judged, flank) in self.flanks.iter_mut().zip(Flank::BOTH) {
+        let criteria = Arc::clone(&self.criteria);
+        let sides = criteria.tool.features().sides();
+        for (judged, &flank) in self.flanks.iter_mut().zip(sides) {
             if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
                 *judged = together;
             }
@@ -123,56 +129,14 @@ impl ViewOutcome {
     }
 }
 
-/// Where a view is taken from, and the surface it can see.
-struct Place {
-    tooth: u32,
-    tool_from_camera: Rigid<ToolFrame, Camera>,
-    surface: Surface,
-}
-
-impl Place {
-    /// The expected pose against a tool that is `scale` times as large as its CAD.
-    fn tool_from_cold_camera(&self, scale: f64) -> Rigid<ToolFrame, Cloud> {
-        let mut pose = *self.tool_from_camera.isometry();
-        pose.translation.vector /= scale;
-        Rigid::from_isometry(pose)
-    }
-}
-
-/// What the stages say of a view's pose.
-fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
-    let (mount_mm, mount_rad) = stages.mount_sigma();
-    Prior::independent(
-        expected,
-        [
-            mount_rad,
-            mount_rad,
-            stages.rotation_sigma_rad().hypot(mount_rad),
-        ],
-        [
-            mount_mm,
-            mount_mm,
-            stages.vertical_sigma_mm().hypot(mount_mm),
-        ],
-    )
-}
-
-/// Of its covariance, what the stages draw anew with every approach; the rest is how head and die are mounted.
-fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
-    let mut covariance = Matrix6::zeros();
-    covariance[(2, 2)] = stages.rotation_sigma_rad() * stages.rotation_sigma_rad();
-    covariance[(5, 5)] = stages.vertical_sigma_mm() * stages.vertical_sigma_mm();
-    covariance
-}
-
 /// Everything that does not change from check to check.
 pub struct Evaluator {
     criteria: Arc<FlankCriteria>,
-    gear: GearData,
-    zone: Zone,
     datum: Datum,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
+    /// Where the camera stood instead.
+    stated: StatedPoses,
     field: FieldOfView,
     stages: Stages,
     /// Size of the tool relative to its CAD, or why it cannot be judged.
@@ -191,17 +155,15 @@ impl Evaluator {
     ) -> Result<Self, EvaluatorError> {
         let missing = |what| EvaluatorError::Missing { what };
         let tool = Arc::clone(&subject.tool);
-        let gear = tool
-            .gear
-            .clone()
-            .ok_or(missing("[gear] in the tool file"))?;
+        if tool.gear.is_none() && tool.patches.is_empty() {
+            return Err(missing("[gear] or [[patch]] in the tool file"));
+        }
         let limits = tool.limits().ok_or(missing("[inspect] in the tool file"))?;
         let datum = tool
             .inspect
             .as_ref()
             .map(|inspect| inspect.datum)
             .unwrap_or_default();
-        let zone = tool.zone().ok_or(missing("[inspect] in the tool file"))?;
         let stage_from_camera = hand_eye(subject)?;
         let field = FieldOfView::of(&subject.head)?;
         let volume = subject
@@ -240,10 +202,13 @@ impl Evaluator {
                         .all(|axis| facet.low[axis] <= high[axis] && facet.high[axis] >= low[axis])
                 });
                 let surface = seen.ok_or(EvaluatorError::NothingThere { tooth: view.tooth })?;
+                let zone = tool.zone_of(view.tooth);
                 Ok(Place {
                     tooth: view.tooth,
+                    zone: zone.ok_or(missing("[inspect] in the tool file"))?,
                     tool_from_camera,
-                    surface,
+                    surface: Arc::new(surface),
+                    stated: None,
                 })
             })
             .collect::<Result<_, EvaluatorError>>()?;
@@ -263,21 +228,41 @@ impl Evaluator {
         };
         Ok(Self {
             criteria: Arc::new(criteria),
-            gear,
-            zone,
             datum,
             decoder,
             places,
+            stated: plan.stated.clone(),
             field,
             stages: subject.station.stages.clone(),
             scale,
         })
     }
 
+    /// What of the tool is judged.
+    fn features(&self) -> Features<'_> {
+        self.criteria.tool.features()
+    }
+
+    /// Where the camera stood for a view: as planned, or as somebody said.
+    fn place(&self, view: usize) -> Place {
+        let planned = self.places[view].clone();
+        let stated = self.stated.of(view);
+        // Checked when it was stated.
+        let pose = stated.and_then(|of| Some((of.rigid().ok()?, [of.u_mm, of.u_mrad])));
+        match pose {
+            Some((tool_from_camera, u)) => Place {
+                tool_from_camera,
+                stated: Some(u),
+                ..planned
+            },
+            None => planned,
+        }
+    }
+
     /// Evaluates one view's sums.
     #[must_use]
     pub fn evaluate(&self, view: usize, accumulator: &Accumulator) -> ViewOutcome {
-        let place = &self.places[view];
+        let place = &self.place(view);
         let mut laps = Laps::begin();
         let decoded = match self.decoder.finish(accumulator) {
             Ok(decoded) => decoded,
@@ -342,7 +327,7 @@ impl Evaluator {
             })
             .collect();
         laps.lap("wear");
-        let (maps, deviations_um) = self.draw(place.tooth, &closest);
+        let (maps, deviations_um) = self.draw(place, &closest);
         laps.lap("maps");
         let points = cold.points.len();
         ViewOutcome {
@@ -407,25 +392,23 @@ impl Evaluator {
     /// Lays the points on the CAD, from where the stages say they are.
     fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
         let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
-        let used: Vec<bool> = points
-            .iter()
-            .map(|&p| self.is_datum(place, tool_from_camera.apply(p)))
-            .collect();
+        let expected: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
+        let used = self.are_datum(place, &expected);
         let datum: Vec<[f64; 3]> = points
             .iter()
             .zip(&used)
             .filter(|(_, used)| **used)
             .map(|(p, _)| *p)
             .collect();
-        let prior = stage_prior(tool_from_camera, &self.stages);
+        let prior = place.prior(tool_from_camera, &self.stages);
         let options = Options {
             initial: prior.tool_from_cloud,
             prior: Some(prior.clone()),
-            teeth: Some(self.gear.teeth),
+            teeth: self.features().gear().map(|gear| gear.teeth),
             ..Options::default()
         };
         Fit {
-            registration: register(&place.surface, &datum, None, &options),
+            registration: register(&*place.surface, &datum, None, &options),
             used,
             prior,
             options,
@@ -434,14 +417,14 @@ impl Evaluator {
 
     /// Wear and decision of both flanks of the middle tooth.
     fn assess(&self, place: &Place, fit: &Fit, measured: Measured<'_>) -> Assessed {
-        let (gear, settings) = (&self.gear, &self.criteria.settings);
-        let places = wear::places(gear, measured.closest);
+        let (features, settings) = (self.features(), &self.criteria.settings);
+        let places = wear::places(features, measured.closest);
         let fitted = Fitted {
-            gear: &self.gear,
-            zone: &self.zone,
+            features,
+            zone: &place.zone,
             registration: &fit.registration,
             prior: &fit.prior,
-            approach: approach_covariance(&self.stages),
+            approach: place.approach(&self.stages),
             options: &fit.options,
             closest: measured.closest,
             used: &fit.used,
@@ -452,23 +435,27 @@ impl Evaluator {
         let (sensitivities, measured) = rayon::join(
             || fitted.on(place.tooth),
             || {
-                let (zone, teeth) = (&self.zone, &[place.tooth]);
+                let (zone, teeth) = (&place.zone, &[place.tooth]);
                 let of = Some(&fit.registration);
-                wear::evaluate_placed(gear, zone, teeth, measured, &places, of, settings)
+                wear::evaluate_placed(features, zone, teeth, measured, &places, of, settings)
             },
         );
-        let [left, right] = &sensitivities;
-        let leakage = BTreeMap::from([("left", left.leakage), ("right", right.leakage)]);
-        let pose = Some(PoseEvidence::clone(&left.evidence));
+        let leakage = features.sides().iter().zip(&sensitivities);
+        let leakage = leakage
+            .map(|(side, of)| (side.word(), of.leakage))
+            .collect();
+        // All sides of a tooth have one.
+        let evidence = sensitivities.first().and_then(|of| of.evidence.as_deref());
+        let pose = evidence.cloned();
         let wears: Vec<FlankWear> = measured
             .into_iter()
             .zip(sensitivities)
             .map(|(wear, sensitivity)| wear.with(sensitivity, settings))
             .collect();
         let captures = std::slice::from_ref(&wears);
-        let judged = |flank| self.criteria.flank(place.tooth, flank, captures);
+        let judged = |&flank: &Flank| self.criteria.flank(place.tooth, flank, captures);
         Assessed {
-            flanks: Flank::BOTH.into_iter().filter_map(judged).collect(),
+            flanks: features.sides().iter().filter_map(judged).collect(),
             leakage,
             pose,
             wears,
@@ -485,43 +472,42 @@ impl Evaluator {
         }
     }
 
-    /// Whether the fit may use a point. Judged flanks must stay out: their wear would pull the pose towards it and hide
+    /// Which points the fit may use. Judged flanks must stay out: their wear would pull the pose towards it and hide
     /// itself (by a fifth, for 10 µm on one flank of the seven in view). Their tooth stays out as a whole: at the ends of a
-    /// flank its wear reaches into what would count as a land.
+    /// flank its wear reaches into what would count as a land. Of a tool with patches those inside the judged one's datum may.
     ///
     /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
-    fn is_datum(&self, place: &Place, [x, y, _]: [f64; 3]) -> bool {
-        let margin_mm = 0.05 * self.gear.module_mm;
+    fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
+        let gear = match self.features() {
+            Features::Gear(gear) => gear,
+            Features::Patches(patches) => return datum::within(patches, place, points),
+        };
+        let margin_mm = 0.05 * gear.module_mm;
         let (low_mm, high_mm) = (
-            self.gear.tip_radius_mm.min(self.gear.root_radius_mm) + margin_mm,
-            self.gear.tip_radius_mm.max(self.gear.root_radius_mm) - margin_mm,
+            gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,
+            gear.tip_radius_mm.max(gear.root_radius_mm) - margin_mm,
         );
-        let on_flank = (low_mm..high_mm).contains(&x.hypot(y));
-        match self.datum {
-            Datum::Neighbours => self.gear.tooth_at(y.atan2(x)) != place.tooth,
-            Datum::Lands => !on_flank,
+        let is_datum = |&[x, y, _]: &[f64; 3]| match self.datum {
+            Datum::Neighbours => gear.tooth_at(y.atan2(x)) != place.tooth,
+            Datum::Lands => !(low_mm..high_mm).contains(&x.hypot(y)),
             Datum::All => true,
-        }
+        };
+        points.iter().map(is_datum).collect()
     }
 
-    /// The deviation maps of a tooth's two flanks, and the deviations in them.
-    fn draw(&self, tooth: u32, closest: &[Closest]) -> (Vec<FlankMap>, Vec<f64>) {
-        let [from, to] = self
-            .zone
-            .radius_mm
-            .map(|radius| self.gear.profile_mm(radius));
-        let [low, high] = self.zone.height_mm;
+    /// The deviation maps of a tooth's two flanks or of a patch, and the deviations in them.
+    fn draw(&self, place: &Place, closest: &[Closest]) -> (Vec<FlankMap>, Vec<f64>) {
+        let (features, tooth) = (self.features(), place.tooth);
+        let sides = features.sides();
+        let [from, to] = place.zone.radius_mm.map(|radius| features.along_mm(radius));
+        let [low, high] = place.zone.height_mm;
         let size_mm = [to - from, high - low];
         let [columns, rows] =
             size_mm.map(|length| ((length / MAP_CELL_MM).ceil() as usize).clamp(1, 4096));
-        let mut sums = [Flank::Left, Flank::Right].map(|_| vec![(0.0_f64, 0_u32); columns * rows]);
+        let mut sums = vec![vec![(0.0_f64, 0_u32); columns * rows]; sides.len()];
         let mut deviations_um = Vec::new();
         for hit in closest {
-            let Some(at) = self
-                .gear
-                .place(hit.point, hit.normal)
-                .filter(|at| at.tooth == tooth)
-            else {
+            let Some(at) = features.place(hit).filter(|at| at.tooth == tooth) else {
                 continue;
             };
             let along = (at.profile_mm - from) / size_mm[0];
@@ -531,13 +517,15 @@ impl Evaluator {
             }
             let cell = (down * rows as f64) as usize * columns + (along * columns as f64) as usize;
             let um = hit.signed_distance_mm * 1e3;
+            // Left comes first, and a patch has one side.
             let sum = &mut sums[usize::from(at.flank == Flank::Right)][cell];
             *sum = (sum.0 + um, sum.1 + 1);
             deviations_um.push(um);
         }
-        let maps = Flank::BOTH.iter().zip(sums).map(|(flank, sums)| FlankMap {
+        let maps = sides.iter().zip(sums).map(|(flank, sums)| FlankMap {
             tooth,
             flank: flank.to_string(),
+            patch: features.patch(tooth).map(|patch| patch.name.clone()),
             columns,
             rows,
             size_mm,

@@ -1,23 +1,24 @@
 //! Pictures of every pass, and what a view takes with them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::PatternSet;
-use flankscope_profilometry::head::Mirrors;
-use serde::Serialize;
+use flankscope_profilometry::head::{HeadModel, Mirrors};
+use serde::{Deserialize, Serialize};
 
 use super::loading::{Loading, loading};
-use super::passes::{Passes, Region};
+use super::passes::{Passes, PassesError, Region};
 use super::{Packing, PatternsError, write_lit};
 use crate::files::write_whole;
-use crate::inspection::PlannedView;
+use crate::inspection::{PlannedView, PlanningError};
 use crate::settings::Timing;
 
 /// `adaptive.json`: what was written for a view.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Adaptive {
     /// Of this document.
-    pub format: &'static str,
+    pub format: String,
     /// Name of the set.
     pub set: String,
     /// The view that the pictures are for, and no other.
@@ -31,20 +32,23 @@ pub struct Adaptive {
     /// What a view takes.
     pub time: CaptureTime,
     /// What the controllers need until the pictures of a view are there.
+    #[serde(skip_deserializing)]
     pub loading: Vec<Loading>,
 }
 
 /// One pass.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pass {
     /// What it lights; the folder of its pictures and their `patterns.json`.
-    pub lights: &'static str,
+    pub lights: Region,
     /// Share of the mirrors.
     pub lit_ratio: f64,
+    /// How bright they are beside the plain pattern.
+    pub brightness_ratio: f64,
 }
 
 /// What a view takes from the first frame to the last, in passes and as a plain set, without loading.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureTime {
     /// Frames, a dark one included.
     pub frames: usize,
@@ -97,13 +101,14 @@ pub fn write_adaptive(
         let light = |shown: &mut [u8]| passes.mask(pass, shown);
         write_lit(&folder.join(pass.name()), set, mirrors, packing, light)?;
         written.push(Pass {
-            lights: pass.name(),
+            lights: pass,
             lit_ratio: passes.lit_ratio(pass),
+            brightness_ratio: passes.brightness_ratio(pass),
         });
     }
     let patterns = Region::ALL.len() * set.frames_per_exposure();
     let adaptive = Adaptive {
-        format: "flankscope/adaptive/1",
+        format: Adaptive::FORMAT.into(),
         set: set.name.clone(),
         view: passes.view().clone(),
         margin_mm: passes.margin_mm(),
@@ -122,6 +127,151 @@ pub fn write_adaptive(
 impl Adaptive {
     /// Its file.
     pub const FILE: &'static str = "adaptive.json";
+    /// Its format.
+    const FORMAT: &'static str = "flankscope/adaptive/1";
+
+    /// Reads what was written into a folder.
+    ///
+    /// # Errors
+    /// [`AdaptiveError::Read`], [`AdaptiveError::Format`].
+    pub fn open(folder: &Path) -> Result<Self, AdaptiveError> {
+        let path = folder.join(Self::FILE);
+        let failed = |reason: String| {
+            let path = path.clone();
+            AdaptiveError::Read { path, reason }
+        };
+        let text = std::fs::read(&path).map_err(|error| failed(error.to_string()))?;
+        let read: Self =
+            serde_json::from_slice(&text).map_err(|error| failed(error.to_string()))?;
+        if read.format != Self::FORMAT {
+            let got = read.format;
+            return Err(AdaptiveError::Format { path, got });
+        }
+        Ok(read)
+    }
+
+    /// Share of all mirrors' light that each pass gives, for a check of these teeth, or of the tool file's.
+    ///
+    /// The pictures were made for one view. Those of other teeth are the same to a head if the stages bring each tooth where that
+    /// one was: what is cast of the drawing says so.
+    ///
+    /// # Errors
+    /// They are of another set or of other mirrors, or leave dark what a pass of a view should light.
+    pub fn lit_ratios(
+        &self,
+        tool: &Tool,
+        head: &HeadModel,
+        teeth: Option<&[u32]>,
+    ) -> Result<Vec<f64>, AdaptiveError> {
+        let set = head.pattern_set.as_deref().unwrap_or_default();
+        if self.set != set {
+            return Err(AdaptiveError::Set {
+                got: self.set.clone(),
+                expected: set.into(),
+            });
+        }
+        if self.mirrors != head.mirrors() {
+            return Err(AdaptiveError::Mirrors);
+        }
+        let lights: Vec<Region> = self.passes.iter().map(|pass| pass.lights).collect();
+        if lights != Region::ALL {
+            return Err(AdaptiveError::Regions);
+        }
+        let own = tool.inspect.as_ref().map(|inspect| &inspect.teeth[..]);
+        let views = PlannedView::of_teeth(tool, teeth.or(own).unwrap_or_default())?;
+        let loaded = Passes::new(tool, head, &self.view, self.margin_mm)?;
+        for view in &views {
+            let needed = Passes::new(tool, head, view, 0.0)?;
+            for region in Region::ALL {
+                let dark = needed.beyond(&loaded, region);
+                if dark > 0 {
+                    return Err(AdaptiveError::Dark {
+                        tooth: view.tooth,
+                        dark,
+                        lights: region.name(),
+                        made_for: self.view.tooth,
+                        margin_mm: self.margin_mm,
+                    });
+                }
+            }
+        }
+        let lit_ratio = |region| match loaded.lit_ratio(region) {
+            lit if lit > 0.0 => Ok(lit * loaded.brightness_ratio(region)),
+            _ => Err(AdaptiveError::NothingLit {
+                lights: region.name(),
+            }),
+        };
+        Region::ALL.into_iter().map(lit_ratio).collect()
+    }
+}
+
+/// Why pictures in passes cannot be shown in a check.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AdaptiveError {
+    /// No such document.
+    #[error("{}: {reason}; `flankscope patterns --adaptive TOOL --tooth N -o DIR` writes it", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why it cannot be used.
+        reason: String,
+    },
+    /// Another document.
+    #[error("{} has format {got:?}; right would be {:?}", path.display(), Adaptive::FORMAT)]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What it says.
+        got: String,
+    },
+    /// Other fringes.
+    #[error(
+        "the pictures show {got}, the head file says pattern_set = {expected:?}; make them anew"
+    )]
+    Set {
+        /// Of the pictures.
+        got: String,
+        /// Of the head.
+        expected: String,
+    },
+    /// Another DMD.
+    #[error("the pictures are of other mirrors than the head file's; make them anew")]
+    Mirrors,
+    /// Not the known passes.
+    #[error("the passes are not left, right and rest, in this order; make the pictures anew")]
+    Regions,
+    /// A pass of nothing.
+    #[error(
+        "the pass of {lights} lights no mirror: what it is for does not lie in the view; check without --adaptive"
+    )]
+    NothingLit {
+        /// Which.
+        lights: &'static str,
+    },
+    /// What must be lit is not.
+    #[error(
+        "tooth {tooth}: {dark} mirrors that light its {lights} stay dark in the pictures, which were made for tooth {made_for} with \
+         a margin of {margin_mm} mm; make them for a tooth that looks the same, or with a larger --margin"
+    )]
+    Dark {
+        /// In the middle of the view.
+        tooth: u32,
+        /// How many mirrors.
+        dark: usize,
+        /// What they light.
+        lights: &'static str,
+        /// Tooth of the pictures.
+        made_for: u32,
+        /// Their margin, mm.
+        margin_mm: f64,
+    },
+    /// No passes by drawing and head.
+    #[error(transparent)]
+    Passes(#[from] PassesError),
+    /// No views.
+    #[error(transparent)]
+    Planning(#[from] PlanningError),
 }
 
 #[cfg(test)]

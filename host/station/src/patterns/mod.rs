@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::files::{hash, write_whole};
 
-pub use adaptive::{Adaptive, CaptureTime, Pass, write_adaptive};
+pub use adaptive::{Adaptive, AdaptiveError, CaptureTime, Pass, write_adaptive};
 pub use loading::Loading;
 pub use passes::{Passes, PassesError, Region};
 

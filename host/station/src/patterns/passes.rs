@@ -4,15 +4,21 @@
 //! that first meets the drawing says which pass shows it: left flanks, right flanks, or the rest (lands and faces, on which a view is
 //! laid). In each pass the other mirrors stay dark, and what a flank then sends on meets a wall that is not measured.
 //!
+//! Lands face the lens and flanks do not: on a matt surface the rest would be several times as bright, and on steel its highlights
+//! saturate first. The pass of the rest is dimmed as a whole until the drawing says that both are alike; a pass has one brightness,
+//! because one that changed across it would shift the phase.
+//!
 //! The pose is known to `margin_mm` before the first frame: every pass reaches as far beyond its own flanks. Rays are cast for
 //! blocks of mirrors, which are smaller than that.
 
+use flankscope_foundation::order::median;
 use flankscope_foundation::rigid::{Camera, Projector, RigidError};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::head::{HeadModel, Mirrors};
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::inspection::PlannedView;
 
@@ -22,7 +28,8 @@ const BLOCK: u32 = 4;
 const BEYOND_RATIO: f64 = 2.0;
 
 /// What a pass lights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Region {
     /// Left flanks.
     Left,
@@ -57,6 +64,8 @@ pub struct Passes {
     columns: usize,
     /// For each pass, whether a block is lit, row by row.
     lit: [Vec<bool>; 3],
+    /// For each pass, how bright its lit mirrors are.
+    brightness_ratios: [f64; 3],
 }
 
 /// Why drawing, head and view say nothing about mirrors.
@@ -124,7 +133,8 @@ impl Passes {
         let mirrors = head.mirrors();
         let columns = mirrors.columns.div_ceil(BLOCK) as usize;
         let rows = mirrors.rows.div_ceil(BLOCK) as usize;
-        let region = |block: usize| -> Option<Region> {
+        // What a block lights, and how bright that is on a matt surface: cosine by square of the distance.
+        let meets = |block: usize| -> Option<(Region, f64)> {
             let [column, row] = [block % columns, block / columns]
                 .map(|at| f64::from(BLOCK) * (at as f64 + 0.5) - 0.5);
             let [x, y] = head.projector.undistort([column, row])?;
@@ -133,20 +143,35 @@ impl Passes {
             let met = tool
                 .surface
                 .first_met(origin.into(), direction.into(), reach_mm)?;
-            Some(match gear.place(met.point, met.normal) {
+            let away = Vector3::from(met.point) - origin;
+            let cosine = -away.normalize().dot(&Vector3::from(met.normal));
+            let region = match gear.place(met.point, met.normal) {
                 Some(place) if place.flank == Flank::Left => Region::Left,
                 Some(_) => Region::Right,
                 None => Region::Rest,
-            })
+            };
+            Some((region, cosine.max(0.0) / away.norm_squared()))
         };
-        let regions: Vec<Option<Region>> =
-            (0..columns * rows).into_par_iter().map(region).collect();
+        let met: Vec<Option<(Region, f64)>> =
+            (0..columns * rows).into_par_iter().map(meets).collect();
+        let brightness = |wanted: fn(Region) -> bool| {
+            let of = met.iter().flatten().filter(|(region, _)| wanted(*region));
+            let mut of: Vec<f64> = of.map(|(_, brightness)| *brightness).collect();
+            median(&mut of)
+        };
+        let flanks = brightness(|region| region != Region::Rest);
+        let rest = brightness(|region| region == Region::Rest);
+        let dimmed = match (flanks, rest) {
+            (Some(flanks), Some(rest)) if flanks > 0.0 && rest > flanks => flanks / rest,
+            _ => 1.0,
+        };
         // As many blocks as the margin takes where the surface is nearest.
         let focal_px = head.projector.focal_px;
         let margin = focal_px
             .map(|px| (margin_mm * px / (volume.near_mm * f64::from(BLOCK))).ceil() as usize);
         let lit = Region::ALL.map(|of| {
-            let own: Vec<bool> = regions.iter().map(|region| *region == Some(of)).collect();
+            let is_own = |met: &Option<(Region, f64)>| met.is_some_and(|(region, _)| region == of);
+            let own: Vec<bool> = met.iter().map(is_own).collect();
             widened(&own, columns, margin)
         });
         if !lit[0].contains(&true) && !lit[1].contains(&true) {
@@ -158,6 +183,7 @@ impl Passes {
             margin_mm,
             columns,
             lit,
+            brightness_ratios: [1.0, 1.0, dimmed],
         })
     }
 
@@ -186,15 +212,33 @@ impl Passes {
         self.lit[pass as usize].get(block).is_some_and(|lit| *lit)
     }
 
-    /// Darkens the mirrors that a pass does not light.
+    /// How bright the mirrors that a pass lights are.
+    #[must_use]
+    pub fn brightness_ratio(&self, pass: Region) -> f64 {
+        self.brightness_ratios[pass as usize]
+    }
+
+    /// Dims the mirrors of a pass, and darkens those that it does not light.
     pub fn mask(&self, pass: Region, shown: &mut [u8]) {
+        let ratio = self.brightness_ratio(pass);
         let mirrors = (0..self.mirrors.rows)
             .flat_map(|row| (0..self.mirrors.columns).map(move |column| (column, row)));
         for (brightness, (column, row)) in shown.iter_mut().zip(mirrors) {
-            if !self.is_lit(pass, column, row) {
-                *brightness = 0;
-            }
+            *brightness = match self.is_lit(pass, column, row) {
+                true => (ratio * f64::from(*brightness)).round() as u8,
+                false => 0,
+            };
         }
+    }
+
+    /// Mirrors that a pass lights here and not in `other`, which is of the same head.
+    #[must_use]
+    pub fn beyond(&self, other: &Self, pass: Region) -> usize {
+        let blocks = self.lit[pass as usize]
+            .iter()
+            .zip(&other.lit[pass as usize]);
+        let beyond = blocks.filter(|(lit, other)| **lit && !**other).count();
+        beyond * (BLOCK * BLOCK) as usize
     }
 
     /// Share of the mirrors that a pass lights.

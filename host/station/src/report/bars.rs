@@ -140,6 +140,7 @@ pub(super) mod tests {
         Feature {
             tooth,
             flank: flank.into(),
+            patch: None,
             wear_um,
             u95_um: wear_um.map(|_| 4.0),
             mean_um: wear_um,

@@ -7,10 +7,12 @@ use flankscope_metrology::verdict::Word;
 use super::plot::{Axes, Series, binned};
 use super::svg::{open, sign, ticks};
 use crate::acquisition::{Activity, Device, Span};
+use crate::kinematics::Moves;
 
 /// How a device's lane is called and filled.
-fn lane(device: Device) -> (&'static str, &'static str) {
+fn lane(device: Device, moves: Moves) -> (&'static str, &'static str) {
     match device {
+        Device::Stages if moves != Moves::Die => ("head moves", "#7a8794"),
         Device::Stages => ("stages move", "#7a8794"),
         Device::Settling => ("settle", "#b9c2cb"),
         Device::Led => ("LED on", "#e0a100"),
@@ -28,7 +30,12 @@ const LANE: f64 = 24.0;
 /// A lane per device over a common time axis, then the press's lines: held, head clear (the controller is ready again), and
 /// the verdict `to_verdict_ms` after the last exposure, or once the head is out.
 #[must_use]
-pub fn timeline(activities: &[Activity], verdict: Word, to_verdict_ms: f64) -> String {
+pub fn timeline(
+    activities: &[Activity],
+    moves: Moves,
+    verdict: Word,
+    to_verdict_ms: f64,
+) -> String {
     let spans = |of: &dyn Fn(Device) -> bool| -> Vec<Span> {
         let asked = activities.iter().filter(|activity| of(activity.device));
         asked.flat_map(|activity| activity.spans.clone()).collect()
@@ -84,7 +91,7 @@ pub fn timeline(activities: &[Activity], verdict: Word, to_verdict_ms: f64) -> S
         );
     };
     for (number, activity) in activities.iter().enumerate() {
-        let (name, colour) = lane(activity.device);
+        let (name, colour) = lane(activity.device, moves);
         draw(number, name, colour, &activity.spans);
     }
     draw(lanes - 2, "head clear, ready", "#1b7f5c", &clear);
@@ -255,8 +262,8 @@ mod tests {
             of(Device::Camera, &[span(1000.0, 2000.0)]),
             of(Device::Held, &[span(100.0, 3000.0)]),
         ];
-        assert!(timeline(&activities, Word::Go, 500.0).contains("go at 3.00 s"));
-        let late = timeline(&activities, Word::NoGo, 1750.0);
+        assert!(timeline(&activities, Moves::Die, Word::Go, 500.0).contains("go at 3.00 s"));
+        let late = timeline(&activities, Moves::Head, Word::NoGo, 1750.0);
         assert!(late.contains("no-go at 3.75 s") && late.contains("press held: 2.90 s in all"));
         let clear = between(&[span(100.0, 3000.0)], 4000.0);
         assert_eq!(clear, [span(0.0, 100.0), span(3000.0, 4000.0)]);

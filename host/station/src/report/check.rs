@@ -85,6 +85,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
         histogram: chart::histogram(&pictures.deviations_um, full_um, limits_um),
         timeline: chart::timeline(
             &pictures.activities,
+            pictures.moves,
             inspection.verdict,
             inspection.timing_ms.last_exposure_to_verdict,
         ),

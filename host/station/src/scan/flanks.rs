@@ -23,7 +23,7 @@ use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::flank::Limits;
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
-use flankscope_metrology::wear::leakage::{Leakage, of_tooth};
+use flankscope_metrology::wear::leakage::{Leakage, of_feature};
 use flankscope_metrology::wear::{
     Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
 };
@@ -73,12 +73,12 @@ pub(super) struct JudgedFlanks {
 }
 
 /// What one view's pose may do to the flanks of its middle tooth.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 struct Held {
     tooth: u32,
     vertical_mm: f64,
     /// Left, right.
-    leakage: [Leakage; 2],
+    leakage: Vec<Leakage>,
     /// Standard uncertainty of either flank's deviation by the pose, mm.
     sigma_mm: [f64; 2],
     /// Flanks in view.
@@ -420,7 +420,7 @@ impl Judging<'_> {
             *seen.entry((place.tooth, place.flank)).or_default() += 1;
         }
         let tooth = planned.tooth;
-        let leakage = of_tooth(self.gear, &heights, tooth, &response, &contacts, &places);
+        let leakage = of_feature(self.gear, &heights, tooth, &response, &contacts, &places);
         let sigma_mm = Flank::BOTH.map(|flank| {
             let own = |place: &Option<FlankPlace>| {
                 place.is_some_and(|of| (of.tooth, of.flank) == (planned.tooth, flank))
@@ -471,7 +471,7 @@ impl Judging<'_> {
         });
         Some(PoseSensitivity {
             leakage,
-            evidence: Arc::clone(evidence),
+            evidence: Some(Arc::clone(evidence)),
             form_scatter_mm,
             // Every other flank in view passes on as much as this one.
             others_form: leakage.uniform * (worst.flanks.saturating_sub(1) as f64).sqrt(),

@@ -1,6 +1,7 @@
 //! The scan from hello to result: captures of as many views as a plan holds, kept one by one, stitched at the end.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -17,6 +18,7 @@ use flankscope_profilometry::head::Unfit;
 use super::cell_observations::layout;
 use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
+use super::full_cloud::{self, CloudError};
 use super::grid::{Grid, GridError};
 use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
@@ -289,6 +291,14 @@ impl Scanner {
         let tool = &self.subject.tool;
         scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
         Ok(())
+    }
+
+    /// Writes every point of every registered view of a finished scan, in its final pose, as a binary PLY; returns their number.
+    ///
+    /// # Errors
+    /// The session folder cannot be read, or `out` not be written.
+    pub fn write_cloud(&self, scan: &Scan, out: &mut dyn Write) -> Result<u64, CloudError> {
+        full_cloud::write(scan, &self.store.session, out)
     }
 
     /// Captures every view that the session folder lacks, some at a time; returns why views stayed lost.

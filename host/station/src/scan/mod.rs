@@ -26,6 +26,7 @@
 //! | `recorded` | the same scan of frames that were recorded |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
+//! | `full_cloud` | every point of every view, streamed |
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 
@@ -35,6 +36,7 @@ mod coverage;
 mod describe;
 mod die_identity;
 mod flanks;
+mod full_cloud;
 mod grid;
 mod hinz2019;
 mod job;
@@ -51,6 +53,7 @@ mod view_pipeline;
 
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};
+pub use full_cloud::CloudError;
 pub use grid::{Grid, GridError};
 pub use hinz2019::Hinz2019Settings;
 pub use job::{Progress, ScanError, Scanner};

@@ -7,9 +7,11 @@
 //! | `press` | how long it may be held, and how often it is asked again |
 //! | `light` | current of the LED |
 //! | `timing` | settling of stages and pattern projector, readout of the camera |
-//! | `stages` | what they promise of an approach, what is left of their mounting, how far the head clears the die |
+//! | `stages` | what they promise of an approach, what is left of their mounting, how far the head clears the die; their line, axes, travel, dynamics and homing |
 //! | `history` | where checks are stored |
 //! | `report` | where they are written for people |
+
+mod axes;
 
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -17,9 +19,14 @@ use std::time::Duration;
 
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 use flankscope_metrology::multiview::adjustment::Local;
+use flankscope_protocol::StageConfig;
 use serde::{Deserialize, Serialize};
 
+pub use axes::{Flow, Home, ParityBit, Rotation, StageLine, Vertical};
+
 use crate::controller::ClientSettings;
+use crate::kinematics::Moves;
+use crate::poses::PoseSettings;
 
 /// A station's file; without one, [`StationSettings::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -101,6 +108,10 @@ pub struct Timing {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stages {
+    /// What the rotary axis turns.
+    pub moves: Moves,
+    /// Who says where the camera stands, if not they.
+    pub poses: PoseSettings,
     /// Largest error of the rotary stage, millidegrees.
     pub rotation_error_mdeg: f64,
     /// Largest error of the vertical stage, µm.
@@ -115,6 +126,12 @@ pub struct Stages {
     pub wobble_urad: f64,
     /// The retracted head stands this far above the die's upper face, mm.
     pub clearance_mm: f64,
+    /// The line to their controller.
+    pub line: StageLine,
+    /// The axis that turns die or head.
+    pub rotation: Rotation,
+    /// The axis that raises the head.
+    pub vertical: Vertical,
 }
 
 /// Where checks are stored.
@@ -182,6 +199,8 @@ impl Default for Stages {
     /// cross-roller bearing.
     fn default() -> Self {
         Self {
+            moves: Moves::Die,
+            poses: PoseSettings::default(),
             rotation_error_mdeg: 15.0,
             vertical_error_um: 5.0,
             mount_um: 10.0,
@@ -189,6 +208,9 @@ impl Default for Stages {
             runout_um: 0.3,
             wobble_urad: 5.0,
             clearance_mm: 20.0,
+            line: StageLine::default(),
+            rotation: Rotation::default(),
+            vertical: Vertical::default(),
         }
     }
 }
@@ -207,6 +229,12 @@ impl Default for Store {
 const SQRT_3: f64 = 1.732_050_807_568_877_2;
 
 impl Stages {
+    /// What the controller is told of them.
+    #[must_use]
+    pub fn config(&self) -> StageConfig {
+        axes::config(&self.line, &self.rotation, &self.vertical)
+    }
+
     /// Standard uncertainty of the rotary stage's angle after an approach, rad.
     #[must_use]
     pub fn rotation_sigma_rad(&self) -> f64 {
@@ -259,6 +287,7 @@ impl StationSettings {
         };
         beside(&mut settings.history.file);
         beside(&mut settings.report.folder);
+        beside(&mut settings.stages.poses.file);
         Ok(settings)
     }
 
@@ -375,7 +404,21 @@ impl Stages {
         let urad = "more than 0 and at most 10000 urad";
         up_to("stages.wobble_urad", self.wobble_urad, 1e4, urad)?;
         let mm = "more than 0 and at most 1000 mm";
-        up_to("stages.clearance_mm", self.clearance_mm, 1e3, mm)
+        up_to("stages.clearance_mm", self.clearance_mm, 1e3, mm)?;
+        let poses = &self.poses;
+        let seconds = "more than 0 and at most 600 seconds";
+        up_to("stages.poses.limit_s", poses.limit_s, 600.0, seconds)?;
+        if poses.file.is_some() && !poses.command.is_empty()
+            || poses.command.first().is_some_and(String::is_empty)
+        {
+            let right = "a file, or the program and its arguments; one of both";
+            return Err(BadValue::new("stages.poses.command", &poses.command, right));
+        }
+        if self.moves == Moves::Outside && !poses.is_some() {
+            let right = "[stages.poses] beside it, with the file or command that says where the head stands";
+            return Err(BadValue::new("stages.moves", "outside", right));
+        }
+        axes::check(&self.line, &self.rotation, &self.vertical)
     }
 }
 
@@ -436,6 +479,10 @@ mod tests {
                 ["station.toml:2: ", "muont_um", "mount_um"],
             ),
             (
+                "[stages.rotation]\naxis = 1\nspeed_deg_s = 80\n",
+                ["station.toml:1: ", "missing field", "acceleration_deg_s2"],
+            ),
+            (
                 "[controller]\nanswer_ms = \"soon\"\n",
                 ["station.toml:2: ", "string", "u64"],
             ),
@@ -445,6 +492,79 @@ mod tests {
                 assert!(error.contains(word), "{word}: {error}");
             }
         }
+    }
+
+    #[test]
+    fn what_the_controller_would_refuse_is_refused_in_the_words_of_the_file() {
+        let vertical = "[stages.vertical]\naxis = 2\nspeed_mm_s = 100\nacceleration_mm_s2 = 800\n\
+            travel_mm = [-150, 150]\nhome_mm = 100\nhome_speed_mm_s = 100\nhome_at = \"switch\"\n";
+        assert!(load(vertical).is_ok());
+        for (was, is, said) in [
+            (
+                "speed_mm_s = 100",
+                "speed_mm_s = 301",
+                "station.toml:3: stages.vertical.speed_mm_s = 301.0: 0.001 to 300 mm/s",
+            ),
+            (
+                "speed_mm_s = 100",
+                "speed_mm_s = -5",
+                "station.toml:3: stages.vertical.speed_mm_s = -5.0: 0.001 to 300 mm/s",
+            ),
+            (
+                "acceleration_mm_s2 = 800",
+                "acceleration_mm_s2 = inf",
+                "station.toml:4: stages.vertical.acceleration_mm_s2 = inf: a finite number of mm/s2",
+            ),
+            (
+                "[-150, 150]",
+                "[-150, nan]",
+                "station.toml:5: stages.vertical.travel_mm = NaN: a finite number of mm at the upper end",
+            ),
+            (
+                "[-150, 150]",
+                "[150, -150]",
+                "station.toml:5: stages.vertical.travel_mm = -150.0: an upper end above the lower one, 150 mm at the upper end",
+            ),
+            (
+                "[-150, 150]",
+                "[-150, 400]",
+                "station.toml:5: stages.vertical.travel_mm = 400.0: 0 to 150 mm at the upper end",
+            ),
+            (
+                "home_mm = 100",
+                "home_mm = 151",
+                "station.toml:6: stages.vertical.home_mm = 151.0: -150 to 150 mm, within the travel",
+            ),
+            (
+                "axis = 2",
+                "axis = 4",
+                "station.toml:2: stages.vertical.axis = 4.0: 1 to 3",
+            ),
+            (
+                "axis = 2",
+                "axis = 1",
+                "station.toml:2: stages.vertical.axis = 1: another number than that of the rotary axis",
+            ),
+            (
+                "home_speed_mm_s = 100",
+                "home_speed_mm_s = 1",
+                "station.toml:7: stages.vertical.home_speed_mm_s = 1.0: a speed at which the whole travel, and a quarter of it, \
+                 takes at most 60 s; at this one it takes 375 s",
+            ),
+        ] {
+            let error = load(&vertical.replacen(was, is, 1)).unwrap_err();
+            assert!(error.ends_with(said), "{error}");
+        }
+        let line = load("[stages.line]\nbaud = 300\n").unwrap_err();
+        assert!(
+            line.ends_with("stages.line.baud = 300.0: 1200 to 921600 baud"),
+            "{line}"
+        );
+        let even = load("[stages.line]\nbaud = 19200\nparity = \"even\"\n").unwrap_err();
+        assert!(
+            even.contains("19200 8E1") && even.contains("no parity"),
+            "{even}"
+        );
     }
 
     #[test]

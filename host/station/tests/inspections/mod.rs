@@ -19,6 +19,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
     let feature = |tooth, flank: &str| Feature {
         tooth,
         flank: flank.into(),
+        patch: None,
         wear_um: Some(f64::from(press_cycles) / 8.0),
         u95_um: Some(4.0),
         mean_um: Some(0.0),

@@ -3,7 +3,6 @@
 use super::{DeviceConfig, ExposureSink, spawn_all};
 use crate::qemu::{self, Figures, Machine};
 use flankscope_controller::sequence;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::Microseconds;
 use flankscope_sim::{Clock, Edge, Pace, Pty, Remote, Sim, Wiring, spawn_controller};
 use std::io;
@@ -20,8 +19,6 @@ pub struct InstrumentConfig {
     pub clock: Clock,
     /// The controller's settings; the host's silence is counted in virtual time, so raise it with the speed.
     pub controller: sequence::Config,
-    /// Mechanics as the controller knows them.
-    pub axes: Axes,
     /// How the devices behave.
     pub devices: DeviceConfig,
 }
@@ -61,7 +58,6 @@ impl Default for InstrumentConfig {
         Self {
             clock: Clock::Paced { speed: 1.0 },
             controller: sequence::Config::DEFAULT,
-            axes: Axes::DEFAULT,
             devices: DeviceConfig::default(),
         }
     }
@@ -159,7 +155,7 @@ pub fn run_with(
             let begun = Pty::open(&sim, wiring.host.clone()).and_then(|pty| {
                 let emulated = match &controller {
                     Controller::InProcess => {
-                        spawn_controller(&sim, &wiring, config.controller, config.axes);
+                        spawn_controller(&sim, &wiring, config.controller);
                         None
                     }
                     Controller::Emulated(machine) => Some(qemu::join(&sim, &wiring, machine)?),

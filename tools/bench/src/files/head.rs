@@ -8,10 +8,13 @@ use serde::Deserialize;
 use super::{FileError, Placement, read};
 use crate::world::{HeadOptics, Pinhole, Remainder, Unevenness};
 
+/// Pattern set of the demo head.
+pub const DEMO_PATTERNS: &str = "high12";
+
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
 pub struct HeadFile {
-    /// Name of the pattern set; without it `insitu12`.
+    /// Name of the pattern set; without it that of the demo head.
     pub pattern_set: Option<String>,
     /// Objective and sensor.
     pub camera: Lens,
@@ -57,7 +60,7 @@ impl HeadFile {
             residual: None,
         };
         Self {
-            pattern_set: None,
+            pattern_set: Some(DEMO_PATTERNS.into()),
             camera: lens(&optics.camera),
             projector: lens(&optics.projector),
             projector_from_camera: (&optics.projector_from_camera).into(),

@@ -4,6 +4,7 @@
 
 mod head;
 pub mod mesh;
+pub mod pictures;
 mod target;
 mod tool;
 
@@ -13,7 +14,7 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-pub use head::{HeadFile, Lens};
+pub use head::{DEMO_PATTERNS, HeadFile, Lens};
 pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 

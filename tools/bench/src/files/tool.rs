@@ -90,8 +90,10 @@ pub struct Gear {
 #[derive(Clone, Debug, Deserialize)]
 pub struct Inspect {
     /// Teeth that are judged, from 1.
+    #[serde(default)]
     pub teeth: Vec<u32>,
     /// Height at which the head looks.
+    #[serde(default)]
     pub height_mm: f64,
     /// Least and largest radius of the judged zone.
     pub zone_radius_mm: Option<[f64; 2]>,

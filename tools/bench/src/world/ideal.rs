@@ -114,17 +114,15 @@ impl IdealView<'_> {
         let px = [column, row].map(f64::from);
         let middle = self.spot(transport.rays, px)?;
         let mut random = stream(self.seed, Purpose::Paths(number as u32));
-        let turn: [f64; 2] = [random.random(), random.random()];
+        let turn = [random.random(), random.random()];
         let (mut direct, mut indirect) = ([0f64; LANES], [0f64; LANES]);
-        for path in 0..paths {
-            let [x, y] = spread(path, turn);
+        for [x, y] in spread(turn).take(paths as usize) {
             let Some(spot) = self.spot(transport.rays, [px[0] + x - 0.5, px[1] + y - 0.5]) else {
                 continue;
             };
-            let over = transport.indirect(lamp, &spot, 1, &mut random);
-            for (all, lane) in indirect.iter_mut().zip(over) {
-                *all += f64::from(lane);
-            }
+            let first = std::array::from_fn(|_| random.random());
+            // Means over many pixels are asked for: no way stands for more than itself.
+            transport.follow(lamp, spot, first, f64::INFINITY, &mut random, &mut indirect);
             for (all, lane) in direct
                 .iter_mut()
                 .zip(transport.direct(lamp, &spot).unwrap_or_default())

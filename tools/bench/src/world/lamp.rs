@@ -1,9 +1,11 @@
 //! How much of the projector's light arrives at a place.
 
 use super::bundle::Bundle;
+use super::mask::MirrorMask;
+use super::microfacet::tangents;
 use super::optics::{HeadOptics, Pinhole};
 use super::scene::{CORE_APERTURE_PITCH, LANES, Lanes};
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use std::f64::consts::TAU;
 
 /// Something that throws fringes from one point.
@@ -11,8 +13,44 @@ pub(crate) trait Lamp: Sync {
     /// Where it stands in the tool frame.
     fn position(&self) -> Point3<f64>;
 
-    /// Light on a plane at `p` (tool frame) that faces the lamp, nothing in between; none beyond its field.
-    fn arriving(&self, p: Point3<f64>) -> Option<Lanes>;
+    /// Light on a plane that faces the lamp, the mean about a place, nothing in between; none beyond its field.
+    fn arriving(&self, about: &Patch) -> Option<Lanes>;
+}
+
+/// A piece of a face, in the tool frame: as much of it as one way of light stands for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Patch {
+    /// Its middle.
+    pub point: Point3<f64>,
+    /// Unit normal out of the material.
+    pub normal: Vector3<f64>,
+    /// How wide it is: standard deviation of a Gaussian over the face, mm.
+    pub sigma_mm: f64,
+}
+
+impl Patch {
+    /// Standard deviation of the DMD's columns over it, px.
+    fn sigma_columns_px(&self, projector: &Pinhole, projector_from_tool: &Isometry3<f64>) -> f64 {
+        /// Short beside any change of the lens's distortion, long beside rounding.
+        const STEP_MM: f64 = 1e-3;
+        if self.sigma_mm == 0.0 {
+            return 0.0;
+        }
+        let column = |point: Point3<f64>| {
+            let px = projector.project(projector_from_tool * point);
+            px.map(|[column, _]| column)
+        };
+        let slope = |along: Vector3<f64>| {
+            let [before, after] =
+                [-0.5, 0.5].map(|ends| column(self.point + ends * STEP_MM * along));
+            before
+                .zip(after)
+                .map_or(0.0, |(before, after)| after - before)
+                / STEP_MM
+        };
+        let [x, y] = tangents(&self.normal).map(slope);
+        self.sigma_mm * x.hypot(y)
+    }
 }
 
 /// Lanes of fringes at a column of the DMD: their mean, and their contrast after a blur of `sigma_px`.
@@ -37,6 +75,7 @@ pub(crate) struct HeadLamp<'a> {
     position: Point3<f64>,
     frequencies: &'a [f64],
     mean_gain: f64,
+    mask: Option<&'a MirrorMask>,
 }
 
 impl<'a> HeadLamp<'a> {
@@ -45,6 +84,7 @@ impl<'a> HeadLamp<'a> {
         bundle: &'a Bundle,
         tool_from_camera: &Isometry3<f64>,
         frequencies: &'a [f64],
+        mask: Option<&'a MirrorMask>,
     ) -> Self {
         let projector_from_tool = optics.projector_from_camera * tool_from_camera.inverse();
         let gains = bundle.gains();
@@ -55,6 +95,7 @@ impl<'a> HeadLamp<'a> {
             projector_from_tool,
             frequencies,
             mean_gain: gains.iter().map(|g| f64::from(*g)).sum::<f64>() / gains.len() as f64,
+            mask,
         }
     }
 }
@@ -64,16 +105,19 @@ impl Lamp for HeadLamp<'_> {
         self.position
     }
 
-    fn arriving(&self, p: Point3<f64>) -> Option<Lanes> {
-        let p = self.projector_from_tool * p;
+    fn arriving(&self, about: &Patch) -> Option<Lanes> {
+        let p = self.projector_from_tool * about.point;
         let px = self.optics.projector.project(p)?;
         if !projector_reaches(self.optics, self.bundle, px) {
             return None;
         }
         let objective = &self.optics.projector_objective;
-        let mean = self.mean_gain * projector_brightness(self.optics, p);
-        let sigma_px =
+        let kept = self.mask.map_or(1.0, |mask| mask.ratio(px));
+        let mean = kept * self.mean_gain * projector_brightness(self.optics, p);
+        let own_px =
             objective.sigma_pitch(p).hypot(CORE_APERTURE_PITCH) * self.bundle.spec().pitch_px();
+        let patch_px = about.sigma_columns_px(&self.optics.projector, &self.projector_from_tool);
+        let sigma_px = own_px.hypot(patch_px);
         let columns = self.optics.projector_size_px[0] as f64;
         Some(fringes(self.frequencies, columns, px[0], mean, sigma_px))
     }
@@ -113,8 +157,8 @@ impl Lamp for PinholeLamp<'_> {
         self.projector_from_tool.inverse() * Point3::origin()
     }
 
-    fn arriving(&self, p: Point3<f64>) -> Option<Lanes> {
-        let p = self.projector_from_tool * p;
+    fn arriving(&self, about: &Patch) -> Option<Lanes> {
+        let p = self.projector_from_tool * about.point;
         let px = self.projector.project(p)?;
         if !on_dmd(self.size_px, px) {
             return None;
@@ -123,6 +167,7 @@ impl Lamp for PinholeLamp<'_> {
         let cos = p.z / p.coords.norm();
         let mean = (self.plane_mm / p.z).powi(2) / cos;
         let columns = self.size_px[0] as f64;
-        Some(fringes(self.frequencies, columns, px[0], mean, 0.0))
+        let sigma_px = about.sigma_columns_px(self.projector, &self.projector_from_tool);
+        Some(fringes(self.frequencies, columns, px[0], mean, sigma_px))
     }
 }

@@ -18,7 +18,9 @@ mod die;
 mod die_mesh;
 mod form;
 mod ideal;
+mod indirect;
 mod lamp;
+mod mask;
 mod microfacet;
 mod mount;
 mod optics;
@@ -40,7 +42,8 @@ pub(crate) use die::flank_of_facet;
 pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
 pub use form::Form;
 pub use ideal::{IdealView, PixelLight};
-pub use mount::{Mount, Saw};
+pub use mask::MirrorMask;
+pub use mount::{Carries, Mount, Saw};
 pub use optics::{HeadOptics, Objective, Pinhole};
 pub use pattern::PatternSpec;
 pub use print::Print;
@@ -98,6 +101,8 @@ pub struct WorldConfig {
     pub camera_bundle: BundleSpec,
     /// Bundle between DMD and objective, px of the DMD.
     pub projector_bundle: BundleSpec,
+    /// What the DMD lights, pass after pass, all patterns in each; empty: all of it at once.
+    pub passes: Vec<MirrorMask>,
     /// The camera.
     pub sensor: SensorSpec,
     /// Draws the head's individual traits: cores, gains, pixel response. One seed is one head.
@@ -130,6 +135,7 @@ impl WorldConfig {
             optics,
             camera_bundle,
             projector_bundle,
+            passes: Vec::new(),
             sensor: SensorSpec::imx174(),
             head_seed: 1,
             run_seed: 1,
@@ -292,6 +298,7 @@ pub struct World {
     finish: Finish,
     bounces: u32,
     print: Option<Print>,
+    passes: Vec<MirrorMask>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
     sights: Vec<Sight>,
@@ -367,6 +374,7 @@ impl World {
             finish,
             bounces: config.bounces,
             print: config.print.clone(),
+            passes: config.passes.clone(),
             camera_bundle,
             projector_bundle,
             core_exponents,
@@ -504,7 +512,7 @@ impl World {
     /// Puts the stages at their *true* position and computes the light of every pattern on every pixel.
     ///
     /// `rotation_rad` turns the die, `vertical_mm` raises the head; stage errors are the caller's to add. Pattern `i` of
-    /// `patterns` becomes index `i + 1`, index 0 is black. Runs on rayon's threads; the result does not depend on their
+    /// `patterns` becomes index `i + 1`, index 0 is black; with passes, those of each follow the ones before. Runs on rayon's threads; the result does not depend on their
     /// number.
     pub fn prepare(
         &self,
@@ -527,28 +535,50 @@ impl World {
         let tool_from_camera = self
             .mount
             .tool_from_camera(&self.optics, rotation_rad, vertical_mm);
-        let views = self
-            .stage((rotation_rad, vertical_mm))
-            .look(tool_from_camera, &frequencies);
-
+        let stage = self.stage((rotation_rad, vertical_mm));
+        // Every mirror leaks, lit or not; over other places of the die that is too little to follow.
+        let all = match self.passes.is_empty() {
+            true => stage.look(tool_from_camera, &frequencies),
+            false => {
+                let direct = Stage {
+                    bounces: 1,
+                    ..stage
+                };
+                direct.look(tool_from_camera, &frequencies)
+            }
+        };
         let leak = self.optics.dmd_leak_ratio as f32;
-        let black = |view: &CoreView| leak * view.light[0];
-        let mut per_core = vec![self.core_rates(&views, black)];
-        let shifts_mm = self.shifts_mm(rotation_rad, vertical_mm);
-        per_core.extend(patterns.iter().zip(shifts_mm).map(|(pattern, shift_mm)| {
-            let turn_per_mm = pattern.periods * self.turn_per_mm();
-            let moved = Moved {
-                shift_rad: turn_per_mm * shift_mm,
-                kept: (-0.5 * (turn_per_mm * 1e-3 * self.shiver_um).powi(2)).exp(),
+        let leaked: Vec<f32> = all.iter().map(|view| leak * view.light[0]).collect();
+        let mut per_core = vec![self.core_rates(&leaked)];
+        let mut shifts_mm = self.shifts_mm(rotation_rad, vertical_mm);
+        let mut show = |views: &[CoreView]| {
+            for (pattern, shift_mm) in patterns.iter().zip(&mut shifts_mm) {
+                let turn_per_mm = pattern.periods * self.turn_per_mm();
+                let moved = Moved {
+                    shift_rad: turn_per_mm * shift_mm,
+                    kept: (-0.5 * (turn_per_mm * 1e-3 * self.shiver_um).powi(2)).exp(),
+                };
+                let brightness = |(view, leaked): (&CoreView, &f32)| {
+                    leaked + scene::brightness(&view.light, pattern, &frequencies, moved)
+                };
+                let shown: Vec<f32> = views.par_iter().zip(&leaked).map(brightness).collect();
+                per_core.push(self.core_rates(&shown));
+            }
+        };
+        if self.passes.is_empty() {
+            show(&all);
+        }
+        for mask in &self.passes {
+            let pass = Stage {
+                mask: Some(mask),
+                ..stage
             };
-            self.core_rates(&views, |view| {
-                black(view) + scene::brightness(&view.light, pattern, &frequencies, moved)
-            })
-        }));
+            show(&pass.look(tool_from_camera, &frequencies));
+        }
         let rates = self.sensor.expose(&per_core);
         Ok(ViewState {
             rates,
-            truth: views.into_iter().filter_map(|view| view.truth).collect(),
+            truth: all.into_iter().filter_map(|view| view.truth).collect(),
         })
     }
 
@@ -565,6 +595,7 @@ impl World {
             bounces: self.bounces,
             print: self.print.as_ref(),
             seed: self.run_seed ^ pose_bits(rotation_rad, vertical_mm),
+            mask: None,
         }
     }
 
@@ -584,17 +615,10 @@ impl World {
     }
 
     /// Charge rate per mean pixel of each core, e⁻/ms, after gain, cross-talk and the core's own response.
-    fn core_rates(
-        &self,
-        views: &[CoreView],
-        brightness: impl Fn(&CoreView) -> f32 + Sync,
-    ) -> Vec<f32> {
+    fn core_rates(&self, brightness: &[f32]) -> Vec<f32> {
         // The sensor's rate is stated for reflectance 0.3 and half brightness.
         let scale = (self.sensor_spec.rate_e_per_ms / (surface::SPRAYED_RATIO * 0.5)) as f32;
-        let entering: Vec<[f32; 1]> = views
-            .par_iter()
-            .map(|view| [scale * brightness(view)])
-            .collect();
+        let entering: Vec<[f32; 1]> = brightness.iter().map(|light| [scale * light]).collect();
         let mixed = self.camera_bundle.with_crosstalk(&entering);
         let reference = 2.0 * self.sensor_spec.rate_e_per_ms as f32;
         let bent = |(([light], gain), exponent): ((&[f32; 1], &f32), &f32)| {

@@ -3,6 +3,7 @@
 use super::optics::HeadOptics;
 use super::random::{Normals, Purpose, stream};
 use nalgebra::{Isometry3, Translation3, Unit, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Length of the die's eccentricity on the rotary stage, mm.
 const ECCENTRICITY_MM: f64 = 0.5;
@@ -18,9 +19,22 @@ const HARMONIC_RAD: f64 = 5e-3 * DEGREE;
 const VERTICAL_RAD: [f64; 2] = [10e-6, 200e-6];
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
+/// What the rotary stage carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Carries {
+    /// The die, before a head that only goes up and down.
+    #[default]
+    Die,
+    /// The head, which hangs from a slide that goes up and down in a press.
+    Head,
+}
+
 /// Where die, head and axes are, against where the files put them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mount {
+    /// What turns.
+    pub rotary_carries: Carries,
     /// Die on the rotary stage.
     pub table_from_die: Isometry3<f64>,
     /// The head's true place seen from the one in its file.
@@ -56,6 +70,7 @@ impl Mount {
     /// Everything where the files put it.
     pub fn perfect() -> Self {
         Self {
+            rotary_carries: Carries::Die,
             table_from_die: Isometry3::identity(),
             nominal_from_camera: Isometry3::identity(),
             vertical_slope: [0.0; 2],
@@ -83,6 +98,7 @@ impl Mount {
             [phase.x * HARMONIC_RAD, phase.y * HARMONIC_RAD]
         });
         Self {
+            rotary_carries: Carries::Die,
             table_from_die: Isometry3::from_parts(Translation3::from(shift), tilt),
             nominal_from_camera: Isometry3::from_parts(Translation3::from(head_shift), head_turn),
             vertical_slope: VERTICAL_RAD.map(|sigma| sigma * random.next().clamp(-3.0, 3.0)),
@@ -107,13 +123,16 @@ impl Mount {
                     cosine * cos + sine * sin
                 })
                 .sum::<f64>();
-        let table_from_stage = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -turned_rad);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
         let [along, across] = self.vertical_slope.map(|slope| slope * vertical_mm);
-        self.table_from_die.inverse()
-            * table_from_stage
-            * Translation3::new(along, across, vertical_mm)
-            * optics.stage_from_camera
-            * self.nominal_from_camera
+        let slide = Translation3::new(along, across, vertical_mm);
+        let stands = match self.rotary_carries {
+            // The table is turned, the slide stands in the room.
+            Carries::Die => turn.inverse() * slide,
+            // The table is the room, and the slide carries the rotary stage.
+            Carries::Head => slide * turn,
+        };
+        self.table_from_die.inverse() * stands * optics.stage_from_camera * self.nominal_from_camera
     }
 }
 

@@ -1,9 +1,10 @@
 //! What the DMD shows.
 
 use super::WorldError;
+use serde::Deserialize;
 
 /// One sinusoidal frame of the DMD: brightness `0.5 + 0.5 cos(2π periods (x + 0.5) / width + 2π step / steps)` at column x.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct PatternSpec {
     /// Periods over the width of the DMD; 0 is evenly lit.
     pub periods: f64,

@@ -65,6 +65,17 @@ const SPRAY_LOBE_MM: f64 = 0.3;
 /// Seen from outside, a film makes the lobe of the metal below it this much wider: roughly its index.
 const WIDENED: f64 = 1.4;
 
+/// A direction that light to an eye may have come from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scattered {
+    /// Unit vector away from the surface.
+    pub towards: Vector3<f64>,
+    /// Share of the light from there that counts, such that the mean over draws is all the light.
+    pub weight: f64,
+    /// How many draws in one go that way, per steradian.
+    pub density_per_sr: f64,
+}
+
 impl Surface {
     /// Matt spray: what a metrologist puts on the tool.
     pub fn sprayed() -> Self {
@@ -185,8 +196,7 @@ impl Surface {
         dull + metal.share * fresnel * microfacet::mirrors(metal.alpha, &normal, &bisector, cosines)
     }
 
-    /// Where light to the eye may have come from: a direction drawn from three uniform numbers, and the share of the light from
-    /// there that counts, such that the mean over draws is all the light. None below the surface.
+    /// Where light to the eye may have come from: a direction drawn from three uniform numbers. None below the surface.
     pub(crate) fn scattered(
         &self,
         seed: u64,
@@ -194,7 +204,7 @@ impl Surface {
         normal: Vector3<f64>,
         eye: Vector3<f64>,
         [choice, u, v]: [f64; 3],
-    ) -> Option<(Vector3<f64>, f64)> {
+    ) -> Option<Scattered> {
         let lobes = self.lobes();
         let mut rest = choice;
         let chosen = lobes.iter().find(|(share, _)| {
@@ -225,7 +235,11 @@ impl Surface {
             })
             .sum();
         let returned = self.returned(seed, p_tool, normal, from, eye);
-        Some((from, returned / (PI * density)))
+        Some(Scattered {
+            towards: from,
+            weight: returned / (PI * density),
+            density_per_sr: density,
+        })
     }
 
     /// Shares of the draws, and what they follow: the cosine, or mirrors of a roughness. The first is never empty without metal.
@@ -322,7 +336,7 @@ impl Finish {
         normal: Vector3<f64>,
         eye: Vector3<f64>,
         draws: [f64; 3],
-    ) -> Option<(Vector3<f64>, f64)> {
+    ) -> Option<Scattered> {
         self.at(p_tool)
             .scattered(self.seed, p_tool, normal, eye, draws)
     }
@@ -422,7 +436,7 @@ mod tests {
                         let draws = [radical(i, 2), radical(i, 3), radical(i, 5)];
                         surface.scattered(1, Point3::origin(), Vector3::z(), eye, draws)
                     })
-                    .map(|(_, weight)| weight)
+                    .map(|way| way.weight)
                     .sum::<f64>()
                     / f64::from(count);
                 assert!(

@@ -4,15 +4,18 @@
 //! drawn as its surface scatters, and wherever they meet the die, what the lamp sends there is counted. All frequencies and the
 //! even light are carried at once, because light is linear: one tracing serves all frames of a view.
 
-use super::lamp::Lamp;
+use super::lamp::{Lamp, Patch};
 use super::rays::RayCaster;
 use super::scene::{LANES, Lanes};
-use super::surface::Finish;
+use super::surface::{Finish, Scattered};
 use nalgebra::{Point3, Vector3};
 use rand::RngExt;
 
 /// A ray starts this far off the surface, mm: more than rounding, less than any feature.
 pub(crate) const START_MM: f64 = 5e-4;
+
+/// Standard deviation of a Gaussian, in sides of the square that it stands for, that leaves fringes a side wide a hundredth.
+const SIGMA_PER_SIDE: f64 = 0.5;
 
 /// A place of the die and the direction that it is looked at from.
 #[derive(Clone, Copy, Debug)]
@@ -37,11 +40,20 @@ pub(crate) struct Transport<'a> {
 impl Transport<'_> {
     /// Light straight from the lamp that a spot sends to its eye.
     pub(crate) fn direct(&self, lamp: &impl Lamp, at: &Spot) -> Option<Lanes> {
+        self.direct_about(lamp, at, 0.0)
+    }
+
+    /// The same, the fringes' mean over a patch about the spot.
+    fn direct_about(&self, lamp: &impl Lamp, at: &Spot, sigma_mm: f64) -> Option<Lanes> {
         let to_lamp = lamp.position() - at.point;
         if at.normal.dot(&to_lamp) <= 0.0 {
             return None;
         }
-        let arriving = lamp.arriving(at.point)?;
+        let arriving = lamp.arriving(&Patch {
+            point: at.point,
+            normal: at.normal,
+            sigma_mm,
+        })?;
         let start = at.point + START_MM * at.normal;
         if self.rays.blocked(start, lamp.position()) {
             return None;
@@ -62,34 +74,42 @@ impl Transport<'_> {
     ) -> Lanes {
         let mut sum = [0f64; LANES];
         if self.bounces > 1 {
-            let turn: [f64; 2] = [random.random(), random.random()];
-            for path in 0..paths {
-                // First directions spread evenly over the lobe, turned anew for each spot.
-                let first = spread(path, turn);
-                self.follow(lamp, *at, first, random, &mut sum);
+            let turn = std::array::from_fn(|_| random.random());
+            // First directions spread evenly over the lobes, turned anew for each spot.
+            for first in spread(turn).take(paths as usize) {
+                self.follow(lamp, *at, first, f64::from(paths), random, &mut sum);
             }
         }
         sum.map(|lane| (lane / f64::from(paths.max(1))) as f32)
     }
 
-    /// One way: adds what it brings.
-    fn follow(
+    /// One way of `ways`, by three uniform numbers for its first direction: adds what it brings over other places.
+    ///
+    /// Fringes are finer than what lies between two ways, and single ones would stay where the mean of many washes out. So
+    /// each way brings the mean over the patch of a face that it stands for (path differentials: Suykens and Willems 2001).
+    pub(crate) fn follow(
         &self,
         lamp: &impl Lamp,
         mut at: Spot,
-        first: [f64; 2],
+        first: [f64; 3],
+        ways: f64,
         random: &mut impl rand::Rng,
         sum: &mut [f64; LANES],
     ) {
         let mut share = 1.0;
+        // Squares of how far a way ends beside its neighbour if there were just one of each direction, mm².
+        let mut apart_mm2 = 0.0;
         for touched in 1..self.bounces {
-            let [u, v] = if touched == 1 {
+            let draws = if touched == 1 {
                 first
             } else {
-                [random.random(), random.random()]
+                std::array::from_fn(|_| random.random())
             };
-            let draws = [random.random(), u, v];
-            let Some((towards, weight)) = self.finish.scattered(at.point, at.normal, at.eye, draws)
+            let Some(Scattered {
+                towards,
+                weight,
+                density_per_sr,
+            }) = self.finish.scattered(at.point, at.normal, at.eye, draws)
             else {
                 return;
             };
@@ -108,7 +128,9 @@ impl Transport<'_> {
                 normal,
                 eye: -towards,
             };
-            if let Some(light) = self.direct(lamp, &at) {
+            apart_mm2 += hit.distance.powi(2) / density_per_sr;
+            let patch_mm2 = apart_mm2 / (ways * normal.dot(&-towards));
+            if let Some(light) = self.direct_about(lamp, &at, SIGMA_PER_SIDE * patch_mm2.sqrt()) {
                 for (all, lane) in sum.iter_mut().zip(light) {
                     *all += share * f64::from(lane);
                 }
@@ -117,13 +139,14 @@ impl Transport<'_> {
     }
 }
 
-/// Member `number` of an even sequence over the unit square (Roberts 2018, R2), shifted by `turn`.
-pub(crate) fn spread(number: u32, turn: [f64; 2]) -> [f64; 2] {
-    /// The plastic number: root of x³ = x + 1.
-    const PLASTIC: f64 = 1.324_717_957_244_746;
-    let n = f64::from(number);
-    let step = [1.0 / PLASTIC, 1.0 / (PLASTIC * PLASTIC)];
-    [0, 1].map(|axis| (turn[axis] + n * step[axis]).fract())
+/// Endless even sequence over the unit square or cube (Roberts 2018, R2 and R3), shifted by `turn`.
+pub(crate) fn spread<const N: usize>(turn: [f64; N]) -> impl Iterator<Item = [f64; N]> {
+    // The root of x^(N+1) = x + 1 above 1.
+    let root = (0..40).fold(1.5f64, |root, _| (1.0 + root).powf(1.0 / (N as f64 + 1.0)));
+    let steps: [f64; N] = std::array::from_fn(|axis| root.powi(-1 - axis as i32));
+    (0u32..).map(move |number| {
+        std::array::from_fn(|axis| (turn[axis] + f64::from(number) * steps[axis]).fract())
+    })
 }
 
 #[cfg(test)]
@@ -144,7 +167,8 @@ mod tests {
         fn position(&self) -> Point3<f64> {
             self.position
         }
-        fn arriving(&self, p: Point3<f64>) -> Option<Lanes> {
+        fn arriving(&self, about: &Patch) -> Option<Lanes> {
+            let p = about.point;
             let normal = (self.normal)(p)?;
             let cos = normal.dot(&(self.position - p).normalize());
             let mut lanes = [0f32; LANES];

@@ -10,6 +10,14 @@ use flankscope_sim::Port;
 use std::cell::RefCell;
 use std::rc::Rc;
 
+/// The order that says which stages these are.
+pub fn stages() -> Command {
+    Command::ConfigureStage {
+        version: flankscope_protocol::stage::STAGE_CONFIG_VERSION,
+        stage: StageConfig::DEFAULT,
+    }
+}
+
 /// `insitu12` at two exposures, three views.
 pub fn plan() -> CapturePlan {
     CapturePlan {
@@ -166,7 +174,7 @@ impl Host {
         replies
     }
 
-    /// Hello, home, load.
+    /// Hello, stages, home, load.
     pub async fn prepare(&mut self, plan: CapturePlan) {
         let hello = Command::Hello {
             protocol: PROTOCOL_VERSION,
@@ -175,6 +183,7 @@ impl Host {
         let Reply::Hello(_) = self.order(hello).await else {
             panic!("refused")
         };
+        assert_eq!(self.order(stages()).await, Reply::Accepted);
         assert_eq!(self.order(Command::Home).await, Reply::Accepted);
         self.until(|event| {
             matches!(

@@ -100,6 +100,7 @@ fn sent(arm: &Arm, nth: u32, exposure: &Exposure) -> Sent {
             session: arm.session,
             counter: exposure.counter,
             label: arm.label(nth).unwrap_or(FrameLabel::BEYOND),
+            measured: FrameHeader::ALL_MEASURED,
             exposure_start_us: exposure.start_us,
             exposure_end_us: exposure.end_us,
             ..FrameHeader::default()

@@ -6,7 +6,6 @@ use crate::promises::{Injection, PressLine};
 use crate::{CAPTURE_MS, PHASES};
 use flankscope_bench::devices::{DeviceConfig, World, spawn_all};
 use flankscope_controller::sequence::Config;
-use flankscope_controller::stage::esp301::Axes;
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::*;
 use flankscope_sim::{Clock, Controller, Edge, Line, PressLines, Sim, Wiring, now_us};
@@ -55,7 +54,7 @@ pub fn run(injection: Injection, phase: u64, seed: u64) -> Record {
     };
     let notebook = Notebook::default();
     let world = spawn_all(&sim, &wiring, &devices, notebook.clone());
-    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT, Axes::DEFAULT);
+    let controller = Controller::power_up(&sim, Rc::clone(&wiring), Config::DEFAULT);
     let finished = Rc::new(RefCell::new(None));
     let fired = Rc::new(Cell::new(None));
     let host = Host::new(wiring.host.clone());

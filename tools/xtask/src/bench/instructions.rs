@@ -15,7 +15,7 @@ const KERNELS: [(&str, &str, f64); 4] = [
 const TOLERANCE: f64 = 0.03;
 
 /// Counts every kernel on the benchmark's data and fails if one became dearer.
-pub fn check(root: &Path, data: &Path) -> Result<(), String> {
+pub fn check(data: &Path) -> Result<(), String> {
     if !crate::firmware::is_on_path("valgrind") {
         return Err("valgrind is missing; get it: apt-get install valgrind".into());
     }
@@ -28,7 +28,7 @@ pub fn check(root: &Path, data: &Path) -> Result<(), String> {
         "--example",
         "kernels",
     ]))?;
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or(root.join("target"), Into::into);
+    let target = crate::target();
     println!("| kernel | work | million instructions | last judged good |\n|---|---|---|---|");
     let mut dearer = Vec::new();
     for (kernel, work, good) in KERNELS {

@@ -344,7 +344,7 @@ mod tests {
                 flanks: 0.0,
                 ring: 0.0,
             },
-            evidence: Arc::new(PoseEvidence {
+            evidence: Some(Arc::new(PoseEvidence {
                 tooth: Some(40),
                 flanks: Vec::new(),
                 stages_mm: 0.0,
@@ -353,7 +353,7 @@ mod tests {
                 stages_both_mm: 0.0,
                 both_sigma_mm: 0.0,
                 mount_mm: [0.0; 3],
-            }),
+            })),
             form_scatter_mm: 0.0,
             others_form: 0.0,
             temperature_mm: 0.0,

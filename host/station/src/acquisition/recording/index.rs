@@ -21,6 +21,9 @@ pub struct FrameIndex {
     /// The head that looked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub head: Option<PathBuf>,
+    /// Table that says where the camera stood, instead of the stages.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub poses: Option<PathBuf>,
     /// What the views' folders are in; without it, the index's own folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub images: Option<PathBuf>,
@@ -232,6 +235,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read_again() {
         let index = FrameIndex {
+            poses: None,
             simulated: true,
             taken: Some("2026-01-31".parse().unwrap()),
             plan: "PLAN.toml".into(),

@@ -131,6 +131,13 @@ impl Recording {
         Some(self.folder.join(head))
     }
 
+    /// The table that says where the camera stood, if there is one.
+    #[must_use]
+    pub fn poses(&self) -> Option<PathBuf> {
+        let poses = self.index.poses.as_ref()?;
+        Some(self.folder.join(poses))
+    }
+
     /// The sensor that counted, as plan or else head say.
     ///
     /// # Errors

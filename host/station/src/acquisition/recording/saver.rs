@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use flankscope_frames::{BorrowedFrame, Frame};
+use flankscope_frames::{BorrowedFrame, Frame, FrameHeader};
 use flankscope_protocol::Trigger;
 
 use super::index::IndexedView;
@@ -27,6 +27,8 @@ pub struct SavedCapture {
     name: String,
     session: u32,
     exposed_us: Vec<[u64; 2]>,
+    /// The camera says how long.
+    lengths_measured: bool,
     blake3: Vec<String>,
     failed: Option<io::Error>,
 }
@@ -66,6 +68,7 @@ impl Saver {
             name,
             session: 0,
             exposed_us: Vec::new(),
+            lengths_measured: true,
             blake3: Vec::new(),
             failed,
         }
@@ -97,9 +100,11 @@ impl Saver {
         capture.session = header.session;
         capture.failed = std::fs::write(path, &self.file).err();
         capture.blake3.push(files::hash(&self.file));
+        let length = header.measured & FrameHeader::EXPOSURE_MEASURED != 0;
         capture
             .exposed_us
             .push([header.exposure_start_us, header.exposure_end_us]);
+        capture.lengths_measured &= length;
     }
 }
 
@@ -107,13 +112,20 @@ impl SavedCapture {
     /// Keeps it as a capture of a view that these triggers exposed.
     pub(crate) fn of_view(self, view: usize, triggers: &[Trigger]) -> SavedView {
         let triggered = triggers.iter().map(|t| [t.camera_at.0, t.end_at.0]);
+        let mut exposed_us = self.exposed_us;
+        if !self.lengths_measured {
+            // Then they are what was commanded.
+            for (exposed, trigger) in exposed_us.iter_mut().zip(triggers) {
+                exposed[0] = exposed[1].saturating_sub(trigger.end_at.0 - trigger.camera_at.0);
+            }
+        }
         SavedView {
             view,
             session: self.session,
             index: IndexedView {
                 folder: self.name.into(),
                 triggered_us: triggered.collect(),
-                exposed_us: self.exposed_us,
+                exposed_us,
                 blake3: self.blake3,
                 ..IndexedView::default()
             },

@@ -193,7 +193,8 @@ impl FolderSource {
                 width_px,
                 height_px,
                 stride_px: width_px,
-                measured: 0,
+                // Its file says when it was exposed.
+                measured: FrameHeader::ALL_MEASURED,
                 exposure_start_us: start_us,
                 exposure_end_us: end_us,
                 exposure_end_monotonic_ns: now,

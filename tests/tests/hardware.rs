@@ -1,0 +1,99 @@
+//! The way of docs/hardware.md from parts to verdict: every step that needs no hardware is walked as it is written there, every other
+//! one is at least understood.
+
+use std::path::Path;
+
+use flankscope_test_requisites::{has_aravis, workspace};
+use flankscope_tests::{flankscope, run};
+
+/// The blocks of a language.
+fn blocks(text: &str, language: &str) -> Vec<String> {
+    let begin = format!("```{language}\n");
+    let blocks = text.split(&begin).skip(1);
+    blocks
+        .filter_map(|block| Some(block.split("```").next()?.to_owned()))
+        .collect()
+}
+
+/// What a line's comment says will come of it: nothing here, or an exit code.
+fn expected(comment: &str) -> Option<i32> {
+    match comment.trim() {
+        "at the press" => None,
+        other => Some(other.strip_prefix("exit ").map_or(0, |code| {
+            code.parse().unwrap_or_else(|_| panic!("# {comment}"))
+        })),
+    }
+}
+
+#[test]
+fn every_step_that_needs_no_hardware_leads_where_it_says() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let text = std::fs::read_to_string(workspace().join("docs/hardware.md")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for file in blocks(&text, "toml") {
+        let name = file.lines().next().and_then(|line| line.strip_prefix("# "));
+        std::fs::write(folder.path().join(name.expect("a name")), &file).unwrap();
+    }
+    let (mut walked, mut understood) = (0, 0);
+    for line in blocks(&text, "sh").iter().flat_map(|block| block.lines()) {
+        let Some(line) = line.strip_prefix("flankscope ") else {
+            continue;
+        };
+        let (words, comment) = line.split_once(" # ").unwrap_or((line, ""));
+        let words: Vec<&str> = words.split_whitespace().collect();
+        let Some(code) = expected(comment) else {
+            let help = run(flankscope().args(&words).arg("--help"));
+            assert_eq!(help.code, 0, "{line}: {}", help.stderr);
+            understood += 1;
+            continue;
+        };
+        if words.contains(&"gige") && !has_aravis() {
+            continue;
+        }
+        let mut command = flankscope();
+        command.args(&words).current_dir(folder.path());
+        if words[0] == "inspect" && !words.contains(&"--station") {
+            command.args(["--speed", "max"]);
+        }
+        let done = run(&mut command);
+        assert_eq!(done.code, code, "{line}: {}", done.stderr);
+        walked += 1;
+    }
+    assert!(walked >= 9 && understood >= 5, "{walked}, {understood}");
+    for made in [
+        "alpha.ply",
+        "patterns/insitu12/patterns.json",
+        "rehearsed.toml",
+    ] {
+        assert!(folder.path().join(made).is_file(), "{made}");
+    }
+}
+
+/// The chapter names pages and files that there are.
+#[test]
+fn what_it_points_to_is_there() {
+    let text = std::fs::read_to_string(workspace().join("docs/hardware.md")).unwrap();
+    let links = text.split("](").skip(1);
+    let links = links.filter_map(|rest| rest.split(')').next());
+    let mut seen = 0;
+    for link in links {
+        let (file, heading) = link.split_once('#').unwrap_or((link, ""));
+        let path = workspace().join("docs").join(file);
+        assert!(path.exists(), "{link}");
+        if !heading.is_empty() {
+            assert!(has_heading(&path, heading), "{link}");
+        }
+        seen += 1;
+    }
+    assert!(seen >= 7, "{seen}");
+}
+
+fn has_heading(file: &Path, anchor: &str) -> bool {
+    let text = std::fs::read_to_string(file).unwrap();
+    let headings = text.lines().filter(|line| line.starts_with('#'));
+    headings
+        .map(|line| line.trim_start_matches('#').trim().to_lowercase())
+        .any(|heading| heading.replace(' ', "-") == anchor)
+}

@@ -1,0 +1,241 @@
+//! A station's stages, end to end: what turns is the station's, the order of views is planned by its dynamics, and what its axes
+//! cannot do is refused before anything moves.
+
+use std::fs;
+
+use flankscope_tests::{Run, flankscope, inspect, run};
+
+/// A check before the instrument of this station file.
+fn at(station: &str, args: &[&str]) -> Run {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("station.toml");
+    fs::write(&path, station).unwrap();
+    let at = ["--link", "sim", "--station", path.to_str().unwrap()];
+    inspect(&[&at, args].concat())
+}
+
+/// The same, and what it says on its way.
+fn told(station: &str) -> Run {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("station.toml");
+    fs::write(&path, station).unwrap();
+    let mut command = flankscope();
+    command.args([
+        "inspect",
+        "--json",
+        "-",
+        "--speed",
+        "max",
+        "--link",
+        "sim",
+        "--station",
+    ]);
+    run(command.arg(&path))
+}
+
+const HEAD: &str = "[stages]\nmoves = \"head\"\n";
+
+/// In a press the head turns before a die that stands still: the same die is go, and no-go where it is worn, left and right.
+#[test]
+fn a_head_that_turns_before_a_die_that_stands_still_finds_the_same_wear() {
+    let sound = at(HEAD, &[]);
+    assert_eq!(sound.code, 0, "{} {}", sound.json["reason"], sound.stderr);
+    for wear in flankscope_test_requisites::at_least(1, &["40:left:80", "12:right:80"]) {
+        let worn = at(HEAD, &["--wear", wear]);
+        assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
+        let flank = wear.trim_end_matches(":80");
+        assert_eq!(worn.not_go(), [format!("{flank}:no-go")]);
+    }
+}
+
+#[test]
+fn the_plan_says_how_long_and_what_bounds_it() {
+    let slow = "[stages.rotation]\naxis = 1\nspeed_deg_s = 40\nacceleration_deg_s2 = 320\ntravel_deg = [-360, 360]\n\
+        home_deg = 0\nhome_speed_deg_s = 40\nhome_at = \"switch\"\n";
+    for (station, bound) in [("", "rotation"), (slow, "rotation")] {
+        let run = told(station);
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        let plan = run.stderr.lines().find(|line| line.contains("plan: "));
+        let plan = plan.unwrap_or_else(|| panic!("no plan: {}", run.stderr));
+        assert!(plan.contains(&format!("bounded by {bound}")), "{plan}");
+        let total_s: f64 = plan
+            .split("plan: ")
+            .nth(1)
+            .and_then(|rest| rest.split(" s:").next()?.parse().ok())
+            .unwrap();
+        // From the first move to the last exposure, as the controller's clock has it; what the plan leaves out is the LED's rise and fall,
+        // questions to the stages, and the way out (0.8 s).
+        let timing = &run.json["timing_ms"];
+        let took_s =
+            (timing["positioning"].as_f64().unwrap() + timing["exposure"].as_f64().unwrap()) / 1e3;
+        assert!((total_s - took_s).abs() < 1.5, "{plan}: {timing}");
+    }
+}
+
+#[test]
+fn what_the_axes_cannot_do_is_refused_before_anything_moves() {
+    let axis = "axis = 1\nspeed_deg_s = 80\nacceleration_deg_s2 = 320\nhome_deg = 0\nhome_speed_deg_s = 80\nhome_at = \"switch\"\n";
+    for (station, words) in [
+        (
+            format!("[stages.rotation]\n{axis}travel_deg = [-360, inf]\n"),
+            "stages.rotation.travel_deg = inf: a finite number",
+        ),
+        (
+            format!("[stages.rotation]\n{axis}travel_deg = [-400, 360]\n"),
+            "stages.rotation.travel_deg = -400.0: -360 to 0 deg at the lower end",
+        ),
+        (
+            format!("[stages.rotation]\n{axis}"),
+            "missing field `travel_deg`",
+        ),
+        // Tooth 12 stands at 131 degrees: no axis of this travel turns so far.
+        (
+            format!("[stages.rotation]\n{axis}travel_deg = [-20, 20]\n"),
+            "is outside",
+        ),
+        (
+            "[stages]\nmoves = \"both\"\n".into(),
+            "expected one of `die`, `head`, `outside`",
+        ),
+    ] {
+        let run = at(&station, &[]);
+        assert_eq!(run.code, 3, "{station}: {}", run.stderr);
+        assert!(run.stderr.contains(words), "{station}: {}", run.stderr);
+    }
+}
+
+/// A program that states poses: what the host asks for, a little beside it. `SPOIL` is what it does with each answer.
+fn arm(folder: &std::path::Path, spoil: &str, limit_s: f64) -> String {
+    let program = folder.join("arm.sh");
+    // The pose comes back as it was asked for; a shell has no JSON, and needs none.
+    let script = format!(
+        "while read asked; do\n\
+         view=$(echo \"$asked\" | sed 's/.*\"view\":\\([0-9]*\\).*/\\1/')\n\
+         pose=$(echo \"$asked\" | sed 's/.*\"tool_from_camera\":\\(\\[\\[.*\\]\\]\\).*/\\1/')\n\
+         u=0.02\n{spoil}\n\
+         echo \"{{\\\"view\\\":$view,\\\"tool_from_camera\\\":$pose,\\\"u_mm\\\":$u,\\\"u_mrad\\\":0.3}}\"\ndone\n"
+    );
+    fs::write(&program, script).unwrap();
+    format!(
+        "[stages.poses]\ncommand = [\"sh\", \"{}\"]\nlimit_s = {limit_s}\n",
+        program.display()
+    )
+}
+
+/// Poses from outside: the right verdict by stated poses, and never a go by what is late, foreign, or none.
+#[test]
+fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let honest = arm(folder.path(), "", 20.0);
+    let sound = at(&honest, &[]);
+    assert_eq!(sound.code, 0, "{} {}", sound.json["reason"], sound.stderr);
+    let worn = at(&honest, &["--wear", "40:left:80"]);
+    assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
+    for (spoil, limit_s, words) in [
+        (
+            "[ $view = 2 ] && sleep 3",
+            1.0,
+            "did not answer for view 2 within 1 s",
+        ),
+        ("[ $view = 2 ] && pose='[[NaN]]'", 20.0, "what is no answer"),
+        (
+            "[ $view = 2 ] && u=0",
+            20.0,
+            "u_mm = 0; right is more than 0",
+        ),
+        (
+            "[ $view = 2 ] && view=3",
+            20.0,
+            "answered for view 3 when it was asked for view 2",
+        ),
+        (
+            "[ $view = 2 ] && exit 1",
+            20.0,
+            "ended before it answered for view 2",
+        ),
+    ] {
+        let run = at(&arm(folder.path(), spoil, limit_s), &[]);
+        assert_eq!(run.code, 2, "{spoil}: {}", run.json["reason"]);
+        let features = run.json["features"].as_array().unwrap();
+        let why =
+            |feature: &serde_json::Value| feature["reason"].as_str().unwrap_or_default().to_owned();
+        assert!(
+            features.iter().any(|of| why(of).contains(words)),
+            "{spoil}: {features:?}"
+        );
+        // The second view of the tool file's is of tooth 40.
+        assert_eq!(
+            run.not_go()
+                .iter()
+                .filter(|of| of.starts_with("40:"))
+                .count(),
+            2,
+            "{spoil}"
+        );
+    }
+}
+
+/// A table does the same for every view, and is refused whole where it lacks one.
+#[test]
+fn a_table_says_where_the_camera_stands_or_the_check_does_not_begin() {
+    let folder = tempfile::tempdir().unwrap();
+    let demo = folder.path().join("demo");
+    let made = run(flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(&demo));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let head = flankscope_profilometry::HeadModel::load(&demo.join("head.toml")).unwrap();
+    let hand_eye = head.stage_from_camera.unwrap();
+    let hand_eye = hand_eye
+        .rigid::<flankscope_foundation::rigid::Stage, flankscope_foundation::rigid::Camera>()
+        .unwrap();
+    let tool = flankscope_metrology::tool::Tool::load(&demo).unwrap();
+    let views =
+        flankscope_station::inspection::PlannedView::of_teeth(&tool, &[12, 40, 68]).unwrap();
+    let table = |beside_mm: f64, rows: usize| {
+        let mut text = String::from("tooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad\n");
+        for view in views.iter().take(rows) {
+            let pose = flankscope_station::kinematics::tool_from_camera(
+                view.rotation_rad,
+                view.vertical_mm,
+                hand_eye,
+            );
+            let (t, q) = (pose.isometry().translation.vector, pose.isometry().rotation);
+            text += &format!(
+                "{},{},{},{},{},{},{},{},0.02,0.3\n",
+                view.tooth,
+                t.x + beside_mm,
+                t.y,
+                t.z,
+                q.w,
+                q.i,
+                q.j,
+                q.k
+            );
+        }
+        let path = folder.path().join("poses.csv");
+        fs::write(&path, text).unwrap();
+        format!("[stages.poses]\nfile = \"{}\"\n", path.display())
+    };
+    let worn = at(&table(0.0, 3), &["--wear", "40:left:80"]);
+    assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
+    for (beside_mm, rows, words) in [
+        (0.0, 2, "poses.csv has no pose of tooth 68"),
+        (
+            2.5,
+            3,
+            "is 2.500 mm and 0.0 mrad from where it was asked for",
+        ),
+    ] {
+        let refused = at(&table(beside_mm, rows), &[]);
+        assert_eq!(refused.code, 3, "{}", refused.stderr);
+        assert!(refused.stderr.contains(words), "{}", refused.stderr);
+    }
+    let nobody = at("[stages]\nmoves = \"outside\"\n", &[]);
+    assert_eq!(nobody.code, 3);
+    assert!(
+        nobody.stderr.contains("[stages.poses]"),
+        "{}",
+        nobody.stderr
+    );
+}

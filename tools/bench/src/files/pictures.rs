@@ -1,0 +1,116 @@
+//! Pictures that the DMD is loaded with: a folder of `flankscope patterns --adaptive`.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use anyhow::{Context, bail, ensure};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::world::{MirrorMask, PatternSpec};
+
+/// What `adaptive.json` says: which pictures, and the folder of each pass.
+#[derive(Deserialize)]
+struct Index {
+    set: String,
+    passes: Vec<Pass>,
+}
+
+#[derive(Deserialize)]
+struct Pass {
+    lights: String,
+}
+
+/// What `patterns.json` of a pass says.
+#[derive(Deserialize)]
+struct Pictures {
+    patterns: Vec<Picture>,
+}
+
+#[derive(Deserialize)]
+struct Picture {
+    file: String,
+    #[serde(flatten)]
+    shows: PatternSpec,
+}
+
+/// The patterns of a pass, and what each pass leaves lit of them.
+///
+/// # Errors
+/// What cannot be read, is no grey image of the DMD's size, or shows other fringes than its set.
+pub fn load(
+    folder: &Path,
+    size_px: [usize; 2],
+) -> anyhow::Result<(Vec<PatternSpec>, Vec<MirrorMask>)> {
+    let index: Index = json(&folder.join("adaptive.json"))?;
+    let set = index.set;
+    let Some(patterns) = PatternSpec::named(&set) else {
+        bail!("the bench's DMD has no pattern set {set:?}");
+    };
+    let mut masks = Vec::new();
+    for Pass { lights } in index.passes {
+        let folder = folder.join(lights);
+        let pictures: Pictures = json(&folder.join("patterns.json"))?;
+        let shown: Vec<PatternSpec> = pictures.patterns.iter().map(|of| of.shows).collect();
+        ensure!(
+            shown == patterns,
+            "{} shows other fringes than {set}",
+            folder.display()
+        );
+        // The mean over the phase steps is half of what a mirror gets.
+        let finest = patterns.last().map_or(0.0, |last| last.periods);
+        let fine: Vec<&Picture> = pictures
+            .patterns
+            .iter()
+            .filter(|of| of.shows.periods == finest)
+            .collect();
+        let mut sums = vec![0_u32; size_px[0] * size_px[1]];
+        for picture in &fine {
+            let grey = image(&folder.join(&picture.file), size_px)?;
+            for (sum, brightness) in sums.iter_mut().zip(grey) {
+                *sum += u32::from(brightness);
+            }
+        }
+        let steps = fine.len().max(1) as f64;
+        let of = |sum: u32| (2.0 * f64::from(sum) / steps).round().min(255.0) as u8;
+        masks.push(MirrorMask::new(
+            size_px,
+            sums.into_iter().map(of).collect(),
+        )?);
+    }
+    Ok((patterns, masks))
+}
+
+fn json<T: DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
+    let told = || format!("cannot use {}", path.display());
+    let text = std::fs::read(path).with_context(told)?;
+    serde_json::from_slice(&text).with_context(told)
+}
+
+/// A grey image of the DMD, row by row.
+fn image(path: &Path, size_px: [usize; 2]) -> anyhow::Result<Vec<u8>> {
+    let told = || format!("cannot use {}", path.display());
+    let file = File::open(path).with_context(told)?;
+    let mut reader = png::Decoder::new(BufReader::new(file))
+        .read_info()
+        .with_context(told)?;
+    let info = reader.info();
+    let got = [info.width as usize, info.height as usize];
+    ensure!(
+        got == size_px
+            && info.color_type == png::ColorType::Grayscale
+            && info.bit_depth == png::BitDepth::Eight,
+        "{} is {} x {} {:?} of {:?} bits; the bench's DMD takes grey ones of 8 bits, {} x {}",
+        path.display(),
+        got[0],
+        got[1],
+        info.color_type,
+        info.bit_depth,
+        size_px[0],
+        size_px[1]
+    );
+    let mut grey = vec![0; size_px[0] * size_px[1]];
+    reader.next_frame(&mut grey).with_context(told)?;
+    Ok(grey)
+}

@@ -1,0 +1,344 @@
+//! The bench's camera as a stranger's: Aravis' own fake GigE Vision camera, whose pixels are the bench's.
+//!
+//! It is a [`FrameSink`] like the shared memory: a frame that is handed over becomes the fake's pattern, a register write is its
+//! trigger, and it leaves as GigE Vision packets for whoever controls the camera. Aravis knows nothing of our pixels, and we of
+//! none of its packets.
+
+pub mod network;
+mod packing;
+
+use std::ffi::c_void;
+use std::path::PathBuf;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::ensure;
+use aravis::{FakeCamera, GvFakeCamera, glib::translate::ToGlibPtr};
+use flankscope_frames::{Arm, FrameHeader, FrameSink, FrameSlot, Ready, SealedFrame, SendError};
+use tempfile::TempDir;
+
+use crate::link::Trouble;
+use crate::world::SensorSpec;
+
+/// Address of the camera, on a loopback of its own.
+const ADDRESS: &str = "127.0.0.1";
+/// Largest packets that the fake sends whole.
+const PACKET_BYTES: &str = "16000";
+/// How fast its link is, bytes a second: gigabit Ethernet. Its packets leave at once, so the frames keep their distance.
+const LINK_BYTES_PER_S: f64 = 125e6;
+/// How often the fake looks at its trigger register, a second.
+const TRIGGER_RATE_HZ: f64 = 1000.0;
+/// A trigger that is not obeyed within this never will be: the camera is not armed.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// How long a camera that was unplugged stays away.
+const AWAY: Duration = Duration::from_secs(2);
+/// Frame period of a camera that runs freely, µs.
+const FREE_PERIOD_US: u32 = 20_000;
+
+/// Registers of the fake that its header states.
+mod register {
+    pub const WIDTH: u32 = 0x100;
+    pub const HEIGHT: u32 = 0x104;
+    pub const SENSOR_HEIGHT: u32 = 0x118;
+    pub const SENSOR_WIDTH: u32 = 0x11c;
+    pub const PIXEL_FORMAT: u32 = 0x128;
+    pub const FRAME_PERIOD_US: u32 = 0x138;
+    pub const TRIGGER_MODE: u32 = 0x300;
+    pub const TRIGGER_SOFTWARE: u32 = 0x30c;
+    // Free ones, which our description gives a meaning.
+    pub const BLACK_LEVEL: u32 = 0x8000;
+    pub const GAIN_DB: u32 = 0x8004;
+    pub const DEAD: u32 = 0x8010;
+}
+
+/// `Mono12p` and `BayerRG12p` (EMVA, Pixel Format Values 2.1).
+const MONO_12P: u32 = 0x010C_0047;
+const BAYER_RG_12P: u32 = 0x010C_0059;
+
+/// A frame on its way into the fake.
+struct Packed {
+    bytes: Vec<u8>,
+    exposure_end_us: u64,
+}
+
+/// Where the fake's thread takes it.
+#[derive(Default)]
+struct Hand {
+    frame: Mutex<Option<Packed>>,
+    taken: Condvar,
+}
+
+/// The camera's end of the link.
+pub struct GigeCamera {
+    // Before what its thread looks at.
+    fake: Option<GvFakeCamera>,
+    hand: Arc<Hand>,
+    folder: TempDir,
+    size_px: [usize; 2],
+    trouble: Option<Trouble>,
+    /// When it is plugged in again.
+    back: Option<Instant>,
+    captures: u32,
+    acquiring: bool,
+    /// Frames handed over since it was armed.
+    sent: u32,
+    sensor: [f32; 2],
+}
+
+/// Memory of one frame.
+pub struct Slot {
+    pixels: Vec<u16>,
+    header: FrameHeader,
+}
+
+impl FrameSlot for Slot {
+    fn pixels(&mut self) -> &mut [u16] {
+        &mut self.pixels
+    }
+
+    fn header_mut(&mut self) -> &mut FrameHeader {
+        &mut self.header
+    }
+}
+
+/// What a camera process must be told to find this camera.
+#[must_use]
+pub fn arguments(sensor: &SensorSpec) -> Vec<String> {
+    let gain = sensor.gain_e_per_dn().to_string();
+    let process = std::process::id().to_string();
+    [
+        "--network-of",
+        &process,
+        "--camera",
+        ADDRESS,
+        "--packet-bytes",
+        PACKET_BYTES,
+        "--stamp",
+        "end",
+        "--electrons-per-count",
+        &gain,
+        "--counts-per-black-level",
+        "1",
+    ]
+    .map(String::from)
+    .into()
+}
+
+impl GigeCamera {
+    /// Switches a camera of this size on.
+    ///
+    /// # Errors
+    /// Another one has its port, or its samples have not twelve bits.
+    pub fn open(
+        size_px: [usize; 2],
+        sensor: &SensorSpec,
+        trouble: Option<Trouble>,
+    ) -> anyhow::Result<Self> {
+        ensure!(
+            sensor.bits == 12,
+            "samples of {} bits: the GigE camera of the bench has 12",
+            sensor.bits
+        );
+        let mut camera = Self {
+            fake: None,
+            hand: Arc::default(),
+            folder: TempDir::new()?,
+            size_px,
+            trouble,
+            back: None,
+            captures: 0,
+            acquiring: false,
+            sent: 0,
+            sensor: [sensor.offset_dn as f32, 0.0],
+        };
+        camera.plug_in()?;
+        Ok(camera)
+    }
+
+    /// Writes what the camera says of itself, for Aravis.
+    fn description(&self) -> anyhow::Result<PathBuf> {
+        let path = self.folder.path().join("camera.xml");
+        let (format, value) = match self.trouble {
+            Some(Trouble::Colour) => ("BayerRG12p", BAYER_RG_12P),
+            _ => ("Mono12p", MONO_12P),
+        };
+        let trigger_mode = match self.trouble {
+            // It takes the setting, and does as before.
+            Some(Trouble::FreeRuns) => register::DEAD,
+            _ => register::TRIGGER_MODE,
+        };
+        let text = include_str!("camera.xml")
+            .replace("{format}", format)
+            .replace("{format_value}", &value.to_string())
+            .replace("{trigger_mode}", &format!("{trigger_mode:#x}"))
+            .replace("{black_level}", &format!("{:#x}", register::BLACK_LEVEL))
+            .replace("{gain}", &format!("{:#x}", register::GAIN_DB));
+        std::fs::write(&path, text)?;
+        Ok(path)
+    }
+
+    fn plug_in(&mut self) -> anyhow::Result<()> {
+        let description = self.description()?;
+        let fake = GvFakeCamera::new_full(Some(ADDRESS), Some("GV-1"), description.to_str());
+        ensure!(
+            fake.is_running(),
+            "the GigE camera of the bench cannot listen on {ADDRESS}, port 3956: another one does, where there are no network \
+             namespaces (unshare -rn)"
+        );
+        if let Some(Trouble::Lost(share)) = self.trouble {
+            fake.set_gvsp_lost_ratio(share);
+        }
+        if let Some(inner) = fake.fake_camera() {
+            let [width, height] = self.size_px.map(|px| px as u32);
+            let [black_level, gain_db] = self.sensor.map(f32::to_bits);
+            let format = match self.trouble {
+                Some(Trouble::Colour) => BAYER_RG_12P,
+                _ => MONO_12P,
+            };
+            for (register, value) in [
+                (register::SENSOR_WIDTH, width),
+                (register::SENSOR_HEIGHT, height),
+                (register::WIDTH, width),
+                (register::HEIGHT, height),
+                (register::PIXEL_FORMAT, format),
+                (register::FRAME_PERIOD_US, FREE_PERIOD_US),
+                (register::BLACK_LEVEL, black_level),
+                (register::GAIN_DB, gain_db),
+            ] {
+                inner.write_register(register, value);
+            }
+            inner.set_trigger_frequency(TRIGGER_RATE_HZ);
+            let hand: *const Hand = Arc::as_ptr(&self.hand);
+            // SAFETY: the fake calls `show` with this address from its thread, which it ends before it is dropped; `hand` is
+            // dropped after it.
+            unsafe {
+                aravis_sys::arv_fake_camera_set_fill_pattern(
+                    inner.to_glib_none().0,
+                    Some(show),
+                    hand.cast_mut().cast(),
+                );
+            }
+        }
+        self.fake = Some(fake);
+        Ok(())
+    }
+
+    /// The fake behind the link, while it is plugged in.
+    fn inner(&self) -> Option<FakeCamera> {
+        self.fake.as_ref()?.fake_camera()
+    }
+
+    /// Hands a frame to the fake and triggers it; waits until it took it. One that is unplugged or not armed takes none.
+    fn show(&self, frame: Packed) -> Result<(), &'static str> {
+        let armed = |inner: &FakeCamera| inner.acquisition_status() != 0;
+        let Some(inner) = self.inner().filter(armed) else {
+            return Ok(());
+        };
+        let length = frame.bytes.len();
+        if inner.payload() != length {
+            return Err("the camera was set to another size");
+        }
+        let mut waiting = self
+            .hand
+            .frame
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        *waiting = Some(frame);
+        inner.write_register(register::TRIGGER_SOFTWARE, 1);
+        let end = Instant::now() + PATIENCE;
+        while waiting.is_some() {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                *waiting = None;
+                return Err("the camera does not obey its trigger");
+            }
+            let woken = self.hand.taken.wait_timeout(waiting, left);
+            (waiting, _) = woken.unwrap_or_else(PoisonError::into_inner);
+        }
+        drop(waiting);
+        std::thread::sleep(Duration::from_secs_f64(length as f64 / LINK_BYTES_PER_S));
+        Ok(())
+    }
+}
+
+/// The fake's pattern: the frame that waits, or the one before if none does.
+unsafe extern "C" fn show(
+    buffer: *mut aravis_sys::ArvBuffer,
+    hand: *mut c_void,
+    _exposure_us: u32,
+    _gain: u32,
+    _format: aravis_sys::ArvPixelFormat,
+) {
+    // SAFETY: `hand` is that of `plug_in`; the buffer is the fake's own, and nobody else writes it now. It holds the payload of the
+    // fake's size and format, which cannot be set, and `GigeCamera::show` gives no frame of another one.
+    unsafe {
+        let hand = &*hand.cast::<Hand>();
+        let mut waiting = hand.frame.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(frame) = waiting.take() else { return };
+        // The size that this could tell is of what was received, which is nothing here.
+        let data: *mut u8 = aravis_sys::arv_buffer_get_data(buffer, std::ptr::null_mut()).cast();
+        if !data.is_null() {
+            data.copy_from_nonoverlapping(frame.bytes.as_ptr(), frame.bytes.len());
+        }
+        aravis_sys::arv_buffer_set_timestamp(buffer, frame.exposure_end_us * 1000);
+        hand.taken.notify_one();
+    }
+}
+
+impl FrameSink for GigeCamera {
+    type Slot = Slot;
+
+    /// Whoever starts the acquisition arms the camera, for nobody knows how many frames.
+    fn armed(&mut self) -> Option<Arm> {
+        if self.back.is_some_and(|back| Instant::now() > back) {
+            self.back = None;
+            if let Err(error) = self.plug_in() {
+                eprintln!("bench: {error}");
+            }
+        }
+        let acquiring = self
+            .inner()
+            .is_some_and(|inner| inner.acquisition_status() != 0);
+        let begins = acquiring && !self.acquiring;
+        self.acquiring = acquiring;
+        begins.then(|| {
+            self.captures += 1;
+            self.sent = 0;
+            Arm {
+                session: self.captures,
+                ..Arm::default()
+            }
+        })
+    }
+
+    /// It says of itself what its registers hold.
+    fn ready(&mut self, _: Ready) -> Result<(), SendError> {
+        Ok(())
+    }
+
+    fn loan(&mut self, pixels: usize, _: u32) -> Result<Slot, SendError> {
+        Ok(Slot {
+            pixels: vec![0; pixels],
+            header: FrameHeader::default(),
+        })
+    }
+
+    fn send(&mut self, frame: SealedFrame<Slot>) -> Result<(), SendError> {
+        let Slot { pixels, header } = frame.into_slot();
+        let now = self.sent;
+        self.sent += 1;
+        if self.trouble == Some(Trouble::Unplugged(now)) && self.captures == 1 {
+            eprintln!("bench: the camera is unplugged");
+            self.fake = None;
+            self.back = Some(Instant::now() + AWAY);
+        }
+        let packed = Packed {
+            bytes: packing::mono_12p(&pixels),
+            exposure_end_us: header.exposure_end_us,
+        };
+        self.show(packed).map_err(|reason| SendError::Undelivered {
+            counter: header.counter,
+            reason: reason.into(),
+        })
+    }
+}

@@ -1,0 +1,47 @@
+//! Which mirrors of the DMD a pass lights.
+
+use super::WorldError;
+
+/// How bright each mirror is in a pass, beside what its pattern says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MirrorMask {
+    size_px: [usize; 2],
+    /// Row by row; 0 dark, 255 as bright as the pattern.
+    brightness: Vec<u8>,
+}
+
+impl MirrorMask {
+    /// Of a DMD of this size, row by row.
+    ///
+    /// # Errors
+    /// Not one value for each mirror.
+    pub fn new(size_px: [usize; 2], brightness: Vec<u8>) -> Result<Self, WorldError> {
+        let [got, need] = [brightness.len(), size_px[0] * size_px[1]];
+        if got != need {
+            return Err(WorldError::Buffer { got, need });
+        }
+        Ok(Self {
+            size_px,
+            brightness,
+        })
+    }
+
+    /// Columns and rows.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// Share of the pattern's light at a place of the DMD, pixel centres at integers; none beyond its edge.
+    pub(crate) fn ratio(&self, at_px: [f64; 2]) -> f64 {
+        let [column, row] = at_px.map(f64::round);
+        let [columns, rows] = self.size_px;
+        let inside = column >= 0.0 && row >= 0.0 && column < columns as f64 && row < rows as f64;
+        if !inside {
+            return 0.0;
+        }
+        let at = row as usize * columns + column as usize;
+        self.brightness
+            .get(at)
+            .map_or(0.0, |&brightness| f64::from(brightness) / 255.0)
+    }
+}

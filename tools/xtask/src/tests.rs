@@ -1,0 +1,193 @@
+//! Every test of the workspace: the programs that hold them, side by side.
+//!
+//! Cargo runs one test program after the other, and each ends with its slowest test alone; most machines have a core to spare
+//! then. The longest of the last run come first, so that none is left over at the end.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use cargo_metadata::{Message, TargetKind};
+
+use crate::{cargo, features, run, target};
+
+/// Where the last run's times lie, in the build's folder.
+const TIMES: &str = "test-times.json";
+/// The program that tests from end to end start, freshly built (`flankscope_tests::flankscope`).
+const PROGRAM: &str = "FLANKSCOPE_PROGRAM";
+
+/// Runs by itself, after the others: an emulator in real time, whose watchdog bites where the host does not let it run.
+const ALONE: &str = "tests qemu";
+
+/// A program that holds tests.
+struct TestProgram {
+    /// Folder of its crate and its own name, as `host/cli history`.
+    name: String,
+    path: PathBuf,
+    /// Its crate, where it runs.
+    folder: PathBuf,
+}
+
+/// What a build made.
+struct Built {
+    tests: Vec<TestProgram>,
+    /// The command line's program.
+    program: Option<PathBuf>,
+}
+
+/// Builds and runs all of them; `all`: nothing may be skipped.
+///
+/// # Errors
+/// What does not build, and the programs in which a test failed.
+pub fn run_all(root: &Path, all: bool) -> Result<(), String> {
+    let built = build(root)?;
+    let times_file = target().join(TIMES);
+    let last: HashMap<String, f64> = std::fs::read(&times_file)
+        .ok()
+        .and_then(|text| serde_json::from_slice(&text).ok())
+        .unwrap_or_default();
+    let mut tests = built.tests;
+    // What never ran may be long.
+    let expected = |test: &TestProgram| last.get(&test.name).copied().unwrap_or(f64::INFINITY);
+    tests.sort_by(|a, b| expected(b).total_cmp(&expected(a)));
+
+    let (alone, together): (Vec<_>, Vec<_>) =
+        tests.into_iter().partition(|test| test.name == ALONE);
+
+    let done = Mutex::new((HashMap::new(), Vec::new()));
+    let run_noted = |test: &TestProgram| {
+        let mut command = Command::new(&test.path);
+        command.current_dir(&test.folder);
+        if let Some(program) = &built.program {
+            command.env(PROGRAM, program);
+        }
+        if all {
+            // Tests that look for something themselves fail instead of skipping.
+            command.env("FLANKSCOPE_TEST_ALL", "1");
+        }
+        let (passed, took) = run_one(&test.name, command);
+        let mut done = done.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        done.0.insert(test.name.clone(), took.as_secs_f64());
+        if !passed {
+            done.1.push(test.name.clone());
+        }
+    };
+    let next = AtomicUsize::new(0);
+    let lanes = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..lanes {
+            scope.spawn(|| {
+                while let Some(test) = together.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    run_noted(test);
+                }
+            });
+        }
+    });
+    alone.iter().for_each(run_noted);
+    let (times, failed) = done
+        .into_inner()
+        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let kept = serde_json::to_vec(&times).map_err(|error| error.to_string());
+    // Only the order of the next run depends on it.
+    let _best_effort = kept.map(|text| std::fs::write(times_file, text));
+
+    let mut examples = cargo(&["test", "--workspace", "--doc", "--quiet"]);
+    examples.args(features());
+    let examples = run(examples);
+    match (failed.is_empty(), examples) {
+        (true, examples) => examples,
+        (false, Ok(())) => Err(format!("tests failed in {}", failed.join(", "))),
+        (false, Err(examples)) => Err(format!("tests failed in {}; {examples}", failed.join(", "))),
+    }
+}
+
+/// Runs a program to its end, then prints what it said: all of it where a test failed, else one line.
+fn run_one(name: &str, mut command: Command) -> (bool, Duration) {
+    let start = Instant::now();
+    let output = command.stdin(Stdio::null()).output();
+    let took = start.elapsed();
+    let seconds = took.as_secs_f64();
+    match output {
+        Ok(output) => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            let passed = output.status.success();
+            let mut told = text
+                .lines()
+                .filter_map(|line| line.strip_prefix("test result: "));
+            let counts = told.next_back().unwrap_or(if passed { "ok." } else { "" });
+            let counts = counts.split("; finished").next().unwrap_or(counts);
+            let mut lines = format!("{seconds:6.1} s  {name}: {counts}\n");
+            let errors = String::from_utf8_lossy(&output.stderr);
+            if !passed {
+                lines += &format!("{text}{errors}{name} ended with {}\n", output.status);
+            }
+            // One call, so that no other program's lines come between; none for a program without tests.
+            if !(passed && counts.starts_with("ok. 0 passed; 0 failed; 0 ignored")) {
+                eprint!("{lines}");
+            }
+            (passed, took)
+        }
+        Err(error) => {
+            eprintln!("{name} could not start: {error}");
+            (false, took)
+        }
+    }
+}
+
+fn build(root: &Path) -> Result<Built, String> {
+    let mut cargo = cargo(&[
+        "test",
+        "--workspace",
+        "--no-run",
+        "--message-format=json-render-diagnostics",
+    ]);
+    cargo.args(features());
+    eprintln!("$ {cargo:?}");
+    let output = cargo
+        .stderr(Stdio::inherit())
+        .output()
+        .map_err(|error| format!("cargo could not start: {error}"))?;
+    if !output.status.success() {
+        return Err("the tests do not build".into());
+    }
+    let mut built = Built {
+        tests: Vec::new(),
+        program: None,
+    };
+    for message in Message::parse_stream(&output.stdout[..]) {
+        let message = message.map_err(|error| format!("cargo's answer: {error}"))?;
+        let Message::CompilerArtifact(artifact) = message else {
+            continue;
+        };
+        let Some(path) = artifact.executable.map(PathBuf::from) else {
+            continue;
+        };
+        if !artifact.profile.test {
+            if artifact.target.is_bin() && artifact.target.name == "flankscope" {
+                built.program = Some(path);
+            }
+            continue;
+        }
+        let manifest = PathBuf::from(artifact.manifest_path);
+        let folder = manifest.parent().unwrap_or(root).to_path_buf();
+        let room = folder
+            .strip_prefix(root)
+            .unwrap_or(&folder)
+            .display()
+            .to_string();
+        let kind = match artifact.target.kind.first() {
+            Some(TargetKind::Test) => artifact.target.name,
+            Some(TargetKind::Bin) => format!("{} (program)", artifact.target.name),
+            _ => "(library)".into(),
+        };
+        built.tests.push(TestProgram {
+            name: format!("{room} {kind}"),
+            path,
+            folder,
+        });
+    }
+    Ok(built)
+}
