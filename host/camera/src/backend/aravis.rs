@@ -22,7 +22,10 @@ const BUFFERS: usize = 16;
 /// How long Aravis waits for the packets of a frame before it asks again, and before it gives the frame up.
 const PACKET_PATIENCE: Duration = Duration::from_millis(20);
 const FRAME_PATIENCE: Duration = Duration::from_millis(100);
-/// A camera that exposes though nothing triggers it shows that within this: two frames of 20 a second.
+/// A camera that exposes though nothing triggers it shows that within this, once it is found: a second is too long to wait for
+/// each view, and cameras take a while until their first frame.
+const QUIET_AT_FIRST: Duration = Duration::from_secs(1);
+/// And before each view: two frames of 20 a second.
 const QUIET: Duration = Duration::from_millis(100);
 /// No frame has it.
 const NO_ID: u64 = u64::MAX;
@@ -333,7 +336,7 @@ impl Backend for Aravis {
                 .map(|(gain_db, electrons)| electrons / 10_f64.powf(gain_db / 20.0)),
             counting,
         };
-        self.open = Some(Open {
+        let mut open = Open {
             camera,
             stream,
             lost,
@@ -341,28 +344,16 @@ impl Backend for Aravis {
             size_px: [width, height],
             counting,
             packets_before: 0,
-        });
+        };
+        open.start(QUIET_AT_FIRST)?;
+        open.camera.stop_acquisition().map_err(gone)?;
+        self.open = Some(open);
         Ok(description)
     }
 
     fn arm(&mut self, _frames: u32) -> Result<(), CameraError> {
         let open = self.open()?;
-        // Changed settings, and frames that were begun, make a camera's numbers jump: it begins anew, with nothing on its way.
-        open.camera.stop_acquisition().map_err(gone)?;
-        open.discard(QUIET);
-        open.packets_before = open.packets_missing();
-        let heard_before = open.heard();
-        open.camera.start_acquisition().map_err(gone)?;
-        // A frame that has only begun to come is one, too.
-        if open.discard(QUIET) > 0 || open.heard() > heard_before {
-            let _ = open.camera.stop_acquisition();
-            return Err(CameraError::Setting {
-                setting: "TriggerMode".into(),
-                reason: "frames come though nothing triggers the camera: it runs freely, or its trigger line is open; \
-                         see how the line is wired, and that no other program sets the camera"
-                    .into(),
-            });
-        }
+        open.start(QUIET)?;
         self.status = Status {
             packets_lost: self.status.packets_lost.map(|_| 0),
             frame_bytes: self.status.frame_bytes,
@@ -414,19 +405,44 @@ impl Backend for Aravis {
 }
 
 impl Open {
-    /// Takes frames out of the stream until none has come for `quiet`, at most ten times as long; how many there were.
-    fn discard(&self, quiet: Duration) -> usize {
+    /// Has it expose whenever its line says so. Changed settings, and frames that were begun, make a camera's numbers jump: it
+    /// begins anew, with nothing on its way, and nothing may come within `quiet` by itself.
+    fn start(&mut self, quiet: Duration) -> Result<(), CameraError> {
+        self.camera.stop_acquisition().map_err(gone)?;
+        self.discard(QUIET);
+        self.packets_before = self.packets_missing();
+        let heard_before = self.heard();
+        self.camera.start_acquisition().map_err(gone)?;
+        // A frame that has only begun to come is one, too.
+        let frame = self.stream.timeout_pop_buffer(quiet.as_micros() as u64);
+        let mut runs = self.heard() > heard_before;
+        if let Some(buffer) = frame {
+            buffer.set_frame_id(NO_ID);
+            self.stream.push_buffer(buffer);
+            runs = true;
+        }
+        if runs {
+            let _ = self.camera.stop_acquisition();
+            return Err(CameraError::Setting {
+                setting: "TriggerMode".into(),
+                reason: "frames come though nothing triggers the camera: it runs freely, or its trigger line is open; \
+                         see how the line is wired, and that no other program sets the camera"
+                    .into(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Takes frames out of the stream until none has come for `quiet`, at most ten times as long.
+    fn discard(&self, quiet: Duration) {
         let end = Instant::now() + 10 * quiet;
-        let mut discarded = 0;
         while Instant::now() < end {
             let Some(buffer) = self.stream.timeout_pop_buffer(quiet.as_micros() as u64) else {
                 break;
             };
             buffer.set_frame_id(NO_ID);
             self.stream.push_buffer(buffer);
-            discarded += 1;
         }
-        discarded
     }
 
     /// Packets or bytes of frames so far, whole or not.

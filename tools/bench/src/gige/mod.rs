@@ -327,7 +327,8 @@ impl FrameSink for GigeCamera {
         let Slot { pixels, header } = frame.into_slot();
         let now = self.sent;
         self.sent += 1;
-        if self.trouble == Some(Trouble::Unplugged(now)) && self.captures == 1 {
+        if self.trouble == Some(Trouble::Unplugged(now)) {
+            self.trouble = None;
             eprintln!("bench: the camera is unplugged");
             self.fake = None;
             self.back = Some(Instant::now() + AWAY);
