@@ -286,7 +286,11 @@ fn a_check_in_passes_finds_wear_and_is_replayed() {
     pictures(&tool, &out, "0.1");
     let store = folder.path().join("press.db");
     let store = store.to_str().unwrap();
-    let worn = ["--wear", "12:left:80:half", "--history", store];
+    let frames = folder.path().join("frames");
+    let frames = frames.to_str().unwrap();
+    let worn = ["--wear", "12:left:80:half"];
+    let kept = ["--history", store, "--save-frames", frames];
+    let worn = [&worn[..], &kept].concat();
     // Pictures of tooth 40 do for tooth 12, which the stages bring to the same place.
     let seen = in_passes(&tool, &out, &[&worn[..], &["--teeth", "12"]].concat());
     assert_eq!(seen.code, 1, "{}", seen.stderr);
@@ -294,14 +298,22 @@ fn a_check_in_passes_finds_wear_and_is_replayed() {
     assert_eq!(seen.flank(12, "right"), Some("go"));
     // A dark frame, and 12 patterns at two exposures in three passes.
     assert_eq!(seen.json["frames"]["triggered"], 1 + 3 * 2 * 12);
-    let lit = seen.json["recipe"]["lit_ratios"].as_array().unwrap();
-    assert_eq!(lit.len(), 3);
+    let of_recipe = &seen.json["recipe"]["lit_ratios"];
+    assert_eq!(of_recipe.as_array().unwrap().len(), 3);
     let again = run(flankscope()
         .args(["replay", store, "1", "--quiet", "--json", "-"])
         .arg("--tool")
         .arg(&tool));
     assert_eq!(again.code, 1, "{}", again.stderr);
     assert_eq!(again.json["same"], true, "{}", again.json);
+    // The recording says what each pass lit, and is judged as the live frames were.
+    let recorded = run(flankscope()
+        .args(["inspect", "--quiet", "--json", "-", "--frames", frames])
+        .arg("--tool")
+        .arg(&tool));
+    assert_eq!(recorded.code, 1, "{}", recorded.stderr);
+    assert_eq!(recorded.json["recipe"]["lit_ratios"], *of_recipe);
+    assert_eq!(recorded.json["features"], seen.json["features"]);
 }
 
 #[test]
@@ -314,13 +326,6 @@ fn pictures_that_do_not_fit_a_check_are_refused_before_anything_moves() {
         assert_eq!(seen.code, 3, "{said}: {}", seen.stderr);
         assert!(seen.stderr.contains(said), "{said}: {}", seen.stderr);
     };
-    let frames = folder.path().join("frames");
-    let frames = frames.to_str().unwrap();
-    refused(
-        &tool,
-        "--save-frames with --adaptive",
-        &["--save-frames", frames],
-    );
     // Of another height: what must be lit is dark.
     let file = tool.join("tool.toml");
     let text = std::fs::read_to_string(&file).unwrap();

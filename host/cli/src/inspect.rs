@@ -76,10 +76,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         args.save_frames.is_none() || !site.settings.stages.poses.is_some(),
         "--save-frames with [stages.poses]: a recording says where the stages stood, not what was said of the camera"
     );
-    anyhow::ensure!(
-        args.save_frames.is_none() || args.source.adaptive.is_none(),
-        "--save-frames with --adaptive: a recording's plan cannot say what each pass lit; leave one of them out"
-    );
     let seals = seals()?;
     let mut complaints = Complaints::default();
     let (mut inspection, instrument) = match &recording {

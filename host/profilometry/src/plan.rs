@@ -181,27 +181,52 @@ impl Plan {
     /// # Errors
     /// [`ImageError::Count`] when the folder's images must be taken by order and their number is not the plan's.
     pub fn frames(&self, folder: &Path) -> Result<Vec<(FrameKind, PathBuf)>, ImageError> {
-        match &self.images {
-            Images::Named(frames) => Ok(frames
-                .iter()
-                .map(|(kind, name)| (*kind, folder.join(name)))
-                .collect()),
-            Images::Sorted(kinds) => {
-                let paths = list_images(folder, kinds.len())?;
-                let mut frames: Vec<_> = kinds.iter().copied().zip(paths).collect();
-                // Stable: what comes after the fringes is in order already.
-                frames.sort_by_key(|(kind, _)| match *kind {
-                    FrameKind::Dark => (0, 0, 0),
-                    FrameKind::Fringe {
-                        exposure,
-                        set,
-                        step,
-                    } => (1 + exposure, set, step),
-                    FrameKind::Code { exposure, .. } => (1 + exposure, usize::MAX, 0),
-                });
-                Ok(frames)
+        self.frames_of_passes(folder, 1)
+    }
+
+    /// The image of every frame, in capture order, of patterns that were shown in `passes` one after the other at each exposure;
+    /// the dark frame is of all of them.
+    ///
+    /// # Errors
+    /// As [`Self::frames`]; [`ImageError::Passes`] where the plan lists its images, which are those of one pass.
+    pub fn frames_of_passes(
+        &self,
+        folder: &Path,
+        passes: usize,
+    ) -> Result<Vec<(FrameKind, PathBuf)>, ImageError> {
+        let kinds = match &self.images {
+            Images::Named(_) if passes != 1 => return Err(ImageError::Passes { passes }),
+            Images::Named(frames) => {
+                let frames = frames.iter();
+                return Ok(frames
+                    .map(|(kind, name)| (*kind, folder.join(name)))
+                    .collect());
+            }
+            Images::Sorted(kinds) => kinds,
+        };
+        let mut shown = Vec::new();
+        for of_exposure in kinds.chunk_by(|a, b| a.exposure() == b.exposure()) {
+            let is_dark = of_exposure.contains(&FrameKind::Dark);
+            for pass in 0..if is_dark { 1 } else { passes } {
+                shown.extend(of_exposure.iter().map(|&kind| (pass, kind)));
             }
         }
+        let paths = list_images(folder, shown.len())?;
+        let mut frames: Vec<_> = shown.into_iter().zip(paths).collect();
+        // Stable: what comes after the fringes is in order already.
+        frames.sort_by_key(|&((pass, kind), _)| match kind {
+            FrameKind::Dark => (0, 0, 0, 0),
+            FrameKind::Fringe {
+                exposure,
+                set,
+                step,
+            } => (1 + exposure, pass, set, step),
+            FrameKind::Code { exposure, .. } => (1 + exposure, pass, usize::MAX, 0),
+        });
+        Ok(frames
+            .into_iter()
+            .map(|((_, kind), path)| (kind, path))
+            .collect())
     }
 }
 
@@ -496,6 +521,44 @@ mod tests {
             })
         ));
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// Two passes of a plan that has the high frequency first: names follow the triggers, the dark frame is of both.
+    #[test]
+    fn passes_follow_each_other_within_an_exposure() {
+        let sorted = plan(
+            "exposures_us = [5, 9]\ndark_first = true\n[[set]]\nperiods = 16\nsteps = 3\n[[set]]\nperiods = 1\nsteps = 3\n",
+        )
+        .unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        for index in 0..25 {
+            std::fs::write(folder.path().join(format!("{index:02}.png")), []).unwrap();
+        }
+        let frames = sorted.frames_of_passes(folder.path(), 2).unwrap();
+        assert_eq!(frames[0].0, FrameKind::Dark);
+        let names = frames.iter().map(|(_, path)| {
+            let name = path.file_stem().unwrap().to_string_lossy();
+            name.parse::<usize>().unwrap()
+        });
+        let swapped = [3, 4, 5, 0, 1, 2];
+        let blocks = (0..4).flat_map(|block| swapped.map(|at| 1 + 6 * block + at));
+        assert_eq!(
+            names.collect::<Vec<_>>(),
+            std::iter::once(0).chain(blocks).collect::<Vec<_>>()
+        );
+        for (at, (kind, _)) in frames.iter().enumerate().skip(1) {
+            let expected = FrameKind::Fringe {
+                exposure: (at - 1) / 12,
+                set: (at - 1) % 6 / 3,
+                step: ((at - 1) % 3) as u32,
+            };
+            assert_eq!(*kind, expected, "frame {at}");
+        }
+        let listed = plan("[[set]]\nperiods = 1\nsteps = 3\nframes = ['0', '1', '2']\n").unwrap();
+        assert!(matches!(
+            listed.frames_of_passes(folder.path(), 2),
+            Err(ImageError::Passes { passes: 2 })
+        ));
     }
 
     /// A code after the fringes, exposure by exposure, its frames listed and by name.

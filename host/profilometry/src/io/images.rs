@@ -134,6 +134,14 @@ pub enum ImageError {
         /// Frames planned.
         expected: usize,
     },
+    /// A plan's list of images is of one pass.
+    #[error(
+        "the plan lists the images of one pass, the frames are of {passes}: leave frames out of its tables, the images are taken in the order of their names"
+    )]
+    Passes {
+        /// Passes of the capture.
+        passes: usize,
+    },
     /// The folder cannot be listed.
     #[error("cannot list {}: {source}", path.display())]
     Folder {

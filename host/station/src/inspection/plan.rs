@@ -274,7 +274,7 @@ impl ViewPlan {
         Self {
             views,
             patterns: plan.patterns.clone(),
-            lit_ratios: Vec::new(),
+            lit_ratios: recording.index.lit_ratios.clone(),
             exposures_us: plan.exposures_us.clone(),
             dark_frame: plan.dark_frame,
             sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),

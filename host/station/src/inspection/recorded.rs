@@ -199,10 +199,11 @@ impl RecordingNotes<'_> {
             grid: self.grid.clone(),
             press_cycles: self.press_cycles,
             tool_temperature_degc: self.subject.temperature_degc,
+            lit_ratios: self.plan.lit_ratios.clone(),
             view: views,
         };
         let plan = format!(
-            "# The dark frame, then exposure by exposure the patterns, in the order of the images' names.\n\
+            "# The dark frame, then exposure by exposure (and pass by pass) the patterns, in the order of the images' names.\n\
              pattern_set = {:?}\nexposures_us = {:?}\ndark_first = {}\n",
             self.plan.patterns.name, self.plan.exposures_us, self.plan.dark_frame
         );

@@ -4,6 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use flankscope_foundation::date::Date;
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
+use flankscope_protocol::plan::MAX_FRINGE_SETS;
 use serde::{Deserialize, Serialize};
 
 /// The index of a folder of frames. All paths named are relative to it, or absolute.
@@ -39,6 +40,9 @@ pub struct FrameIndex {
     /// Temperature of the tool.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tool_temperature_degc: Option<f64>,
+    /// Share of all mirrors' light that each pass gave, where the patterns were shown in passes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lit_ratios: Vec<f64>,
     /// The views, in the order in which they were taken.
     #[serde(default)]
     pub view: Vec<IndexedView>,
@@ -110,6 +114,15 @@ impl FrameIndex {
         {
             let expected = "must be degrees Celsius";
             return Err(BadValue::new("tool_temperature_degc", degc, expected));
+        }
+        if self.lit_ratios.len() > MAX_FRINGE_SETS {
+            let expected = "must be at most 12 passes";
+            return Err(BadValue::new("lit_ratios", self.lit_ratios.len(), expected));
+        }
+        let is_none = |ratio: &&f64| !(**ratio > 0.0 && **ratio <= 1.0);
+        if let Some(ratio) = self.lit_ratios.iter().find(is_none) {
+            let expected = "must be shares of all mirrors' light, above 0 and at most 1";
+            return Err(BadValue::new("lit_ratios", ratio, expected));
         }
         let views = self.view.iter().enumerate();
         views.into_iter().try_for_each(|(at, view)| view.check(at))
@@ -214,6 +227,13 @@ mod tests {
             (format!("{view}folder = \"../elsewhere\"\n"), 4, "images ="),
             (format!("{view}folder = \"/elsewhere\"\n"), 4, "images ="),
             (format!("{view}angle = 3\n"), 4, "rotation_rad"),
+            (format!("lit_ratios = [0.5, nan]\n{view}"), 1, "at most 1"),
+            (format!("lit_ratios = [0.5, 0.0]\n{view}"), 1, "above 0"),
+            (
+                format!("lit_ratios = {:?}\n{view}", [0.5; 13]),
+                1,
+                "at most 12 passes",
+            ),
             (format!("{view}blake3 = [\"12\"]\n"), 4, "64 hexadecimal"),
             (format!("{view}exposed_us = [[5, 4]]\n"), 4, "go back"),
             (
@@ -245,6 +265,7 @@ mod tests {
             grid: Some("84x7".into()),
             press_cycles: Some(7),
             tool_temperature_degc: Some(21.5),
+            lit_ratios: vec![0.5, 0.25],
             view: vec![IndexedView {
                 folder: "view-0001".into(),
                 tooth: Some(40),

@@ -165,7 +165,8 @@ impl Recording {
             .map(|(at, said)| {
                 // Without a "." in the middle of every path that is named.
                 let folder: PathBuf = root.join(&said.folder).components().collect();
-                let images = self.plan.frames(&folder)?;
+                let passes = self.index.lit_ratios.len().max(1);
+                let images = self.plan.frames_of_passes(&folder, passes)?;
                 self.check_counts(at, said, images.len())?;
                 for (_, image) in &images {
                     inside(image, &root)?;

@@ -70,7 +70,7 @@ impl<O: Send + 'static> Acquisition<O> {
             first_view: 0,
             views: views.len() as u16,
             exposures: self.program.exposures_us.len() as u16,
-            patterns: self.program.patterns.frames_per_exposure() as u16,
+            patterns: (self.program.passes() * self.program.patterns.frames_per_exposure()) as u16,
         };
         self.order(Order::Arm(arm))?;
         if let Err(camera) = self.armed(run).await? {
