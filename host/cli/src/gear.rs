@@ -140,6 +140,15 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 fn print_table(evaluation: &GearEvaluation, judged: Option<(Word, String)>) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
+    write_evaluation(&mut out, evaluation)?;
+    if let Some((verdict, reason)) = judged {
+        writeln!(out, "\n{}: {reason}", verdict.as_str().to_uppercase())?;
+    }
+    Ok(())
+}
+
+/// What was evaluated, and a line for every quantity.
+pub fn write_evaluation(out: &mut impl Write, evaluation: &GearEvaluation) -> std::io::Result<()> {
     writeln!(
         out,
         "{} points on {} flanks, about {}",
@@ -187,9 +196,6 @@ fn print_table(evaluation: &GearEvaluation, judged: Option<(Word, String)>) -> a
             rating.flanks,
             rating.note.clone().unwrap_or_else(|| rating.why_not_told())
         )?;
-    }
-    if let Some((verdict, reason)) = judged {
-        writeln!(out, "\n{}: {reason}", verdict.as_str().to_uppercase())?;
     }
     Ok(())
 }

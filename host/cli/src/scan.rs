@@ -19,6 +19,7 @@ use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
+use crate::gear::write_evaluation;
 use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
 use crate::help;
 use crate::inspect::{self, write_origin};
@@ -80,6 +81,10 @@ pub struct Args {
     /// points, 0.8 GB
     #[arg(long, value_name = "CLOUD.ply")]
     cloud: Option<PathBuf>,
+    /// Also read profile, helix and pitch of every tooth (ISO 1328-1) from every point of every view: `gear` in the JSON, gear.csv
+    /// in the report
+    #[arg(long)]
+    gear: bool,
     /// Also unroll and subtract as the article proposes, and say how far that is from the exact deviations
     #[arg(long)]
     raster: bool,
@@ -176,6 +181,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
     let (method, paper) = args.paper.settings(seed(&args.bench))?;
+    if args.gear && method == Method::Hinz2019 {
+        anyhow::bail!(
+            "--gear: the article's method claims no uncertainty; --method surface or both does"
+        );
+    }
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
         Some(recording) => args.place.of_recording(recording)?,
@@ -233,6 +243,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.report.is_some() || args.raster {
         let compared = scanning.scanner().compare(&mut scan, args.raster);
         complaints.hear(compared.map_err(Into::into));
+    }
+    if args.gear {
+        let evaluated = scanning.scanner().evaluate_gear(&mut scan);
+        complaints.hear(evaluated.map_err(|error| anyhow::Error::from(error).context("--gear")));
     }
     if let Some(cloud) = &args.cloud {
         complaints.hear(args.write_cloud(&scanning, &scan, cloud));
@@ -434,6 +448,14 @@ fn print(scan: &Scan) -> anyhow::Result<()> {
     }
     if let [_, _, ..] = &scan.methods[..] {
         print_methods(&mut out, &scan.methods)?;
+    }
+    if let Some(gear) = &scan.gear {
+        writeln!(
+            out,
+            "\ngear, U95 of a deviation {:.1} µm, of F_p and F_r {:.1} µm:",
+            gear.u95_um, gear.cumulative_u95_um
+        )?;
+        write_evaluation(&mut out, &gear.evaluation)?;
     }
     let reason = scan.reason.to_string();
     let said = inspect::in_words(Terminal::of_stdout(), scan.verdict, &reason);

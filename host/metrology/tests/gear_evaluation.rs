@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use flankscope_foundation::normal::guard_factor;
 use flankscope_gear_cad::GearSpec;
 use flankscope_metrology::gear::evaluation::{
-    GearEvaluation, GearEvaluationError, NotTold, Quantity, Settings, evaluate,
+    Gathering, GearEvaluation, GearEvaluationError, NotTold, Quantity, Settings, evaluate,
 };
 use flankscope_metrology::gear::{Flank, GearData, Kind};
 use flankscope_metrology::io::mesh::TriMesh;
@@ -201,14 +201,19 @@ fn by_brute_force(f: impl Fn(f64) -> f64, range: [f64; 2]) -> [f64; 3] {
 
 #[test]
 fn an_eccentric_gear_runs_out_by_twice_its_eccentricity_until_its_own_axis_is_taken() {
-    let gear = gear(Kind::Internal);
-    let mut settings = Settings::of(&gear);
-    let perfect = cloud(&gear, &settings, &|_, _, _, _| 0.0);
+    for kind in [Kind::Internal, Kind::External] {
+        runs_out_until_its_own_axis_is_taken(&gear(kind));
+    }
+}
+
+fn runs_out_until_its_own_axis_is_taken(gear: &GearData) {
+    let mut settings = Settings::of(gear);
+    let perfect = cloud(gear, &settings, &|_, _, _, _| 0.0);
     let moved: Vec<[f64; 3]> = perfect
         .iter()
         .map(|p| [p[0] + 0.012, p[1] - 0.009, p[2]])
         .collect();
-    let evaluation = evaluate(&gear, &moved, &settings).unwrap();
+    let evaluation = evaluate(gear, &moved, &settings).unwrap();
     // An eccentricity e gives a runout of 2 e and a cumulative pitch of 2 e / cos 20 deg on one flank side.
     assert_near("F_r", evaluation.runout_um.unwrap(), 30.0);
     assert_near(
@@ -220,7 +225,7 @@ fn an_eccentric_gear_runs_out_by_twice_its_eccentricity_until_its_own_axis_is_ta
     assert_near("x", axis.offset_um[0], 12.0);
     assert_near("y", axis.offset_um[1], -9.0);
     settings.best_fit_axis = true;
-    let evaluation = evaluate(&gear, &moved, &settings).unwrap();
+    let evaluation = evaluate(gear, &moved, &settings).unwrap();
     assert_near("F_r about its own axis", evaluation.runout_um.unwrap(), 0.0);
     assert_near(
         "F_p about its own axis",
@@ -249,6 +254,27 @@ fn a_class_that_the_uncertainty_does_not_allow_is_not_stated() {
 }
 
 #[test]
+fn a_cumulative_uncertainty_of_its_own_is_that_of_pitch_and_runout_alone() {
+    let gear = gear(Kind::Internal);
+    let settings = Settings {
+        cumulative_u95_um: Some(30.0),
+        ..Settings::of(&gear)
+    };
+    let perfect = cloud(&gear, &settings, &|_, _, _, _| 0.0);
+    let evaluation = evaluate(&gear, &perfect, &settings).unwrap();
+    for rating in &evaluation.ratings {
+        let own = matches!(
+            rating.quantity,
+            Quantity::CumulativePitch | Quantity::Runout
+        );
+        let u95_um = if own { 30.0 } else { 5.0 };
+        let least =
+            (1..=11).find(|&class| u95_um / rating.quantity.tolerance_um(&gear, class) <= 0.3);
+        assert_eq!(rating.best_stateable_class, least, "{rating:?}");
+    }
+}
+
+#[test]
 fn a_part_of_a_gear_gives_what_it_shows_and_no_more() {
     let gear = gear(Kind::Internal);
     let settings = Settings::of(&gear);
@@ -260,6 +286,10 @@ fn a_part_of_a_gear_gives_what_it_shows_and_no_more() {
         .collect();
     let evaluation = evaluate(&gear, &some, &settings).unwrap();
     assert!(evaluation.flanks.len() < 20);
+    // In parts, as a scan has them, it is the same.
+    let mut gathering = Gathering::new(&gear, &settings).unwrap();
+    some.chunks(10_007).for_each(|part| gathering.add(part));
+    assert_eq!(gathering.evaluated().as_ref(), Ok(&evaluation));
     assert!(evaluation.left.f_p_um.is_some() && evaluation.left.total_um.is_none());
     assert_eq!((evaluation.runout_um, evaluation.axis), (None, None));
     // Whatever is missing says why and what to do.

@@ -58,6 +58,7 @@ fn of_rating(
         probability,
         ..Rule::new(tolerance_um, tolerance_um)
     };
+    let settings = settings.of_quantity(rating.quantity);
     let verdict = decide(value_um, settings.u_um(), &rule);
     let capable = rating
         .best_stateable_class

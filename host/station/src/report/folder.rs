@@ -104,6 +104,7 @@ impl ReportFolder {
         "map.ply",
         "flanks.csv",
         "views.csv",
+        "gear.csv",
     ];
     /// What a watch writes into its folder of every check.
     pub const OF_WATCH: &'static [&'static str] = &[PAGE, "index.html"];
@@ -134,6 +135,16 @@ impl ReportFolder {
         let path = self.0.join(name);
         let written = stream_whole(&path, write);
         written.map_err(|source| SinkError::Write { path, source })
+    }
+
+    fn remove(&self, name: &str) -> Result<(), SinkError> {
+        let path = self.0.join(name);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                Err(SinkError::Write { path, source })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The page as the newest and for good, then the index. `date` is ISO 8601, UTC.
@@ -204,6 +215,11 @@ impl ResultSink<Scan> for ReportFolder {
         self.write("scan.json", &document_text(scan)?)?;
         self.stream("flanks.csv", |out| tables::flanks(&scan.features, out))?;
         self.stream("views.csv", |out| tables::views(scan, out))?;
+        match &scan.gear {
+            Some(gear) => self.stream("gear.csv", |out| tables::gear(gear, out))?,
+            // An earlier scan's would pass for this one's.
+            None => self.remove("gear.csv")?,
+        }
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
         self.put_page(&super::scan_html(scan)?, &scan.date, "scan", scan.verdict)
     }

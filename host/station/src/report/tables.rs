@@ -2,8 +2,11 @@
 
 use std::io::{self, Write};
 
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::gear::evaluation::TraceFigures;
+
 use crate::inspection::{Feature, Inspection};
-use crate::scan::Scan;
+use crate::scan::{Scan, ScanGear};
 
 fn number(value: Option<f64>) -> String {
     value
@@ -77,6 +80,50 @@ pub(super) fn views(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
             number(r.rms_about_form_um),
             number(r.residual_um),
             number(r.residual_turn_mdeg)
+        )?;
+    }
+    Ok(())
+}
+
+/// A line per flank of a scan that was read as a gear.
+pub(super) fn gear(of: &ScanGear, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(
+        out,
+        "tooth,flank,F_alpha_um,f_f_alpha_um,f_H_alpha_um,profile_u95_um,F_beta_um,f_f_beta_um,f_H_beta_um,helix_u95_um,position_um,\
+         single_pitch_um,position_u95_um"
+    )?;
+    let evaluation = &of.evaluation;
+    for flank in &evaluation.flanks {
+        let traces = [&flank.profile, &flank.helix].map(|trace| {
+            let read = |of: fn(&TraceFigures) -> f64| number(trace.as_ref().map(of));
+            let u95_um = trace.as_ref().map(|trace| of.u95_with_um(trace.noise_um));
+            [
+                read(|t| t.total_um),
+                read(|t| t.form_um),
+                read(|t| t.slope_um),
+                number(u95_um),
+            ]
+            .join(",")
+        });
+        let side = match flank.flank {
+            Flank::Right => &evaluation.right,
+            Flank::Left | Flank::Face => &evaluation.left,
+        };
+        let single_um = side.single_um.get(flank.tooth as usize - 1).copied();
+        writeln!(
+            out,
+            "{},{},{},{},{},{},{}",
+            flank.tooth,
+            flank.flank,
+            traces[0],
+            traces[1],
+            number(flank.position_um),
+            number(single_um.flatten()),
+            number(
+                flank
+                    .position_noise_um
+                    .map(|noise_um| of.u95_with_um(noise_um))
+            )
         )?;
     }
     Ok(())

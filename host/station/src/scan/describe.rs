@@ -98,6 +98,7 @@ impl Scanner {
             teeth_stretch_ratio: None,
             teeth_turned_deg: 0.0,
             metrics: None,
+            gear: None,
             truth: None,
             seal: None,
             tool: tool.name.clone(),

@@ -20,6 +20,29 @@ pub enum CloudError {
     Write(#[from] io::Error),
 }
 
+/// The views that are registered in the end, with their final poses.
+pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
+    let views = scan.registration.iter();
+    views.filter_map(|of| {
+        let pose = Rigid::<Tool, Camera>::from_rows(of.tool_from_camera.as_ref()?).ok()?;
+        Some((of.view, *pose.isometry()))
+    })
+}
+
+/// The points of a view in the tool frame, mm, each with its standard uncertainty along the ray, mm.
+pub(super) fn points_in_tool(
+    session: &Session,
+    view: usize,
+    tool_from_camera: &Isometry3<f64>,
+) -> Result<Vec<([f64; 3], f32)>, SessionError> {
+    let kept = session.points(view)?.points;
+    let located = kept.iter().map(|&[x, y, z, sigma, _]| {
+        let p_tool = tool_from_camera * Point3::new(x, y, z).cast::<f64>();
+        (p_tool.into(), sigma)
+    });
+    Ok(located.collect())
+}
+
 /// Writes the cloud as a binary PLY in the tool frame: x, y, z, standard uncertainty along the ray that it was seen by (mm), and the
 /// number of its view as in the JSON. Single precision is 4 nm at the radius of the bore. Returns the number of points.
 pub(super) fn write(
@@ -27,14 +50,7 @@ pub(super) fn write(
     session: &Session,
     out: &mut dyn Write,
 ) -> Result<u64, CloudError> {
-    let pose = |rows: &[[f64; 4]; 4]| {
-        let pose = Rigid::<Tool, Camera>::from_rows(rows).ok()?;
-        Some(*pose.isometry())
-    };
-    let registered = scan.registration.iter();
-    let registered: Vec<(usize, Isometry3<f64>)> = registered
-        .filter_map(|of| Some((of.view, pose(of.tool_from_camera.as_ref()?)?)))
-        .collect();
+    let registered: Vec<(usize, Isometry3<f64>)> = registered(scan).collect();
     let held = |view: usize| session.views().find(|(held, _)| *held == view);
     let points = registered.iter().filter_map(|(view, _)| held(*view));
     let count: u64 = points.map(|(_, entry)| entry.points as u64).sum();
@@ -47,10 +63,9 @@ pub(super) fn write(
     let mut bytes = Vec::new();
     for (view, tool_from_camera) in registered {
         bytes.clear();
-        for &[x, y, z, sigma, _] in &session.points(view)?.points {
-            let p_tool = tool_from_camera * Point3::new(x, y, z).cast::<f64>();
-            let values = [p_tool.x as f32, p_tool.y as f32, p_tool.z as f32, sigma];
-            bytes.extend(values.into_iter().flat_map(f32::to_le_bytes));
+        for (p_tool, sigma) in points_in_tool(session, view, &tool_from_camera)? {
+            let [x, y, z] = p_tool.map(|c| c as f32);
+            bytes.extend([x, y, z, sigma].into_iter().flat_map(f32::to_le_bytes));
             bytes.extend((view as u16).to_le_bytes());
         }
         out.write_all(&bytes)?;

@@ -19,6 +19,7 @@ use super::cell_observations::layout;
 use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::full_cloud::{self, CloudError};
+use super::gear::{self, ScanGearError};
 use super::grid::{Grid, GridError};
 use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
@@ -290,6 +291,15 @@ impl Scanner {
     pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
         let tool = &self.subject.tool;
         scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
+        Ok(())
+    }
+
+    /// Adds profile, helix and pitch of every tooth to a finished scan, from every point of every registered view.
+    ///
+    /// # Errors
+    /// The views stand on nothing, their uncertainty is not known, or the session folder cannot be read.
+    pub fn evaluate_gear(&self, scan: &mut Scan) -> Result<(), ScanGearError> {
+        scan.gear = Some(gear::evaluate(scan, &self.store.session, &self.gear)?);
         Ok(())
     }
 

@@ -27,6 +27,7 @@
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
 //! | `full_cloud` | every point of every view, streamed |
+//! | `gear` | profile, helix and pitch of every tooth from them |
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 
@@ -37,6 +38,7 @@ mod describe;
 mod die_identity;
 mod flanks;
 mod full_cloud;
+mod gear;
 mod grid;
 mod hinz2019;
 mod job;
@@ -54,6 +56,7 @@ mod view_pipeline;
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};
 pub use full_cloud::CloudError;
+pub use gear::{ScanGear, ScanGearError};
 pub use grid::{Grid, GridError};
 pub use hinz2019::Hinz2019Settings;
 pub use job::{Progress, ScanError, Scanner};

@@ -15,6 +15,7 @@ use flankscope_metrology::verdict::{Code, Reason, Word};
 
 use super::comparison::MethodResult;
 use super::coverage::Coverage;
+use super::gear::ScanGear;
 use super::hinz2019::Hinz2019Stitched;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
@@ -80,6 +81,9 @@ pub struct Scan {
     /// The article's metrics on the same points; absent unless a report or the raster was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics: Option<Metrics>,
+    /// Profile, helix and pitch of every tooth; absent unless asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gear: Option<ScanGear>,
     /// From the simulated bench alone: what was true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<serde_json::Value>,

@@ -1,10 +1,12 @@
 //! The axis that the deviations are stated about: the tool's own, or the one that fits the flanks best.
 
 use nalgebra::{Matrix5, Vector5};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::FlankPoint;
-use crate::gear::GearData;
+use super::gather::OwnPoints;
+use crate::gear::{Flank, GearData};
 
 /// How the flanks lie about the tool's axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -18,16 +20,15 @@ pub struct AxisFit {
 }
 
 impl AxisFit {
-    /// Takes this motion's share out of the deviations.
-    pub(super) fn take_out(&self, gear: &GearData, points: &mut [FlankPoint]) {
+    /// Takes this motion's share out of the deviations of a flank.
+    pub(super) fn take_out(&self, gear: &GearData, own: &mut OwnPoints) {
         let [x, y] = self.offset_um.map(|um| 1e-3 * um);
         let half_mm = half_face_mm(gear);
         let [tilt_x, tilt_y] = self.tilt_mrad.map(|mrad| 1e-3 * mrad * half_mm);
         let rotation = 1e-3 * self.rotation_mrad * gear.base_radius_mm();
         let motion = Vector5::new(x, y, tilt_x, tilt_y, rotation);
-        for point in points {
-            point.deviation_mm -= row(gear, point).dot(&motion);
-        }
+        let (tooth, flank) = (own.tooth, own.flank);
+        own.take_out(|point| row(gear, (tooth, flank), point).dot(&motion));
     }
 }
 
@@ -36,14 +37,24 @@ impl AxisFit {
 ///
 /// A small motion (t, w) moves the surface at p by n . (t + w x p) along its normal n; about the axis of a spur gear
 /// nothing fixes the shift along it.
-pub(super) fn fit(gear: &GearData, points: &[FlankPoint]) -> Option<AxisFit> {
+pub(super) fn fit(gear: &GearData, flanks: &[OwnPoints]) -> Option<AxisFit> {
+    let of_flank = |own: &OwnPoints| {
+        let (mut information, mut gradient) = (Matrix5::<f64>::zeros(), Vector5::<f64>::zeros());
+        for point in own.points() {
+            let row = row(gear, (own.tooth, own.flank), &point);
+            information += row * row.transpose();
+            gradient += row * point.deviation_mm;
+        }
+        (information, gradient)
+    };
+    let sums: Vec<(Matrix5<f64>, Vector5<f64>)> = flanks.par_iter().map(of_flank).collect();
     let (mut information, mut gradient) = (Matrix5::<f64>::zeros(), Vector5::<f64>::zeros());
-    for point in points {
-        let row = row(gear, point);
-        information += row * row.transpose();
-        gradient += row * point.deviation_mm;
+    for (of_flank, towards) in sums {
+        information += of_flank;
+        gradient += towards;
     }
-    let count = points.len().max(1) as f64;
+    let points: usize = flanks.iter().map(OwnPoints::len).sum();
+    let count = points.max(1) as f64;
     let eigen = nalgebra::SymmetricEigen::new(information / count);
     // Flanks all round give 0.5, 0.5, 0.17, 0.17 and 1; a quarter of the ring still a hundredth of that.
     if eigen.eigenvalues.min() < 1e-3 {
@@ -60,11 +71,15 @@ pub(super) fn fit(gear: &GearData, points: &[FlankPoint]) -> Option<AxisFit> {
 
 /// What each part of a motion does to the deviation of a point. All parts are lengths: tilts times half the face width, the
 /// rotation times the base radius.
-fn row(gear: &GearData, point: &FlankPoint) -> Vector5<f64> {
+fn row(gear: &GearData, (tooth, flank): (u32, Flank), point: &FlankPoint) -> Vector5<f64> {
     let middle_mm = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
     let z = (point.height_mm - middle_mm) / half_face_mm(gear);
-    let [nx, ny] = point.normal;
-    Vector5::new(nx, ny, -ny * z, nx * z, point.sign)
+    let radius_mm = point.roll_mm.hypot(gear.base_radius_mm());
+    let beyond = gear.half_tooth_rad(radius_mm).unwrap_or(0.0);
+    let angle = gear.tooth_centre_rad(tooth) + flank.sign() * beyond;
+    let on_flank = [radius_mm * angle.cos(), radius_mm * angle.sin(), 0.0];
+    let [nx, ny, _] = gear.flank_normal(flank, on_flank);
+    Vector5::new(nx, ny, -ny * z, nx * z, flank.sign())
 }
 
 fn half_face_mm(gear: &GearData) -> f64 {

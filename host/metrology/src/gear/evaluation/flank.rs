@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::gather::OwnPoints;
 use super::limits::roll_mm;
 use super::not_told::split;
 use super::trace::{self, Course, Problem, Sample};
@@ -14,25 +15,27 @@ const LEAST_POSITION_POINTS: usize = 8;
 /// Profile, helix, areal and position figures of the points of one flank.
 pub(super) fn figures(
     gear: &GearData,
-    points: &[FlankPoint],
+    own: &OwnPoints,
     limits: &Limits,
     settings: &Settings,
 ) -> FlankFigures {
-    let flank = FlankPoints::new(gear, points, limits, settings);
+    let points: Vec<FlankPoint> = own.points().collect();
+    let flank = FlankPoints::new(gear, &points, limits, settings);
     let (profile, profile_not_told) = split(flank.profile());
     let (helix, helix_not_told) = split(flank.helix());
     let (areal, areal_not_told) = split(flank.areal());
-    let (position_um, position_not_told) = split(position_um(&flank.near_position()));
+    let (position, position_not_told) = split(position_um(&flank.near_position()));
     FlankFigures {
-        tooth: points[0].tooth,
-        flank: points[0].flank,
+        tooth: own.tooth,
+        flank: own.flank,
         profile,
         profile_not_told,
         helix,
         helix_not_told,
         areal,
         areal_not_told,
-        position_um,
+        position_um: position.map(|[um, _]| um),
+        position_noise_um: position.map(|[_, noise_um]| noise_um),
         position_not_told,
     }
 }
@@ -199,8 +202,8 @@ impl<'a> FlankPoints<'a> {
 }
 
 /// Deviation on the measuring circle at mid face, from the plane through the points around (across and up from -1 to 1): a mean
-/// would be that of where the points happen to lie.
-fn position_um(near: &[[f64; 3]]) -> Result<f64, NotTold> {
+/// would be that of where the points happen to lie. With its standard uncertainty by the points' scatter about the plane.
+fn position_um(near: &[[f64; 3]]) -> Result<[f64; 2], NotTold> {
     let few = NotTold::FewPoints {
         points: near.len(),
         least: LEAST_POSITION_POINTS,
@@ -220,8 +223,14 @@ fn position_um(near: &[[f64; 3]]) -> Result<f64, NotTold> {
         let variance = inverse[(0, 0)];
         variance > 0.0 && variance <= 1.0
     });
-    let plane = inverse.ok_or(few)? * gradient;
-    Ok(1e3 * plane[0])
+    let inverse = inverse.ok_or(few)?;
+    let plane = inverse * gradient;
+    let off_mm =
+        |&[across, up, deviation]: &[f64; 3]| deviation - plane.dot(&Vector3::new(1.0, across, up));
+    let squares: f64 = near.iter().map(|point| off_mm(point).powi(2)).sum();
+    // Three are spent on the plane.
+    let variance = squares / (near.len() - 3) as f64;
+    Ok([plane[0], (variance * inverse[(0, 0)]).sqrt()].map(|mm| 1e3 * mm))
 }
 
 /// Cutoff of the Gaussian for an evaluated length.

@@ -70,7 +70,7 @@ impl Limits {
         gear: &GearData,
         point: [f64; 3],
         capture_mm: f64,
-    ) -> Option<FlankPoint> {
+    ) -> Option<((u32, Flank), FlankPoint)> {
         let radius = point[0].hypot(point[1]);
         let (a, b) = (self.control_radius_mm, self.tip_form_radius_mm);
         let on_land = [gear.tip_radius_mm, gear.root_radius_mm]
@@ -91,18 +91,12 @@ impl Limits {
         if deviation_mm.abs() > capture_mm {
             return None;
         }
-        // The normal of an involute touches the base circle: it leans back from the tangent by the pressure angle there.
-        let pressure = (gear.base_radius_mm() / radius).acos();
-        let lean = angle + flank.sign() * (std::f64::consts::FRAC_PI_2 + pressure);
-        Some(FlankPoint {
-            tooth,
-            flank,
+        let place = FlankPoint {
             roll_mm: roll_mm(gear, radius),
             height_mm: point[2],
             deviation_mm,
-            normal: [lean.cos(), lean.sin()],
-            sign: flank.sign(),
-        })
+        };
+        Some(((tooth, flank), place))
     }
 }
 

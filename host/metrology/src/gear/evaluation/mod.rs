@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `axis` | the axis that deviations are stated about |
 //! | `limits` | between which radii and heights figures are read, and which points are flank |
+//! | `gather` | points by flank, cloud after cloud |
 //! | `trace` | smoothing along profile and helix, and what is read from it |
 //! | `across` | what deviations do across a trace, taken away from it |
 //! | `areal` | the whole flank as a few terms |
@@ -22,6 +23,7 @@ mod across;
 mod areal;
 mod axis;
 mod flank;
+mod gather;
 mod limits;
 mod not_told;
 mod tolerance;
@@ -29,6 +31,7 @@ mod trace;
 
 pub use areal::ArealTerms;
 pub use axis::AxisFit;
+pub use gather::Gathering;
 pub use limits::Limits;
 pub use not_told::NotTold;
 pub use tolerance::{CLASSES, Quantity};
@@ -58,6 +61,9 @@ pub struct Settings {
     pub best_fit_axis: bool,
     /// Expanded uncertainty of a deviation (95 %), um.
     pub u95_um: f64,
+    /// That of a cumulative pitch and of the runout, um, where the pose of each part of the cloud was found from its own teeth and so
+    /// took up some of both; none for the same.
+    pub cumulative_u95_um: Option<f64>,
 }
 
 impl Settings {
@@ -70,6 +76,19 @@ impl Settings {
             band_mm: 1.0,
             best_fit_axis: false,
             u95_um: 5.0,
+            cumulative_u95_um: None,
+        }
+    }
+
+    /// With the uncertainty of a quantity.
+    pub fn of_quantity(self, quantity: Quantity) -> Self {
+        let own_um = match quantity {
+            Quantity::CumulativePitch | Quantity::Runout => self.cumulative_u95_um,
+            _ => None,
+        };
+        Self {
+            u95_um: own_um.unwrap_or(self.u95_um),
+            ..self
         }
     }
 
@@ -137,17 +156,11 @@ pub enum GearEvaluationError {
 
 /// A point near a flank.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct FlankPoint {
-    tooth: u32,
-    flank: Flank,
+struct FlankPoint {
     /// Roll length, mm.
     roll_mm: f64,
     height_mm: f64,
     deviation_mm: f64,
-    /// Outward normal of the involute in the plane.
-    normal: [f64; 2],
-    /// Sign of the flank: what a rotation of the gear does to its deviation.
-    sign: f64,
 }
 
 /// One flank's figures. Each that is missing has its reason beside it.
@@ -174,6 +187,8 @@ pub struct FlankFigures {
     pub areal_not_told: Option<NotTold>,
     /// Deviation at the measuring circle at mid face, which pitch and runout are made of, um.
     pub position_um: Option<f64>,
+    /// Its standard uncertainty by how the points there scatter, um.
+    pub position_noise_um: Option<f64>,
     /// Why there is no position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_not_told: Option<NotTold>,
@@ -276,46 +291,9 @@ pub fn evaluate(
     points: &[[f64; 3]],
     settings: &Settings,
 ) -> Result<GearEvaluation, GearEvaluationError> {
-    check(gear, settings)?;
-    let limits = Limits::new(gear, settings);
-    let mut found: Vec<FlankPoint> = points
-        .iter()
-        .filter_map(|&point| limits.flank_point(gear, point, settings.capture_mm))
-        .collect();
-    if 10 * found.len() < points.len() || found.is_empty() {
-        return Err(GearEvaluationError::NotOnFlanks {
-            near: found.len(),
-            points: points.len(),
-            capture_mm: settings.capture_mm,
-        });
-    }
-    let axis = axis::fit(gear, &found);
-    if settings.best_fit_axis {
-        let motion = axis.as_ref().ok_or(GearEvaluationError::AxisNotFixed)?;
-        motion.take_out(gear, &mut found);
-    }
-    found.sort_by_key(|point| (point.tooth, point.flank));
-    let flanks: Vec<FlankFigures> = found
-        .chunk_by(|a, b| (a.tooth, a.flank) == (b.tooth, b.flank))
-        .map(|own| flank::figures(gear, own, &limits, settings))
-        .collect();
-    let [left, right] = Flank::BOTH.map(|side| pitch(gear, &flanks, side));
-    let (runout_um, runout_not_told) = split(runout(gear, &flanks, [&left, &right]));
-    let mut evaluation = GearEvaluation {
-        limits,
-        axis_not_told: axis.is_none().then_some(NotTold::Axis),
-        axis,
-        about_best_fit_axis: settings.best_fit_axis,
-        points: found.len(),
-        flanks,
-        left,
-        right,
-        runout_um,
-        runout_not_told,
-        ratings: Vec::new(),
-    };
-    evaluation.ratings = ratings(gear, &evaluation, settings.u95_um);
-    Ok(evaluation)
+    let mut gathering = Gathering::new(gear, settings)?;
+    gathering.add(points);
+    gathering.evaluated()
 }
 
 fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError> {
@@ -338,6 +316,10 @@ fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError
         ("capture_mm", settings.capture_mm),
         ("band_mm", settings.band_mm),
         ("u95_um", settings.u95_um),
+        (
+            "cumulative_u95_um",
+            settings.of_quantity(Quantity::CumulativePitch).u95_um,
+        ),
     ];
     for (key, value) in positive {
         if !(value > 0.0 && value.is_finite()) {
@@ -530,9 +512,10 @@ fn value_of(quantity: Quantity, evaluation: &GearEvaluation) -> (Result<f64, Not
     }
 }
 
-fn ratings(gear: &GearData, evaluation: &GearEvaluation, u95_um: f64) -> Vec<Rating> {
+fn ratings(gear: &GearData, evaluation: &GearEvaluation, settings: &Settings) -> Vec<Rating> {
     let rating = |quantity: Quantity| {
         let (value, flanks) = value_of(quantity, evaluation);
+        let u95_um = settings.of_quantity(quantity).u95_um;
         let (value_um, not_told) = split(value);
         let class = value_um.and_then(|value| quantity.class_of(gear, value));
         let best_stateable_class = CLASSES

@@ -23,6 +23,8 @@ pub struct TraceFigures {
     /// Rise of the mean line between the ends of the usable flank (profile: control radius to tip form radius; helix: the
     /// evaluated height), um.
     pub slope_usable_um: f64,
+    /// Largest standard uncertainty of the smoothed trace by how its points scatter about it; what all of them share is not in it.
+    pub noise_um: f64,
     /// Points that went in.
     pub points: usize,
 }
@@ -77,7 +79,7 @@ pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigure
     let reach = ALPHA * course.cutoff_mm;
     let range = course.range;
     let position = |i: usize| range[0] + (range[1] - range[0]) * i as f64 / (POSITIONS - 1) as f64;
-    let smooth: Vec<Option<f64>> = (0..POSITIONS)
+    let smooth: Vec<Option<Smoothed>> = (0..POSITIONS)
         .map(|i| smoothed(&points, position(i), reach))
         .collect();
     if let Some(begin) = smooth.iter().position(Option::is_none) {
@@ -87,11 +89,12 @@ pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigure
             position(begin + length - 1),
         ]));
     }
+    let noise_mm = smooth.iter().flatten().map(|s| s.u).fold(0.0, f64::max);
     let trace: Vec<(f64, f64)> = smooth
         .into_iter()
         .flatten()
         .enumerate()
-        .map(|(i, deviation)| (position(i), deviation))
+        .map(|(i, smoothed)| (position(i), smoothed.deviation))
         .collect();
     let (mean_at, mean) = mean_of(&trace);
     let (mut along, mut rise) = (0.0, 0.0);
@@ -112,22 +115,33 @@ pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigure
         form_um: 1e3 * range_of(&|point| point.1 - slope * (point.0 - mean_at)),
         slope_um: 1e3 * slope * course.stated_mm,
         slope_usable_um: 1e3 * slope * course.usable_mm,
+        noise_um: 1e3 * noise_mm,
         points: used.count(),
     })
 }
 
+/// A place of the smoothed trace.
+struct Smoothed {
+    deviation: f64,
+    /// Its standard uncertainty by the scatter of the points about the line.
+    u: f64,
+}
+
 /// Value at `at` of the line fitted to the points about it, weighted by the Gaussian.
-fn smoothed(points: &[(f64, f64)], at: f64, reach: f64) -> Option<f64> {
+fn smoothed(points: &[(f64, f64)], at: f64, reach: f64) -> Option<Smoothed> {
     let begin = points.partition_point(|point| point.0 < at - reach);
     let end = points.partition_point(|point| point.0 <= at + reach);
     let near = &points[begin..end];
     if near.len() < LEAST_POINTS {
         return None;
     }
+    let weigh = |position: f64| {
+        let x = (position - at) / reach;
+        (x, (-std::f64::consts::PI * x * x).exp())
+    };
     let (mut s0, mut s1, mut s2, mut t0, mut t1) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (position, deviation) in near {
-        let x = (position - at) / reach;
-        let weight = (-std::f64::consts::PI * x * x).exp();
+        let (x, weight) = weigh(*position);
         s0 += weight;
         s1 += weight * x;
         s2 += weight * x * x;
@@ -136,7 +150,23 @@ fn smoothed(points: &[(f64, f64)], at: f64, reach: f64) -> Option<f64> {
     }
     let determinant = s0 * s2 - s1 * s1;
     // All points at one position: no line.
-    (determinant > 1e-9 * s0 * s0).then(|| (t0 * s2 - t1 * s1) / determinant)
+    if determinant <= 1e-9 * s0 * s0 {
+        return None;
+    }
+    let deviation = (t0 * s2 - t1 * s1) / determinant;
+    let slope = (t1 * s0 - t0 * s1) / determinant;
+    let (mut squares, mut gains) = (0.0, 0.0);
+    for (position, of_point) in near {
+        let (x, weight) = weigh(*position);
+        squares += (of_point - deviation - slope * x).powi(2);
+        gains += (weight * (s2 - s1 * x) / determinant).powi(2);
+    }
+    // Two are spent on the line.
+    let variance = squares / (near.len() - 2) as f64;
+    Some(Smoothed {
+        deviation,
+        u: (variance * gains).sqrt(),
+    })
 }
 
 fn mean_of(trace: &[(f64, f64)]) -> (f64, f64) {
@@ -211,6 +241,33 @@ mod tests {
         assert!(
             (from - 0.42).abs() < 0.01 && (to - 0.58).abs() < 0.01,
             "{from} {to}"
+        );
+    }
+
+    #[test]
+    fn the_noise_of_a_smoothed_place_is_how_far_it_scatters() {
+        // 2000 traces of 60 points, uneven along it, each astray by a uniform draw of 1 um standard deviation.
+        let mut state = 1_u64;
+        let mut draw = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        let count = 2000;
+        let (mut squares, mut variance) = (0.0, 0.0);
+        for _ in 0..count {
+            let points: Vec<(f64, f64)> = (0..60)
+                .map(|i| ((f64::from(i) / 60.0).powi(2), 12f64.sqrt() * draw()))
+                .collect();
+            let place = smoothed(&points, 0.4, 0.3).unwrap();
+            squares += place.deviation.powi(2) / f64::from(count);
+            variance += place.u.powi(2) / f64::from(count);
+        }
+        // The standard deviation of 2000 draws is known to 1.6 %; three times that, of squares.
+        assert!(
+            (squares / variance - 1.0).abs() < 0.095,
+            "{squares} {variance}"
         );
     }
 }
