@@ -161,14 +161,14 @@ pub struct Bench {
 /// Writes the demo tool's folder and returns it.
 pub fn demo_tool(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("demo");
-    flankscope_demo::write_tool(&folder).context("cannot write the demo tool")?;
+    flankscope_demo::write_tool(&folder, None).context("cannot write the demo tool")?;
     Ok(folder)
 }
 
 /// Writes the demo calibration target's folder and returns it.
 pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
     let folder = scratch.join("target");
-    flankscope_demo::write_target(&folder).context("cannot write the demo target")?;
+    flankscope_demo::write_target(&folder, None).context("cannot write the demo target")?;
     Ok(folder)
 }
 

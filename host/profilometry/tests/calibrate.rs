@@ -134,6 +134,7 @@ fn target(tilts: &[[f64; 2]]) -> Target {
         plate: tilts.iter().enumerate().map(plate).collect(),
         sphere: None,
         limits: None,
+        beside: Vec::new(),
     }
 }
 

@@ -6,13 +6,13 @@ use anyhow::Context;
 use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
 
 use crate::demo;
-use crate::files::{DEMO_PATTERNS, Gear, HeadFile, Kind, TargetFile, ToolFile, mesh};
+use crate::files::{Gear, HeadFile, Kind, OpticsFile, TargetFile, ToolFile, mesh};
 use crate::world::{FlankId, PatternSpec, WorldConfig};
 use crate::zones::Judged;
 
 /// What stands before which head.
 pub struct Specimen {
-    /// The world: geometry by the files, with the demo head's light, blur and noise.
+    /// The world: geometry by the files, light, blur and noise of the head as it was made.
     pub config: WorldConfig,
     /// What the DMD shows after black.
     pub patterns: Vec<PatternSpec>,
@@ -25,21 +25,25 @@ pub struct Specimen {
 }
 
 impl Specimen {
-    /// The target of a folder before the demo head's lenses, whatever the folder says of them; its DMD shows the patterns that the
-    /// folder's head.toml names. `seed` draws how the plates lie.
+    /// The target of a folder before a head as it was made, whatever the folder's head.toml says of its lenses; its DMD shows the
+    /// patterns that the head.toml names. `seed` draws how the plates lie.
     ///
     /// # Errors
     /// A file cannot be read, or names patterns that the bench has not.
     pub fn target(folder: &Path, seed: u64) -> anyhow::Result<Self> {
-        let target = TargetFile::load(&folder.join("target.toml"))?;
+        let target = folder.join("target.toml");
+        let made = OpticsFile::beside(&target)?;
+        let target = TargetFile::load(&target)?;
         let head = folder.join("head.toml");
         let head = match head.exists() {
             true => HeadFile::load(&head)?,
-            false => HeadFile::demo(),
+            false => HeadFile::of(&made),
         };
+        let mut config = demo::target_world(&target, seed);
+        made.impose(&mut config);
         Ok(Self {
-            config: demo::target_world(&target, seed),
-            patterns: shown(&head)?,
+            config,
+            patterns: shown(&head, &made)?,
             top_mm: None,
             judged: None,
             // Nobody asks for a target's.
@@ -47,18 +51,19 @@ impl Specimen {
         })
     }
 
-    /// The die of a tool file or its folder before the head beside it, else before the demo head; judged are `teeth` instead
-    /// of the file's.
+    /// The die of a tool file or its folder before the head beside it (made as the `optics.toml` there says, with the lenses of the
+    /// `head.toml`), else before the demo head; judged are `teeth` instead of the file's.
     ///
     /// # Errors
     /// The files cannot be read, or describe what cannot stand on the bench.
     pub fn tool(path: &Path, teeth: Option<&[u32]>) -> anyhow::Result<Self> {
         let (tool, path) = ToolFile::load(path)?;
         let beside = path.with_file_name("head.toml");
+        let made = OpticsFile::beside(&path)?;
         let head = if beside.exists() {
             HeadFile::load(&beside)?
         } else {
-            HeadFile::demo()
+            HeadFile::of(&made)
         };
         let cad = path.with_file_name("").join(&tool.cad.file);
         let cad = mesh::load(&cad, tool.cad.unit.mm())
@@ -73,6 +78,7 @@ impl Specimen {
             None => demo::gear(),
         };
         let mut config = WorldConfig::new(cad, gear_spec);
+        made.impose(&mut config);
         head.impose(&mut config.optics);
         Ok(Self {
             judged: tool
@@ -80,7 +86,7 @@ impl Specimen {
                 .as_ref()
                 .and_then(|gear| judged(&tool, gear, &config, teeth)),
             config,
-            patterns: shown(&head)?,
+            patterns: shown(&head, &made)?,
             top_mm: Some(top_mm),
             has_flanks: tool.gear.is_some(),
         })
@@ -94,8 +100,8 @@ fn top_of(cad: &Mesh) -> f64 {
 }
 
 /// What the DMD of a head shows.
-fn shown(head: &HeadFile) -> anyhow::Result<Vec<PatternSpec>> {
-    let name = head.pattern_set.as_deref().unwrap_or(DEMO_PATTERNS);
+fn shown(head: &HeadFile, made: &OpticsFile) -> anyhow::Result<Vec<PatternSpec>> {
+    let name = head.pattern_set.as_ref().unwrap_or(&made.pattern_set);
     PatternSpec::named(name).with_context(|| format!("the bench's DMD has no pattern set {name:?}"))
 }
 

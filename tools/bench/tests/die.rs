@@ -1,9 +1,10 @@
 //! The worn die against closed forms, brute force, and a mesh from another CAD kernel.
 
 use flankscope_bench::demo;
+use flankscope_bench::files::OpticsFile;
 use flankscope_bench::world::{
-    Bundle, BundleSpec, Die, FlankId, Form, PatternSpec, Wear, WearError, WearField, World,
-    WorldConfig, WorldError,
+    Bundle, Die, FlankId, Form, PatternSpec, Wear, WearError, WearField, World, WorldConfig,
+    WorldError,
 };
 use flankscope_gear_cad::{Flank, GearSpec, Mesh, Meshing};
 use flankscope_test_requisites::shared;
@@ -301,7 +302,8 @@ fn crossing(origin: [f64; 3], along: [f64; 3], [a, b, c]: [[f64; 3]; 3]) -> Opti
 
 #[test]
 fn bundles_have_the_statistics_they_are_drawn_from() {
-    let spec = BundleSpec::imaged(1150.0, [959.5, 599.5], 0.21);
+    let made = OpticsFile::demo();
+    let spec = made.bundle(&made.camera);
     let bundle = Bundle::camera(&spec, 7).expect("a bundle");
     assert_eq!(bundle.positions_px().len(), 100_000);
     let pitch = spec.pitch_px();

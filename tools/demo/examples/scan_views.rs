@@ -27,7 +27,7 @@ fn main() -> Result<()> {
         .map_or(Ok(8), |views| views.parse())
         .context("VIEWS must be a whole number")?;
     let folder = tempfile::tempdir()?;
-    demo::write_tool(folder.path())?;
+    demo::write_tool(folder.path(), None)?;
     let subject = Subject {
         tool: Arc::new(Tool::load(folder.path())?),
         head: Arc::new(HeadModel::load(&folder.path().join("head.toml"))?),

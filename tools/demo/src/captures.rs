@@ -4,15 +4,15 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use flankscope_profilometry::calibrate::{CapturedView, Captures, Plate, StagePose, Target};
+use flankscope_profilometry::calibrate::{
+    Beside, CapturedView, Captures, Plate, StagePose, Target,
+};
 use flankscope_station::files::write_whole;
 
 use crate::target::target;
 use flankscope_bench::demo::StageErrors;
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
 
-/// Where the stages stand beside facing each plate: rad, mm. The last view is kept aside.
-pub const AROUND: [[f64; 2]; 3] = [[0.05, 0.8], [-0.05, -0.8], [0.02, -0.4]];
 /// Half widths of the stages' errors: rad, mm.
 const STAGE_ERRORS: [f64; 2] = [15e-3 * std::f64::consts::PI / 180.0, 5e-3];
 const PLAN: &str = "\
@@ -40,11 +40,13 @@ pub struct TargetView {
 
 /// The blank plate, every printed plate from each place of `around`, and the sphere.
 #[must_use]
-pub fn target_views(target: &Target, seed: u64, around: &[[f64; 2]]) -> Vec<TargetView> {
+pub fn target_views(target: &Target, seed: u64, around: &[Beside]) -> Vec<TargetView> {
     let mut errors = StageErrors::new(seed);
     let mut views = Vec::new();
     let mut add = |name: String, plate: Option<usize>, [x, y, z]: [f64; 3], beside: usize| {
-        let [turned, raised] = plate.map_or([0.0; 2], |_| around[beside]);
+        let (turned, raised) = plate.map_or((0.0, 0.0), |_| {
+            (around[beside].turned_rad, around[beside].raised_mm)
+        });
         let told = StagePose {
             rotation_rad: turned - y.atan2(x),
             vertical_mm: z + raised,
@@ -58,7 +60,7 @@ pub fn target_views(target: &Target, seed: u64, around: &[[f64; 2]]) -> Vec<Targ
                 told.vertical_mm + errors.draw(STAGE_ERRORS[1]),
             ],
             first_frame: 100 * views.len() as u32,
-            kept_aside: beside + 1 == AROUND.len(),
+            kept_aside: beside + 1 == target.beside.len(),
         });
     };
     let place = |plate: &Plate| plate.tool_from_plate.translation_mm;
@@ -131,7 +133,7 @@ pub fn write_captures(
     };
     write_whole(&out.join("PLAN.toml"), PLAN.as_bytes())?;
     write_whole(&out.join(Captures::FILE), captures.to_toml()?.as_bytes())?;
-    crate::write_target(out)
+    crate::write_target(out, None)
 }
 
 /// Counts as they are, in 16 bits.

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
-use flankscope_bench::files::DEMO_PATTERNS;
-use flankscope_bench::world::{HeadOptics, Pinhole, SensorSpec};
+use flankscope_bench::files::{MadeHead, OPTICS_FILE, OpticsFile};
+use flankscope_bench::world::Pinhole;
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
@@ -14,21 +14,16 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 
 use crate::tile::core_map_file;
 
-/// Exposures of the in-situ check, µs: lit tip lands fill a third of the well in 40 ms, steep flanks get half as much.
-const EXPOSURES_US: [u32; 2] = [10_000, 40_000];
-/// Pixels along a measuring cell: about one core (3.45 px).
-const BINNING: u32 = 3;
-/// Depths that the head measures, mm from the camera's pinhole: 3.4 mm about the focus at 22 mm.
-const VOLUME: DepthRange = DepthRange {
-    near_mm: 20.3,
-    far_mm: 23.7,
-};
+/// As much of a flank is judged up and down from the middle of the field; 4 mm before the 20 mm head, which is what a tool file
+/// means that says nothing.
+const ZONE_TENTHS_OF_FIELD: f64 = 4.0;
 
-/// Writes `die.ply`, `tool.toml`, `head.toml` and `cores.csv` into a folder, which is made if it is not there.
+/// Writes `die.ply`, `tool.toml`, `head.toml` and `cores.csv` into a folder, which is made if it is not there; `optics.toml`, too,
+/// for any head but the demo's.
 ///
 /// # Errors
 /// The files cannot be written.
-pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
+pub fn write_tool(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let gear = gear();
     let mesh = gear.mesh(&Meshing {
@@ -38,13 +33,28 @@ pub fn write_tool(folder: &Path) -> anyhow::Result<()> {
     stream_whole(&folder.join("die.ply"), |file| {
         flankscope_gear_cad::write_ply(&mesh, file)
     })?;
-    write_whole(&folder.join("tool.toml"), tool_toml(&gear)?.as_bytes())?;
-    let mut head = head();
-    let (cores_csv, cores) = core_map_file(&head)?;
+    let optics = write_optics(folder, made)?;
+    let mut tool = tool_toml(&gear)?;
+    if made.is_some() {
+        let half_mm = optics.field_mm * ZONE_TENTHS_OF_FIELD / 10.0;
+        writeln!(tool, "zone_height_mm = [{:.2}, {half_mm:.2}]", -half_mm)?;
+    }
+    write_whole(&folder.join("tool.toml"), tool.as_bytes())?;
+    let mut head = head_of(&optics);
+    let (cores_csv, cores) = core_map_file(&optics)?;
     write_whole(&folder.join(&cores.file), cores_csv.as_bytes())?;
     head.cores = Some(cores);
     write_whole(&folder.join("head.toml"), head.to_toml()?.as_bytes())?;
     Ok(())
+}
+
+/// Writes how a head was made beside what stands before it, unless it is the demo's.
+pub(crate) fn write_optics(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<OpticsFile> {
+    let Some(made) = made else {
+        return Ok(OpticsFile::demo());
+    };
+    write_whole(&folder.join(OPTICS_FILE), made.text.as_bytes())?;
+    Ok(OpticsFile::clone(&made.optics))
 }
 
 fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
@@ -90,15 +100,21 @@ fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
 /// The demo head as its calibration file describes it.
 #[must_use]
 pub fn head() -> HeadModel {
-    let optics = HeadOptics::prism_20mm();
-    let sensor = SensorSpec::imx174();
-    let centre_px = optics.camera.centre_px;
+    head_of(&OpticsFile::demo())
+}
+
+/// A head as its calibration file describes it.
+#[must_use]
+pub fn head_of(made: &OpticsFile) -> HeadModel {
+    let optics = made.optics();
+    let sensor = &made.sensor;
+    let [near_mm, far_mm] = made.volume_mm;
     HeadModel {
-        name: "prism head 20 mm".into(),
-        working_distance_mm: Some(20.0),
-        pattern_set: Some(DEMO_PATTERNS.into()),
-        exposures_us: EXPOSURES_US.to_vec(),
-        binning: BINNING,
+        name: made.name.clone(),
+        working_distance_mm: Some(made.working_distance_mm),
+        pattern_set: Some(made.pattern_set.clone()),
+        exposures_us: made.exposures_us.clone(),
+        binning: made.binning,
         camera: pinhole_file(&optics.camera, optics.camera_size_px),
         projector: pinhole_file(&optics.projector, optics.projector_size_px),
         projector_from_camera: transform_file(&optics.projector_from_camera),
@@ -110,10 +126,10 @@ pub fn head() -> HeadModel {
             offset_dn: sensor.offset_dn,
             bits: sensor.bits,
         }),
-        volume: Some(VOLUME),
+        volume: Some(DepthRange { near_mm, far_mm }),
         image_circle: Some(ImageCircle {
-            centre_px,
-            radius_px: 575.0,
+            centre_px: optics.camera.centre_px,
+            radius_px: 0.5 * made.camera.circle_px,
         }),
         cores: None,
         calibration: None,

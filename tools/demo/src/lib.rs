@@ -4,6 +4,7 @@
 //! |---|---|
 //! | a tool's | `die.ply`, `tool.toml`, `head.toml`, `cores.csv` ([`write_tool`]) |
 //! | a target's | `target.toml`, and `head.toml` with the drawing's values ([`write_target`]) |
+//! | both, for another head than the demo's | `optics.toml`, by which the bench has it ([`MadeHead`]) |
 //! | captures | images of the target as another bench would have taken them ([`write_captures`]) |
 
 mod captures;
@@ -13,10 +14,12 @@ mod tile;
 
 use std::path::PathBuf;
 
-pub use captures::{AROUND, TargetView, target_views, write_captures};
-pub use files::{head, write_tool};
-pub use target::{drawn_head, target, target_world, write_target};
-pub use tile::{core_map, flat_field};
+use flankscope_bench::files::MadeHead;
+
+pub use captures::{TargetView, target_views, write_captures};
+pub use files::{head, head_of, write_tool};
+pub use target::{drawn_head, drawn_head_of, target, target_of, target_world, write_target};
+pub use tile::{core_map, core_map_of, flat_field};
 
 /// What the demo writes.
 #[derive(clap::Subcommand)]
@@ -26,12 +29,18 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
+        /// Head that looks at it: 10mm, 20mm, or an optics.toml [default: 20mm].
+        #[arg(long, value_name = "NAME|FILE")]
+        head: Option<MadeHead>,
     },
     /// Write the demo calibration target's folder: target.toml, and head.toml with the drawing's values.
     DemoTarget {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
+        /// Head that is calibrated by it: 10mm, 20mm, or an optics.toml [default: 20mm].
+        #[arg(long, value_name = "NAME|FILE")]
+        head: Option<MadeHead>,
     },
     /// Write captures of the demo target as `calibrate --images` takes them: 20 views, 0.6 GB of images.
     DemoCaptures {
@@ -50,13 +59,13 @@ pub enum Command {
 /// The bench refuses what is photographed, or something cannot be written.
 pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
-        Command::DemoTool { out } => write_tool(out),
-        Command::DemoTarget { out } => write_target(out),
+        Command::DemoTool { out, head } => write_tool(out, head.as_ref()),
+        Command::DemoTarget { out, head } => write_target(out, head.as_ref()),
         Command::DemoCaptures { out, seed } => {
             let target = target();
             let mut config = target_world(&target, *seed);
             config.run_seed = *seed;
-            let views = target_views(&target, *seed, &AROUND);
+            let views = target_views(&target, *seed, &target.beside);
             write_captures(out, &config, &views)
         }
     }

@@ -4,46 +4,58 @@
 use std::path::Path;
 
 use flankscope_bench::demo::carrier;
-use flankscope_bench::files::{self, Placement, TargetFile};
+use flankscope_bench::files::{self, MadeHead, OpticsFile, Placement, TargetFile};
 use flankscope_bench::world::WorldConfig;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, Plate, Sphere, Target};
+use flankscope_profilometry::calibrate::{Beside, Dots, Plate, Sphere, Target};
 use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::files::{head, transform_file, transform_of};
+use crate::files::{head_of, transform_file, transform_of, write_optics};
 
-/// The white of the plates comes to two thirds of the full well.
-const EXPOSURE_US: u32 = 12_000;
 /// Where the head clears the target: as far up as above the die.
 const RETRACT_MM: f64 = 86.0;
-const SPHERE_DIAMETER_MM: f64 = 3.0;
+/// Where the stages stand beside facing a plate, in thousandths of the field around and up.
+const BESIDE: [[f64; 2]; 3] = [[207.5, 80.0], [-207.5, -80.0], [83.0, -40.0]];
 
-/// The target as its certificate describes it.
+/// The demo's target as its certificate describes it.
 #[must_use]
 pub fn target() -> Target {
+    target_of(&OpticsFile::demo())
+}
+
+/// The target for a head: dots, sphere and steps of the stages are in proportion to its field.
+#[must_use]
+pub fn target_of(made: &OpticsFile) -> Target {
+    let of_field = |thousandths: f64| made.field_mm * thousandths / 1000.0;
     let file = |pose: Isometry3<f64>| Plate {
         tool_from_plate: transform_file(&pose),
     };
-    let carrier = carrier();
+    let carrier = carrier(made);
     Target {
         name: "six dot plates, a blank one and a sphere".into(),
-        exposure_us: EXPOSURE_US,
+        exposure_us: made.white_exposure_us,
         retract_mm: RETRACT_MM,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 50e-6,
         dots: Dots {
-            pitch_mm: 0.5,
-            diameter_mm: 0.25,
-            key_diameter_mm: 0.35,
+            pitch_mm: of_field(50.0),
+            diameter_mm: of_field(25.0),
+            key_diameter_mm: of_field(35.0),
         },
         blank: file(carrier.blank),
         plate: carrier.printed.into_iter().map(file).collect(),
         sphere: Some(Sphere {
             centre_mm: carrier.sphere_centre_mm,
-            diameter_mm: SPHERE_DIAMETER_MM,
+            diameter_mm: carrier.sphere_diameter_mm,
         }),
+        beside: BESIDE
+            .map(|[around, up]| Beside {
+                turned_rad: of_field(around) / made.focus_radius_mm,
+                raised_mm: of_field(up),
+            })
+            .to_vec(),
         limits: Some(Limits {
             flatness_um: 45.0,
             probing_form_um: 45.0,
@@ -85,8 +97,14 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
 /// The demo head as its drawing shows it: no distortion, lenses and poses off by what assembly leaves.
 #[must_use]
 pub fn drawn_head() -> HeadModel {
-    let mut head = head();
-    head.name = "prism head 20 mm, drawing values".into();
+    drawn_head_of(&OpticsFile::demo())
+}
+
+/// The same of any head.
+#[must_use]
+pub fn drawn_head_of(made: &OpticsFile) -> HeadModel {
+    let mut head = head_of(made);
+    head.name += ", drawing values";
     for (lens, stretch, shift_px) in [
         (&mut head.camera, 1.006, [3.0, -2.0]),
         (&mut head.projector, 0.995, [-2.0, 0.0]),
@@ -114,16 +132,16 @@ pub fn drawn_head() -> HeadModel {
     head
 }
 
-/// Writes `target.toml` and the drawing's `head.toml` into a folder, which is made if it is not there.
+/// Writes `target.toml` and the drawing's `head.toml` into a folder, which is made if it is not there; `optics.toml`, too, for any
+/// head but the demo's.
 ///
 /// # Errors
 /// The files cannot be written.
-pub fn write_target(folder: &Path) -> anyhow::Result<()> {
+pub fn write_target(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
-    write_whole(&folder.join("target.toml"), target().to_toml()?.as_bytes())?;
-    write_whole(
-        &folder.join("head.toml"),
-        drawn_head().to_toml()?.as_bytes(),
-    )?;
+    let optics = write_optics(folder, made)?;
+    let (target, head) = (target_of(&optics), drawn_head_of(&optics));
+    write_whole(&folder.join("target.toml"), target.to_toml()?.as_bytes())?;
+    write_whole(&folder.join("head.toml"), head.to_toml()?.as_bytes())?;
     Ok(())
 }

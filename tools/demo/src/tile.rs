@@ -2,27 +2,38 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use flankscope_bench::demo::{gear, tile};
+use flankscope_bench::files::OpticsFile;
 use flankscope_bench::world::{PatternSpec, World, WorldConfig};
 use flankscope_foundation::date::Date;
+use flankscope_profilometry::FrameView;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::head::{CoreMap, CoreMapFile};
-use flankscope_profilometry::{FrameView, HeadModel};
 use flankscope_station::files::{hash, write_whole};
 
-/// Evenly lit at full brightness, the brightest pixels reach half the full well.
-const EXPOSURE_US: u32 = 8_000;
+use crate::files::head_of;
+
+/// Evenly lit at full brightness, a tile fills the well as a white plate under fringes does in one and a half times the time.
+const WHITE_SHARE: f64 = 2.0 / 3.0;
 /// Averaged, they leave 0.2 % of photon noise per pixel.
 const FRAMES: u32 = 8;
-/// The head's best focus lies this far from the stage's axis, mm.
-const FOCUS_RADIUS_MM: f64 = 41.5;
+
 /// The demo head's core map, found in a photograph of the tile in best focus as a calibration does it.
 ///
 /// # Errors
 /// The bench refuses the tile, or no cores are found.
-pub fn core_map(head: &HeadModel) -> anyhow::Result<CoreMap> {
-    let world = World::new(&tile_in_focus())?;
-    let flat = flat_field(&world, head)?;
+pub fn core_map() -> anyhow::Result<CoreMap> {
+    core_map_of(&OpticsFile::demo())
+}
+
+/// The same of any head.
+///
+/// # Errors
+/// As [`core_map`].
+pub fn core_map_of(made: &OpticsFile) -> anyhow::Result<CoreMap> {
+    let world = World::new(&tile_in_focus(made))?;
+    let flat = flat_field(&world, made)?;
     Ok(cores::find(&flat)?)
 }
 
@@ -31,12 +42,12 @@ pub fn core_map(head: &HeadModel) -> anyhow::Result<CoreMap> {
 ///
 /// # Errors
 /// As [`core_map`]. A cache that cannot be read or written is no error: the map is then found anew.
-pub(super) fn core_map_file(head: &HeadModel) -> anyhow::Result<(String, CoreMapFile)> {
-    let cache = cache_folder();
+pub(super) fn core_map_file(made: &OpticsFile) -> anyhow::Result<(String, CoreMapFile)> {
+    let cache = cache_folder(made);
     if let Some(found) = cache.as_deref().and_then(cached) {
         return Ok(found);
     }
-    let (csv, reference) = core_map(head)?.to_csv(Path::new(MAP_FILE), Date::today());
+    let (csv, reference) = core_map_of(made)?.to_csv(Path::new(MAP_FILE), Date::today());
     if let Some(cache) = cache {
         let _ = keep(&cache, &csv, &reference);
     }
@@ -45,12 +56,16 @@ pub(super) fn core_map_file(head: &HeadModel) -> anyhow::Result<(String, CoreMap
 
 const MAP_FILE: &str = "cores.csv";
 const REFERENCE_FILE: &str = "cores.toml";
+/// Characters that stand for a build in the name of a folder.
+const BUILD_KEY: usize = 16;
 
-/// One per tile, head and build of this program: another finder may find otherwise.
-fn cache_folder() -> Option<PathBuf> {
+/// One per tile and head, its name begun by the build of this program: another finder may find otherwise.
+fn cache_folder(made: &OpticsFile) -> Option<PathBuf> {
     let program = std::fs::metadata(std::env::current_exe().ok()?).ok()?;
     let build = (program.len(), program.modified().ok()?);
-    let key = hash(format!("{:?} {EXPOSURE_US} {FRAMES} {build:?}", tile_in_focus()).as_bytes());
+    let key = |of: String| hash(of.as_bytes())[..BUILD_KEY].to_owned();
+    let head = key(format!("{:?} {made:?} {FRAMES}", tile_in_focus(made)));
+    let build = key(format!("{build:?}"));
     let caches = std::env::var_os("XDG_CACHE_HOME")
         .map(PathBuf::from)
         .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cache")))
@@ -59,7 +74,7 @@ fn cache_folder() -> Option<PathBuf> {
         caches
             .join("flankscope")
             .join("demo-cores")
-            .join(&key[..16]),
+            .join(build + &head),
     )
 }
 
@@ -72,9 +87,16 @@ fn cached(folder: &Path) -> Option<(String, CoreMapFile)> {
 
 fn keep(folder: &Path, csv: &str, reference: &CoreMapFile) -> anyhow::Result<()> {
     // Maps of earlier builds serve nobody.
+    let build = |folder: &Path| {
+        let name = folder.file_name().and_then(|name| name.to_str());
+        name.and_then(|name| name.get(..BUILD_KEY))
+            .map(str::to_owned)
+    };
     if let Some(siblings) = folder.parent().and_then(|parent| parent.read_dir().ok()) {
-        for old in siblings.flatten().filter(|old| old.path() != folder) {
-            let _ = std::fs::remove_dir_all(old.path());
+        for old in siblings.flatten().map(|old| old.path()) {
+            if build(&old) != build(folder) {
+                let _ = std::fs::remove_dir_all(old);
+            }
         }
     }
     std::fs::create_dir_all(folder)?;
@@ -86,18 +108,19 @@ fn keep(folder: &Path, csv: &str, reference: &CoreMapFile) -> anyhow::Result<()>
     Ok(())
 }
 
-fn tile_in_focus() -> WorldConfig {
-    WorldConfig::new(tile(FOCUS_RADIUS_MM, [0.0; 2]), gear())
+fn tile_in_focus(made: &OpticsFile) -> WorldConfig {
+    let mut config = WorldConfig::new(tile(made.focus_radius_mm, [0.0; 2]), gear());
+    made.impose(&mut config);
+    config
 }
 
 /// Photographs whatever lies before the head of `world`, evenly lit.
 ///
 /// # Errors
-/// The head has no sensor, or the bench refuses the capture.
-pub fn flat_field(world: &World, head: &HeadModel) -> anyhow::Result<FlatField> {
-    let Some(sensor) = head.sensor else {
-        anyhow::bail!("the head says nothing about its sensor: give [sensor] in head.toml")
-    };
+/// The head's file says nothing about its sensor, or the bench refuses the capture.
+pub fn flat_field(world: &World, made: &OpticsFile) -> anyhow::Result<FlatField> {
+    let exposure_us = (WHITE_SHARE * f64::from(made.white_exposure_us)).round() as u32;
+    let sensor = head_of(made).sensor.context("a sensor")?;
     let lit = PatternSpec {
         periods: 0.0,
         step: 0,
@@ -113,7 +136,7 @@ pub fn flat_field(world: &World, head: &HeadModel) -> anyhow::Result<FlatField> 
     );
     let mut pixels = vec![0; width * height];
     for frame in 0..FRAMES {
-        world.render(&view, 1, EXPOSURE_US, true, frame, &mut pixels)?;
+        world.render(&view, 1, exposure_us, true, frame, &mut pixels)?;
         flat.add(FrameView::packed(&pixels, width, height))?;
     }
     Ok(flat)

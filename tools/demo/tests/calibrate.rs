@@ -47,7 +47,7 @@ fn capture(seed: u64, lens_error_um: f64) -> Captures {
         config.optics.make_uneven(lens_error_um, config.head_seed);
     }
     let world = World::new(&config).expect("a world");
-    let map = demo::core_map(&demo::head()).expect("cores");
+    let map = demo::core_map().expect("cores");
     let mut start = demo::drawn_head();
     start.core_map = Some(Arc::new(map));
     let patterns = PatternSet::named("insitu12").expect("built in");
@@ -412,7 +412,7 @@ fn captures_in_a_folder_give_the_same_head() {
     let target = demo::target();
     let config = demo::target_world(&target, SEED);
     // One view of each plate, for what a test may cost.
-    let mut views = demo::target_views(&target, SEED, &demo::AROUND[..1]);
+    let mut views = demo::target_views(&target, SEED, &target.beside[..1]);
     views.retain(|view| view.folder.as_path() != Path::new("sphere"));
     let folder = tempfile::tempdir().expect("a folder");
     demo::write_captures(folder.path(), &config, &views).expect("captures");
@@ -533,7 +533,7 @@ fn ripple_comes_again_and_goes_with_the_cells() {
     let target = demo::target();
     let world = World::new(&demo::target_world(&target, 3)).expect("a world");
     let mut head = demo::head();
-    head.core_map = Some(Arc::new(demo::core_map(&head).expect("cores")));
+    head.core_map = Some(Arc::new(demo::core_map().expect("cores")));
     let patterns = PatternSet::named("insitu12").expect("built in");
     let exposures = [target.exposure_us];
     let options = DecodeOptions::for_head(&head);

@@ -13,7 +13,7 @@ use flankscope_profilometry::{
 const EXPOSURES_US: [u32; 2] = [10_000, 20_000];
 
 fn head() -> HeadModel {
-    let map = demo::core_map(&demo::head()).expect("cores");
+    let map = demo::core_map().expect("cores");
     HeadModel {
         core_map: Some(Arc::new(map)),
         ..demo::head()

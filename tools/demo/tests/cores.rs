@@ -13,8 +13,7 @@ use flankscope_profilometry::{
     Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
 
-static MAP: LazyLock<Arc<CoreMap>> =
-    LazyLock::new(|| Arc::new(demo::core_map(&demo::head()).expect("cores")));
+static MAP: LazyLock<Arc<CoreMap>> = LazyLock::new(|| Arc::new(demo::core_map().expect("cores")));
 
 fn head() -> HeadModel {
     HeadModel {

@@ -60,7 +60,7 @@ pub(super) struct Block<'a> {
 impl<'a> Block<'a> {
     pub fn new(setup: &'a Setup, number: u32, seed: u64) -> anyhow::Result<Self> {
         let own = (seed << 16) | u64::from(number);
-        let Calibrated { rig, head, refused } = Calibrated::first_of(own)?;
+        let Calibrated { rig, head, refused } = Calibrated::first_of(&setup.made, own)?;
         Ok(Self {
             setup,
             seed: own,

@@ -12,6 +12,7 @@ use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
 
+use flankscope_bench::files::OpticsFile;
 use flankscope_bench::world::{HeadOptics, PatternSpec, World};
 use flankscope_demo::{self as demo, TargetView};
 
@@ -22,7 +23,8 @@ const STAGE_SIGMA: [f64; 2] = [
     15e-3 * std::f64::consts::PI / 180.0 / 1.732_050_807_568_877_2,
     5e-3 / 1.732_050_807_568_877_2,
 ];
-/// The pattern set of target and die.
+/// The pattern set of the target before the demo head; before any other its own, for a volume need not be as shallow as this set
+/// demands.
 const PATTERNS: &str = "insitu12";
 
 /// Heads that are tried in place of one whose calibration is refused.
@@ -38,11 +40,11 @@ pub(super) struct Calibrated {
 impl Calibrated {
     /// The first head of those that `seed` draws whose calibration goes through: the code refuses what it does not trust, and
     /// somebody else's head is then used.
-    pub fn first_of(seed: u64) -> anyhow::Result<Self> {
+    pub fn first_of(made: &OpticsFile, seed: u64) -> anyhow::Result<Self> {
         let mut refused = Vec::new();
         for attempt in 0..ATTEMPTS {
             let own = seed | (attempt << 40);
-            let rig = Rig::new(own);
+            let rig = Rig::new(made, own);
             match rig.calibrated(own) {
                 Ok(head) => return Ok(Self { rig, head, refused }),
                 Err(error) => refused.push(error.to_string()),
@@ -54,38 +56,50 @@ impl Calibrated {
 
 /// What a calibration is made of.
 pub(super) struct Rig {
-    /// The head as it is.
+    /// The head as it was made.
+    made: OpticsFile,
+    /// Its lenses as they are.
     pub optics: HeadOptics,
     /// Draws its cores, gains and lenses.
     pub head_seed: u64,
 }
 
 impl Rig {
-    /// The demo head with the individual traits of `head_seed`.
-    fn new(head_seed: u64) -> Self {
-        let mut optics = HeadOptics::prism_20mm();
+    /// A head with the individual traits of `head_seed`.
+    fn new(made: &OpticsFile, head_seed: u64) -> Self {
+        let mut optics = made.optics();
         optics.make_uneven(LENS_ERROR_UM, head_seed);
-        Self { optics, head_seed }
+        Self {
+            made: made.clone(),
+            optics,
+            head_seed,
+        }
     }
 
     /// The head as a calibration finds it: `seed` draws how the target's plates lie, the stages' errors and the noise. Beside
     /// it stands what the calibration says of itself.
     fn calibrated(&self, seed: u64) -> anyhow::Result<HeadModel> {
-        let target = demo::target();
+        let target = demo::target_of(&self.made);
         let mut config = demo::target_world(&target, seed);
+        self.made.impose(&mut config);
         config.optics = self.optics.clone();
         config.head_seed = self.head_seed;
         config.run_seed = seed;
         let world = World::new(&config)?;
-        let views = demo::target_views(&target, seed, &demo::AROUND[..2]);
-        let patterns = PatternSet::named(PATTERNS)?;
+        let views = demo::target_views(&target, seed, &target.beside[..2]);
+        let name = match self.made == OpticsFile::demo() {
+            true => PATTERNS,
+            false => &self.made.pattern_set,
+        };
+        let patterns = PatternSet::named(name)?;
+        let shown = PatternSpec::named(name).context("patterns of the bench")?;
         let exposures_us = [target.exposure_us];
         let decoder = |head: &HeadModel, options| {
             Decoder::new(head, &patterns, &exposures_us, options).context("the target's patterns")
         };
         let sums = |decoder: &Decoder, view: &TargetView| -> anyhow::Result<Accumulator> {
             let [rotation, vertical] = view.true_pose;
-            let state = world.prepare(rotation, vertical, &PatternSpec::insitu12())?;
+            let state = world.prepare(rotation, vertical, &shown)?;
             let [width, height] = world.size_px();
             let mut pixels = vec![0; width * height];
             let mut sums = decoder.begin();
@@ -106,7 +120,7 @@ impl Rig {
 
         // The bundle's cores from the blank plate, wherever the drawing puts them.
         let blank = views.first().context("the target has no blank plate")?;
-        let mut start = demo::drawn_head();
+        let mut start = demo::drawn_head_of(&self.made);
         let without_circle = HeadModel {
             image_circle: None,
             ..start.clone()

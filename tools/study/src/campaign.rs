@@ -38,7 +38,7 @@ pub fn random_damages(
     seed: u64,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Vec<Judgement>> {
-    let setup = Setup::load()?;
+    let setup = Setup::load(None)?;
     let of_heads = on_all_cores(count.div_ceil(PER_HEAD), |number| {
         let views = PER_HEAD.min(count - PER_HEAD * number).div_ceil(2);
         let found = of_head(&setup, number, views, seed)?;
@@ -50,7 +50,7 @@ pub fn random_damages(
 
 fn of_head(setup: &Setup, number: u32, views: u32, seed: u64) -> anyhow::Result<Vec<Judgement>> {
     let own = (seed << 16) | u64::from(number);
-    let Calibrated { rig, head, .. } = Calibrated::first_of(own)?;
+    let Calibrated { rig, head, .. } = Calibrated::first_of(&setup.made, own)?;
     let place = Place::of_block(number);
     let tool = setup.tool(place, false);
     let instrument = Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?;

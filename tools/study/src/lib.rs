@@ -31,6 +31,7 @@ pub use block::BlockReport;
 pub use campaign::{Judgement, random_damages};
 pub use cases::{Case, Damaged, Group, Right, cases};
 use flankscope_bench::config::SurfaceKind;
+use flankscope_bench::files::MadeHead;
 use flankscope_gear_cad::Flank;
 use setup::{Setup, on_all_cores};
 pub use tally::{Cell, Figure, Sample};
@@ -50,10 +51,13 @@ pub struct Args {
     /// Seed of all that is drawn: heads, targets, dies, damage, stages, noise.
     #[arg(long, default_value_t = 2)]
     pub seed: u64,
+    /// Head before them: 10mm, 20mm, or an optics.toml [default: 20mm]
+    #[arg(long, value_name = "NAME|FILE")]
+    pub head: Option<MadeHead>,
     /// Surface of the dies.
     #[arg(long, value_enum, default_value_t)]
     pub surface: SurfaceKind,
-    /// Pattern set that is thrown on them [default: insitu12 on sprayed dies, else high12]
+    /// Pattern set that is thrown on them [default: that of --head; without it insitu12 on sprayed dies, else high12]
     #[arg(long)]
     pub patterns: Option<String>,
     /// Only rows whose name contains this.
@@ -77,7 +81,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     };
     let cases: Vec<Case> = cases().into_iter().filter(wanted).collect();
     anyhow::ensure!(!cases.is_empty(), "no row of the study has such a name");
-    let setup = Setup::load()?.with_surface(args.surface, args.patterns());
+    let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
     let outcome = measure_with(
         &setup,
         &cases,
@@ -87,7 +91,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             eprintln!("{line}");
         },
     )?;
-    let staircase = staircase::profiles(Setup::load()?.head())?;
+    let staircase = staircase::profiles(Setup::load(None)?.head())?;
     page::write(&args.out, &outcome, &staircase, args)
 }
 
@@ -95,7 +99,9 @@ impl Args {
     /// Name of the pattern set: on bare steel frequencies that the light between two flanks cannot carry.
     #[must_use]
     pub fn patterns(&self) -> &str {
-        self.patterns.as_deref().unwrap_or(match self.surface {
+        let of_head = || Some(self.head.as_ref()?.optics.pattern_set.as_str());
+        let given = self.patterns.as_deref().or_else(of_head);
+        given.unwrap_or(match self.surface {
             SurfaceKind::Sprayed => "insitu12",
             SurfaceKind::Ground | SurfaceKind::Polished | SurfaceKind::Oiled => "high12",
         })
@@ -105,6 +111,8 @@ impl Args {
 /// What the study found.
 #[derive(Clone, Debug)]
 pub struct Outcome {
+    /// Name of the head.
+    pub head: String,
     /// What blocks were made of.
     pub blocks: Vec<BlockReport>,
     /// One per row.
@@ -122,7 +130,7 @@ pub fn measure(
     seed: u64,
     tell: impl Fn(&str) + Sync,
 ) -> anyhow::Result<Outcome> {
-    measure_with(&Setup::load()?, cases, (blocks, captures), seed, tell)
+    measure_with(&Setup::load(None)?, cases, (blocks, captures), seed, tell)
 }
 
 fn measure_with(
@@ -175,6 +183,7 @@ fn measure_with(
         tell(&cell.line());
     }
     Ok(Outcome {
+        head: setup.made.name.clone(),
         blocks: reports,
         cells,
     })

@@ -74,8 +74,12 @@ fn command(args: &Args) -> String {
         seed,
         only,
         surface,
+        head,
         ..
     } = args;
+    let head = head
+        .as_ref()
+        .map_or(String::new(), |head| format!(" --head {}", head.given));
     let surface = match surface {
         SurfaceKind::Sprayed => String::new(),
         bare => format!(" --surface {} --patterns {}", word(*bare), args.patterns()),
@@ -84,7 +88,7 @@ fn command(args: &Args) -> String {
         .as_ref()
         .map_or(String::new(), |name| format!(" --only \"{name}\""));
     format!(
-        "cargo xtask study --blocks {blocks} --captures {captures} --seed {seed}{surface}{rows}"
+        "cargo xtask study --blocks {blocks} --captures {captures} --seed {seed}{head}{surface}{rows}"
     )
 }
 
@@ -169,7 +173,8 @@ impl Page<'_> {
         )?;
         writeln!(
             text,
-            "The dies are {}: light touches up to {} place(s) of them on its way. Patterns: `{}`.\n",
+            "The head is *{}*. The dies are {}: light touches up to {} place(s) of them on its way. Patterns: `{}`.\n",
+            self.outcome.head,
             match self.args.surface {
                 SurfaceKind::Sprayed => "sprayed",
                 SurfaceKind::Ground => "of bare ground steel (microfacets of roughness 0.3)",

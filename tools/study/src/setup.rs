@@ -8,6 +8,7 @@ use flankscope_profilometry::HeadModel;
 
 use super::calibration::Rig;
 use flankscope_bench::config::SurfaceKind;
+use flankscope_bench::files::{MadeHead, OpticsFile};
 use flankscope_bench::specimen::Specimen;
 use flankscope_bench::world::{Form, WorldConfig};
 
@@ -20,7 +21,7 @@ const PITCH_TOLERANCE_UM: f64 = 10.96;
 /// A die whose every pitch, the difference of two flanks, keeps that tolerance with three standard deviations.
 pub(super) const FLANKS_UM: f64 = PITCH_TOLERANCE_UM / (3.0 * std::f64::consts::SQRT_2);
 
-/// The demo tool, and the head as it is drawn.
+/// The demo tool, and a head as it is drawn.
 pub(super) struct Setup {
     tool: Tool,
     head: HeadModel,
@@ -28,6 +29,8 @@ pub(super) struct Setup {
     die: WorldConfig,
     /// Name of the patterns that are thrown on it.
     patterns: String,
+    /// The head as it was made; each has its own cores and lenses beside that.
+    pub made: OpticsFile,
 }
 
 /// Where a block looks.
@@ -48,9 +51,9 @@ impl Place {
 }
 
 impl Setup {
-    pub fn load() -> anyhow::Result<Self> {
+    pub fn load(made: Option<&MadeHead>) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
-        flankscope_demo::write_tool(folder.path())?;
+        flankscope_demo::write_tool(folder.path(), made)?;
         let mut tool = Tool::load(folder.path())?;
         // The bench makes the die of the very facets of its CAD: no chord is off here.
         tool.cad.chord_error_um = 0.0;
@@ -65,6 +68,7 @@ impl Setup {
             head,
             die,
             patterns,
+            made: made.map_or_else(OpticsFile::demo, |made| OpticsFile::clone(&made.optics)),
         })
     }
 
@@ -84,7 +88,7 @@ impl Setup {
         }
     }
 
-    /// The demo head with its cores.
+    /// The head with its cores.
     pub fn head(&self) -> &HeadModel {
         &self.head
     }

@@ -29,9 +29,9 @@ cargo xtask COMMAND
   light [VENV]           the bench's light beside that of another renderer (Mitsuba), which renders the die anew: 5 minutes;
                          without VENV its packages go into an environment of their own below target
   bench --checks N       N in-situ checks of one tooth: how long the press waits after the last exposure
-  study [--blocks N --captures N --seed S --only TEXT --surface KIND --patterns SET]
-                         how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel in a folder
-                         of its own there (--surface ground, polished, oiled)
+  study [--blocks N --captures N --seed S --only TEXT --head NAME --surface KIND --patterns SET]
+                         how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel and of
+                         another head in folders of their own there (--surface ground, polished, oiled; --head 10mm, or a file)
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
   campaign [--mutants N | --seconds S] [--seed S]
                          mutants of every file that the instrument reads, 100 000 unless said otherwise
@@ -205,11 +205,13 @@ fn deny() -> Result<(), String> {
 }
 
 fn study(rest: &[&str]) -> Result<(), String> {
-    let surface = rest.iter().skip_while(|word| **word != "--surface").nth(1);
-    let out = match surface {
-        Some(surface) if *surface != "sprayed" => format!("docs/study/{surface}"),
-        _ => "docs/study".to_owned(),
-    };
+    let given = |option| rest.iter().skip_while(|word| **word != option).nth(1);
+    let mut out = "docs/study".to_owned();
+    let surface = given("--surface").filter(|word| **word != "sprayed");
+    for other in given("--head").into_iter().chain(surface) {
+        let name = Path::new(other).file_stem().unwrap_or_default();
+        out = format!("{out}/{}", name.to_string_lossy());
+    }
     let study = [
         "run",
         "--release",

@@ -33,6 +33,29 @@ pub struct Target {
     /// What the self-test allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limits: Option<Limits>,
+    /// Where the stages stand beside facing a printed plate, a view each; the last one is kept aside.
+    #[serde(default = "beside_of_10_mm")]
+    pub beside: Vec<Beside>,
+}
+
+/// Where the stages stand beside facing a plate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Beside {
+    /// Rotary stage.
+    pub turned_rad: f64,
+    /// Vertical stage.
+    pub raised_mm: f64,
+}
+
+/// For a field of 10 mm, 41.5 mm from the axis.
+fn beside_of_10_mm() -> Vec<Beside> {
+    [(0.05, 0.8), (-0.05, -0.8), (0.02, -0.4)]
+        .map(|(turned_rad, raised_mm)| Beside {
+            turned_rad,
+            raised_mm,
+        })
+        .to_vec()
 }
 
 /// A square grid of dark dots, centred on the plate; three of them are larger and mark the middle: those at column and row
@@ -50,6 +73,9 @@ pub struct Dots {
 
 /// Places of the three larger dots, in pitches.
 pub const KEYS: [[i32; 2]; 3] = [[0, 0], [2, 0], [0, 1]];
+
+/// How many views a plate may have: one at least for the adjustment, one kept aside.
+const BESIDE: std::ops::RangeInclusive<usize> = 2..=16;
 
 impl Dots {
     /// Radius of the dot at a column and row.
@@ -178,6 +204,19 @@ impl Target {
                     "must be finite millimetres",
                 ));
             }
+        }
+        if !BESIDE.contains(&self.beside.len()) {
+            return Err(BadValue::new(
+                "beside",
+                self.beside.len(),
+                "must be 2 to 16 places, the last for the view that is kept aside",
+            ));
+        }
+        for (index, at) in self.beside.iter().enumerate() {
+            let key = |of: &str| format!("beside[{index}].{of}");
+            let (turned, raised) = (at.turned_rad, at.raised_mm);
+            within(&key("turned_rad"), turned, -1.0, 1.0, "must be -1 to 1 rad")?;
+            within(&key("raised_mm"), raised, -1e3, 1e3, "must be millimetres")?;
         }
         self.limits.as_ref().map_or(Ok(()), Limits::check)
     }

@@ -2,11 +2,6 @@
 
 use flankscope_profilometry::calibrate::{Plate, StagePose, Target};
 
-/// Beyond facing each plate: turned (rad) and raised (mm), for the adjustment.
-const ASKEW: [[f64; 2]; 2] = [[0.05, 0.8], [-0.05, -0.8]];
-/// The same for the view that is kept aside.
-const ASIDE: [f64; 2] = [0.02, -0.4];
-
 /// A view of a printed plate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PlateView {
@@ -29,7 +24,7 @@ pub(super) fn before([x, y, z]: [f64; 3]) -> StagePose {
     }
 }
 
-/// Every plate three times, in the order in which the target turns by.
+/// Every plate from each place beside it, in the order in which the target turns by.
 pub(super) fn of_target(target: &Target) -> Vec<PlateView> {
     let mut views: Vec<PlateView> = target
         .plate
@@ -37,17 +32,15 @@ pub(super) fn of_target(target: &Target) -> Vec<PlateView> {
         .enumerate()
         .flat_map(|(plate, place)| {
             let from = facing(place);
-            let askew = ASKEW.map(|offset| (offset, false));
-            askew.into_iter().chain([(ASIDE, true)]).map(
-                move |([turned_rad, raised_mm], kept_aside)| PlateView {
-                    plate,
-                    at: StagePose {
-                        rotation_rad: from.rotation_rad + turned_rad,
-                        vertical_mm: from.vertical_mm + raised_mm,
-                    },
-                    kept_aside,
+            let beside = target.beside.iter().enumerate();
+            beside.map(move |(number, beside)| PlateView {
+                plate,
+                at: StagePose {
+                    rotation_rad: from.rotation_rad + beside.turned_rad,
+                    vertical_mm: from.vertical_mm + beside.raised_mm,
                 },
-            )
+                kept_aside: number + 1 == target.beside.len(),
+            })
         })
         .collect();
     views.sort_by(|a, b| a.at.rotation_rad.total_cmp(&b.at.rotation_rad));

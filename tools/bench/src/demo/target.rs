@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vecto
 use rand_pcg::Pcg64;
 
 use super::{HEIGHT_MM, gear};
-use crate::files::{KEYS, Plate, TargetFile};
+use crate::files::{KEYS, OpticsFile, Plate, TargetFile};
 use crate::world::random::{Normals, Purpose, stream};
 use crate::world::{Print, Surface, WorldConfig};
 
@@ -14,22 +14,22 @@ use crate::world::{Print, Surface, WorldConfig};
 const HALF_MM: f64 = 7.0;
 /// Angle from station to station of the carrier.
 const STATION_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// Printed plates: tilt about their x (along the die axis) and y (along the circumference) in rad, distance from the axis in mm.
+/// Printed plates: tilt about their x (along the die axis) and y (along the circumference) in rad, distance beyond best focus in
+/// hundredths of the field.
 const PRINTED: [([f64; 2], f64); 6] = [
-    ([0.0, 0.22], 41.5),
-    ([0.0, -0.22], 41.5),
-    ([0.20, 0.0], 41.5),
-    ([-0.20, 0.0], 41.5),
-    ([0.14, 0.14], 41.0),
-    ([-0.14, -0.14], 42.0),
+    ([0.0, 0.22], 0.0),
+    ([0.0, -0.22], 0.0),
+    ([0.20, 0.0], 0.0),
+    ([-0.20, 0.0], 0.0),
+    ([0.14, 0.14], -5.0),
+    ([-0.14, -0.14], 5.0),
 ];
-/// The blank plate stands in best focus.
-const BLANK_RADIUS_MM: f64 = 41.5;
-/// The sphere: its front stands half a millimetre before best focus.
-const SPHERE_CENTRE_RADIUS_MM: f64 = 42.5;
+/// The sphere, in hundredths of the field: its front stands a little before best focus.
+const SPHERE_DIAMETER: f64 = 30.0;
+const SPHERE_CENTRE: f64 = 10.0;
 const SPHERE_STATION: usize = PRINTED.len() + 1;
-/// It is sunk into a matt ground, which keeps the picture lit.
-const SPHERE_GROUND_RADIUS_MM: f64 = 43.0;
+/// It is sunk into a matt ground, which keeps the picture lit: by this share of its diameter beyond its centre.
+const GROUND_BEYOND_CENTRE: f64 = 1.0 / 6.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
@@ -53,23 +53,25 @@ pub struct Carrier {
     pub blank: Isometry3<f64>,
     /// The sphere's centre, mm.
     pub sphere_centre_mm: [f64; 3],
+    /// Its diameter, mm.
+    pub sphere_diameter_mm: f64,
 }
 
-/// The demo's carrier.
+/// The demo's carrier, made for a head; the blank plate stands in best focus.
 #[must_use]
-pub fn carrier() -> Carrier {
+pub fn carrier(head: &OpticsFile) -> Carrier {
+    let of_field = |hundredths: f64| head.field_mm * hundredths / 100.0;
+    let beyond_focus_mm = |hundredths: f64| head.focus_radius_mm + of_field(hundredths);
     let (sin, cos) = (STATION_RAD * SPHERE_STATION as f64).sin_cos();
+    let sphere_mm = beyond_focus_mm(SPHERE_CENTRE);
     let printed = PRINTED.iter().enumerate();
     Carrier {
         printed: printed
-            .map(|(station, &(tilt, radius_mm))| plate(station, tilt, radius_mm))
+            .map(|(station, &(tilt, beyond))| plate(station, tilt, beyond_focus_mm(beyond)))
             .collect(),
-        blank: plate(PRINTED.len(), [0.0; 2], BLANK_RADIUS_MM),
-        sphere_centre_mm: [
-            SPHERE_CENTRE_RADIUS_MM * cos,
-            SPHERE_CENTRE_RADIUS_MM * sin,
-            HEIGHT_MM,
-        ],
+        blank: plate(PRINTED.len(), [0.0; 2], beyond_focus_mm(0.0)),
+        sphere_centre_mm: [sphere_mm * cos, sphere_mm * sin, HEIGHT_MM],
+        sphere_diameter_mm: of_field(SPHERE_DIAMETER),
     }
 }
 
@@ -115,8 +117,12 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         vertices: Vec::new(),
         triangles: Vec::new(),
     };
-    let ground = plate(SPHERE_STATION, [0.0; 2], SPHERE_GROUND_RADIUS_MM);
-    for pose in printed.iter().chain([&blank, &ground]) {
+    let ground = target.sphere.map(|sphere| {
+        let [x, y, _] = sphere.centre_mm;
+        let radius_mm = x.hypot(y) + GROUND_BEYOND_CENTRE * sphere.diameter_mm;
+        plate(SPHERE_STATION, [0.0; 2], radius_mm)
+    });
+    for pose in printed.iter().chain([&blank]).chain(&ground) {
         let first = mesh.vertices.len() as u32;
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         for [x, y] in corners {

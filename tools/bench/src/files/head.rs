@@ -5,16 +5,13 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use serde::Deserialize;
 
-use super::{FileError, Placement, read};
+use super::{FileError, OpticsFile, Placement, read};
 use crate::world::{HeadOptics, Pinhole, Remainder, Unevenness};
-
-/// Pattern set of the demo head.
-pub const DEMO_PATTERNS: &str = "high12";
 
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
 pub struct HeadFile {
-    /// Name of the pattern set; without it that of the demo head.
+    /// Name of the pattern set; without it that of the head as it was made.
     pub pattern_set: Option<String>,
     /// Objective and sensor.
     pub camera: Lens,
@@ -22,7 +19,7 @@ pub struct HeadFile {
     pub projector: Lens,
     /// Projector against camera.
     pub projector_from_camera: Placement,
-    /// Camera on the stages; without it, where the demo head has it.
+    /// Camera on the stages; without it, where the head as it was made has it.
     pub stage_from_camera: Option<Placement>,
 }
 
@@ -49,10 +46,10 @@ impl HeadFile {
         read(path)
     }
 
-    /// The demo head as a file would state it.
+    /// A head as a file would state it.
     #[must_use]
-    pub fn demo() -> Self {
-        let optics = HeadOptics::prism_20mm();
+    pub fn of(made: &OpticsFile) -> Self {
+        let optics = made.optics();
         let lens = |of: &Pinhole| Lens {
             focal_px: of.focal_px,
             principal_px: of.centre_px,
@@ -60,7 +57,7 @@ impl HeadFile {
             residual: None,
         };
         Self {
-            pattern_set: Some(DEMO_PATTERNS.into()),
+            pattern_set: Some(made.pattern_set.clone()),
             camera: lens(&optics.camera),
             projector: lens(&optics.projector),
             projector_from_camera: (&optics.projector_from_camera).into(),

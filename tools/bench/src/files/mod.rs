@@ -4,6 +4,7 @@
 
 mod head;
 pub mod mesh;
+mod optics;
 pub mod pictures;
 mod target;
 mod tool;
@@ -14,7 +15,8 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-pub use head::{DEMO_PATTERNS, HeadFile, Lens};
+pub use head::{HeadFile, Lens};
+pub use optics::{FILE as OPTICS_FILE, MadeHead, OpticsFile};
 pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 
@@ -38,14 +40,33 @@ pub enum FileError {
         /// Cause, with its place.
         cause: Box<toml::de::Error>,
     },
+    /// A number that nothing can have.
+    #[error("{}: {key} = {got}; must be {expected}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: &'static str,
+        /// Its value.
+        got: f64,
+        /// What would be right.
+        expected: &'static str,
+    },
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T, FileError> {
-    let text = std::fs::read_to_string(path).map_err(|cause| FileError::Read {
+    parse(path, &text(path)?)
+}
+
+fn text(path: &Path) -> Result<String, FileError> {
+    std::fs::read_to_string(path).map_err(|cause| FileError::Read {
         path: path.to_path_buf(),
         cause,
-    })?;
-    toml::from_str(&text).map_err(|cause| FileError::Toml {
+    })
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, FileError> {
+    toml::from_str(text).map_err(|cause| FileError::Toml {
         path: path.to_path_buf(),
         cause: Box::new(cause),
     })

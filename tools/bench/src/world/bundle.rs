@@ -27,20 +27,6 @@ pub struct BundleSpec {
 }
 
 impl BundleSpec {
-    /// 100 000 cores as drawn by a maker of irregular bundles: 5 % jitter, 10 % gain spread, 0.1 % dead, 3 % cross-talk.
-    pub fn imaged(diameter_px: f64, centre_px: [f64; 2], rotation_rad: f64) -> Self {
-        Self {
-            cores: 100_000,
-            diameter_px,
-            centre_px,
-            rotation_rad,
-            jitter_ratio: 0.05,
-            gain_spread_ratio: 0.10,
-            dead_ratio: 0.001,
-            crosstalk_ratio: 0.03,
-        }
-    }
-
     /// Distance between neighbouring cores: a hexagonal cell has the area `√3/2 pitch²`, px.
     pub fn pitch_px(&self) -> f64 {
         self.diameter_px * (PI / (2.0 * 3f64.sqrt() * self.cores as f64)).sqrt()

@@ -56,6 +56,7 @@ pub use wear::{
     FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
 };
 
+use crate::files::OpticsFile;
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use nalgebra::{Point3, Vector3};
 use random::{Normals, Purpose, stream};
@@ -112,12 +113,9 @@ pub struct WorldConfig {
 }
 
 impl WorldConfig {
-    /// The 20 mm head before a sprayed die.
+    /// The demo's head before a sprayed die.
     pub fn new(cad: Mesh, gear: GearSpec) -> Self {
-        let optics = HeadOptics::prism_20mm();
-        // The two bundles lie differently in their ferrules: hence the moiré.
-        let camera_bundle = BundleSpec::imaged(1150.0, optics.camera.centre_px, 0.21);
-        let projector_bundle = BundleSpec::imaged(1024.0, optics.projector.centre_px, 0.13);
+        let head = OpticsFile::demo();
         Self {
             cad,
             gear,
@@ -132,11 +130,11 @@ impl WorldConfig {
             spray_edge: None,
             bounces: 1,
             print: None,
-            optics,
-            camera_bundle,
-            projector_bundle,
+            optics: head.optics(),
+            camera_bundle: head.bundle(&head.camera),
+            projector_bundle: head.bundle(&head.projector),
             passes: Vec::new(),
-            sensor: SensorSpec::imx174(),
+            sensor: head.sensor,
             head_seed: 1,
             run_seed: 1,
         }

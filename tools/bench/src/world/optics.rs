@@ -2,9 +2,7 @@
 
 use super::WorldError;
 use super::unevenness::Unevenness;
-use nalgebra::{
-    Isometry3, Matrix2, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
-};
+use nalgebra::{Isometry3, Matrix2, Point3, Translation3, UnitQuaternion, Vector2, Vector3};
 
 /// A pinhole with Brown's distortion (radial k1, k2, k3 and tangential p1, p2).
 ///
@@ -143,70 +141,6 @@ pub struct HeadOptics {
 }
 
 impl HeadOptics {
-    /// The prism head for 20 mm: 10 mm field, 30° between camera and projector, looking outwards from inside the bore.
-    ///
-    /// The camera pinhole lies 22 mm before the focus point at radius 41.5 mm, its columns along the die axis; the projector
-    /// is turned about the camera's y axis through the focus point.
-    pub fn prism_20mm() -> Self {
-        const STAND_OFF_MM: f64 = 22.0;
-        const FOCUS_RADIUS_MM: f64 = 41.5;
-        const FIELD_MM: f64 = 10.0;
-        const CAMERA_CIRCLE_PX: f64 = 1150.0;
-        const DMD_COLUMNS_PX: f64 = 1024.0;
-        let camera_focal_px = CAMERA_CIRCLE_PX * STAND_OFF_MM / FIELD_MM;
-        let projector_focal_px = DMD_COLUMNS_PX * STAND_OFF_MM / FIELD_MM;
-
-        // Columns along +z of the stage, rows along -y, view along +x.
-        let axes = Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
-        let stage_from_camera = Isometry3::from_parts(
-            Translation3::new(FOCUS_RADIUS_MM - STAND_OFF_MM, 0.0, 0.0),
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)),
-        );
-        let focus = Vector3::new(0.0, 0.0, STAND_OFF_MM);
-        // A positive turn about y moves the view towards +x, so the projector itself sits at negative x.
-        let camera_from_projector =
-            Rotation3::from_axis_angle(&Vector3::y_axis(), 30f64.to_radians());
-        let rotation = camera_from_projector.inverse();
-        let projector_from_camera = Isometry3::from_parts(
-            Translation3::from(focus - rotation * focus),
-            UnitQuaternion::from(rotation),
-        );
-
-        // Together the blurs of projector and camera are 0.36 core pitches in focus, at the sharp end of 0.3 to 0.7: the
-        // two lattices still beat (moiré of about 10 %), and defocus smooths them out towards tips and roots.
-        let objective = |focus_sigma_pitch, edge_loss_ratio| Objective {
-            focus_mm: STAND_OFF_MM,
-            field_curvature_per_mm: 0.03,
-            field_radius_mm: 0.5 * FIELD_MM,
-            focus_sigma_pitch,
-            defocus_sigma_pitch_per_mm: 0.12,
-            edge_loss_ratio,
-        };
-        Self {
-            camera: Pinhole {
-                focal_px: [camera_focal_px, camera_focal_px],
-                centre_px: [959.5, 599.5],
-                distortion: [-0.08, 0.05, 4e-4, -3e-4, 0.0],
-                uneven: None,
-            },
-            camera_size_px: [1920, 1200],
-            camera_objective: objective(0.22, 0.45),
-            projector: Pinhole {
-                focal_px: [projector_focal_px, projector_focal_px],
-                centre_px: [511.5, 383.5],
-                distortion: [0.06, -0.04, -3e-4, 4e-4, 0.0],
-                uneven: None,
-            },
-            projector_size_px: [1024, 768],
-            projector_objective: objective(0.28, 0.30),
-            projector_from_camera,
-            stage_from_camera,
-            contrast_centre: 0.62,
-            contrast_edge: 0.30,
-            dmd_leak_ratio: 0.001,
-        }
-    }
-
     /// Makes both lenses uneven by `rms_um` along each axis in best focus, whatever they were; one seed is one head.
     pub fn make_uneven(&mut self, rms_um: f64, seed: u64) {
         let lenses = [

@@ -5,10 +5,12 @@ use super::bundle::Bundle;
 use super::random::{Normals, Purpose, stream};
 use rand::RngExt;
 use rayon::prelude::*;
+use serde::Deserialize;
 use std::ops::Range;
 
 /// The camera behind the bundle (an IMX174-class sensor).
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorSpec {
     /// Charge at which a pixel is full, e⁻.
     pub full_well_e: f64,
@@ -32,21 +34,6 @@ pub struct SensorSpec {
 }
 
 impl SensorSpec {
-    /// 12 bit, 32 400 e⁻ full well, 7 e⁻ read noise; 5.8 mW of green light through the 20 mm head.
-    pub fn imx174() -> Self {
-        Self {
-            full_well_e: 32_400.0,
-            read_noise_e: 7.0,
-            offset_dn: 100.0,
-            bits: 12,
-            prnu_ratio: 0.01,
-            lamp_noise_ratio: 0.001,
-            core_sigma_px: 1.0,
-            rate_e_per_ms: 406.0,
-            core_exponent_spread: 0.02,
-        }
-    }
-
     /// Electrons per count: the full well over the number of codes.
     pub fn gain_e_per_dn(&self) -> f64 {
         self.full_well_e / f64::from(1u32 << self.bits)
