@@ -6,8 +6,8 @@ use anyhow::Context;
 use flankscope_gear_cad::{Flank, GearKind, GearSpec, Mesh};
 
 use crate::demo;
-use crate::files::{Gear, HeadFile, Kind, OpticsFile, TargetFile, ToolFile, mesh};
-use crate::world::{FlankId, PatternSpec, WorldConfig};
+use crate::files::{Gear, HeadFile, Kind, TargetFile, ToolFile, made_head_beside, mesh};
+use crate::world::{FlankId, HeadDesign, PatternSpec, WorldConfig};
 use crate::zones::Judged;
 
 /// What stands before which head.
@@ -32,7 +32,7 @@ impl Specimen {
     /// A file cannot be read, or names patterns that the bench has not.
     pub fn target(folder: &Path, seed: u64) -> anyhow::Result<Self> {
         let target = folder.join("target.toml");
-        let made = OpticsFile::beside(&target)?;
+        let made = made_head_beside(&target)?;
         let target = TargetFile::load(&target)?;
         let head = folder.join("head.toml");
         let head = match head.exists() {
@@ -59,7 +59,7 @@ impl Specimen {
     pub fn tool(path: &Path, teeth: Option<&[u32]>) -> anyhow::Result<Self> {
         let (tool, path) = ToolFile::load(path)?;
         let beside = path.with_file_name("head.toml");
-        let made = OpticsFile::beside(&path)?;
+        let made = made_head_beside(&path)?;
         let head = if beside.exists() {
             HeadFile::load(&beside)?
         } else {
@@ -100,7 +100,7 @@ fn top_of(cad: &Mesh) -> f64 {
 }
 
 /// What the DMD of a head shows.
-fn shown(head: &HeadFile, made: &OpticsFile) -> anyhow::Result<Vec<PatternSpec>> {
+fn shown(head: &HeadFile, made: &HeadDesign) -> anyhow::Result<Vec<PatternSpec>> {
     let name = head.pattern_set.as_ref().unwrap_or(&made.pattern_set);
     PatternSpec::named(name).with_context(|| format!("the bench's DMD has no pattern set {name:?}"))
 }

@@ -1,10 +1,9 @@
 //! The worn die against closed forms, brute force, and a mesh from another CAD kernel.
 
 use flankscope_bench::demo;
-use flankscope_bench::files::OpticsFile;
 use flankscope_bench::world::{
-    Bundle, Die, FlankId, Form, PatternSpec, Wear, WearError, WearField, World, WorldConfig,
-    WorldError,
+    Bundle, Die, FlankId, Form, HeadDesign, PatternSpec, Wear, WearError, WearField, World,
+    WorldConfig, WorldError,
 };
 use flankscope_gear_cad::{Flank, GearSpec, Mesh, Meshing};
 use flankscope_test_requisites::shared;
@@ -302,7 +301,7 @@ fn crossing(origin: [f64; 3], along: [f64; 3], [a, b, c]: [[f64; 3]; 3]) -> Opti
 
 #[test]
 fn bundles_have_the_statistics_they_are_drawn_from() {
-    let made = OpticsFile::demo();
+    let made = HeadDesign::demo();
     let spec = made.bundle(&made.camera);
     let bundle = Bundle::camera(&spec, 7).expect("a bundle");
     assert_eq!(bundle.positions_px().len(), 100_000);

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
-use flankscope_bench::files::{MadeHead, OPTICS_FILE, OpticsFile};
-use flankscope_bench::world::Pinhole;
+use flankscope_bench::files::{MadeHead, OPTICS_FILE};
+use flankscope_bench::world::{HeadDesign, Pinhole};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
@@ -49,12 +49,12 @@ pub fn write_tool(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<()> 
 }
 
 /// Writes how a head was made beside what stands before it, unless it is the demo's.
-pub(crate) fn write_optics(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<OpticsFile> {
+pub(crate) fn write_optics(folder: &Path, made: Option<&MadeHead>) -> anyhow::Result<HeadDesign> {
     let Some(made) = made else {
-        return Ok(OpticsFile::demo());
+        return Ok(HeadDesign::demo());
     };
     write_whole(&folder.join(OPTICS_FILE), made.text.as_bytes())?;
-    Ok(OpticsFile::clone(&made.optics))
+    Ok(HeadDesign::clone(&made.optics))
 }
 
 fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
@@ -100,12 +100,12 @@ fn tool_toml(gear: &GearSpec) -> Result<String, std::fmt::Error> {
 /// The demo head as its calibration file describes it.
 #[must_use]
 pub fn head() -> HeadModel {
-    head_of(&OpticsFile::demo())
+    head_of(&HeadDesign::demo())
 }
 
 /// A head as its calibration file describes it.
 #[must_use]
-pub fn head_of(made: &OpticsFile) -> HeadModel {
+pub fn head_of(made: &HeadDesign) -> HeadModel {
     let optics = made.optics();
     let sensor = &made.sensor;
     let [near_mm, far_mm] = made.volume_mm;

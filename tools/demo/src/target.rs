@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use flankscope_bench::demo::carrier;
-use flankscope_bench::files::{self, MadeHead, OpticsFile, Placement, TargetFile};
-use flankscope_bench::world::WorldConfig;
+use flankscope_bench::files::{self, MadeHead, Placement, TargetFile};
+use flankscope_bench::world::{HeadDesign, WorldConfig};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Beside, Dots, Plate, Sphere, Target};
 use flankscope_profilometry::head::Limits;
@@ -22,12 +22,12 @@ const BESIDE: [[f64; 2]; 3] = [[207.5, 80.0], [-207.5, -80.0], [83.0, -40.0]];
 /// The demo's target as its certificate describes it.
 #[must_use]
 pub fn target() -> Target {
-    target_of(&OpticsFile::demo())
+    target_of(&HeadDesign::demo())
 }
 
 /// The target for a head: dots, sphere and steps of the stages are in proportion to its field.
 #[must_use]
-pub fn target_of(made: &OpticsFile) -> Target {
+pub fn target_of(made: &HeadDesign) -> Target {
     let of_field = |thousandths: f64| made.field_mm * thousandths / 1000.0;
     let file = |pose: Isometry3<f64>| Plate {
         tool_from_plate: transform_file(&pose),
@@ -97,12 +97,12 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
 /// The demo head as its drawing shows it: no distortion, lenses and poses off by what assembly leaves.
 #[must_use]
 pub fn drawn_head() -> HeadModel {
-    drawn_head_of(&OpticsFile::demo())
+    drawn_head_of(&HeadDesign::demo())
 }
 
 /// The same of any head.
 #[must_use]
-pub fn drawn_head_of(made: &OpticsFile) -> HeadModel {
+pub fn drawn_head_of(made: &HeadDesign) -> HeadModel {
     let mut head = head_of(made);
     head.name += ", drawing values";
     for (lens, stretch, shift_px) in [

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_bench::demo::{gear, tile};
-use flankscope_bench::files::OpticsFile;
-use flankscope_bench::world::{PatternSpec, World, WorldConfig};
+use flankscope_bench::world::{HeadDesign, PatternSpec, World, WorldConfig};
 use flankscope_foundation::date::Date;
 use flankscope_profilometry::FrameView;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
@@ -24,14 +23,14 @@ const FRAMES: u32 = 8;
 /// # Errors
 /// The bench refuses the tile, or no cores are found.
 pub fn core_map() -> anyhow::Result<CoreMap> {
-    core_map_of(&OpticsFile::demo())
+    core_map_of(&HeadDesign::demo())
 }
 
 /// The same of any head.
 ///
 /// # Errors
 /// As [`core_map`].
-pub fn core_map_of(made: &OpticsFile) -> anyhow::Result<CoreMap> {
+pub fn core_map_of(made: &HeadDesign) -> anyhow::Result<CoreMap> {
     let world = World::new(&tile_in_focus(made))?;
     let flat = flat_field(&world, made)?;
     Ok(cores::find(&flat)?)
@@ -42,7 +41,7 @@ pub fn core_map_of(made: &OpticsFile) -> anyhow::Result<CoreMap> {
 ///
 /// # Errors
 /// As [`core_map`]. A cache that cannot be read or written is no error: the map is then found anew.
-pub(super) fn core_map_file(made: &OpticsFile) -> anyhow::Result<(String, CoreMapFile)> {
+pub(super) fn core_map_file(made: &HeadDesign) -> anyhow::Result<(String, CoreMapFile)> {
     let cache = cache_folder(made);
     if let Some(found) = cache.as_deref().and_then(cached) {
         return Ok(found);
@@ -60,7 +59,7 @@ const REFERENCE_FILE: &str = "cores.toml";
 const BUILD_KEY: usize = 16;
 
 /// One per tile and head, its name begun by the build of this program: another finder may find otherwise.
-fn cache_folder(made: &OpticsFile) -> Option<PathBuf> {
+fn cache_folder(made: &HeadDesign) -> Option<PathBuf> {
     let program = std::fs::metadata(std::env::current_exe().ok()?).ok()?;
     let build = (program.len(), program.modified().ok()?);
     let key = |of: String| hash(of.as_bytes())[..BUILD_KEY].to_owned();
@@ -108,7 +107,7 @@ fn keep(folder: &Path, csv: &str, reference: &CoreMapFile) -> anyhow::Result<()>
     Ok(())
 }
 
-fn tile_in_focus(made: &OpticsFile) -> WorldConfig {
+fn tile_in_focus(made: &HeadDesign) -> WorldConfig {
     let mut config = WorldConfig::new(tile(made.focus_radius_mm, [0.0; 2]), gear());
     made.impose(&mut config);
     config
@@ -118,7 +117,7 @@ fn tile_in_focus(made: &OpticsFile) -> WorldConfig {
 ///
 /// # Errors
 /// The head's file says nothing about its sensor, or the bench refuses the capture.
-pub fn flat_field(world: &World, made: &OpticsFile) -> anyhow::Result<FlatField> {
+pub fn flat_field(world: &World, made: &HeadDesign) -> anyhow::Result<FlatField> {
     let exposure_us = (WHITE_SHARE * f64::from(made.white_exposure_us)).round() as u32;
     let sensor = head_of(made).sensor.context("a sensor")?;
     let lit = PatternSpec {

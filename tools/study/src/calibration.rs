@@ -12,8 +12,7 @@ use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
 
-use flankscope_bench::files::OpticsFile;
-use flankscope_bench::world::{HeadOptics, PatternSpec, World};
+use flankscope_bench::world::{HeadDesign, HeadOptics, PatternSpec, World};
 use flankscope_demo::{self as demo, TargetView};
 
 /// What lenses lead light astray by as no distortion model does: root mean square, µm.
@@ -40,7 +39,7 @@ pub(super) struct Calibrated {
 impl Calibrated {
     /// The first head of those that `seed` draws whose calibration goes through: the code refuses what it does not trust, and
     /// somebody else's head is then used.
-    pub fn first_of(made: &OpticsFile, seed: u64) -> anyhow::Result<Self> {
+    pub fn first_of(made: &HeadDesign, seed: u64) -> anyhow::Result<Self> {
         let mut refused = Vec::new();
         for attempt in 0..ATTEMPTS {
             let own = seed | (attempt << 40);
@@ -57,7 +56,7 @@ impl Calibrated {
 /// What a calibration is made of.
 pub(super) struct Rig {
     /// The head as it was made.
-    made: OpticsFile,
+    made: HeadDesign,
     /// Its lenses as they are.
     pub optics: HeadOptics,
     /// Draws its cores, gains and lenses.
@@ -66,7 +65,7 @@ pub(super) struct Rig {
 
 impl Rig {
     /// A head with the individual traits of `head_seed`.
-    fn new(made: &OpticsFile, head_seed: u64) -> Self {
+    fn new(made: &HeadDesign, head_seed: u64) -> Self {
         let mut optics = made.optics();
         optics.make_uneven(LENS_ERROR_UM, head_seed);
         Self {
@@ -87,7 +86,7 @@ impl Rig {
         config.run_seed = seed;
         let world = World::new(&config)?;
         let views = demo::target_views(&target, seed, &target.beside[..2]);
-        let name = match self.made == OpticsFile::demo() {
+        let name = match self.made == HeadDesign::demo() {
             true => PATTERNS,
             false => &self.made.pattern_set,
         };

@@ -8,9 +8,9 @@ use flankscope_profilometry::HeadModel;
 
 use super::calibration::Rig;
 use flankscope_bench::config::SurfaceKind;
-use flankscope_bench::files::{MadeHead, OpticsFile};
+use flankscope_bench::files::MadeHead;
 use flankscope_bench::specimen::Specimen;
-use flankscope_bench::world::{Form, WorldConfig};
+use flankscope_bench::world::{Form, HeadDesign, WorldConfig};
 
 /// Teeth and heights that blocks take in turn: numbers that share no divisor, so that they come together anew.
 const TEETH: [u32; 8] = [40, 12, 68, 5, 27, 55, 77, 84];
@@ -30,7 +30,7 @@ pub(super) struct Setup {
     /// Name of the patterns that are thrown on it.
     patterns: String,
     /// The head as it was made; each has its own cores and lenses beside that.
-    pub made: OpticsFile,
+    pub made: HeadDesign,
 }
 
 /// Where a block looks.
@@ -68,7 +68,7 @@ impl Setup {
             head,
             die,
             patterns,
-            made: made.map_or_else(OpticsFile::demo, |made| OpticsFile::clone(&made.optics)),
+            made: made.map_or_else(HeadDesign::demo, |made| HeadDesign::clone(&made.optics)),
         })
     }
 

@@ -6,9 +6,9 @@ use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vecto
 use rand_pcg::Pcg64;
 
 use super::{HEIGHT_MM, gear};
-use crate::files::{KEYS, OpticsFile, Plate, TargetFile};
+use crate::files::{KEYS, Plate, TargetFile};
 use crate::world::random::{Normals, Purpose, stream};
-use crate::world::{Print, Surface, WorldConfig};
+use crate::world::{HeadDesign, Print, Surface, WorldConfig};
 
 /// The plates reach this far from their middle, mm: beyond the field wherever the stages stand.
 const HALF_MM: f64 = 7.0;
@@ -59,7 +59,7 @@ pub struct Carrier {
 
 /// The demo's carrier, made for a head; the blank plate stands in best focus.
 #[must_use]
-pub fn carrier(head: &OpticsFile) -> Carrier {
+pub fn carrier(head: &HeadDesign) -> Carrier {
     let of_field = |hundredths: f64| head.field_mm * hundredths / 100.0;
     let beyond_focus_mm = |hundredths: f64| head.focus_radius_mm + of_field(hundredths);
     let (sin, cos) = (STATION_RAD * SPHERE_STATION as f64).sin_cos();

@@ -5,8 +5,8 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use serde::Deserialize;
 
-use super::{FileError, OpticsFile, Placement, read};
-use crate::world::{HeadOptics, Pinhole, Remainder, Unevenness};
+use super::{FileError, Placement, read};
+use crate::world::{HeadDesign, HeadOptics, Pinhole, Remainder, Unevenness};
 
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
@@ -48,7 +48,7 @@ impl HeadFile {
 
     /// A head as a file would state it.
     #[must_use]
-    pub fn of(made: &OpticsFile) -> Self {
+    pub fn of(made: &HeadDesign) -> Self {
         let optics = made.optics();
         let lens = |of: &Pinhole| Lens {
             focal_px: of.focal_px,

@@ -16,7 +16,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 pub use head::{HeadFile, Lens};
-pub use optics::{FILE as OPTICS_FILE, MadeHead, OpticsFile};
+pub use optics::{FILE as OPTICS_FILE, MadeHead, made_head_beside};
 pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 

@@ -14,6 +14,7 @@
 //! A view is prepared once per pose (the costly part, on all threads); its frames are then rendered in milliseconds.
 
 mod bundle;
+mod design;
 mod die;
 mod die_mesh;
 mod form;
@@ -37,6 +38,7 @@ mod unevenness;
 mod wear;
 
 pub use bundle::{Bundle, BundleSpec};
+pub use design::{AT_HAND, Fibres, HeadDesign, Side};
 pub use die::Die;
 pub(crate) use die::flank_of_facet;
 pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
@@ -56,7 +58,6 @@ pub use wear::{
     FlankId, FlankZone, MAX_DEPTH_UM, VIEW_HALF_MM, Wear, WearError, WearField, WearKind,
 };
 
-use crate::files::OpticsFile;
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use nalgebra::{Point3, Vector3};
 use random::{Normals, Purpose, stream};
@@ -115,7 +116,7 @@ pub struct WorldConfig {
 impl WorldConfig {
     /// The demo's head before a sprayed die.
     pub fn new(cad: Mesh, gear: GearSpec) -> Self {
-        let head = OpticsFile::demo();
+        let head = HeadDesign::demo();
         Self {
             cad,
             gear,

@@ -139,11 +139,11 @@ impl Mount {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::files::OpticsFile;
+    use crate::world::HeadDesign;
 
     #[test]
     fn a_perfect_mount_is_what_the_files_say() {
-        let optics = OpticsFile::demo().optics();
+        let optics = HeadDesign::demo().optics();
         let (said, is) = (
             optics.tool_from_camera(0.7, 12.0),
             Mount::perfect().tool_from_camera(&optics, 0.7, 12.0),
@@ -166,7 +166,7 @@ mod tests {
             }
         }
         assert_eq!(Saw::default().at_rad(1.3), 0.0);
-        let optics = OpticsFile::demo().optics();
+        let optics = HeadDesign::demo().optics();
         let mount = Mount {
             saw,
             ..Mount::perfect()
