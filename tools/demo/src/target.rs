@@ -1,4 +1,4 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
+//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
 //! does, and the head as its drawing shows it.
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, Placement, TargetFile};
 use flankscope_bench::world::WorldConfig;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, Plate, Sphere, Target};
+use flankscope_profilometry::calibrate::{Dots, Partner, Plate, Sphere, Target, TestPlace};
 use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -18,7 +18,9 @@ use crate::files::{head, transform_file, transform_of};
 const EXPOSURE_US: u32 = 12_000;
 /// Where the head clears the target: as far up as above the die.
 const RETRACT_MM: f64 = 86.0;
-const SPHERE_DIAMETER_MM: f64 = 3.0;
+const SPHERE_DIAMETER_MM: f64 = 2.4;
+/// In the middle, and a millimetre and a half towards corners of the field: rad, mm.
+const TEST_PLACES: [[f64; 2]; 3] = [[0.0, 0.0], [0.035, 1.5], [-0.035, -1.5]];
 
 /// The target as its certificate describes it.
 #[must_use]
@@ -27,12 +29,19 @@ pub fn target() -> Target {
         tool_from_plate: transform_file(&pose),
     };
     let carrier = carrier();
+    let [first_mm, second_mm] = carrier.sphere_centres_mm;
     Target {
-        name: "six dot plates, a blank one and a sphere".into(),
+        name: "six dot plates, a blank one and two spheres".into(),
         exposure_us: EXPOSURE_US,
         retract_mm: RETRACT_MM,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 50e-6,
+        test_place: TEST_PLACES
+            .map(|[turned_rad, raised_mm]| TestPlace {
+                turned_rad,
+                raised_mm,
+            })
+            .into(),
         dots: Dots {
             pitch_mm: 0.5,
             diameter_mm: 0.25,
@@ -41,8 +50,13 @@ pub fn target() -> Target {
         blank: file(carrier.blank),
         plate: carrier.printed.into_iter().map(file).collect(),
         sphere: Some(Sphere {
-            centre_mm: carrier.sphere_centre_mm,
+            centre_mm: first_mm,
             diameter_mm: SPHERE_DIAMETER_MM,
+            partner: Some(Partner {
+                centre_mm: second_mm,
+                diameter_mm: SPHERE_DIAMETER_MM,
+                spacing_mm: (Vector3::from(second_mm) - Vector3::from(first_mm)).norm(),
+            }),
         }),
         limits: Some(Limits {
             flatness_um: 45.0,
@@ -50,6 +64,7 @@ pub fn target() -> Target {
             probing_size_um: 8.0,
             flatness_cells_um: Some(8.0),
             probing_form_cells_um: Some(8.0),
+            sphere_spacing_um: Some(8.0),
             every_days: 7,
         }),
     }
@@ -77,6 +92,10 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         sphere: target.sphere.map(|sphere| files::Sphere {
             centre_mm: sphere.centre_mm,
             diameter_mm: sphere.diameter_mm,
+            partner: sphere.partner.map(|partner| files::Partner {
+                centre_mm: partner.centre_mm,
+                diameter_mm: partner.diameter_mm,
+            }),
         }),
     };
     flankscope_bench::demo::target_world(&file, seed)

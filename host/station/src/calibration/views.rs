@@ -18,15 +18,7 @@ pub(super) struct PlateView {
 
 /// The stages' position that puts a plate in the middle of the field.
 pub(super) fn facing(plate: &Plate) -> StagePose {
-    before(plate.tool_from_plate.translation_mm)
-}
-
-/// The stages' position that puts a place of the target in the middle of the field.
-pub(super) fn before([x, y, z]: [f64; 3]) -> StagePose {
-    StagePose {
-        rotation_rad: -y.atan2(x),
-        vertical_mm: z,
-    }
+    StagePose::before(plate.tool_from_plate.translation_mm)
 }
 
 /// Every plate three times, in the order in which the target turns by.

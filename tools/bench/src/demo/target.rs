@@ -1,4 +1,4 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
+//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
 //! does.
 
 use flankscope_gear_cad::Mesh;
@@ -25,10 +25,11 @@ const PRINTED: [([f64; 2], f64); 6] = [
 ];
 /// The blank plate stands in best focus.
 const BLANK_RADIUS_MM: f64 = 41.5;
-/// The sphere: its front stands half a millimetre before best focus.
-const SPHERE_CENTRE_RADIUS_MM: f64 = 42.5;
+/// The spheres: distance from the axis, beside and above the middle, mm. Their fronts stand 0.8 and 0.2 mm before best focus, and
+/// they are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2).
+const SPHERE_CENTRES_MM: [[f64; 3]; 2] = [[42.2, -1.2, -1.8], [42.8, 1.2, 1.8]];
 const SPHERE_STATION: usize = PRINTED.len() + 1;
-/// It is sunk into a matt ground, which keeps the picture lit.
+/// They are sunk into a matt ground, which keeps the picture lit.
 const SPHERE_GROUND_RADIUS_MM: f64 = 43.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
@@ -44,15 +45,15 @@ fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     turned * Isometry3::from_parts(place, facing)
 }
 
-/// Where plates and sphere stand on the carrier, by its drawing.
+/// Where plates and spheres stand on the carrier, by its drawing.
 #[derive(Clone, Debug)]
 pub struct Carrier {
     /// The printed plates.
     pub printed: Vec<Isometry3<f64>>,
     /// The plate without print.
     pub blank: Isometry3<f64>,
-    /// The sphere's centre, mm.
-    pub sphere_centre_mm: [f64; 3],
+    /// The centres of the two spheres, mm.
+    pub sphere_centres_mm: [[f64; 3]; 2],
 }
 
 /// The demo's carrier.
@@ -65,11 +66,13 @@ pub fn carrier() -> Carrier {
             .map(|(station, &(tilt, radius_mm))| plate(station, tilt, radius_mm))
             .collect(),
         blank: plate(PRINTED.len(), [0.0; 2], BLANK_RADIUS_MM),
-        sphere_centre_mm: [
-            SPHERE_CENTRE_RADIUS_MM * cos,
-            SPHERE_CENTRE_RADIUS_MM * sin,
-            HEIGHT_MM,
-        ],
+        sphere_centres_mm: SPHERE_CENTRES_MM.map(|[radius_mm, beside_mm, above_mm]| {
+            [
+                radius_mm * cos - beside_mm * sin,
+                radius_mm * sin + beside_mm * cos,
+                HEIGHT_MM + above_mm,
+            ]
+        }),
     }
 }
 
@@ -126,9 +129,14 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         mesh.triangles
             .extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|i| first + i)));
     }
-    if let Some(artefact) = &target.sphere {
-        let radius_mm = 0.5 * artefact.diameter_mm;
-        sphere(artefact.centre_mm.into(), radius_mm, &mut mesh);
+    let first = target
+        .sphere
+        .iter()
+        .map(|of| (of.centre_mm, of.diameter_mm));
+    let partner = target.sphere.iter().filter_map(|of| of.partner);
+    let spheres = first.chain(partner.map(|of| (of.centre_mm, of.diameter_mm)));
+    for (centre_mm, diameter_mm) in spheres {
+        sphere(centre_mm.into(), 0.5 * diameter_mm, &mut mesh);
     }
     let mut config = WorldConfig::new(mesh, gear());
     // Lithography on ceramic: matt, and even to a percent.

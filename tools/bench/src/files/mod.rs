@@ -15,7 +15,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 pub use head::{DEMO_PATTERNS, HeadFile, Lens};
-pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
+pub use target::{Dots, KEYS, Partner, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 
 /// Why a file says nothing of use to the bench.
