@@ -34,8 +34,8 @@ use crate::site::{Place, Site};
         "Calibrate the head: capture a target's plates, find cores, lenses, poses and hand-eye, write a head file.\n\n\
         The target sits where the die does: plates with printed dots, a blank one beside them. Its folder holds target.toml and \
         head.toml, the values of the drawing to start from.{} Plates that took no part in the adjustment are measured with the \
-        result; what they show is in the head file, with the day on which the calibration expires. A self-test on a plane and a \
-        sphere follows; it is due again every few days, by --check. A check with a head whose calibration expired, or whose \
+        result; what they show is in the head file, with the day on which the calibration expires. A self-test on a plane and \
+        spheres follows; it is due again every few days, by --check. A check with a head whose calibration expired, or whose \
         self-test failed or is overdue, is indeterminate.",
         help::CALIBRATE_DEFAULT
     ),
@@ -69,7 +69,7 @@ pub struct Args {
         required_unless_present = "check"
     )]
     output: Option<PathBuf>,
-    /// Only test this calibrated head on plane and sphere; the result is written beside it
+    /// Only test this calibrated head on plane and spheres; the result is written beside it
     #[arg(long, value_name = "HEAD.toml", conflicts_with = "output")]
     check: Option<PathBuf>,
     /// Days until the calibration expires
@@ -499,13 +499,21 @@ fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()>
     let limits = test.limits;
     writeln!(
         out,
-        "self-test: flatness {:.1} µm (limit {}), probing form {:.1} µm (limit {}), probing size {:+.2} µm (limit ±{}); counts until {}",
+        "self-test{}: flatness {:.1} µm (limit {}), probing form {:.1} µm (limit {}), probing size {:+.2} µm (limit ±{}){}; counts until {}",
+        test.places
+            .map_or_else(String::new, |places| format!(", worst of {places} places")),
         test.flatness_um,
         limits.flatness_um,
         test.probing_form_um,
         limits.probing_form_um,
         test.probing_size_um,
         limits.probing_size_um,
+        test.sphere_spacing_um.map_or_else(String::new, |off_um| {
+            let limit = limits
+                .sphere_spacing_um
+                .map_or_else(|| "no limit".into(), |um| format!("limit ±{um}"));
+            format!(", sphere spacing {off_um:+.2} µm ({limit})")
+        }),
         test.due
     )?;
     if let (Some(flatness_um), Some(form_um)) = (test.flatness_cells_um, test.probing_form_cells_um)

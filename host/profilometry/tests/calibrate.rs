@@ -120,6 +120,7 @@ fn target(tilts: &[[f64; 2]]) -> Target {
         }
     };
     Target {
+        test_place: Vec::new(),
         name: "plates".into(),
         exposure_us: 1,
         retract_mm: 90.0,

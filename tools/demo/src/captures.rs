@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use flankscope_profilometry::calibrate::{
-    Beside, CapturedView, Captures, Plate, StagePose, Target,
+    CapturedView, Captures, Plate, StagePose, Target, TestPlace,
 };
 use flankscope_station::files::write_whole;
 
@@ -38,19 +38,12 @@ pub struct TargetView {
     pub kept_aside: bool,
 }
 
-/// The blank plate, every printed plate from each place of `around`, and the sphere.
+/// The blank plate, every printed plate from each place of `around`, and the spheres at every place of a self-test.
 #[must_use]
-pub fn target_views(target: &Target, seed: u64, around: &[Beside]) -> Vec<TargetView> {
+pub fn target_views(target: &Target, seed: u64, around: &[TestPlace]) -> Vec<TargetView> {
     let mut errors = StageErrors::new(seed);
     let mut views = Vec::new();
-    let mut add = |name: String, plate: Option<usize>, [x, y, z]: [f64; 3], beside: usize| {
-        let (turned, raised) = plate.map_or((0.0, 0.0), |_| {
-            (around[beside].turned_rad, around[beside].raised_mm)
-        });
-        let told = StagePose {
-            rotation_rad: turned - y.atan2(x),
-            vertical_mm: z + raised,
-        };
+    let mut add = |name: String, plate: Option<usize>, told: StagePose, kept_aside: bool| {
         views.push(TargetView {
             folder: name.into(),
             plate,
@@ -60,19 +53,24 @@ pub fn target_views(target: &Target, seed: u64, around: &[Beside]) -> Vec<Target
                 told.vertical_mm + errors.draw(STAGE_ERRORS[1]),
             ],
             first_frame: 100 * views.len() as u32,
-            kept_aside: beside + 1 == target.beside.len(),
+            kept_aside,
         });
     };
-    let place = |plate: &Plate| plate.tool_from_plate.translation_mm;
-    add("blank".into(), None, place(&target.blank), 0);
+    let facing = |plate: &Plate| StagePose::before(plate.tool_from_plate.translation_mm);
+    add("blank".into(), None, facing(&target.blank), false);
     for (number, plate) in target.plate.iter().enumerate() {
-        for beside in 0..around.len() {
+        for (beside, &place) in around.iter().enumerate() {
             let name = format!("plate-{}-{}", number + 1, beside + 1);
-            add(name, Some(number), place(plate), beside);
+            let kept_aside = beside + 1 == target.beside.len();
+            add(name, Some(number), facing(plate).beside(place), kept_aside);
         }
     }
-    if let Some(sphere) = target.sphere {
-        add("sphere".into(), None, sphere.centre_mm, 0);
+    let middle = target.sphere.map(|of| StagePose::before(of.middle_mm()));
+    for (number, place) in target.test_places().into_iter().enumerate() {
+        if let Some(middle) = middle {
+            let name = format!("spheres-{}", number + 1);
+            add(name, None, middle.beside(place), false);
+        }
     }
     views
 }
@@ -113,11 +111,14 @@ pub fn write_captures(
             )?;
         }
     }
-    let named = |name: &str| views.iter().find(|view| view.folder == Path::new(name));
+    let blank = Path::new("blank");
+    let spheres = views
+        .iter()
+        .filter(|view| view.plate.is_none() && view.folder != blank);
     let captures = Captures {
         plan: "PLAN.toml".into(),
-        blank: "blank".into(),
-        sphere: named("sphere").map(|view| view.folder.clone()),
+        blank: blank.into(),
+        sphere: spheres.map(|view| view.folder.clone()).collect(),
         view: views
             .iter()
             .filter_map(|view| {

@@ -42,7 +42,7 @@ pub enum Command {
         #[arg(long, value_name = "NAME|FILE")]
         head: Option<MadeHead>,
     },
-    /// Write captures of the demo target as `calibrate --images` takes them: 20 views, 0.6 GB of images.
+    /// Write captures of the demo target as `calibrate --images` takes them: 22 views, 0.7 GB of images.
     DemoCaptures {
         /// Folder to write into.
         #[arg(long, short)]

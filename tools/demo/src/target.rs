@@ -1,4 +1,4 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
+//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
 //! does, and the head as its drawing shows it.
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, MadeHead, Placement, TargetFile};
 use flankscope_bench::world::{HeadDesign, WorldConfig};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Beside, Dots, Plate, Sphere, Target};
+use flankscope_profilometry::calibrate::{Dots, Partner, Plate, Sphere, Target, TestPlace};
 use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -18,6 +18,8 @@ use crate::files::{head_of, transform_file, transform_of, write_optics};
 const RETRACT_MM: f64 = 86.0;
 /// Where the stages stand beside facing a plate, in thousandths of the field around and up.
 const BESIDE: [[f64; 2]; 3] = [[207.5, 80.0], [-207.5, -80.0], [83.0, -40.0]];
+/// The same of the self-test: in the middle, and towards corners of the field.
+const TEST_PLACES: [[f64; 2]; 3] = [[0.0, 0.0], [145.25, 150.0], [-145.25, -150.0]];
 
 /// The demo's target as its certificate describes it.
 #[must_use]
@@ -32,13 +34,22 @@ pub fn target_of(made: &HeadDesign) -> Target {
     let file = |pose: Isometry3<f64>| Plate {
         tool_from_plate: transform_file(&pose),
     };
+    let places = |of: [[f64; 2]; 3]| {
+        let place = |[around, up]: [f64; 2]| TestPlace {
+            turned_rad: of_field(around) / made.focus_radius_mm,
+            raised_mm: of_field(up),
+        };
+        of.map(place).to_vec()
+    };
     let carrier = carrier(made);
+    let [first_mm, second_mm] = carrier.sphere_centres_mm;
     Target {
-        name: "six dot plates, a blank one and a sphere".into(),
+        name: "six dot plates, a blank one and two spheres".into(),
         exposure_us: made.white_exposure_us,
         retract_mm: RETRACT_MM,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 50e-6,
+        test_place: places(TEST_PLACES),
         dots: Dots {
             pitch_mm: of_field(50.0),
             diameter_mm: of_field(25.0),
@@ -47,21 +58,22 @@ pub fn target_of(made: &HeadDesign) -> Target {
         blank: file(carrier.blank),
         plate: carrier.printed.into_iter().map(file).collect(),
         sphere: Some(Sphere {
-            centre_mm: carrier.sphere_centre_mm,
+            centre_mm: first_mm,
             diameter_mm: carrier.sphere_diameter_mm,
+            partner: Some(Partner {
+                centre_mm: second_mm,
+                diameter_mm: carrier.sphere_diameter_mm,
+                spacing_mm: (Vector3::from(second_mm) - Vector3::from(first_mm)).norm(),
+            }),
         }),
-        beside: BESIDE
-            .map(|[around, up]| Beside {
-                turned_rad: of_field(around) / made.focus_radius_mm,
-                raised_mm: of_field(up),
-            })
-            .to_vec(),
+        beside: places(BESIDE),
         limits: Some(Limits {
             flatness_um: 45.0,
             probing_form_um: 45.0,
             probing_size_um: 8.0,
             flatness_cells_um: Some(8.0),
             probing_form_cells_um: Some(8.0),
+            sphere_spacing_um: Some(8.0),
             every_days: 7,
         }),
     }
@@ -89,6 +101,10 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         sphere: target.sphere.map(|sphere| files::Sphere {
             centre_mm: sphere.centre_mm,
             diameter_mm: sphere.diameter_mm,
+            partner: sphere.partner.map(|partner| files::Partner {
+                centre_mm: partner.centre_mm,
+                diameter_mm: partner.diameter_mm,
+            }),
         }),
     };
     flankscope_bench::demo::target_world(&file, seed)

@@ -10,7 +10,9 @@ use flankscope_bench::world::{HeadOptics, PatternSpec, ViewState, World, WorldCo
 use flankscope_demo::{self as demo, TargetView};
 use flankscope_foundation::date::Date;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
-use flankscope_profilometry::calibrate::{Sighting, StagePose, Target, adjust, hold_out};
+use flankscope_profilometry::calibrate::{
+    SelfTestError, Sighting, StagePose, Target, adjust, hold_out,
+};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::{CalibrationRecord, RecordError, SelfTest, Unfit};
@@ -32,7 +34,8 @@ struct Captures {
     sightings: Vec<Sighting>,
     kept_aside: Vec<(Sighting, Vec<CellColumn>)>,
     blank: Vec<CellColumn>,
-    sphere: Vec<CellColumn>,
+    /// At every place of a self-test.
+    spheres: Vec<Vec<CellColumn>>,
 }
 
 /// Where the stages stand beyond facing a plate: rad, mm.
@@ -95,7 +98,9 @@ fn capture(seed: u64, lens_error_um: f64) -> Captures {
             kept_aside.push((sighting.expect("dots"), cells));
         }
     }
-    let (_, sphere) = shoot(7, [0.0; 2]);
+    let places = target.test_places().into_iter();
+    let spheres = places.map(|place| shoot(7, [place.turned_rad, place.raised_mm]).1);
+    let spheres = spheres.collect();
     Captures {
         optics: config.optics,
         target,
@@ -103,7 +108,7 @@ fn capture(seed: u64, lens_error_um: f64) -> Captures {
         sightings,
         kept_aside,
         blank,
-        sphere,
+        spheres,
     }
 }
 
@@ -156,9 +161,19 @@ fn sums(
 /// A point and where it should be, mm.
 type Pair = [Point3<f64>; 2];
 
+/// A point of the camera frame as a head reads it from what the optics make of it.
+fn read_back(is: &HeadOptics, said: &HeadModel, p: Point3<f64>) -> Point3<f64> {
+    let seen = is.camera.project(p).expect("in front");
+    let light = is.projector.project(is.projector_from_camera * p);
+    let [column, _] = light.expect("in front");
+    let [x, y] = said.camera.undistort(seen).expect("a lens");
+    let hit = Triangulator::new(said, Axis::Columns).intersect([x, y], column);
+    let z = hit.expect("a point").depth_mm;
+    Point3::new(x * z, y * z, z)
+}
+
 /// Points all over the volume as a head puts them, and as they are, in the stage frame.
 fn volume_points(is: &HeadOptics, said: &HeadModel) -> Vec<Pair> {
-    let triangulator = Triangulator::new(said, Axis::Columns);
     let hand_eye = said.stage_from_camera.expect("a hand-eye");
     let mut pairs = Vec::new();
     for depth in [20.5, 22.0, 23.5] {
@@ -166,13 +181,8 @@ fn volume_points(is: &HeadOptics, said: &HeadModel) -> Vec<Pair> {
             for j in -3..=3 {
                 let pixel = [959.5 + 100.0 * f64::from(i), 599.5 + 95.0 * f64::from(j)];
                 let p = Point3::from(depth * is.camera.direction(pixel));
-                let light = is.projector.project(is.projector_from_camera * p);
-                let [column, _] = light.expect("in front");
-                let [x, y] = said.camera.undistort(pixel).expect("a lens");
-                let hit = triangulator.intersect([x, y], column);
-                let z = hit.expect("a point").depth_mm;
-                let said = Point3::from(hand_eye.point([x * z, y * z, z]));
-                pairs.push([said, is.stage_from_camera * p]);
+                let said = hand_eye.point(read_back(is, said, p).into());
+                pairs.push([said.into(), is.stage_from_camera * p]);
             }
         }
     }
@@ -224,7 +234,7 @@ fn the_target_gives_the_head() {
         sightings,
         kept_aside,
         blank,
-        sphere,
+        spheres,
     } = capture(3, 0.0);
     let adjusted = adjust(&start, &target, &sightings, STAGE_SIGMA).expect("a calibration");
     let truth = demo::head();
@@ -267,15 +277,21 @@ fn the_target_gives_the_head() {
     assert_eq!(head.fit_on(today), Err(Unfit::Untested));
 
     // Plane and sphere of a fit head, and of one whose lens has been knocked out of place since.
-    let test = SelfTest::of(&head, &target, &blank, &sphere, today).expect("a self-test");
+    let planes = [blank];
+    let test = SelfTest::of(&head, &target, &planes, &spheres, today).expect("a self-test");
     eprintln!("{test:?}");
     let limits = test.limits;
     assert!(test.plane_points > 60_000 && test.sphere_points > 1_000);
     // The plane's points scatter by what the fresh plates show; of 99.7 % of a normal distribution the range is 6 sigma.
     assert!((3.0..12.0).contains(&(test.flatness_um / got.flatness_rms_um)));
     assert!(test.probing_size_um.abs() < limits.probing_size_um);
-    // A thousand cells span 6.6 of their standard deviations, which are below a micrometre.
-    assert!(test.flatness_cells_um.is_some_and(|um| um < 6.6));
+    assert_eq!(test.places, Some(3));
+    // A sphere's centre lies as well as its points, which the calibration puts within 3 um; two centres within 3 sqrt 2.
+    let spacing_um = test.sphere_spacing_um.expect("two spheres");
+    assert!(spacing_um.abs() < 4.3, "{spacing_um}");
+    // The widest of three ranges of a thousand normal values is 8.1 of their standard deviations once in a hundred times; those
+    // of cells are below a micrometre.
+    assert!(test.flatness_cells_um.is_some_and(|um| um < 8.1));
     let fit = |test: &SelfTest, day: Date| {
         let mut head = head.clone();
         head.self_test = Some(test.clone());
@@ -291,9 +307,42 @@ fn the_target_gives_the_head() {
     assert_eq!(fit(&other, today), Err(Unfit::Foreign { date: today }));
     let mut knocked = head.clone();
     knocked.camera.focal_px = knocked.camera.focal_px.map(|focal| 1.01 * focal);
-    let failed = SelfTest::of(&knocked, &target, &blank, &sphere, today).expect("a self-test");
+    let failed = SelfTest::of(&knocked, &target, &planes, &spheres, today).expect("a self-test");
     eprintln!("{failed:?}");
     assert!(matches!(fit(&failed, today), Err(Unfit::Failed { .. })));
+    // Two centres as the bench's optics have them, read with the knocked lens.
+    let spheres_apart = target.sphere.expect("spheres");
+    let off_um: Vec<f64> = target
+        .test_places()
+        .into_iter()
+        .map(|place| {
+            let stood = StagePose::before(spheres_apart.middle_mm()).beside(place);
+            let partner = spheres_apart.partner.expect("two");
+            let [first, second] = [spheres_apart.centre_mm, partner.centre_mm].map(|centre_mm| {
+                let at = stood.stage_from_tool() * Point3::from(centre_mm);
+                read_back(&optics, &knocked, optics.stage_from_camera.inverse() * at)
+            });
+            1e3 * ((second - first).norm() - partner.spacing_mm)
+        })
+        .collect();
+    let farthest_um = off_um
+        .into_iter()
+        .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
+    let failed_um = failed.sphere_spacing_um.expect("two spheres");
+    eprintln!("knocked: {failed_um:.2} um, by the optics {farthest_um:.2}");
+    assert!((failed_um - farthest_um).abs() < 4.3);
+    let one = SelfTest::of(&head, &target, &planes, &spheres[..1], today);
+    assert!(
+        matches!(
+            one,
+            Err(SelfTestError::Places {
+                got: 1,
+                expected: 3,
+                ..
+            })
+        ),
+        "{one:?}"
+    );
 
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("head.toml");
@@ -413,7 +462,7 @@ fn captures_in_a_folder_give_the_same_head() {
     let config = demo::target_world(&target, SEED);
     // One view of each plate, for what a test may cost.
     let mut views = demo::target_views(&target, SEED, &target.beside[..1]);
-    views.retain(|view| view.folder.as_path() != Path::new("sphere"));
+    views.retain(|view| view.plate.is_some() || view.folder == Path::new("blank"));
     let folder = tempfile::tempdir().expect("a folder");
     demo::write_captures(folder.path(), &config, &views).expect("captures");
 

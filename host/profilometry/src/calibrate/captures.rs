@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::adjust::LEAST_VIEWS;
 use super::target::Target;
@@ -17,9 +17,13 @@ pub struct Captures {
     pub plan: PathBuf,
     /// Images of the blank plate, facing the head.
     pub blank: PathBuf,
-    /// Images of the sphere, facing the head, for a self-test.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sphere: Option<PathBuf>,
+    /// Images of the spheres for a self-test, a folder for each of the target's places; without such, facing the head.
+    #[serde(
+        default,
+        skip_serializing_if = "Vec::is_empty",
+        deserialize_with = "one_or_more"
+    )]
+    pub sphere: Vec<PathBuf>,
     /// Views of printed plates.
     #[serde(default)]
     pub view: Vec<CapturedView>,
@@ -40,6 +44,20 @@ pub struct CapturedView {
     /// Takes no part in the adjustment and is measured with its result.
     #[serde(default)]
     pub kept_aside: bool,
+}
+
+/// A folder, or a list of them.
+fn one_or_more<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PathBuf>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "a folder, or a list of folders")]
+    enum Folders {
+        One(PathBuf),
+        More(Vec<PathBuf>),
+    }
+    Ok(match Folders::deserialize(from)? {
+        Folders::One(folder) => vec![folder],
+        Folders::More(folders) => folders,
+    })
 }
 
 fn default_plan() -> PathBuf {
@@ -71,6 +89,14 @@ impl Captures {
                 "view",
                 adjusting,
                 "must be at least 6 tables [[view]] without kept_aside",
+            ));
+        }
+        let places = target.test_places().len();
+        if ![0, places].contains(&self.sphere.len()) {
+            return Err(BadValue::new(
+                "sphere",
+                self.sphere.len(),
+                "must be a folder for each [[test_place]] of the target",
             ));
         }
         for (index, view) in self.view.iter().enumerate() {

@@ -189,10 +189,11 @@ impl Scene {
     /// Camera frame from plate frame with the stages at `stage`.
     pub fn camera_from_plate(&self, stage: StagePose) -> Isometry3<f64> {
         let [turn, lift] = self.stage_error;
-        let stage_from_tool =
-            UnitQuaternion::from_axis_angle(&Vector3::z_axis(), stage.rotation_rad + turn);
-        let lowered = Translation3::new(0.0, 0.0, -(stage.vertical_mm + lift));
-        self.stage_from_camera.inverse() * lowered * stage_from_tool * self.tool_from_plate
+        let stood = StagePose {
+            rotation_rad: stage.rotation_rad + turn,
+            vertical_mm: stage.vertical_mm + lift,
+        };
+        self.stage_from_camera.inverse() * stood.stage_from_tool() * self.tool_from_plate
     }
 
     /// Where a dot of radius `radius_mm` at `at_mm` of the plate appears; `None` behind camera or projector.

@@ -1,13 +1,15 @@
 //! Whether the head is fit today: a plane and a sphere of the target, measured as the acceptance tests of optical 3D systems
-//! do (VDI/VDE 2634, parts 2 and 3): flatness, probing form and probing size.
+//! do (VDI/VDE 2634, parts 2 and 3): flatness, probing form, probing size, and sphere spacing where the target has a pair. The
+//! figures are those of the worst place.
 
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3};
 
 use super::form;
 use super::model::isometry;
+use super::sighting::StagePose;
 use super::target::{Sphere, Target};
 use crate::cloud::CellColumn;
-use crate::head::{HeadModel, RigidTransform, SelfTest};
+use crate::head::{HeadModel, SelfTest};
 use crate::triangulate::HeadTriangulator;
 use flankscope_foundation::date::Date;
 
@@ -24,6 +26,18 @@ pub enum SelfTestError {
     /// The head is not calibrated.
     #[error("the head has no [calibration] to be tested; run flankscope calibrate first")]
     NotCalibrated,
+    /// Captures of more or fewer places than the target names.
+    #[error(
+        "{got} captures of the {what}, the target names {expected} places: one for each is needed"
+    )]
+    Places {
+        /// Plane or sphere.
+        what: &'static str,
+        /// Captures.
+        got: usize,
+        /// Places.
+        expected: usize,
+    },
     /// Nothing to be seen.
     #[error("{got} points on the {what}, at least {limit} are needed: is it there, clean and lit?")]
     FewPoints {
@@ -48,15 +62,16 @@ const BELONGS_MM: f64 = 0.15;
 const EXPECTED_MM: f64 = 0.4;
 
 impl SelfTest {
-    /// Measures the blank plate and the sphere of a target with a calibrated head.
+    /// Measures the blank plate and the spheres of a target with a calibrated head: at every place that the target names, or the
+    /// plate alone facing the head.
     ///
     /// # Errors
     /// [`SelfTestError`].
     pub fn of(
         head: &HeadModel,
         target: &Target,
-        plane: &[CellColumn],
-        sphere: &[CellColumn],
+        planes: &[Vec<CellColumn>],
+        spheres: &[Vec<CellColumn>],
         date: Date,
     ) -> Result<Self, SelfTestError> {
         let lacks = |what| SelfTestError::Lacks { what };
@@ -64,58 +79,138 @@ impl SelfTest {
         let artefact = target.sphere.ok_or(lacks("[sphere] in the target"))?;
         let record = head.calibration.as_ref();
         let record = record.ok_or(SelfTestError::NotCalibrated)?;
-        let few = |what, got| SelfTestError::FewPoints {
-            what,
-            got,
-            limit: LEAST_POINTS,
+        let hand_eye = head.stage_from_camera;
+        let hand_eye = hand_eye.ok_or(lacks("head with a hand-eye transform"))?;
+        let camera_from_stage = isometry(&hand_eye).inverse();
+        let places = target.test_places();
+        let all = |what, got: usize| match got == places.len() {
+            true => Ok(()),
+            false => Err(SelfTestError::Places {
+                what,
+                got,
+                expected: places.len(),
+            }),
         };
+        all("sphere", spheres.len())?;
+        if planes.len() != 1 {
+            all("plane", planes.len())?;
+        }
         let triangulator = HeadTriangulator::new(head);
-        let on_plane = triangulator.points(plane);
-        let flat = Some(&on_plane)
-            .filter(|cloud| cloud.len() >= LEAST_POINTS)
-            .and_then(|cloud| form::plane(cloud))
-            .ok_or(few("plane", on_plane.len()))?;
-        let hand_eye = head
-            .stage_from_camera
-            .ok_or(lacks("head with a hand-triangulator"))?;
-        let on_sphere = cap(
-            &triangulator.points(sphere),
-            &artefact,
-            expected_centre(&hand_eye, &artefact),
-        );
-        let round = Some(&on_sphere)
-            .filter(|cloud| cloud.len() >= LEAST_POINTS)
-            .and_then(|cloud| form::sphere(cloud))
-            .ok_or(few("sphere", on_sphere.len()))?;
+        let mut worst = Worst::default();
+        for plane in planes {
+            worst.take_plane(&triangulator.points(plane))?;
+        }
+        for (sphere, &place) in spheres.iter().zip(&places) {
+            let stood = StagePose::before(artefact.middle_mm()).beside(place);
+            let camera_from_tool = camera_from_stage * stood.stage_from_tool();
+            worst.take_spheres(&triangulator.points(sphere), &artefact, camera_from_tool)?;
+        }
         Ok(Self {
             date,
             due: date.plus_days(limits.every_days),
             geometry_blake3: record.blake3.clone(),
-            plane_points: on_plane.len() as u32,
-            flatness_um: 1e3 * flat.range_mm(),
-            flatness_cells_um: Some(1e3 * flat.of_squares(&on_plane, CELL_MM).range_mm()),
-            sphere_points: on_sphere.len() as u32,
-            probing_form_um: 1e3 * round.residuals.range_mm(),
-            probing_form_cells_um: Some(
-                1e3 * round.residuals.of_squares(&on_sphere, CELL_MM).range_mm(),
-            ),
-            probing_size_um: 1e3 * (2.0 * round.radius_mm - artefact.diameter_mm),
+            places: (places.len() > 1).then_some(places.len() as u32),
+            plane_points: worst.plane_points,
+            flatness_um: worst.flatness_um,
+            flatness_cells_um: Some(worst.flatness_cells_um),
+            sphere_points: worst.sphere_points,
+            probing_form_um: worst.probing_form_um,
+            probing_form_cells_um: Some(worst.probing_form_cells_um),
+            probing_size_um: worst.probing_size_um,
+            sphere_spacing_um: worst.sphere_spacing_um,
             limits,
             seal: None,
         })
     }
 }
 
-/// Where the stages put the sphere's centre, which they turned and raised to the middle of the field, in the camera frame.
-fn expected_centre(stage_from_camera: &RigidTransform, sphere: &Sphere) -> Point3<f64> {
-    let [x, y, _] = sphere.centre_mm;
-    isometry(stage_from_camera).inverse() * Point3::new(x.hypot(y), 0.0, 0.0)
+/// The worst figures so far.
+#[derive(Default)]
+struct Worst {
+    plane_points: u32,
+    flatness_um: f64,
+    flatness_cells_um: f64,
+    sphere_points: u32,
+    probing_form_um: f64,
+    probing_form_cells_um: f64,
+    probing_size_um: f64,
+    sphere_spacing_um: Option<f64>,
+}
+
+/// Fewest points so far; zero is none yet.
+fn fewest(so_far: u32, got: usize) -> u32 {
+    match so_far {
+        0 => got as u32,
+        _ => so_far.min(got as u32),
+    }
+}
+
+/// The one that is farther from zero; what is no number is farthest.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.abs() <= a.abs() {
+        a
+    } else {
+        b
+    }
+}
+
+fn few(what: &'static str, got: usize) -> SelfTestError {
+    SelfTestError::FewPoints {
+        what,
+        got,
+        limit: LEAST_POINTS,
+    }
+}
+
+impl Worst {
+    fn take_plane(&mut self, cloud: &[[f64; 3]]) -> Result<(), SelfTestError> {
+        let enough = Some(cloud).filter(|cloud| cloud.len() >= LEAST_POINTS);
+        let flat = enough.and_then(form::plane);
+        let flat = flat.ok_or(few("plane", cloud.len()))?;
+        let of_cells = flat.of_squares(cloud, CELL_MM);
+        self.plane_points = fewest(self.plane_points, cloud.len());
+        self.flatness_um = worse(self.flatness_um, 1e3 * flat.range_mm());
+        self.flatness_cells_um = worse(self.flatness_cells_um, 1e3 * of_cells.range_mm());
+        Ok(())
+    }
+
+    /// The spheres of one view.
+    fn take_spheres(
+        &mut self,
+        cloud: &[[f64; 3]],
+        artefact: &Sphere,
+        camera_from_tool: Isometry3<f64>,
+    ) -> Result<(), SelfTestError> {
+        let mut centres = Vec::new();
+        for (centre_mm, diameter_mm) in artefact.each() {
+            let expected = camera_from_tool * Point3::from(centre_mm);
+            let on_sphere = cap(cloud, diameter_mm, expected);
+            let enough = Some(&on_sphere[..]).filter(|cloud| cloud.len() >= LEAST_POINTS);
+            let round = enough.and_then(form::sphere);
+            let round = round.ok_or(few("sphere", on_sphere.len()))?;
+            let of_cells = round.residuals.of_squares(&on_sphere, CELL_MM);
+            let form_um = 1e3 * round.residuals.range_mm();
+            let size_um = 1e3 * (2.0 * round.radius_mm - diameter_mm);
+            self.sphere_points = fewest(self.sphere_points, on_sphere.len());
+            self.probing_form_um = worse(self.probing_form_um, form_um);
+            let of_cells_um = 1e3 * of_cells.range_mm();
+            self.probing_form_cells_um = worse(self.probing_form_cells_um, of_cells_um);
+            self.probing_size_um = worse(self.probing_size_um, size_um);
+            centres.push(round.centre_mm);
+        }
+        if let (Some(partner), [first, second]) = (artefact.partner, &centres[..]) {
+            let off_um = 1e3 * ((second - first).norm() - partner.spacing_mm);
+            let so_far = self.sphere_spacing_um.unwrap_or(off_um);
+            self.sphere_spacing_um = Some(worse(so_far, off_um));
+        }
+        Ok(())
+    }
 }
 
 /// The points of the sphere's cap that faces the camera. The stages say where the sphere is, a first fit says it better; the
 /// ground behind it and its rim are left out.
-fn cap(cloud: &[[f64; 3]], sphere: &Sphere, expected: Point3<f64>) -> Vec<[f64; 3]> {
-    let radius_mm = 0.5 * sphere.diameter_mm;
+fn cap(cloud: &[[f64; 3]], diameter_mm: f64, expected: Point3<f64>) -> Vec<[f64; 3]> {
+    let radius_mm = 0.5 * diameter_mm;
     let around = |centre: Point3<f64>, belongs_mm: f64| -> Vec<[f64; 3]> {
         let to_camera = -centre.coords.normalize();
         let belongs = |p: &[f64; 3]| {

@@ -1,9 +1,11 @@
 //! One view of a printed plate: where the stages stood, and which dot was seen where.
 
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+
 use super::CalibrateError;
 use super::dots::{self, Scale};
 use super::label::label;
-use super::target::Target;
+use super::target::{Target, TestPlace};
 use crate::cloud::CellColumn;
 use crate::head::HeadModel;
 
@@ -14,6 +16,33 @@ pub struct StagePose {
     pub rotation_rad: f64,
     /// Height by which the head is raised.
     pub vertical_mm: f64,
+}
+
+impl StagePose {
+    /// Where a place of the target, in the tool frame, comes to the middle of the field.
+    #[must_use]
+    pub fn before([x, y, z]: [f64; 3]) -> Self {
+        Self {
+            rotation_rad: -y.atan2(x),
+            vertical_mm: z,
+        }
+    }
+
+    /// Beside it.
+    #[must_use]
+    pub fn beside(self, place: TestPlace) -> Self {
+        Self {
+            rotation_rad: self.rotation_rad + place.turned_rad,
+            vertical_mm: self.vertical_mm + place.raised_mm,
+        }
+    }
+
+    /// The tool frame in that of the stages.
+    #[must_use]
+    pub fn stage_from_tool(self) -> Isometry3<f64> {
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.rotation_rad);
+        Translation3::new(0.0, 0.0, -self.vertical_mm) * turned
+    }
 }
 
 /// One dot, seen.

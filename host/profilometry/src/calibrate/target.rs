@@ -21,6 +21,9 @@ pub struct Target {
     pub pose_sigma_mm: f64,
     /// Standard uncertainty of each plate's orientation.
     pub pose_sigma_rad: f64,
+    /// Where the stages stand beside facing plane and spheres, one place after the other, in a self-test; none: there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub test_place: Vec<TestPlace>,
     /// What is printed on the plates.
     pub dots: Dots,
     /// A white plate without print: shows the cores, and how evenly the head lights.
@@ -35,23 +38,13 @@ pub struct Target {
     pub limits: Option<Limits>,
     /// Where the stages stand beside facing a printed plate, a view each; the last one is kept aside.
     #[serde(default = "beside_of_10_mm")]
-    pub beside: Vec<Beside>,
-}
-
-/// Where the stages stand beside facing a plate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Beside {
-    /// Rotary stage.
-    pub turned_rad: f64,
-    /// Vertical stage.
-    pub raised_mm: f64,
+    pub beside: Vec<TestPlace>,
 }
 
 /// For a field of 10 mm, 41.5 mm from the axis.
-fn beside_of_10_mm() -> Vec<Beside> {
+fn beside_of_10_mm() -> Vec<TestPlace> {
     [(0.05, 0.8), (-0.05, -0.8), (0.02, -0.4)]
-        .map(|(turned_rad, raised_mm)| Beside {
+        .map(|(turned_rad, raised_mm)| TestPlace {
             turned_rad,
             raised_mm,
         })
@@ -97,6 +90,16 @@ pub struct Plate {
     pub tool_from_plate: RigidTransform,
 }
 
+/// A place of the stages beside another one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestPlace {
+    /// Turned by.
+    pub turned_rad: f64,
+    /// Raised by.
+    pub raised_mm: f64,
+}
+
 /// A sphere.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -105,7 +108,82 @@ pub struct Sphere {
     pub centre_mm: [f64; 3],
     /// Certified diameter.
     pub diameter_mm: f64,
+    /// Another one in the same field, at a certified distance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub partner: Option<Partner>,
 }
+
+/// The other sphere of a pair.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Partner {
+    /// Its centre in the tool frame.
+    pub centre_mm: [f64; 3],
+    /// Certified diameter.
+    pub diameter_mm: f64,
+    /// Certified distance of the two centres.
+    pub spacing_mm: f64,
+}
+
+impl Sphere {
+    /// What is to be in the middle of the field: its centre, or the middle of the pair.
+    #[must_use]
+    pub fn middle_mm(&self) -> [f64; 3] {
+        let other = self.partner.map_or(self.centre_mm, |of| of.centre_mm);
+        [0, 1, 2].map(|k| 0.5 * (self.centre_mm[k] + other[k]))
+    }
+
+    /// Centre and certified diameter of each.
+    pub(crate) fn each(&self) -> impl Iterator<Item = ([f64; 3], f64)> {
+        let partner = self.partner.map(|of| (of.centre_mm, of.diameter_mm));
+        std::iter::once((self.centre_mm, self.diameter_mm)).chain(partner)
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        for (key, (centre_mm, diameter_mm)) in ["sphere", "sphere.partner"].iter().zip(self.each())
+        {
+            // Written so that a NaN fails, here and below.
+            if !(diameter_mm > 0.0 && diameter_mm < 1e3) {
+                let key = format!("{key}.diameter_mm");
+                return Err(BadValue::new(
+                    key,
+                    diameter_mm,
+                    "must be positive millimetres",
+                ));
+            }
+            if centre_mm.iter().any(|x| !(x.abs() < 1e4)) {
+                let key = format!("{key}.centre_mm");
+                return Err(BadValue::new(key, centre_mm, "must be finite millimetres"));
+            }
+        }
+        let Some(partner) = self.partner else {
+            return Ok(());
+        };
+        let apart = |k: usize| partner.centre_mm[k] - self.centre_mm[k];
+        let drawn_mm = (0..3).map(|k| apart(k).powi(2)).sum::<f64>().sqrt();
+        let touching_mm = 0.5 * (self.diameter_mm + partner.diameter_mm);
+        if !(partner.spacing_mm > touching_mm) {
+            return Err(BadValue::new(
+                "sphere.partner.spacing_mm",
+                partner.spacing_mm,
+                "must be the distance of the centres of two spheres that do not touch",
+            ));
+        }
+        if (partner.spacing_mm - drawn_mm).abs() > PARTNER_OFF_MM {
+            return Err(BadValue::new(
+                "sphere.partner.spacing_mm",
+                partner.spacing_mm,
+                "must agree with the two centres to 0.1 mm",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// A bar's drawing agrees with its certificate so well.
+const PARTNER_OFF_MM: f64 = 0.1;
+/// A self-test takes minutes, not a shift.
+const MOST_TEST_PLACES: usize = 32;
 
 impl Target {
     /// Reads `target.toml`.
@@ -125,6 +203,15 @@ impl Target {
     /// The writer's.
     pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
         toml::to_string(self)
+    }
+
+    /// Where the stages stand beside facing an artefact, one place after the other, in a self-test.
+    #[must_use]
+    pub fn test_places(&self) -> Vec<TestPlace> {
+        match &self.test_place[..] {
+            [] => vec![TestPlace::default()],
+            places => places.to_vec(),
+        }
     }
 
     fn check(&self) -> Result<(), BadValue> {
@@ -185,25 +272,19 @@ impl Target {
                 .tool_from_plate
                 .check(&format!("plate[{index}].tool_from_plate"))?;
         }
-        if let Some(Sphere {
-            centre_mm,
-            diameter_mm,
-        }) = self.sphere
-        {
-            within(
-                "sphere.diameter_mm",
-                diameter_mm,
-                0.0,
-                1e3,
-                "must be positive millimetres",
-            )?;
-            if centre_mm.iter().any(|x| !(x.abs() < 1e4)) {
-                return Err(BadValue::new(
-                    "sphere.centre_mm",
-                    centre_mm,
-                    "must be finite millimetres",
-                ));
-            }
+        if self.test_place.len() > MOST_TEST_PLACES {
+            let expected = "must be at most 32 tables [[test_place]]";
+            return Err(BadValue::new("test_place", self.test_place.len(), expected));
+        }
+        for (index, place) in self.test_place.iter().enumerate() {
+            let key = |name: &str| format!("test_place[{index}].{name}");
+            let small = "must be radians, less than 0.5 to either side";
+            within(&key("turned_rad"), place.turned_rad, -0.5, 0.5, small)?;
+            let small = "must be millimetres, less than 50 up or down";
+            within(&key("raised_mm"), place.raised_mm, -50.0, 50.0, small)?;
+        }
+        if let Some(sphere) = &self.sphere {
+            sphere.check()?;
         }
         if !BESIDE.contains(&self.beside.len()) {
             return Err(BadValue::new(

@@ -24,6 +24,9 @@ pub struct Limits {
     /// Probing form of the sphere's means over squares of 0.25 mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probing_form_cells_um: Option<f64>,
+    /// Sphere spacing: measured minus certified distance of two spheres, either way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sphere_spacing_um: Option<f64>,
     /// Days until the next test.
     pub every_days: u32,
 }
@@ -35,14 +38,15 @@ impl Limits {
             ("limits.probing_form_um", self.probing_form_um),
             ("limits.probing_size_um", self.probing_size_um),
         ];
-        let of_cells = [
+        let where_limited = [
             ("limits.flatness_cells_um", self.flatness_cells_um),
             ("limits.probing_form_cells_um", self.probing_form_cells_um),
+            ("limits.sphere_spacing_um", self.sphere_spacing_um),
         ];
-        let of_cells = of_cells
+        let where_limited = where_limited
             .into_iter()
             .filter_map(|(key, um)| Some((key, um?)));
-        for (key, got) in limits.into_iter().chain(of_cells) {
+        for (key, got) in limits.into_iter().chain(where_limited) {
             if !(got > 0.0 && got < 1e6) {
                 return Err(BadValue::new(key, got, "must be positive micrometres"));
             }
@@ -68,6 +72,9 @@ pub struct SelfTest {
     pub due: Date,
     /// BLAKE3 of the geometry that was tested, as in the head's `[calibration]`.
     pub geometry_blake3: String,
+    /// Places at which plane and spheres were measured, where it was more than one; the figures are those of the worst.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub places: Option<u32>,
     /// Points on the plane.
     pub plane_points: u32,
     /// Largest minus smallest distance from the fitted plane, without the farthest 0.3 % of the points.
@@ -84,6 +91,9 @@ pub struct SelfTest {
     pub probing_form_cells_um: Option<f64>,
     /// Fitted minus certified diameter.
     pub probing_size_um: f64,
+    /// Measured minus certified distance of the two spheres, where there are two.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sphere_spacing_um: Option<f64>,
     /// What was allowed.
     pub limits: Limits,
     /// Whose word the file is, where it says so.
@@ -194,7 +204,7 @@ impl SelfTest {
                 self.limits.probing_size_um,
             ),
         ];
-        let of_cells = [
+        let where_limited = [
             (
                 "flatness of cells",
                 self.flatness_cells_um,
@@ -205,11 +215,16 @@ impl SelfTest {
                 self.probing_form_cells_um,
                 self.limits.probing_form_cells_um,
             ),
+            (
+                "sphere spacing",
+                self.sphere_spacing_um.map(f64::abs),
+                self.limits.sphere_spacing_um,
+            ),
         ];
-        let of_cells = of_cells
+        let where_limited = where_limited
             .into_iter()
             .filter_map(|(what, got, limit)| Some((what, got.unwrap_or(f64::NAN), limit?)));
-        for (what, got_um, limit_um) in figures.into_iter().chain(of_cells) {
+        for (what, got_um, limit_um) in figures.into_iter().chain(where_limited) {
             // Written so that a NaN fails.
             if !(got_um <= limit_um) {
                 return Err(Unfit::Failed {

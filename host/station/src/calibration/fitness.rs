@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_foundation::date::Date;
-use flankscope_profilometry::calibrate::{SelfTestError, Target};
+use flankscope_profilometry::calibrate::{SelfTestError, StagePose, Target};
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::head::SelfTest;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
@@ -17,7 +17,7 @@ use crate::controller::ClientSettings;
 use crate::settings::StationSettings;
 use flankscope_frames::SharedRoot;
 
-/// The capture of plane and sphere, and what follows from it.
+/// The captures of plane and spheres, and what follows from it.
 #[derive(Debug)]
 pub struct FitnessSurvey {
     surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
@@ -40,10 +40,13 @@ impl FitnessSurvey {
             what: "[sphere] in the target",
         };
         let sphere = target.sphere.ok_or(lacks)?;
-        let at = [
+        let artefacts = [
             views::facing(&target.blank),
-            views::before(sphere.centre_mm),
+            StagePose::before(sphere.middle_mm()),
         ];
+        let places = target.test_places();
+        let at = |artefact: StagePose| places.iter().map(move |&place| artefact.beside(place));
+        let at: Vec<StagePose> = artefacts.into_iter().flat_map(at).collect();
         let options = DecodeOptions::for_head(&head);
         let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
         Ok(Self {
@@ -64,16 +67,11 @@ impl FitnessSurvey {
         date: Date,
         watch: impl FnMut(Progress),
     ) -> Result<SelfTest, CalibrationError> {
-        let mut captured = self.surveyor.survey(port, settings, watch)?.into_iter();
-        let mut next = || captured.next().unwrap_or(Ok(Vec::new()));
-        let (plane, sphere) = (next()?, next()?);
-        Ok(SelfTest::of(
-            &self.head,
-            &self.target,
-            &plane,
-            &sphere,
-            date,
-        )?)
+        let captured = self.surveyor.survey(port, settings, watch)?.into_iter();
+        let captured: Vec<Vec<CellColumn>> = captured.collect::<Result<_, _>>()?;
+        let (planes, spheres) = captured.split_at(captured.len() / 2);
+        let test = SelfTest::of(&self.head, &self.target, planes, spheres, date);
+        Ok(test?)
     }
 }
 

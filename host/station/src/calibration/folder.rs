@@ -97,19 +97,16 @@ impl CaptureFolder {
         head: &HeadModel,
         date: Date,
     ) -> Result<Option<SelfTest>, CalibrationError> {
-        let Some(sphere) = &self.captures.sphere else {
+        if self.captures.sphere.is_empty() {
             return Ok(None);
-        };
+        }
         let decoder = self.decoder(head, DecodeOptions::for_head(head))?;
         let plane = self.columns(&decoder, &self.captures.blank)?;
-        let sphere = self.columns(&decoder, sphere)?;
-        Ok(Some(SelfTest::of(
-            head,
-            &self.target,
-            &plane,
-            &sphere,
-            date,
-        )?))
+        let spheres = self.captures.sphere.iter();
+        let spheres = spheres.map(|folder| self.columns(&decoder, folder));
+        let spheres: Vec<Vec<CellColumn>> = spheres.collect::<Result<_, _>>()?;
+        let test = SelfTest::of(head, &self.target, &[plane], &spheres, date);
+        Ok(Some(test?))
     }
 
     fn cores(&self) -> Result<CoreMap, CalibrationError> {

@@ -13,15 +13,7 @@ pub(super) struct PlateView {
 
 /// The stages' position that puts a plate in the middle of the field.
 pub(super) fn facing(plate: &Plate) -> StagePose {
-    before(plate.tool_from_plate.translation_mm)
-}
-
-/// The stages' position that puts a place of the target in the middle of the field.
-pub(super) fn before([x, y, z]: [f64; 3]) -> StagePose {
-    StagePose {
-        rotation_rad: -y.atan2(x),
-        vertical_mm: z,
-    }
+    StagePose::before(plate.tool_from_plate.translation_mm)
 }
 
 /// Every plate from each place beside it, in the order in which the target turns by.
@@ -35,10 +27,7 @@ pub(super) fn of_target(target: &Target) -> Vec<PlateView> {
             let beside = target.beside.iter().enumerate();
             beside.map(move |(number, beside)| PlateView {
                 plate,
-                at: StagePose {
-                    rotation_rad: from.rotation_rad + beside.turned_rad,
-                    vertical_mm: from.vertical_mm + beside.raised_mm,
-                },
+                at: from.beside(*beside),
                 kept_aside: number + 1 == target.beside.len(),
             })
         })

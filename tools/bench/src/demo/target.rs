@@ -1,4 +1,4 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and a sphere on a carrier that sits where the die
+//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
 //! does.
 
 use flankscope_gear_cad::Mesh;
@@ -24,12 +24,13 @@ const PRINTED: [([f64; 2], f64); 6] = [
     ([0.14, 0.14], -5.0),
     ([-0.14, -0.14], 5.0),
 ];
-/// The sphere, in hundredths of the field: its front stands a little before best focus.
-const SPHERE_DIAMETER: f64 = 30.0;
-const SPHERE_CENTRE: f64 = 10.0;
+/// The spheres, beyond best focus, beside and above the middle in hundredths of the field, and their diameter. Their fronts stand
+/// before best focus, and they are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2).
+const SPHERE_CENTRES: [[f64; 3]; 2] = [[7.0, -12.0, -18.0], [13.0, 12.0, 18.0]];
+const SPHERE_DIAMETER: f64 = 24.0;
 const SPHERE_STATION: usize = PRINTED.len() + 1;
-/// It is sunk into a matt ground, which keeps the picture lit: by this share of its diameter beyond its centre.
-const GROUND_BEYOND_CENTRE: f64 = 1.0 / 6.0;
+/// They are sunk into a matt ground, which keeps the picture lit: by this share of a diameter beyond the middle of their centres.
+const GROUND_BEYOND_CENTRES: f64 = 5.0 / 24.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
@@ -44,16 +45,16 @@ fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     turned * Isometry3::from_parts(place, facing)
 }
 
-/// Where plates and sphere stand on the carrier, by its drawing.
+/// Where plates and spheres stand on the carrier, by its drawing.
 #[derive(Clone, Debug)]
 pub struct Carrier {
     /// The printed plates.
     pub printed: Vec<Isometry3<f64>>,
     /// The plate without print.
     pub blank: Isometry3<f64>,
-    /// The sphere's centre, mm.
-    pub sphere_centre_mm: [f64; 3],
-    /// Its diameter, mm.
+    /// The centres of the two spheres, mm.
+    pub sphere_centres_mm: [[f64; 3]; 2],
+    /// Their diameter, mm.
     pub sphere_diameter_mm: f64,
 }
 
@@ -63,14 +64,20 @@ pub fn carrier(head: &HeadDesign) -> Carrier {
     let of_field = |hundredths: f64| head.field_mm * hundredths / 100.0;
     let beyond_focus_mm = |hundredths: f64| head.focus_radius_mm + of_field(hundredths);
     let (sin, cos) = (STATION_RAD * SPHERE_STATION as f64).sin_cos();
-    let sphere_mm = beyond_focus_mm(SPHERE_CENTRE);
     let printed = PRINTED.iter().enumerate();
     Carrier {
         printed: printed
             .map(|(station, &(tilt, beyond))| plate(station, tilt, beyond_focus_mm(beyond)))
             .collect(),
         blank: plate(PRINTED.len(), [0.0; 2], beyond_focus_mm(0.0)),
-        sphere_centre_mm: [sphere_mm * cos, sphere_mm * sin, HEIGHT_MM],
+        sphere_centres_mm: SPHERE_CENTRES.map(|[beyond, beside, above]| {
+            let (radius_mm, beside_mm) = (beyond_focus_mm(beyond), of_field(beside));
+            [
+                radius_mm * cos - beside_mm * sin,
+                radius_mm * sin + beside_mm * cos,
+                HEIGHT_MM + of_field(above),
+            ]
+        }),
         sphere_diameter_mm: of_field(SPHERE_DIAMETER),
     }
 }
@@ -118,8 +125,9 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         triangles: Vec::new(),
     };
     let ground = target.sphere.map(|sphere| {
-        let [x, y, _] = sphere.centre_mm;
-        let radius_mm = x.hypot(y) + GROUND_BEYOND_CENTRE * sphere.diameter_mm;
+        let other_mm = sphere.partner.map_or(sphere.centre_mm, |of| of.centre_mm);
+        let [x, y] = [0, 1].map(|axis| 0.5 * (sphere.centre_mm[axis] + other_mm[axis]));
+        let radius_mm = x.hypot(y) + GROUND_BEYOND_CENTRES * sphere.diameter_mm;
         plate(SPHERE_STATION, [0.0; 2], radius_mm)
     });
     for pose in printed.iter().chain([&blank]).chain(&ground) {
@@ -132,9 +140,14 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         mesh.triangles
             .extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|i| first + i)));
     }
-    if let Some(artefact) = &target.sphere {
-        let radius_mm = 0.5 * artefact.diameter_mm;
-        sphere(artefact.centre_mm.into(), radius_mm, &mut mesh);
+    let first = target
+        .sphere
+        .iter()
+        .map(|of| (of.centre_mm, of.diameter_mm));
+    let partner = target.sphere.iter().filter_map(|of| of.partner);
+    let spheres = first.chain(partner.map(|of| (of.centre_mm, of.diameter_mm)));
+    for (centre_mm, diameter_mm) in spheres {
+        sphere(centre_mm.into(), 0.5 * diameter_mm, &mut mesh);
     }
     let mut config = WorldConfig::new(mesh, gear());
     // Lithography on ceramic: matt, and even to a percent.

@@ -17,7 +17,7 @@ use serde::de::DeserializeOwned;
 
 pub use head::{HeadFile, Lens};
 pub use optics::{FILE as OPTICS_FILE, MadeHead, made_head_beside};
-pub use target::{Dots, KEYS, Plate, Sphere, TargetFile};
+pub use target::{Dots, KEYS, Partner, Plate, Sphere, TargetFile};
 pub use tool::{Cad, Gear, Inspect, Kind, ToolFile, Unit};
 
 /// Why a file says nothing of use to the bench.

@@ -51,6 +51,17 @@ pub struct Sphere {
     pub centre_mm: [f64; 3],
     /// Its diameter.
     pub diameter_mm: f64,
+    /// Another one in the same field.
+    pub partner: Option<Partner>,
+}
+
+/// The other sphere of a pair.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub struct Partner {
+    /// Its centre in the tool frame.
+    pub centre_mm: [f64; 3],
+    /// Its diameter.
+    pub diameter_mm: f64,
 }
 
 impl TargetFile {
