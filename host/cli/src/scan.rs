@@ -5,12 +5,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use anyhow::Context;
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::deviation::{Order, Statistics};
 use flankscope_station::acquisition::Recording;
 use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
-use flankscope_station::report::{ReportFolder, figure};
+use flankscope_station::report::{ReportFolder, figure, scan_mesh};
 use flankscope_station::scan::{
     Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner,
     percent,
@@ -77,6 +78,9 @@ pub struct Args {
     /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
+    /// Spacing of that mesh along the profile and the axis, from every point of every view [default: the cells of map.ply]
+    #[arg(long, value_name = "MM", requires = "mesh")]
+    mesh_mm: Option<f64>,
     /// Write every measured point of every view in its final pose as a binary PLY in the tool frame: a whole die is 42 million
     /// points, 0.8 GB
     #[arg(long, value_name = "CLOUD.ply")]
@@ -208,6 +212,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .unwrap_or(Path::new("."));
     let set_up = |scanner: &mut Scanner| -> anyhow::Result<()> {
         scanner.against(args.reference.as_deref())?;
+        if let Some(spacing_mm) = args.mesh_mm {
+            scanner.check_spacing(spacing_mm).context("--mesh-mm")?;
+        }
         Ok(scanner.by_method(method, paper)?)
     };
     let mut scanning = match &recording {
@@ -251,6 +258,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(cloud) = &args.cloud {
         complaints.hear(args.write_cloud(&scanning, &scan, cloud));
     }
+    if let Some(mesh) = &args.mesh {
+        complaints.hear(args.write_mesh(&scanning, &scan, mesh));
+    }
     if args.common.shows_table() {
         complaints.hear(print(&scan));
     }
@@ -261,11 +271,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     scan.seal = complaints.hear(seal(&scan));
     complaints.hear_of(args.common.document(), &mut scan);
     complaints.hear(args.write_report(&mut scan));
-    if let Some(mesh) = &args.mesh {
-        complaints.hear(write_file(mesh, |file| {
-            flankscope_station::report::scan_mesh(&scan, file)
-        }));
-    }
     Ok(complaints.end(scan.verdict, &scan.sentence(), quiet))
 }
 
@@ -375,6 +380,17 @@ impl Args {
             Ok(())
         })?;
         self.show(&format!("{count} points: {}", path.display()))
+    }
+
+    fn write_mesh(&self, scanning: &Scanning, scan: &Scan, path: &Path) -> anyhow::Result<()> {
+        let scanner = scanning.scanner();
+        let fine = self
+            .mesh_mm
+            .map(|spacing_mm| scanner.fine_map(scan, spacing_mm));
+        let fine = fine.transpose()?;
+        write_file(path, |file| {
+            scan_mesh(scan, fine.as_ref().unwrap_or(&scan.map), file)
+        })
     }
 
     fn write_report(&self, scan: &mut Scan) -> anyhow::Result<()> {

@@ -2,13 +2,14 @@
 
 use std::f64::consts::{PI, TAU};
 
-use flankscope_metrology::multiview::cylinder::{CylinderMap, Layout, cell_observations};
+use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout, cell_observations};
 use flankscope_metrology::surface::{Closest, Feature};
 
 const LAYOUT: Layout = Layout {
     columns: 72,
     rows: 20,
     height_mm: [0.0, 66.0],
+    around: Around::Angle,
 };
 /// What the map grants a view's pose, mm.
 const VIEW_MM: f64 = 1e-3;

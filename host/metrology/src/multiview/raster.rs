@@ -114,6 +114,7 @@ mod tests {
         columns: 360,
         rows: 4,
         height_mm: [0.0, 4.0],
+        around: crate::multiview::cylinder::Around::Angle,
     };
 
     fn wall(seed: u64, radius_mm: impl Fn(f64) -> f64) -> Vec<[f64; 3]> {

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::adjustment::{Pose, ViewInformation, compress_laid};
-use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, cell_observations};
+use flankscope_metrology::multiview::cylinder::{
+    Around, CellObservation, Layout, cell_observations,
+};
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::wear::{FlankView, Measured, Sight};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -22,6 +24,7 @@ pub(super) fn layout(gear: &GearData) -> Layout {
         columns: COLUMNS_PER_TOOTH * gear.teeth as usize,
         rows: ((high - low) / ROW_MM).ceil().clamp(1.0, 1e4) as usize,
         height_mm: gear.height_mm,
+        around: Around::Angle,
     }
 }
 

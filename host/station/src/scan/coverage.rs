@@ -169,7 +169,7 @@ pub fn percent(ratio: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
+    use flankscope_metrology::multiview::cylinder::{Around, CellObservation, Layout};
 
     const TEETH: u32 = 84;
 
@@ -194,6 +194,7 @@ mod tests {
                 columns: 24 * TEETH as usize,
                 rows: 264,
                 height_mm: [0.0, 66.0],
+                around: Around::Angle,
             },
             gear(),
         );

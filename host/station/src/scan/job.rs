@@ -18,6 +18,7 @@ use flankscope_profilometry::head::Unfit;
 use super::cell_observations::layout;
 use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
+use super::fine_map::{self, FineMapError};
 use super::full_cloud::{self, CloudError};
 use super::gear::{self, ScanGearError};
 use super::grid::{Grid, GridError};
@@ -301,6 +302,24 @@ impl Scanner {
     pub fn evaluate_gear(&self, scan: &mut Scan) -> Result<(), ScanGearError> {
         scan.gear = Some(gear::evaluate(scan, &self.store.session, &self.gear)?);
         Ok(())
+    }
+
+    /// Whether a mesh of this gear can have this spacing.
+    ///
+    /// # Errors
+    /// It cannot.
+    pub fn check_spacing(&self, spacing_mm: f64) -> Result<(), FineMapError> {
+        fine_map::layout(&self.gear, spacing_mm).map(drop)
+    }
+
+    /// The map of a finished scan in cells of `spacing_mm` along the toothing's profile and its axis.
+    ///
+    /// # Errors
+    /// The spacing is none, or the session folder cannot be read.
+    pub fn fine_map(&self, scan: &Scan, spacing_mm: f64) -> Result<CylinderMap, FineMapError> {
+        let layout = fine_map::layout(&self.gear, spacing_mm)?;
+        let tool = &self.subject.tool;
+        Ok(fine_map::merged(scan, &self.store.session, tool, layout)?)
     }
 
     /// Writes every point of every registered view of a finished scan, in its final pose, as a binary PLY; returns their number.

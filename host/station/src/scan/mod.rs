@@ -27,6 +27,7 @@
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
 //! | `full_cloud` | every point of every view, streamed |
+//! | `fine_map` | the map in cells of a chosen size |
 //! | `gear` | profile, helix and pitch of every tooth from them |
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
@@ -36,6 +37,7 @@ mod comparison;
 mod coverage;
 mod describe;
 mod die_identity;
+mod fine_map;
 mod flanks;
 mod full_cloud;
 mod gear;
@@ -55,6 +57,7 @@ mod view_pipeline;
 
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};
+pub use fine_map::FineMapError;
 pub use full_cloud::CloudError;
 pub use gear::{ScanGear, ScanGearError};
 pub use grid::{Grid, GridError};

@@ -3,9 +3,11 @@
 //! Points of one view in one cell share its pose, so they count as one measurement of it: views, not points, are the
 //! independent views. Between-view variance after DerSimonian and Laird (Controlled Clinical Trials 7, 1986).
 
+mod around;
 mod observation;
 mod quality;
 
+pub use around::{Around, Profile};
 pub use observation::{CellObservation, cell_observations, moved};
 pub use quality::FieldQuality;
 
@@ -17,12 +19,14 @@ const LEAST_VIEW_SIGMA_MM: f64 = 1e-3;
 /// Size of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
-    /// Cells around the bore, from −π to π.
+    /// Cells around the bore.
     pub columns: usize,
     /// Cells along the axis, from the bottom.
     pub rows: usize,
     /// Lower and upper end, mm.
     pub height_mm: [f64; 2],
+    /// What the columns divide evenly.
+    pub around: Around,
 }
 
 /// Sums of one cell.
@@ -102,7 +106,7 @@ fn form_row([x, y, z]: [f64; 3], normal: [f64; 3], [low, high]: [f64; 2]) -> SVe
 impl Layout {
     /// Number of the cell that a place belongs to; none above and below the grid.
     fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
-        let around = y.atan2(x) / std::f64::consts::TAU + 0.5;
+        let around = self.around.share(y.atan2(x));
         let column = ((around * self.columns as f64) as usize).min(self.columns - 1);
         Some(self.row_of(z)? * self.columns + column)
     }
@@ -118,7 +122,8 @@ impl Layout {
 
     /// Middle angle of a column, rad, from −π to π.
     pub fn angle_rad(&self, column: usize) -> f64 {
-        std::f64::consts::TAU * ((column as f64 + 0.5) / self.columns as f64 - 0.5)
+        self.around
+            .angle_rad((column as f64 + 0.5) / self.columns as f64)
     }
 }
 

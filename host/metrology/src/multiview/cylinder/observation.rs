@@ -114,6 +114,7 @@ mod tests {
         columns: 8,
         rows: 2,
         height_mm: [0.0, 10.0],
+        around: crate::multiview::cylinder::Around::Angle,
     };
 
     fn hit(point: [f64; 3], signed_distance_mm: f64) -> Closest {

@@ -103,6 +103,7 @@ mod tests {
             columns: 100,
             rows: 40,
             height_mm: [0.0, 40.0],
+            around: crate::multiview::cylinder::Around::Angle,
         };
         // Every cell is seen by three views, each time at another x in the field; beyond x/z = 0.5 the calibration is 6 µm
         // off, and the noise is 2 µm everywhere.

@@ -1,0 +1,76 @@
+//! The map of all views anew, in cells of a chosen size along the toothing's profile: what a mesh of that resolution is made of.
+
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout, Profile};
+use flankscope_metrology::tool::Tool;
+use nalgebra::Point3;
+
+use super::cell_observations::Laid;
+use super::full_cloud::registered;
+use super::result::Scan;
+use super::session::{Session, SessionError};
+
+/// Most cells, 90 bytes each.
+const MOST_CELLS: f64 = 1.5e7;
+
+/// Why there is no map in finer cells.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FineMapError {
+    /// Cells that are too many or too few.
+    #[error(
+        "{spacing_mm} mm is no spacing for a mesh of this gear; right would be {least_mm:.3} to {most_mm:.3} mm"
+    )]
+    Spacing {
+        /// What was asked for.
+        spacing_mm: f64,
+        /// Least: so many cells fit into memory.
+        least_mm: f64,
+        /// Most: a tooth keeps its shape.
+        most_mm: f64,
+    },
+    /// The session folder cannot be read.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+}
+
+/// Cells of `spacing_mm` along the profile and the axis.
+pub(super) fn layout(gear: &GearData, spacing_mm: f64) -> Result<Layout, FineMapError> {
+    let profile = Profile::of(gear);
+    let [low, high] = gear.height_mm;
+    let least_mm = (profile.length_mm() * (high - low) / MOST_CELLS).sqrt();
+    let most_mm = 0.5 * gear.module_mm;
+    if !(least_mm..=most_mm).contains(&spacing_mm) {
+        return Err(FineMapError::Spacing {
+            spacing_mm,
+            least_mm,
+            most_mm,
+        });
+    }
+    Ok(Layout {
+        columns: (profile.length_mm() / spacing_mm).ceil() as usize,
+        rows: ((high - low) / spacing_mm).ceil() as usize,
+        height_mm: gear.height_mm,
+        around: Around::Profile(profile),
+    })
+}
+
+/// Every registered view in its final pose, one in memory after the other, merged as the scan's own map is.
+pub(super) fn merged(
+    scan: &Scan,
+    session: &Session,
+    tool: &Tool,
+    layout: Layout,
+) -> Result<CylinderMap, SessionError> {
+    let mut map = CylinderMap::new(layout);
+    for (view, tool_from_camera) in registered(scan) {
+        let kept = session.points(view)?;
+        let laid = Laid::new(&tool.surface, tool_from_camera, &kept);
+        let back = tool_from_camera.inverse();
+        map.add_view(&laid.cell_observations(&layout), |of| {
+            let in_camera = back * Point3::from(of.point.map(f64::from));
+            scan.quality.variance_mm2(in_camera.into())
+        });
+    }
+    Ok(map)
+}
