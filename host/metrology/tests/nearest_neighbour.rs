@@ -89,3 +89,46 @@ fn the_nearest_neighbour_metric_reports_its_own_sampling_and_the_exact_one_the_n
     );
     assert!(exact.mean_mm.abs() < 5.0 * NOISE_MM / f64::sqrt(PROBES as f64));
 }
+
+/// The closed form over all densities that the article allows (docs/density.md), against a search through all points.
+#[test]
+fn the_closed_form_holds_from_three_to_seventeen_hundred_points_per_mm2() {
+    const COUNT: usize = 4000;
+    for per_mm2 in [2.9, 45.5, 151.0, 603.0, 1711.0] {
+        let side = (COUNT as f64 / per_mm2).sqrt();
+        let square = TriMesh {
+            vertices: square()
+                .vertices
+                .iter()
+                .map(|p| p.map(|c| c / SIDE_MM * side))
+                .collect(),
+            triangles: square().triangles,
+        };
+        let reference = sample(&square, COUNT, 3).expect("a square");
+        // A tenth of the side off its edges: six mean spacings of these points.
+        let probes = sample(&square, 2000, 4).expect("a square");
+        let inner = |p: &&[f64; 3]| p[..2].iter().all(|c| (0.1..0.9).contains(&(c / side)));
+        let nearest: Vec<f64> = probes
+            .iter()
+            .filter(inner)
+            .map(|p| {
+                let to = |q: &[f64; 3]| (p[0] - q[0]).hypot(p[1] - q[1]);
+                reference.iter().map(to).fold(f64::INFINITY, f64::min)
+            })
+            .collect();
+        let got = statistics(&nearest).expect("distances");
+        let mean_mm = 0.5 / f64::sqrt(per_mm2);
+        let std_mm = mean_mm * (4.0 / std::f64::consts::PI - 1.0).sqrt();
+        // 1300 probes among 2600 points: means to 2 %, standard deviations to 3 %; three times that.
+        assert!(
+            (got.mean_mm / mean_mm - 1.0).abs() < 0.06,
+            "{per_mm2}: {}",
+            got.mean_mm
+        );
+        assert!(
+            (got.std_mm / std_mm - 1.0).abs() < 0.09,
+            "{per_mm2}: {}",
+            got.std_mm
+        );
+    }
+}

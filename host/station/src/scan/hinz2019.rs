@@ -27,8 +27,9 @@ use super::session::Session;
 use super::view::{Kept, coordinates, place};
 use crate::inspection::ViewPlan;
 
-/// Density of the reference points that the merged cloud is compared with, per mm²: the one at which a perfect piece has
-/// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74.
+/// Density of the reference points that the merged cloud is compared with, per mm²: chosen near the one at which a perfect piece has
+/// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74. It names none, and what it says allows 3 to 1700
+/// (docs/density.md).
 const MERGED_PER_MM2: f64 = 50.0;
 
 /// What the article leaves to whoever uses it.
