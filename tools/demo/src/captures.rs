@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use flankscope_profilometry::calibrate::{
-    CapturedView, Captures, Plate, StagePose, Target, TestPlace,
+    CapturedView, Captures, Plate, StageOffset, StagePose, Target,
 };
 use flankscope_station::files::write_whole;
 
@@ -40,7 +40,7 @@ pub struct TargetView {
 
 /// The blank plate, every printed plate from each place of `around`, and the spheres at every place of a self-test.
 #[must_use]
-pub fn target_views(target: &Target, seed: u64, around: &[TestPlace]) -> Vec<TargetView> {
+pub fn target_views(target: &Target, seed: u64, around: &[StageOffset]) -> Vec<TargetView> {
     let mut errors = StageErrors::new(seed);
     let mut views = Vec::new();
     let mut add = |name: String, plate: Option<usize>, told: StagePose, kept_aside: bool| {
@@ -65,9 +65,9 @@ pub fn target_views(target: &Target, seed: u64, around: &[TestPlace]) -> Vec<Tar
             add(name, Some(number), facing(plate).beside(place), kept_aside);
         }
     }
-    let middle = target.sphere.map(|of| StagePose::before(of.middle_mm()));
-    for (number, place) in target.test_places().into_iter().enumerate() {
-        if let Some(middle) = middle {
+    if let Some(sphere) = target.sphere {
+        let middle = StagePose::before(sphere.middle_mm());
+        for (number, place) in target.test_places().into_iter().enumerate() {
             let name = format!("spheres-{}", number + 1);
             add(name, None, middle.beside(place), false);
         }

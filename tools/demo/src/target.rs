@@ -7,7 +7,7 @@ use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, MadeHead, Placement, TargetFile};
 use flankscope_bench::world::{HeadDesign, WorldConfig};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, Partner, Plate, Sphere, Target, TestPlace};
+use flankscope_profilometry::calibrate::{Dots, Partner, Plate, Sphere, StageOffset, Target};
 use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -35,7 +35,7 @@ pub fn target_of(made: &HeadDesign) -> Target {
         tool_from_plate: transform_file(&pose),
     };
     let places = |of: [[f64; 2]; 3]| {
-        let place = |[around, up]: [f64; 2]| TestPlace {
+        let place = |[around, up]: [f64; 2]| StageOffset {
             turned_rad: of_field(around) / made.focus_radius_mm,
             raised_mm: of_field(up),
         };

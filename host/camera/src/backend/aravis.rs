@@ -386,9 +386,7 @@ impl Backend for Aravis {
                 id: Some(open.id(&buffer)).filter(|&id| id != NO_ID),
             }),
         };
-        // A frame whose first packet is lost would carry the number that its buffer had before.
-        buffer.set_frame_id(NO_ID);
-        open.stream.push_buffer(buffer);
+        open.give_back(buffer);
         match &next {
             Ok(Next::Whole(_)) => self.status.whole += 1,
             _ => self.status.incomplete += 1,
@@ -414,14 +412,7 @@ impl Open {
         let heard_before = self.heard();
         self.camera.start_acquisition().map_err(gone)?;
         // A frame that has only begun to come is one, too.
-        let frame = self.stream.timeout_pop_buffer(quiet.as_micros() as u64);
-        let mut runs = self.heard() > heard_before;
-        if let Some(buffer) = frame {
-            buffer.set_frame_id(NO_ID);
-            self.stream.push_buffer(buffer);
-            runs = true;
-        }
-        if runs {
+        if self.dropped_one(quiet) || self.heard() > heard_before {
             let _ = self.camera.stop_acquisition();
             return Err(CameraError::Setting {
                 setting: "TriggerMode".into(),
@@ -436,13 +427,19 @@ impl Open {
     /// Takes frames out of the stream until none has come for `quiet`, at most ten times as long.
     fn discard(&self, quiet: Duration) {
         let end = Instant::now() + 10 * quiet;
-        while Instant::now() < end {
-            let Some(buffer) = self.stream.timeout_pop_buffer(quiet.as_micros() as u64) else {
-                break;
-            };
-            buffer.set_frame_id(NO_ID);
-            self.stream.push_buffer(buffer);
-        }
+        while Instant::now() < end && self.dropped_one(quiet) {}
+    }
+
+    /// Whether a frame came within `patience`; it goes nowhere.
+    fn dropped_one(&self, patience: Duration) -> bool {
+        let frame = self.stream.timeout_pop_buffer(patience.as_micros() as u64);
+        frame.map(|buffer| self.give_back(buffer)).is_some()
+    }
+
+    /// For the next frame. One whose first packet is lost would carry the number that its buffer had before.
+    fn give_back(&self, buffer: Buffer) {
+        buffer.set_frame_id(NO_ID);
+        self.stream.push_buffer(buffer);
     }
 
     /// Packets or bytes of frames so far, whole or not.

@@ -53,7 +53,7 @@ pub use captures::{CapturedView, Captures};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
 pub use sighting::{Mark, Sighting, StagePose};
-pub use target::{Dots, KEYS, Partner, Plate, Sphere, Target, TestPlace};
+pub use target::{Dots, KEYS, Partner, Plate, Sphere, StageOffset, Target};
 
 /// Why there is no calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use super::CalibrateError;
 use super::dots::{self, Scale};
 use super::label::label;
-use super::target::{Target, TestPlace};
+use super::target::{StageOffset, Target};
 use crate::cloud::CellColumn;
 use crate::head::HeadModel;
 
@@ -30,7 +30,7 @@ impl StagePose {
 
     /// Beside it.
     #[must_use]
-    pub fn beside(self, place: TestPlace) -> Self {
+    pub fn beside(self, place: StageOffset) -> Self {
         Self {
             rotation_rad: self.rotation_rad + place.turned_rad,
             vertical_mm: self.vertical_mm + place.raised_mm,

@@ -23,7 +23,7 @@ pub struct Target {
     pub pose_sigma_rad: f64,
     /// Where the stages stand beside facing plane and spheres, one place after the other, in a self-test; none: there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub test_place: Vec<TestPlace>,
+    pub test_place: Vec<StageOffset>,
     /// What is printed on the plates.
     pub dots: Dots,
     /// A white plate without print: shows the cores, and how evenly the head lights.
@@ -38,13 +38,13 @@ pub struct Target {
     pub limits: Option<Limits>,
     /// Where the stages stand beside facing a printed plate, a view each; the last one is kept aside.
     #[serde(default = "beside_of_10_mm")]
-    pub beside: Vec<TestPlace>,
+    pub beside: Vec<StageOffset>,
 }
 
 /// For a field of 10 mm, 41.5 mm from the axis.
-fn beside_of_10_mm() -> Vec<TestPlace> {
+fn beside_of_10_mm() -> Vec<StageOffset> {
     [(0.05, 0.8), (-0.05, -0.8), (0.02, -0.4)]
-        .map(|(turned_rad, raised_mm)| TestPlace {
+        .map(|(turned_rad, raised_mm)| StageOffset {
             turned_rad,
             raised_mm,
         })
@@ -93,7 +93,7 @@ pub struct Plate {
 /// A place of the stages beside another one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct TestPlace {
+pub struct StageOffset {
     /// Turned by.
     pub turned_rad: f64,
     /// Raised by.
@@ -207,9 +207,9 @@ impl Target {
 
     /// Where the stages stand beside facing an artefact, one place after the other, in a self-test.
     #[must_use]
-    pub fn test_places(&self) -> Vec<TestPlace> {
+    pub fn test_places(&self) -> Vec<StageOffset> {
         match &self.test_place[..] {
-            [] => vec![TestPlace::default()],
+            [] => vec![StageOffset::default()],
             places => places.to_vec(),
         }
     }
@@ -276,13 +276,6 @@ impl Target {
             let expected = "must be at most 32 tables [[test_place]]";
             return Err(BadValue::new("test_place", self.test_place.len(), expected));
         }
-        for (index, place) in self.test_place.iter().enumerate() {
-            let key = |name: &str| format!("test_place[{index}].{name}");
-            let small = "must be radians, less than 0.5 to either side";
-            within(&key("turned_rad"), place.turned_rad, -0.5, 0.5, small)?;
-            let small = "must be millimetres, less than 50 up or down";
-            within(&key("raised_mm"), place.raised_mm, -50.0, 50.0, small)?;
-        }
         if let Some(sphere) = &self.sphere {
             sphere.check()?;
         }
@@ -293,11 +286,22 @@ impl Target {
                 "must be 2 to 16 places, the last for the view that is kept aside",
             ));
         }
-        for (index, at) in self.beside.iter().enumerate() {
-            let key = |of: &str| format!("beside[{index}].{of}");
-            let (turned, raised) = (at.turned_rad, at.raised_mm);
-            within(&key("turned_rad"), turned, -1.0, 1.0, "must be -1 to 1 rad")?;
-            within(&key("raised_mm"), raised, -1e3, 1e3, "must be millimetres")?;
+        let small = [
+            "must be radians, less than 0.5 to either side",
+            "must be millimetres, less than 50 up or down",
+        ];
+        let any = ["must be -1 to 1 rad", "must be millimetres"];
+        for (name, places, [turned_rad, raised_mm], [turned, raised]) in [
+            ("test_place", &self.test_place, [0.5, 50.0], small),
+            ("beside", &self.beside, [1.0, 1e3], any),
+        ] {
+            for (index, at) in places.iter().enumerate() {
+                let key = |of: &str| format!("{name}[{index}].{of}");
+                let turn = key("turned_rad");
+                within(&turn, at.turned_rad, -turned_rad, turned_rad, turned)?;
+                let lift = key("raised_mm");
+                within(&lift, at.raised_mm, -raised_mm, raised_mm, raised)?;
+            }
         }
         self.limits.as_ref().map_or(Ok(()), Limits::check)
     }

@@ -33,14 +33,13 @@ pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Isometry3<
 pub(super) fn points_in_tool(
     session: &Session,
     view: usize,
-    tool_from_camera: &Isometry3<f64>,
-) -> Result<Vec<([f64; 3], f32)>, SessionError> {
+    tool_from_camera: Isometry3<f64>,
+) -> Result<impl Iterator<Item = ([f64; 3], f32)>, SessionError> {
     let kept = session.points(view)?.points;
-    let located = kept.iter().map(|&[x, y, z, sigma, _]| {
+    Ok(kept.into_iter().map(move |[x, y, z, sigma, _]| {
         let p_tool = tool_from_camera * Point3::new(x, y, z).cast::<f64>();
         (p_tool.into(), sigma)
-    });
-    Ok(located.collect())
+    }))
 }
 
 /// Writes the cloud as a binary PLY in the tool frame: x, y, z, standard uncertainty along the ray that it was seen by (mm), and the
@@ -63,7 +62,7 @@ pub(super) fn write(
     let mut bytes = Vec::new();
     for (view, tool_from_camera) in registered {
         bytes.clear();
-        for (p_tool, sigma) in points_in_tool(session, view, &tool_from_camera)? {
+        for (p_tool, sigma) in points_in_tool(session, view, tool_from_camera)? {
             let [x, y, z] = p_tool.map(|c| c as f32);
             bytes.extend([x, y, z, sigma].into_iter().flat_map(f32::to_le_bytes));
             bytes.extend((view as u16).to_le_bytes());

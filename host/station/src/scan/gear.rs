@@ -105,8 +105,8 @@ pub(super) fn evaluate(
     };
     let mut gathering = Gathering::new(gear, &settings)?;
     for (view, tool_from_camera) in registered(scan) {
-        let located = points_in_tool(session, view, &tool_from_camera)?;
-        let points: Vec<[f64; 3]> = located.into_iter().map(|(point, _)| point).collect();
+        let located = points_in_tool(session, view, tool_from_camera)?;
+        let points: Vec<[f64; 3]> = located.map(|(point, _)| point).collect();
         gathering.add(&points);
     }
     Ok(ScanGear {
