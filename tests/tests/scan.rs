@@ -15,6 +15,10 @@ fn scan(args: &[&str]) -> Run {
 
 /// Twelve views in two layers of a die that is 20 µm oval and 15 µm conical, put down by hand.
 fn oval_and_conical(session: &Path, report: &Path, method: &str) -> Run {
+    oval_and_conical_with(session, report, method, &[])
+}
+
+fn oval_and_conical_with(session: &Path, report: &Path, method: &str, rest: &[&str]) -> Run {
     let form = [
         "--views",
         "12x2",
@@ -31,7 +35,7 @@ fn oval_and_conical(session: &Path, report: &Path, method: &str) -> Run {
         "--report",
         report.to_str().expect("a path in UTF-8"),
     ];
-    scan(&[&form[..], &folders].concat())
+    scan(&[&form[..], &folders, rest].concat())
 }
 
 /// At full density, every point that the session keeps stands where its view's final pose puts it.
@@ -274,6 +278,36 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert_eq!(article.code, 2);
     assert!(figure(&article, "/form/ovality_um") < 10.0);
     assert_eq!(article.json["features"].as_array().map(Vec::len), Some(0));
+    let told = &article.json["methods"][1]["settings"];
+    assert_eq!(told["denoise"], Value::Null);
+    // The same session under the article's values, one of them otherwise: nothing is captured, everything is laid anew.
+    let rest = ["--article", "--share", "0.05", "--inlier-ratio", "0.7"];
+    let preset = oval_and_conical_with(&session, &report, "paper", &rest);
+    let told = &preset.json["methods"][1]["settings"];
+    assert_eq!(
+        told["denoise"],
+        serde_json::json!({"neighbours": 4, "std_ratio": 1.0})
+    );
+    let of = &told["registration"];
+    assert_eq!([&told["share"], &of["inlier_ratio"]], [0.05, 0.7]);
+    assert_eq!([&of["samples"], &of["most_iterations"]], [100_000, 25]);
+    assert_eq!([&of["translation_mm"], &of["rotation_deg"]], [0.001, 0.005]);
+    assert_eq!(preset.json["resumed_views"], 24);
+    assert_ne!(
+        preset.json["methods"][1]["rms_um"],
+        article.json["methods"][1]["rms_um"]
+    );
+    let steps = preset.json["methods"][1]["iterations"].as_array().unwrap();
+    assert!(
+        steps
+            .iter()
+            .all(|n| (1..=25).contains(&n.as_u64().unwrap()))
+            && steps.len() == 24
+    );
+    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    assert!(page.contains(
+        "5 % of the points; 100000 reference points in ±10 mm by ±0.2 rad; 70 % of the pairs"
+    ));
     // Its poses are its own, and nothing of the joint solve is said of them.
     let poses = |run: &Run| -> Vec<Value> {
         let views = run.json["registration"].as_array().expect("views");
@@ -450,13 +484,46 @@ fn a_patch_that_no_view_saw_is_never_go() {
 #[test]
 fn the_articles_settings_need_its_method() {
     for option in [
-        ["--order", "1"],
-        ["--mask-threshold", "20"],
-        ["--voxel-mm", "0.1"],
+        &["--order", "1"][..],
+        &["--mask-threshold", "20"],
+        &["--voxel-mm", "0.1"],
+        &["--roi-mm", "5"],
+        &["--rotation-tolerance-deg", "0.286"],
+        &["--denoise", "8"],
+        &["--article"],
     ] {
-        let wrong = scan(&[&["--views", "12x1"][..], &option].concat());
+        let wrong = scan(&[&["--views", "12x1"][..], option].concat());
         assert_eq!(wrong.code, 3, "{option:?}");
-        assert!(wrong.stderr.contains("--method paper"), "{}", wrong.stderr);
+        let said = format!(
+            "{} is for the article's method: add --method paper",
+            option[0]
+        );
+        assert!(wrong.stderr.contains(&said), "{}", wrong.stderr);
+    }
+}
+
+#[test]
+fn settings_that_cannot_be_are_named_with_what_can() {
+    for (option, value, can) in [
+        ("--mask-threshold", "70000", "0 to 65535 counts"),
+        ("--share", "NaN", "0.0001 to 1 of the points"),
+        ("--share", "0", "0.0001 to 1 of the points"),
+        ("--roi-mm", "-1", "0.1 to 1000 mm"),
+        ("--roi-rad", "3.2", "to 3.14"),
+        ("--alpha-points", "10", "100 to 10000000"),
+        ("--alpha-per-mm2", "inf", "0.1 to 2000 points per mm2"),
+        ("--inlier-ratio", "1.1", "0.01 to 1 of the pairs"),
+        ("--most-iterations", "0", "1 to 1000"),
+        ("--translation-tolerance-mm", "2", "0 to 1 mm"),
+        ("--rotation-tolerance-deg", "-0.1", "0 to 1 degrees"),
+        ("--denoise", "0", "1 to 100"),
+        ("--denoise-sigma", "1", "add --denoise K"),
+        ("--voxel-mm", "0", "above 0"),
+    ] {
+        let value = format!("{option}={value}");
+        let wrong = scan(&["--views", "12x1", "--method", "paper", &value]);
+        assert_eq!(wrong.code, 3, "{value}");
+        assert!(wrong.stderr.contains(can), "{value}: {}", wrong.stderr);
     }
 }
 

@@ -24,6 +24,7 @@ mod interrupt;
 mod manual;
 mod merge;
 mod output;
+mod paper;
 mod patterns;
 mod progress;
 mod register;
@@ -59,7 +60,7 @@ struct Cli {
 enum Command {
     Inspect(inspect::Args),
     Watch(watch::Args),
-    Scan(scan::Args),
+    Scan(Box<scan::Args>),
     Calibrate(calibrate::Args),
     Decode(decode::Args),
     Sample(sample::Args),

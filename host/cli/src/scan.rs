@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_foundation::seal::Seal;
-use flankscope_metrology::deviation::{Order, Statistics};
+use flankscope_metrology::deviation::Statistics;
 use flankscope_station::acquisition::Recording;
 use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
@@ -21,12 +21,13 @@ use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::gear::write_evaluation;
-use crate::geometry::{MinkowskiOrder, pose_of_pairs, write_file};
+use crate::geometry::write_file;
 use crate::help;
 use crate::inspect::{self, write_origin};
 use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
+use crate::paper::PaperOptions;
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
 
@@ -95,37 +96,18 @@ pub struct Args {
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
     #[arg(long, value_enum, value_name = "GRID")]
     grid: Option<crate::grid::Grid>,
+    /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
+    /// the article's figures beside ours
+    #[arg(long, value_enum, default_value_t = MethodName::Surface)]
+    method: MethodName,
     #[command(flatten)]
-    paper: PaperArgs,
+    paper: PaperOptions,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
     bench: BenchArgs,
     #[command(flatten)]
     die: DieArgs,
-}
-
-/// How the views are stitched, and what the article's method leaves open.
-#[derive(clap::Args, Clone, Debug)]
-#[command(next_help_heading = "Method")]
-pub struct PaperArgs {
-    /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
-    /// the article's figures beside ours
-    #[arg(long, value_enum, default_value_t = MethodName::Surface)]
-    method: MethodName,
-    /// Start of the article's method from picked pairs: per line x,y,z in the first view's camera frame, then CAD x,y,z, mm
-    /// [default: from the head file and a search for the tooth phase]
-    #[arg(long, value_name = "P.csv")]
-    pairs: Option<PathBuf>,
-    /// Order of the article's distance between points [default: 2]
-    #[arg(long, value_enum)]
-    order: Option<MinkowskiOrder>,
-    /// The article's mask: least smoothed standard deviation of the finest fringes, counts [default: 40]
-    #[arg(long, value_name = "DN")]
-    mask_threshold: Option<f64>,
-    /// Side of the voxels of the article's merged cloud [default: 0.05]
-    #[arg(long, value_name = "MM")]
-    voxel_mm: Option<f64>,
 }
 
 /// A method by its name.
@@ -136,37 +118,18 @@ enum MethodName {
     Both,
 }
 
-impl PaperArgs {
-    fn settings(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
+impl Args {
+    /// How the views are stitched, and what the article's method is told.
+    fn stitching(&self) -> anyhow::Result<(Method, Hinz2019Settings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
             MethodName::Paper => Method::Hinz2019,
             MethodName::Both => Method::Both,
         };
-        for (option, given) in [
-            ("--pairs", self.pairs.is_some()),
-            ("--order", self.order.is_some()),
-            ("--mask-threshold", self.mask_threshold.is_some()),
-            ("--voxel-mm", self.voxel_mm.is_some()),
-        ] {
-            if given && method == Method::Surface {
-                anyhow::bail!("{option} is for the article's method: add --method paper or both");
-            }
+        if let Some(option) = self.paper.given().filter(|_| method == Method::Surface) {
+            anyhow::bail!("{option} is for the article's method: add --method paper or both");
         }
-        let defaults = Hinz2019Settings::default();
-        let mask_dn = self.mask_threshold.unwrap_or(defaults.mask_dn);
-        if !(0.0..=65535.0).contains(&mask_dn) {
-            anyhow::bail!("--mask-threshold {mask_dn}: 0 to 65535 counts are possible");
-        }
-        let settings = Hinz2019Settings {
-            first_pose: self.pairs.as_deref().map(pose_of_pairs).transpose()?,
-            mask_dn,
-            voxel_mm: self.voxel_mm.unwrap_or(defaults.voxel_mm),
-            order: self.order.map_or(defaults.order, Order::from),
-            seed,
-            ..defaults
-        };
-        Ok((method, settings))
+        Ok((method, self.paper.settings(seed(&self.bench))?))
     }
 }
 
@@ -184,7 +147,7 @@ impl Args {
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
-    let (method, paper) = args.paper.settings(seed(&args.bench))?;
+    let (method, paper) = args.stitching()?;
     if args.gear && method == Method::Hinz2019 {
         anyhow::bail!(
             "--gear: the article's method claims no uncertainty; --method surface or both does"

@@ -19,13 +19,16 @@ pub fn deviations(surface: &Surface, points: &[[f64; 3]]) -> Vec<f64> {
 }
 
 /// Order of the Minkowski distance between points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub enum Order {
     /// Sum of the sizes of the coordinate differences.
+    #[serde(rename = "1")]
     One,
     /// Euclidean.
+    #[serde(rename = "2")]
     Two,
     /// Largest coordinate difference.
+    #[serde(rename = "inf")]
     Infinity,
 }
 

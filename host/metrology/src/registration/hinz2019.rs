@@ -15,7 +15,7 @@ use crate::surface::sampling::{Region, centre_of_mass};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// The article's settings.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Hinz2019Options {
     /// Number of reference points in the window.
     pub samples: usize,

@@ -51,6 +51,12 @@ pub struct MethodResult {
     pub merged: Option<Spread>,
     /// Root mean square distance of every view by this metric, µm, in order of capture; null for a lost one.
     pub rms_um: Vec<Option<f64>>,
+    /// Steps of every view's registration, in order of capture; absent where all views are solved together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<Vec<Option<usize>>>,
+    /// What the article's method was told; absent for ours.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Hinz2019Settings>,
     /// Whether that, or where the views lie, drifts.
     pub drift: ScanDrift,
     /// From the views of the session to the map, ms.
@@ -245,6 +251,8 @@ pub(super) fn of_surface(
         metric: "signed distance to the surface, of every view about the form of the whole bore",
         one_view,
         merged: exact,
+        iterations: None,
+        settings: None,
         drift: ScanDrift::of(planned, &figures),
         rms_um: rms_um(&figures),
         stitching_ms: took.as_secs_f64() * 1e3,
@@ -260,7 +268,9 @@ pub(super) fn of_hinz2019(
     took: Duration,
 ) -> MethodResult {
     let mut figures = vec![None; planned.len()];
+    let mut iterations = vec![None; planned.len()];
     for laid in &stitched.views {
+        iterations[laid.view] = Some(laid.iterations);
         let at = Pose {
             rotation_rad: planned[laid.view].rotation_rad,
             vertical_mm: planned[laid.view].vertical_mm,
@@ -287,6 +297,8 @@ pub(super) fn of_hinz2019(
         },
         one_view: stitched.one_view.map(Spread::from),
         merged: stitched.merged.map(Spread::from),
+        iterations: Some(iterations),
+        settings: Some(settings.clone()),
         drift: ScanDrift::of(planned, &figures),
         rms_um: rms_um(&figures),
         stitching_ms: took.as_secs_f64() * 1e3,

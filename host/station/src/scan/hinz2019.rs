@@ -6,11 +6,12 @@
 //!                            └── correction for the next view ┘
 //! ```
 //!
-//! Scattered points were removed before the views were kept. Where the article's formulas allow two readings or carry a
+//! Scattered points were removed before the views were kept; `denoise` removes more of them, the article's way. Where the article's formulas allow two readings or carry a
 //! slip (which side the initial transformation stands on, the reflection case), the geometrically right one is taken.
 
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::cloud::merge::voxel_centroids;
+use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
@@ -21,6 +22,7 @@ use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
+use serde::Serialize;
 
 use super::job::ScanError;
 use super::session::Session;
@@ -32,34 +34,100 @@ use crate::inspection::ViewPlan;
 /// (docs/density.md).
 const MERGED_PER_MM2: f64 = 50.0;
 
-/// What the article leaves to whoever uses it.
-#[derive(Clone, Debug)]
+/// Which scattered points go: those farther from their neighbours than most are from theirs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Denoise {
+    /// Neighbours that a point's mean distance is taken to.
+    pub neighbours: usize,
+    /// It goes when that is above the mean of all by more than so many standard deviations.
+    pub std_ratio: f64,
+}
+
+impl Denoise {
+    /// The article names neither; these are the defaults of the toolbox that it used (`pcdenoise`).
+    pub const TOOLBOX: Self = Self {
+        neighbours: 4,
+        std_ratio: 1.0,
+    };
+}
+
+/// What the article's method is told. It all acts on views that are kept: other settings stitch the same views anew.
+#[derive(Clone, Debug, Serialize)]
 pub struct Hinz2019Settings {
     /// Pose of the first view (tool frame from its camera frame) from picked pairs; without one, the files' hand-eye and a
     /// search for the tooth phase.
+    #[serde(skip)]
     pub first_pose: Option<Rigid<ToolFrame, Cloud>>,
     /// Points around which the fringes oscillate less are masked: smoothed standard deviation, counts.
     pub mask_dn: f64,
+    /// Scattered points that go beside those that are in no kept view.
+    pub denoise: Option<Denoise>,
     /// Share of the points that are drawn.
     pub share: f64,
+    /// Window, reference points and ends of every registration; its seed is that of all that is drawn.
+    pub registration: Hinz2019Options,
+    /// Density of the reference points that the merged cloud is compared with, per mm².
+    pub merged_per_mm2: f64,
     /// Side of the voxels of the merged cloud, mm.
     pub voxel_mm: f64,
     /// Distance between points.
     pub order: Order,
-    /// Seed of what is drawn.
-    pub seed: u64,
+}
+
+impl Hinz2019Settings {
+    /// The article's values: its table 1, its window read as ±10 mm and ±0.2 rad, 0.005 of its table 1 as degrees, 10 % of the
+    /// points, and what its toolbox takes where it names nothing.
+    #[must_use]
+    pub fn article() -> Self {
+        Self {
+            denoise: Some(Denoise::TOOLBOX),
+            ..Self::default()
+        }
+    }
+}
+
+impl Hinz2019Settings {
+    /// For people.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let of = &self.registration;
+        let denoise = match self.denoise {
+            Some(by) => format!(
+                "points beyond {} standard deviations of the distance to {} neighbours removed",
+                by.std_ratio, by.neighbours
+            ),
+            None => "no further denoising".into(),
+        };
+        format!(
+            "mask at {} counts; {denoise}; {} % of the points; {} reference points in ±{} mm by ±{} rad; {} % of the pairs; at most {} \
+             steps, until below {} mm and {}°; voxels of {} mm; {} reference points per mm² for all views",
+            self.mask_dn,
+            100.0 * self.share,
+            of.samples,
+            of.region.half_height_mm,
+            of.region.half_angle_rad,
+            100.0 * of.inlier_ratio,
+            of.most_iterations,
+            of.translation_mm,
+            of.rotation_deg,
+            self.voxel_mm,
+            self.merged_per_mm2
+        )
+    }
 }
 
 impl Default for Hinz2019Settings {
-    /// A mild mask, 10 % of the points, Euclidean distance.
+    /// The article's values without its denoising: a view's scattered points are gone before it is kept.
     fn default() -> Self {
         Self {
             first_pose: None,
             mask_dn: 40.0,
+            denoise: None,
             share: 0.1,
+            registration: Hinz2019Options::default(),
+            merged_per_mm2: MERGED_PER_MM2,
             voxel_mm: 0.05,
             order: Order::Two,
-            seed: 0,
         }
     }
 }
@@ -70,6 +138,8 @@ pub(super) struct Hinz2019View {
     /// Root mean square distance of its points to the nearest reference points, mm.
     pub rms_mm: f64,
     pub tool_from_camera: Isometry3<f64>,
+    /// Steps of its registration.
+    pub iterations: usize,
     /// Centre of its points there, mm.
     pub centre_mm: Point3<f64>,
 }
@@ -107,7 +177,7 @@ pub(super) fn stitch(
     let mut one_view = None;
     for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
         let points = session.points(view)?.points;
-        let seed = settings.seed.wrapping_add((view as u64) << 32);
+        let seed = settings.registration.seed.wrapping_add((view as u64) << 32);
         let drawn = drawn(&points, settings, seed);
         let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
         let moved = stages.tool_from_camera(at);
@@ -118,7 +188,7 @@ pub(super) fn stitch(
         };
         let options = Hinz2019Options {
             seed,
-            ..Hinz2019Options::default()
+            ..settings.registration
         };
         let start = Rigid::from_isometry(start);
         let (found, reference) = register_hinz2019(&tool.mesh, &xyz, &start, &options);
@@ -153,6 +223,7 @@ pub(super) fn stitch(
             view,
             rms_mm: distances.rms_mm,
             tool_from_camera,
+            iterations: found.iterations,
             centre_mm: Point3::new(centre[0], centre[1], at.vertical_mm + above),
         });
         cloud.extend(laid);
@@ -167,23 +238,41 @@ pub(super) fn stitch(
     })
 }
 
-/// Points that the mask leaves, a share of them.
-fn drawn(points: &[Kept], settings: &Hinz2019Settings, seed: u64) -> Vec<Kept> {
-    points
-        .iter()
+/// A share of the points that mask and denoising leave.
+pub(super) fn drawn(points: &[Kept], settings: &Hinz2019Settings, seed: u64) -> Vec<Kept> {
+    let left = denoised(masked(points, settings.mask_dn), settings.denoise);
+    let drawn = |(_, index): &(Kept, u64)| sampling::drawn(seed, *index, settings.share);
+    left.into_iter()
         .zip(0..)
-        .filter(|(point, index)| {
-            f64::from(point[4]) >= settings.mask_dn && sampling::drawn(seed, *index, settings.share)
-        })
-        .map(|(point, _)| *point)
+        .filter(drawn)
+        .map(|(point, _)| point)
         .collect()
+}
+
+/// Points around which the fringes oscillate enough.
+pub(super) fn masked(points: &[Kept], mask_dn: f64) -> Vec<Kept> {
+    let lit = |point: &&Kept| f64::from(point[4]) >= mask_dn;
+    points.iter().filter(lit).copied().collect()
+}
+
+/// Points that are not scattered.
+pub(super) fn denoised(points: Vec<Kept>, denoise: Option<Denoise>) -> Vec<Kept> {
+    let Some(denoise) = denoise else {
+        return points;
+    };
+    let xyz = coordinates(&points, points.len());
+    let keep = outlier::statistical(&xyz, denoise.neighbours, denoise.std_ratio);
+    let kept = points.into_iter().zip(keep).filter(|(_, keep)| *keep);
+    kept.map(|(point, _)| point).collect()
 }
 
 /// Reference points all over the toothing.
 fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
-    let threshold_mm = sampling::Region::default().radial_threshold_mm;
-    let count = (sampling::area_mm2(&tool.mesh) * MERGED_PER_MM2).clamp(1.0, 1e8) as usize;
-    let mut points = sampling::sample(&tool.mesh, count, settings.seed).unwrap_or_default();
+    let registration = &settings.registration;
+    let threshold_mm = registration.region.radial_threshold_mm;
+    let area_mm2 = sampling::area_mm2(&tool.mesh);
+    let count = (area_mm2 * settings.merged_per_mm2).clamp(1.0, 1e8) as usize;
+    let mut points = sampling::sample(&tool.mesh, count, registration.seed).unwrap_or_default();
     points.retain(|p| p[0].hypot(p[1]) <= threshold_mm);
     points
 }

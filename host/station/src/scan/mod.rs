@@ -61,7 +61,7 @@ pub use fine_map::FineMapError;
 pub use full_cloud::CloudError;
 pub use gear::{ScanGear, ScanGearError};
 pub use grid::{Grid, GridError};
-pub use hinz2019::Hinz2019Settings;
+pub use hinz2019::{Denoise, Hinz2019Settings};
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
