@@ -26,8 +26,11 @@ fn field_and_depth_mm(head: &HeadModel) -> [f64; 2] {
 #[test]
 fn a_head_by_name_has_the_field_it_is_named_for() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, expected_mm, working_mm) in [("10mm", [6.0, 3.0], 10.0), ("20mm", [10.0, 3.4], 20.0)]
-    {
+    for (name, expected_mm, working_mm) in [
+        ("10mm", [6.0, 3.0], 10.0),
+        ("20mm", [10.0, 3.4], 20.0),
+        ("liquid", [9.0, 3.4], 20.0),
+    ] {
         let out = folder.path().join(name);
         written("demo-target", &out, name);
         let head = HeadModel::load(&out.join("head.toml")).unwrap();
@@ -146,4 +149,88 @@ fn the_10_mm_head_calibrates_inspects_and_scans() {
         scanned.json["reason"],
         scanned.stderr
     );
+}
+
+/// A head with a liquid lens is calibrated at three settings and computed between them; that head passes the self-test at its setting,
+/// and finds the wear.
+#[test]
+fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let common = ["--quiet", "--speed", "max", "--json", "-"];
+    let mut series =
+        "name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\n\
+                      celsius_sigma = 0.5\n"
+            .to_owned();
+    for setting in ["-3", "0", "3"] {
+        let (target, head) = (
+            at(&format!("target{setting}")),
+            format!("head{setting}.toml"),
+        );
+        written("demo-target", target.as_ref(), &format!("liquid@{setting}"));
+        let calibrated = run(flankscope()
+            .args(["calibrate", "--link", "sim", "--target", &target])
+            .args(["-o", &at(&head)])
+            .args(common));
+        assert_eq!(calibrated.code, 0, "{}", calibrated.stderr);
+        series +=
+            &format!("[[focus]]\nsetting_dpt = {setting}.0\ncelsius = 23.0\nfile = \"{head}\"\n");
+    }
+    let file = at("focus.toml");
+    std::fs::write(&file, &series).unwrap();
+    let between = |setting: &str, head: &str| {
+        run(flankscope()
+            .args(["calibrate", "--focus-series", &file, "--focus", setting])
+            .args(["--lens-celsius", "33", "-o", head, "--quiet", "--json", "-"]))
+    };
+    // As warm as that, the lenses are half a dioptre stronger.
+    let refused = between("2.7", &at("beyond.toml"));
+    assert_eq!(refused.code, 3);
+    assert!(
+        refused.stderr.contains("-3.5 to 2.5 dpt"),
+        "{}",
+        refused.stderr
+    );
+    assert!(!folder.path().join("beyond.toml").exists());
+    let head = at("between.toml");
+    let computed = between("1", &head);
+    assert_eq!(computed.code, 0, "{}", computed.stderr);
+    let record = &computed.json["calibration"];
+    let depth_um = record["depth_sigma_um"].as_f64();
+    // It is not known better than the settings are.
+    assert!(depth_um.is_some_and(|um| um > 0.8 && um < 8.0), "{record}");
+
+    let (target, tool) = (at("target"), at("tool"));
+    written("demo-target", target.as_ref(), "liquid@1,33");
+    written("demo-tool", tool.as_ref(), "liquid@1,33");
+    let tested = run(flankscope()
+        .args(["calibrate", "--link", "sim", "--target", &target])
+        .args(["--check", &head])
+        .args(common));
+    assert_eq!(tested.code, 0, "{}", tested.json);
+    let checked = inspect(&[
+        "--link",
+        "sim",
+        "--tool",
+        &tool,
+        "--head",
+        &head,
+        "--wear",
+        "40:left:80",
+    ]);
+    assert_eq!(checked.not_go(), ["40:left:no-go"], "{}", checked.stderr);
+    // A file that somebody touched is believed no more, and takes no part.
+    let touched = folder.path().join("head0.toml");
+    let text = std::fs::read_to_string(&touched).unwrap();
+    std::fs::write(
+        &touched,
+        text.replace("working_distance_mm = 20.0", "working_distance_mm = 20.5"),
+    )
+    .unwrap();
+    let refused = between("1", &at("touched.toml"));
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(!folder.path().join("touched.toml").exists());
 }

@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
 use crate::calibrate_board::{self, Order};
+use crate::calibrate_focus::{self, FocusArgs};
 use crate::help;
 use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
 use crate::interrupt;
@@ -59,6 +60,8 @@ pub struct Args {
         conflicts_with = "target"
     )]
     board: Option<PathBuf>,
+    #[command(flatten)]
+    focus: FocusArgs,
     #[command(flatten)]
     place: Place,
     /// Where the head goes; its core map and its first self-test are written beside it
@@ -152,6 +155,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             valid_days: args.valid_days,
         };
         return calibrate_board::run(&order, &args.common);
+    }
+    if let (Some(series), Some(output)) = (&args.focus.focus_series, &args.output) {
+        args.common.try_json()?;
+        can_write(output)?;
+        return calibrate_focus::run(&args.focus, series, output, &args.common);
     }
     let passing = scratch()?;
     let folder = match &args.target {

@@ -9,6 +9,7 @@ mod bench_link;
 mod bench_link;
 mod calibrate;
 mod calibrate_board;
+mod calibrate_focus;
 mod camera_process;
 mod decode;
 mod deviation;

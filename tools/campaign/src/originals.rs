@@ -122,6 +122,7 @@ impl Originals {
         write("cloud.xyz", &text_cloud())?;
         write("head.yml", OPENCV)?;
         write("station.toml", STATION)?;
+        write("focus.toml", FOCUS)?;
         write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
@@ -151,6 +152,7 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("cores/cores.csv", Structure::Text, 6),
     ("head.yml", Structure::Text, 8),
     ("target/target.toml", Structure::Toml, 8),
+    ("focus.toml", Structure::Toml, 4),
     ("worn/PLAN.toml", Structure::Toml, 6),
     ("worn/frames.toml", Structure::Toml, 6),
     ("station.toml", Structure::Toml, 8),
@@ -185,6 +187,10 @@ Tp: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ -10., 0., 0. ]
 frameWidth: 1280\nframeHeight: 1024\nscreenResX: 912\nscreenResY: 1140\n";
 const POSES: &[u8] = b"# by the arm\ntooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad\n\
 12,-13.97,16.07,33.0,0.5,0.5,0.5,0.5,0.02,0.3\n40,20.9,-4.1,33.0,1,0,0,0,0.02,0.3\n";
+const FOCUS: &[u8] = b"name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\ncelsius_sigma = 0.5\n\
+[[focus]]\nsetting_dpt = -3.0\ncelsius = 23.0\nfile = \"a.toml\"\n[[focus]]\nsetting_dpt = 0.0\ncelsius = 23.0\nfile = \"b.toml\"\n\
+[[focus]]\nsetting_dpt = 3.0\ncelsius = 23.5\nfile = \"c.toml\"\n";
+
 const STATION: &[u8] = b"[light]\nled_ma = 1000\n\n[timing]\nsettle_ms = 100\npattern_settle_us = 200\ncamera_readout_us = 13000\n\n[stages]\n\
 rotation_error_mdeg = 15.0\nvertical_error_um = 5.0\nmount_um = 10.0\nmount_mrad = 0.2\nclearance_mm = 20.0\nmoves = \"head\"\n\n\
 [stages.line]\nbaud = 19200\n\n[stages.rotation]\naxis = 1\nspeed_deg_s = 80.0\nacceleration_deg_s2 = 320.0\n\

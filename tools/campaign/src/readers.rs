@@ -8,7 +8,7 @@ use anyhow::{Context, ensure};
 use flankscope_metrology::io::{Unit, cloud, mesh};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::Target;
+use flankscope_profilometry::calibrate::{FocusSeries, Target};
 use flankscope_profilometry::io::images::read_grey;
 use flankscope_profilometry::plan::Plan;
 use flankscope_station::acquisition::Recording;
@@ -143,6 +143,7 @@ impl Readers {
                 head(&adapted)?
             }
             "target/target.toml" => accepted(Target::load(&path))?,
+            "focus.toml" => accepted(FocusSeries::load(&path))?,
             "worn/PLAN.toml" => accepted(Plan::load(&path))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
             "poses.csv" => accepted(PoseTable::load(&path))?,

@@ -108,10 +108,12 @@ pub fn head() -> HeadModel {
 pub fn head_of(made: &HeadDesign) -> HeadModel {
     let optics = made.optics();
     let sensor = &made.sensor;
-    let [near_mm, far_mm] = made.volume_mm;
+    let [near_mm, far_mm] = made.driven_volume_mm();
     HeadModel {
         name: made.name.clone(),
-        working_distance_mm: Some(made.working_distance_mm),
+        working_distance_mm: Some(
+            made.working_distance_mm + made.best_focus_mm() - made.stand_off_mm,
+        ),
         pattern_set: Some(made.pattern_set.clone()),
         exposures_us: made.exposures_us.clone(),
         binning: made.binning,
@@ -128,7 +130,7 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
         }),
         volume: Some(DepthRange { near_mm, far_mm }),
         image_circle: Some(ImageCircle {
-            centre_px: optics.camera.centre_px,
+            centre_px: made.bundle(&made.camera).centre_px,
             radius_px: 0.5 * made.camera.circle_px,
         }),
         cores: None,

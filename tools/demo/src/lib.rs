@@ -29,7 +29,7 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
-        /// Head that looks at it: 10mm, 20mm, or an optics.toml [default: 20mm].
+        /// Head that looks at it: 10mm, 20mm, liquid, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
         #[arg(long, value_name = "NAME|FILE")]
         head: Option<MadeHead>,
     },
@@ -38,7 +38,7 @@ pub enum Command {
         /// Folder to write into.
         #[arg(long, short)]
         out: PathBuf,
-        /// Head that is calibrated by it: 10mm, 20mm, or an optics.toml [default: 20mm].
+        /// Head that is calibrated by it: 10mm, 20mm, liquid, or an optics.toml; liquid@DPT or liquid@DPT,CELSIUS as driven [default: 20mm].
         #[arg(long, value_name = "NAME|FILE")]
         head: Option<MadeHead>,
     },

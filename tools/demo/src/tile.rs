@@ -108,7 +108,7 @@ fn keep(folder: &Path, csv: &str, reference: &CoreMapFile) -> anyhow::Result<()>
 }
 
 fn tile_in_focus(made: &HeadDesign) -> WorldConfig {
-    let mut config = WorldConfig::new(tile(made.focus_radius_mm, [0.0; 2]), gear());
+    let mut config = WorldConfig::new(tile(made.driven_radius_mm(), [0.0; 2]), gear());
     made.impose(&mut config);
     config
 }

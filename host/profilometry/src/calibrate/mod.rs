@@ -28,6 +28,7 @@
 //! | `holdout` | plates measured with the result |
 //! | `eye` | triangulation with a head |
 //! | `self_test` | a plane and a sphere, measured |
+//! | `focus` | a head between the settings of its lens at which it was calibrated (`focus.toml`) |
 //! | `record` | what it writes into the head's file |
 //! | `board` | the same from an ordinary board: no certified pose, no blank plate |
 
@@ -37,6 +38,7 @@ mod bundle;
 mod captures;
 pub mod cores;
 mod dots;
+mod focus;
 mod form;
 mod hold_out;
 mod label;
@@ -50,6 +52,7 @@ mod uncertainty;
 
 pub use adjust::{Adjusted, adjust};
 pub use captures::{CapturedView, Captures};
+pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
 pub use sighting::{Mark, Sighting, StagePose};

@@ -35,6 +35,7 @@ impl CalibrationRecord {
             hold_out,
             without_field,
             board: None,
+            focus: None,
         }
     }
 
@@ -78,6 +79,7 @@ impl CalibrationRecord {
                 depth_mm: adjusted.depth_mm,
                 unknown: unknown.map(str::to_owned).collect(),
             }),
+            focus: None,
         }
     }
 }

@@ -17,14 +17,9 @@ pub(crate) fn volume_sigma_mm(
     scene: &Scene,
     covariance: &DMatrix<f64>,
 ) -> [f64; 2] {
-    let Some(volume) = head.volume else {
+    let Some(samples) = samples(head) else {
         return [f64::NAN; 2];
     };
-    let radius_px = head
-        .image_circle
-        .map_or(0.5 * f64::from(head.camera.height_px), |circle| {
-            circle.radius_px
-        });
     let neighbours: Vec<Neighbours> = head_unknowns(scene)
         .map(|unknown| {
             let step = Scene::small_step(unknown);
@@ -38,25 +33,59 @@ pub(crate) fn volume_sigma_mm(
         .collect();
     let view = scene.stage_from_camera.rotation * Vector3::z();
     let (mut count, mut squares) = (0.0, [0.0; 2]);
-    for depth_mm in [
+    for (pixel, depth_mm) in samples {
+        let of_point = point_covariance(head, &neighbours, covariance, pixel, depth_mm);
+        let Some(of_point) = of_point else { continue };
+        let along = view.dot(&(of_point * view));
+        count += 1.0;
+        squares[0] += along;
+        squares[1] += 0.5 * (of_point.trace() - along);
+    }
+    squares.map(|sum: f64| (sum / count).sqrt())
+}
+
+/// Pixels and depths spread over the measuring volume of a head; nothing without one.
+pub(crate) fn samples(head: &HeadModel) -> Option<impl Iterator<Item = ([f64; 2], f64)>> {
+    let volume = head.volume?;
+    let middle_px = head.camera.principal_px;
+    let radius_px = head
+        .image_circle
+        .map_or(0.5 * f64::from(head.camera.height_px), |circle| {
+            circle.radius_px
+        });
+    let depths_mm = [
         volume.near_mm,
         0.5 * (volume.near_mm + volume.far_mm),
         volume.far_mm,
-    ] {
-        for [x, y] in SAMPLES {
-            let pixel = [
-                head.camera.principal_px[0] + 0.7 * radius_px * x,
-                head.camera.principal_px[1] + 0.7 * radius_px * y,
-            ];
-            let of_point = point_covariance(head, &neighbours, covariance, pixel, depth_mm);
-            let Some(of_point) = of_point else { continue };
-            let along = view.dot(&(of_point * view));
-            count += 1.0;
-            squares[0] += along;
-            squares[1] += 0.5 * (of_point.trace() - along);
-        }
-    }
-    squares.map(|sum: f64| (sum / count).sqrt())
+    ];
+    let at = move |[x, y]: [f64; 2]| {
+        [
+            middle_px[0] + 0.7 * radius_px * x,
+            middle_px[1] + 0.7 * radius_px * y,
+        ]
+    };
+    Some(
+        depths_mm
+            .into_iter()
+            .flat_map(move |depth_mm| SAMPLES.map(move |sample| (at(sample), depth_mm))),
+    )
+}
+
+/// The point that a head sees at a pixel in the light of a column, in the stage frame.
+pub(crate) fn seen_point(
+    head: &HeadModel,
+    pixel: [f64; 2],
+    column_px: f64,
+) -> Option<Vector3<f64>> {
+    let ray = head.camera.undistort(pixel)?;
+    let z = Triangulator::new(head, Axis::Columns)
+        .intersect(ray, column_px)?
+        .depth_mm;
+    Some(Vector3::from(head.stage_from_camera?.point([
+        ray[0] * z,
+        ray[1] * z,
+        z,
+    ])))
 }
 
 /// The head with one unknown a little more and a little less.
@@ -75,17 +104,7 @@ fn point_covariance(
 ) -> Option<Matrix3<f64>> {
     let ray = head.camera.undistort(pixel)?;
     let (column_px, _) = Triangulator::new(head, Axis::Columns).column(ray, depth_mm)?;
-    let point = |head: &HeadModel| -> Option<Vector3<f64>> {
-        let ray = head.camera.undistort(pixel)?;
-        let z = Triangulator::new(head, Axis::Columns)
-            .intersect(ray, column_px)?
-            .depth_mm;
-        Some(Vector3::from(head.stage_from_camera?.point([
-            ray[0] * z,
-            ray[1] * z,
-            z,
-        ])))
-    };
+    let point = |head: &HeadModel| seen_point(head, pixel, column_px);
     let mut jacobian = DMatrix::zeros(3, neighbours.len());
     for (unknown, Neighbours { heads, step }) in neighbours.iter().enumerate() {
         let change = (point(&heads[0])? - point(&heads[1])?) / (2.0 * step);

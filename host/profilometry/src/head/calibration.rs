@@ -51,6 +51,26 @@ pub struct CalibrationRecord {
     /// Of an ordinary board, whose poses nobody certified: what it was, and what it cannot tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardRecord>,
+    /// Of a head whose focus is driven, computed between settings: which, and what that leaves uncertain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus: Option<FocusRecord>,
+}
+
+/// At which focus a head is one that was computed between calibrated settings. Its parts of the uncertainty are root mean squares
+/// over the measuring volume, along the view and across; `depth_sigma_um` and `lateral_sigma_um` contain them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FocusRecord {
+    /// What the lens driver is told.
+    pub setting_dpt: f64,
+    /// How warm the lens is.
+    pub celsius: f64,
+    /// Settings that were calibrated.
+    pub between_dpt: Vec<f64>,
+    /// By the way from setting to setting.
+    pub interpolation_um: [f64; 2],
+    /// By how well the drift and the temperatures of the lens are known.
+    pub drift_um: [f64; 2],
 }
 
 /// An ordinary board that a head was calibrated by.

@@ -293,28 +293,42 @@ impl Calibrated {
         date: Date,
         valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
-        let mut head = self.adjusted.head.clone();
-        if let Some(map) = &head.core_map {
-            let name = path.with_extension("cores.csv");
-            let name = PathBuf::from(name.file_name().unwrap_or_default());
-            let (csv, reference) = map.to_csv(&name, date);
-            write(path.with_file_name(&name), csv.as_bytes())?;
-            head.cores = Some(reference);
-        }
-        let record = CalibrationRecord {
-            link: link.map(Link::to_string),
-            simulated: link.map(Link::is_simulated),
-            ..CalibrationRecord::new(
-                &self.adjusted,
-                &head,
-                &self.target,
-                self.hold_out,
-                date,
-                valid_days,
-            )
-        };
-        head.calibration = Some(record.clone());
-        write(path.to_owned(), head.to_toml()?.as_bytes())?;
-        Ok(record)
+        save_head(self.adjusted.head.clone(), path, date, |head| {
+            CalibrationRecord {
+                link: link.map(Link::to_string),
+                simulated: link.map(Link::is_simulated),
+                ..CalibrationRecord::new(
+                    &self.adjusted,
+                    head,
+                    &self.target,
+                    self.hold_out,
+                    date,
+                    valid_days,
+                )
+            }
+        })
     }
+}
+
+/// Writes a head's file, and beside it its core map, if it has one, with the record of the geometry that it then has.
+///
+/// # Errors
+/// [`SaveError`].
+pub fn save_head(
+    mut head: HeadModel,
+    path: &Path,
+    date: Date,
+    record: impl FnOnce(&HeadModel) -> CalibrationRecord,
+) -> Result<CalibrationRecord, SaveError> {
+    if let Some(map) = &head.core_map {
+        let name = path.with_extension("cores.csv");
+        let name = PathBuf::from(name.file_name().unwrap_or_default());
+        let (csv, reference) = map.to_csv(&name, date);
+        write(path.with_file_name(&name), csv.as_bytes())?;
+        head.cores = Some(reference);
+    }
+    let record = record(&head);
+    head.calibration = Some(record.clone());
+    write(path.to_owned(), head.to_toml()?.as_bytes())?;
+    Ok(record)
 }

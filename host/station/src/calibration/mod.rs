@@ -24,5 +24,7 @@ mod views;
 pub use board::{BoardFolder, BoardFolderError};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;
-pub use job::{Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport};
+pub use job::{
+    Calibrated, CalibrationError, CoreSearch, PlateSurvey, SaveError, ViewReport, save_head,
+};
 pub use survey::{SurveyError, Surveyor};

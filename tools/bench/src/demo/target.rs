@@ -62,7 +62,7 @@ pub struct Carrier {
 #[must_use]
 pub fn carrier(head: &HeadDesign) -> Carrier {
     let of_field = |hundredths: f64| head.field_mm * hundredths / 100.0;
-    let beyond_focus_mm = |hundredths: f64| head.focus_radius_mm + of_field(hundredths);
+    let beyond_focus_mm = |hundredths: f64| head.driven_radius_mm() + of_field(hundredths);
     let (sin, cos) = (STATION_RAD * SPHERE_STATION as f64).sin_cos();
     let printed = PRINTED.iter().enumerate();
     Carrier {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::{FileError, parse, read};
-use crate::world::{AT_HAND, HeadDesign};
+use crate::world::{AT_HAND, Driven, HeadDesign};
 
 /// Name of the file, beside a tool's or a target's.
 pub const FILE: &str = "optics.toml";
@@ -52,10 +52,97 @@ fn checked(head: HeadDesign, path: &Path) -> Result<HeadDesign, FileError> {
         let expected = "beyond volume_mm[0]";
         return Err(bad("volume_mm[1]", head.volume_mm[1], expected));
     }
+    check_lens(&head, bad)?;
     Ok(head)
 }
 
-/// A head that comes along, by its name, or any other, by its file; its text goes into a folder as it is.
+/// A liquid lens that images, driven within its range.
+fn check_lens(
+    head: &HeadDesign,
+    bad: impl Fn(&'static str, f64, &'static str) -> FileError,
+) -> Result<(), FileError> {
+    let driven = head.driven;
+    let Some(lens) = &head.lens else {
+        return match driven {
+            Some(driven) => Err(bad(
+                "driven.setting_dpt",
+                driven.setting_dpt,
+                "left out: this head has no [lens]",
+            )),
+            None => Ok(()),
+        };
+    };
+    // Written so that a NaN fails, here and below.
+    if !(lens.apart_mm >= 0.0 && lens.apart_mm < head.stand_off_mm) {
+        let expected = "0 or more, and less than stand_off_mm";
+        return Err(bad("lens.apart_mm", lens.apart_mm, expected));
+    }
+    let [least_dpt, most_dpt] = lens.range_dpt;
+    if !(least_dpt < most_dpt && least_dpt > -20.0 && most_dpt < 20.0) {
+        let expected = "beyond range_dpt[0], both within 20 dpt of nothing";
+        return Err(bad("lens.range_dpt[1]", most_dpt, expected));
+    }
+    let decentres = [lens.camera_decentre_mm, lens.projector_decentre_mm];
+    for mm in decentres.into_iter().flatten() {
+        if !(-1.0..=1.0).contains(&mm) {
+            let expected = "at most a millimetre either way";
+            return Err(bad("lens decentre_mm", mm, expected));
+        }
+    }
+    if !(-1.0..=1.0).contains(&lens.drift_dpt_per_kelvin) {
+        let expected = "at most a dioptre per kelvin either way";
+        return Err(bad(
+            "lens.drift_dpt_per_kelvin",
+            lens.drift_dpt_per_kelvin,
+            expected,
+        ));
+    }
+    let celsius = driven.and_then(|driven| driven.celsius);
+    for (key, celsius) in [
+        ("lens.neutral_celsius", lens.neutral_celsius),
+        ("driven.celsius", celsius.unwrap_or(lens.neutral_celsius)),
+    ] {
+        if !(celsius > -50.0 && celsius < 100.0) {
+            return Err(bad(key, celsius, "above -50 and below 100"));
+        }
+    }
+    let Some(driven) = driven else { return Ok(()) };
+    if !(least_dpt..=most_dpt).contains(&driven.setting_dpt) {
+        let expected = "within lens.range_dpt";
+        return Err(bad("driven.setting_dpt", driven.setting_dpt, expected));
+    }
+    // Drift comes on top of the range: whatever it makes of the focus, there has to be one before the lens.
+    let near_mm = head.best_focus_mm() - lens.apart_mm;
+    if !(near_mm > 0.0 && near_mm < 1e4) {
+        let expected = "such that something before the lens is in focus";
+        return Err(bad("driven.setting_dpt", driven.setting_dpt, expected));
+    }
+    Ok(())
+}
+
+/// The setting behind the last `@` of what was given: dioptres, and degrees Celsius if they are told; nothing where no number
+/// follows, for a file's name may have one.
+fn driven_in(given: &str) -> (&str, Option<Driven>) {
+    let finite = |text: &str| text.parse().ok().filter(|number: &f64| number.is_finite());
+    let setting = given.rsplit_once('@').and_then(|(head, setting)| {
+        let (dpt, celsius) = match setting.split_once(',') {
+            Some((dpt, celsius)) => (dpt, Some(finite(celsius)?)),
+            None => (setting, None),
+        };
+        let setting_dpt = finite(dpt)?;
+        Some((
+            head,
+            Driven {
+                setting_dpt,
+                celsius,
+            },
+        ))
+    });
+    setting.map_or((given, None), |(head, driven)| (head, Some(driven)))
+}
+
+/// A head that comes along, by its name, or any other, by its file, and how its liquid lenses are driven (`liquid@1.5`, or
+/// `liquid@1.5,30` where they are 30 degrees warm); its text goes into a folder as it is, the setting behind it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MadeHead {
     /// As it was asked for.
@@ -70,11 +157,18 @@ impl FromStr for MadeHead {
     type Err = FileError;
 
     fn from_str(given: &str) -> Result<Self, FileError> {
-        let path = Path::new(given);
-        let text = match AT_HAND.iter().find(|(name, _)| *name == given) {
+        let (head, driven) = driven_in(given);
+        let path = Path::new(head);
+        let mut text = match AT_HAND.iter().find(|(name, _)| *name == head) {
             Some((_, text)) => (*text).to_owned(),
             None => super::text(path)?,
         };
+        if let Some(driven) = driven {
+            text += &format!("\n[driven]\nsetting_dpt = {:?}\n", driven.setting_dpt);
+            if let Some(celsius) = driven.celsius {
+                text += &format!("celsius = {celsius:?}\n");
+            }
+        }
         let optics = checked(parse(path, &text)?, path)?;
         Ok(Self {
             given: given.to_owned(),
@@ -108,6 +202,28 @@ mod tests {
         ] {
             let words = refused(from, to).unwrap_or_default();
             assert!(words.contains(key), "{to}: {words}");
+        }
+    }
+
+    #[test]
+    fn a_liquid_lens_is_driven_within_its_range() {
+        let made = |given: &str| given.parse::<MadeHead>();
+        let radius_mm = |given: &str| made(given).unwrap().optics.driven_radius_mm();
+        assert_eq!(radius_mm("liquid"), 41.5);
+        assert_eq!(radius_mm("liquid@0"), 41.5);
+        assert!(radius_mm("liquid@3") < 40.5 && radius_mm("liquid@-3,23") > 42.5);
+        // A kelvin is a twentieth of a dioptre.
+        assert!((radius_mm("liquid@1,43") - radius_mm("liquid@2")).abs() < 1e-9);
+        for (given, key) in [
+            ("liquid@4.5", "driven.setting_dpt = 4.5"),
+            ("liquid@nan", "liquid@nan"),
+            ("liquid@1,inf", "liquid@1,inf"),
+            ("liquid@1,200", "driven.celsius = 200"),
+            ("20mm@1", "driven.setting_dpt = 1"),
+            ("liquid@near", "liquid@near"),
+        ] {
+            let words = made(given).unwrap_err().to_string();
+            assert!(words.contains(key), "{given}: {words}");
         }
     }
 }

@@ -3,12 +3,14 @@
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
+use super::liquid::{Driven, LiquidLens, Refracted};
 use super::{BundleSpec, HeadOptics, Objective, Pinhole, SensorSpec, WorldConfig};
 
 /// The heads that come along: name and text of their `optics.toml`.
-pub const AT_HAND: [(&str, &str); 2] = [
+pub const AT_HAND: [(&str, &str); 3] = [
     ("10mm", include_str!("../../heads/10mm.toml")),
     ("20mm", include_str!("../../heads/20mm.toml")),
+    ("liquid", include_str!("../../heads/liquid.toml")),
 ];
 /// The one of them that stands before the demo die.
 const DEMO: usize = 1;
@@ -50,6 +52,10 @@ pub struct HeadDesign {
     pub camera: Side,
     /// Between DMD and bundle, and the objective after it.
     pub projector: Side,
+    /// A liquid lens before each objective, if it has them: all distances above are those without current.
+    pub lens: Option<LiquidLens>,
+    /// How the liquid lenses are driven, and how warm they are; absent: not at all, and as warm as the drawing says.
+    pub driven: Option<Driven>,
     /// Both bundles.
     pub bundle: Fibres,
     /// The camera's sensor and the lamp.
@@ -101,6 +107,42 @@ impl HeadDesign {
         toml::from_str(AT_HAND[DEMO].1).expect("a head that comes along")
     }
 
+    /// Focal power of its liquid lenses as they are driven, 1/mm; none without.
+    fn power_per_mm(&self) -> f64 {
+        self.lens
+            .as_ref()
+            .map_or(0.0, |lens| lens.power_per_mm(self.driven))
+    }
+
+    fn refracted(&self, decentre_mm: impl Fn(&LiquidLens) -> [f64; 2]) -> Refracted {
+        self.lens.as_ref().map_or_else(Refracted::default, |lens| {
+            lens.refracted(self.power_per_mm(), decentre_mm(lens))
+        })
+    }
+
+    /// From the pinholes without current to best focus as the lenses are driven.
+    #[must_use]
+    pub fn best_focus_mm(&self) -> f64 {
+        self.lens.as_ref().map_or(self.stand_off_mm, |lens| {
+            lens.best_focus_mm(self.stand_off_mm, self.power_per_mm())
+        })
+    }
+
+    /// Best focus as the lenses are driven lies this far from the axis of the rotary stage.
+    #[must_use]
+    pub fn driven_radius_mm(&self) -> f64 {
+        self.focus_radius_mm + self.best_focus_mm() - self.stand_off_mm
+    }
+
+    /// Depths that the head measures as the lenses are driven, from where the camera's pinhole then appears to be.
+    #[must_use]
+    pub fn driven_volume_mm(&self) -> [f64; 2] {
+        let moved_mm = self.best_focus_mm() - self.stand_off_mm;
+        let pinhole_mm = self.refracted(|lens| lens.camera_decentre_mm).pinhole_mm[2];
+        self.volume_mm
+            .map(|depth_mm| depth_mm + moved_mm - pinhole_mm)
+    }
+
     /// Where light goes in it.
     #[must_use]
     pub fn optics(&self) -> HeadOptics {
@@ -119,37 +161,60 @@ impl HeadDesign {
             Translation3::from(focus - rotation * focus),
             UnitQuaternion::from(rotation),
         );
+        let seen = self.refracted(|lens| lens.camera_decentre_mm);
+        let shone = self.refracted(|lens| lens.projector_decentre_mm);
+        // Poses are of the pinholes where they appear from outside.
+        let [camera_from_seen, projector_from_shone] =
+            [&seen, &shone].map(|through| Translation3::from(Vector3::from(through.pinhole_mm)));
         HeadOptics {
-            camera: self.pinhole(&self.camera),
+            camera: self.pinhole(&self.camera, &seen),
             camera_size_px: self.camera.size_px,
-            camera_objective: self.objective(&self.camera),
-            projector: self.pinhole(&self.projector),
+            camera_objective: self.objective(&self.camera, &seen),
+            projector: self.pinhole(&self.projector, &shone),
             projector_size_px: self.projector.size_px,
-            projector_objective: self.objective(&self.projector),
-            projector_from_camera,
-            stage_from_camera,
+            projector_objective: self.objective(&self.projector, &shone),
+            projector_from_camera: projector_from_shone.inverse()
+                * projector_from_camera
+                * camera_from_seen,
+            stage_from_camera: stage_from_camera * camera_from_seen,
             contrast_centre: self.contrast_centre,
             contrast_edge: self.contrast_edge,
             dmd_leak_ratio: self.dmd_leak_ratio,
         }
     }
 
-    fn pinhole(&self, side: &Side) -> Pinhole {
+    fn pinhole(&self, side: &Side, through: &Refracted) -> Pinhole {
+        let [k1, k2, p1, p2, k3] = side.distortion;
+        // What the objective bends is the slope behind the liquid lens, `stretch` times that before it.
+        let stretch = through.stretch;
+        let radial = stretch * stretch;
+        let focal_px = stretch * side.circle_px * self.stand_off_mm / self.field_mm;
+        let centre_px = side.centre_px();
         Pinhole {
-            focal_px: [side.circle_px * self.stand_off_mm / self.field_mm; 2],
-            centre_px: side.centre_px(),
-            distortion: side.distortion,
+            focal_px: [focal_px; 2],
+            centre_px: [0, 1].map(|axis| centre_px[axis] - focal_px * through.bent_rad[axis]),
+            distortion: [
+                k1 * radial,
+                k2 * radial * radial,
+                p1 * stretch,
+                p2 * stretch,
+                k3 * radial * radial * radial,
+            ],
             uneven: None,
         }
     }
 
-    fn objective(&self, side: &Side) -> Objective {
+    fn objective(&self, side: &Side, through: &Refracted) -> Objective {
+        let focus_mm = self.best_focus_mm() - through.pinhole_mm[2];
+        // As wide as the bundle's image, seen from where the pinhole appears.
+        let wider = focus_mm / (self.stand_off_mm * through.stretch);
         Objective {
-            focus_mm: self.stand_off_mm,
+            focus_mm,
             field_curvature_per_mm: side.field_curvature_per_mm,
-            field_radius_mm: 0.5 * self.field_mm,
+            field_radius_mm: 0.5 * self.field_mm * wider,
             focus_sigma_pitch: side.focus_sigma_pitch,
-            defocus_sigma_pitch_per_mm: side.defocus_sigma_pitch_per_mm,
+            // Circle of confusion: the cone is as much narrower as focus is farther, and a core as much larger.
+            defocus_sigma_pitch_per_mm: side.defocus_sigma_pitch_per_mm / (wider * wider),
             edge_loss_ratio: side.edge_loss_ratio,
         }
     }

@@ -1,0 +1,116 @@
+//! `flankscope calibrate --focus-series`: the head at a setting of its lens, between those at which it was calibrated.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use flankscope_foundation::date::{self, Date};
+use flankscope_profilometry::calibrate::FocusSeries;
+use flankscope_profilometry::head::CalibrationRecord;
+use flankscope_station::calibration::save_head;
+use flankscope_station::seal::{Kind, toml_document};
+use serde::Serialize;
+
+use crate::instrument::seals;
+use crate::output::{Common, Outcome};
+
+/// Which lens, and how it is driven.
+#[derive(clap::Args)]
+pub struct FocusArgs {
+    /// Head whose focus is driven, from its calibrations at several settings: write its file for one setting, nothing is captured
+    /// [default: none]
+    #[arg(
+        long,
+        value_name = "FOCUS.toml",
+        requires_all = ["focus", "lens_celsius"],
+        conflicts_with_all = ["target", "images", "board", "check"]
+    )]
+    pub focus_series: Option<PathBuf>,
+    /// What the lens driver is told; with --focus-series
+    #[arg(
+        long,
+        value_name = "DPT",
+        requires = "focus_series",
+        allow_negative_numbers = true
+    )]
+    focus: Option<f64>,
+    /// How warm the lens is; with --focus-series
+    #[arg(
+        long,
+        value_name = "CELSIUS",
+        requires = "focus_series",
+        allow_negative_numbers = true
+    )]
+    lens_celsius: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    head: &'a Path,
+    focus_series: &'a Path,
+    date: String,
+    calibration: &'a CalibrationRecord,
+}
+
+/// Computes and writes the head.
+pub fn run(
+    args: &FocusArgs,
+    series: &Path,
+    output: &Path,
+    common: &Common,
+) -> anyhow::Result<Outcome> {
+    let (Some(setting_dpt), Some(celsius)) = (args.focus, args.lens_celsius) else {
+        anyhow::bail!("--focus-series without --focus and --lens-celsius");
+    };
+    let heads = FocusSeries::load(series)?.heads(series)?;
+    let seals = seals()?;
+    for path in heads.files() {
+        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
+        seals.believe(Kind::Head, path, &document)?;
+    }
+    let (head, record) = heads.at(setting_dpt, celsius)?;
+    let record = save_head(head, output, Date::today(), |head| CalibrationRecord {
+        blake3: head.geometry_blake3(),
+        ..record
+    })?;
+    seals.seal_toml(Kind::Head, output)?;
+    common.write_json(&Document {
+        head: output,
+        focus_series: series,
+        date: date::now(),
+        calibration: &record,
+    })?;
+    if !common.quiet && common.json.as_deref() != Some(Path::new("-")) {
+        print(&record, output)?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn print(record: &CalibrationRecord, path: &Path) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    if let Some(focus) = &record.focus {
+        let [depth_um, lateral_um] = focus.interpolation_um;
+        let [drift_depth_um, drift_lateral_um] = focus.drift_um;
+        writeln!(
+            out,
+            "{} dpt at {} °C, computed between {:?} dpt\nthe way between them leaves {depth_um:.1} µm in depth, {lateral_um:.1} µm \
+             across, drift {drift_depth_um:.1} µm and {drift_lateral_um:.1} µm",
+            focus.setting_dpt, focus.celsius, focus.between_dpt
+        )?;
+    }
+    writeln!(
+        out,
+        "a point's standard uncertainty by the calibration: {:.1} µm in depth, {:.1} µm across",
+        record.depth_sigma_um, record.lateral_sigma_um
+    )?;
+    if record.simulated == Some(true) {
+        writeln!(out, "SIMULATED BENCH: this head judges nothing at a press")?;
+    }
+    writeln!(
+        out,
+        "{}: counts until {}\nnot yet tested: it judges after flankscope calibrate --check {}",
+        path.display(),
+        record.expires,
+        path.display()
+    )?;
+    Ok(())
+}
