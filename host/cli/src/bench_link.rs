@@ -16,10 +16,13 @@ use flankscope_frames::SharedRoot;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
+use flankscope_station::scan::{Grid, Scanner};
 use flankscope_station::settings::{Stages, StationSettings};
 
 use crate::camera_process::CameraProcess;
-use crate::instrument::Scene;
+use crate::instrument::{Instrument, Scene};
+use crate::scan::{on_the_bench, show};
+use crate::site::Place;
 
 /// The bench's clock stands while it renders: light over several places takes a busy machine minutes a view. A bench that ends
 /// closes its port.
@@ -36,6 +39,66 @@ pub enum Command {
     #[cfg(feature = "aravis")]
     #[command(subcommand)]
     Camera(flankscope_camera::command::Camera),
+}
+
+/// A scan on the bench, for the article's figures.
+#[derive(clap::Args, Clone, Debug)]
+pub struct ArticleBench {
+    /// Scan on the simulated bench first
+    #[arg(long)]
+    bench: bool,
+    /// Views around the die by layers over its height, with --bench: one layer of 84, of which neighbours overlap by two
+    /// thirds, instead of the article's seven
+    #[arg(long, value_name = "AROUNDxLAYERS", default_value = "84x1")]
+    views: Grid,
+    #[command(flatten)]
+    args: BenchArgs,
+    #[command(flatten)]
+    die: DieArgs,
+}
+
+impl ArticleBench {
+    /// Options of the bench.
+    pub fn args(&self) -> &BenchArgs {
+        &self.args
+    }
+
+    /// Whether a scan on the bench was asked for.
+    pub fn is_asked_for(&self) -> bool {
+        self.bench
+    }
+
+    /// Scans into a folder.
+    pub fn scan(
+        &self,
+        files: [Option<&Path>; 2],
+        folder: &Path,
+        quiet: bool,
+    ) -> anyhow::Result<()> {
+        let site = Place::default().site(&[])?;
+        let scene = Scene {
+            press: None,
+            die: Some(&self.die),
+            ..Scene::default()
+        };
+        let mut instrument =
+            Instrument::start(files, &site, &self.args, scene, quiet, |subject, root| {
+                let of = on_the_bench(site.link(), &self.args, &self.die);
+                let setting = site.setting.clone();
+                Ok(Scanner::open(
+                    subject, setting, self.views, folder, &of, root,
+                )?)
+            })?;
+        let (port, settings) = (&instrument.port, instrument.settings.clone());
+        let watch = |progress| {
+            if !quiet {
+                show(progress);
+            }
+        };
+        instrument.station.scan(port, settings, watch)?;
+        instrument.close(quiet)?;
+        Ok(())
+    }
 }
 
 /// Runs the hidden subcommand.

@@ -58,6 +58,20 @@ text!(
         scans a die and writes out/report.html, out/scan.json and out/map.ply"
 );
 text!(
+    ARTICLE_EXAMPLE: "Example:\n  flankscope article --bench --report out\n\
+        scans the demo die in one layer of 84 views and writes out/article.html\n\n  \
+        flankscope scan --views 84x2 --speed max --session views\n  \
+        flankscope article --scan views --article --report out\n\
+        makes the figures of a scan that was kept",
+    "Example:\n  flankscope article --scan views --tool DIR --report out\n\
+        makes the figures of a scan that was kept in the folder views (scan --session views), and writes out/article.html"
+);
+text!(
+    /// What `article` is told.
+    ARTICLE_NEEDS: "whose views? --scan DIR names the folder of a scan (scan --session DIR), --bench scans the demo die now",
+    "whose views? --scan DIR names the folder of a scan (scan --session DIR)"
+);
+text!(
     WATCH_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\
         lets the simulated press wear 2 um per cycle off one flank: go, then warn, then no-go",
     "Example:\n  flankscope watch --every 500 --tool DIR --link /dev/ttyACM0 --history press.db\n\

@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 go or done · 1 no-go · 2 indeterminate · 3 could not run · 4 warn · 130 interrupted.
 
+mod article;
 #[cfg(feature = "bench")]
 mod bench_link;
 #[cfg(not(feature = "bench"))]
@@ -62,6 +63,7 @@ enum Command {
     Inspect(inspect::Args),
     Watch(watch::Args),
     Scan(Box<scan::Args>),
+    Article(Box<article::Args>),
     Calibrate(calibrate::Args),
     Decode(decode::Args),
     Sample(sample::Args),
@@ -113,6 +115,7 @@ fn main() -> ExitCode {
         Command::Inspect(args) => inspect::run(&args),
         Command::Watch(args) => watch::run(&args),
         Command::Scan(args) => scan::run(&args),
+        Command::Article(args) => article::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Decode(args) => decode::run(&args),
         Command::Sample(args) => sample::run(&args),

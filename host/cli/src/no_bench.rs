@@ -22,6 +22,24 @@ pub struct PressArgs {}
 #[derive(clap::Args, Clone, Debug)]
 pub struct DieArgs {}
 
+/// No bench that `article` could scan on.
+#[derive(clap::Args, Clone, Debug)]
+pub struct ArticleBench {}
+
+impl ArticleBench {
+    pub fn args(&self) -> &BenchArgs {
+        &BenchArgs {}
+    }
+
+    pub fn is_asked_for(&self) -> bool {
+        false
+    }
+
+    pub fn scan(&self, _: [Option<&Path>; 2], _: &Path, _: bool) -> anyhow::Result<()> {
+        bail!("this build has no simulated bench: name a scan's folder by --scan")
+    }
+}
+
 /// Seed of what the host itself draws.
 pub fn seed(_: &BenchArgs) -> u64 {
     1

@@ -13,8 +13,8 @@ use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
 use flankscope_station::report::{ReportFolder, figure, scan_mesh};
 use flankscope_station::scan::{
-    Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner,
-    percent,
+    FinishedScan, Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan,
+    ScanError, Scanner, percent,
 };
 use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
@@ -133,14 +133,10 @@ impl Args {
     }
 }
 
-impl Args {
-    /// What stands on the simulated bench: a scan that goes on must find the same there.
-    fn on_the_bench(&self, link: &Link) -> BTreeMap<String, String> {
-        let named = link
-            .is_simulated()
-            .then(|| ("bench".to_string(), in_words(&self.bench, &self.die)));
-        named.into_iter().collect()
-    }
+/// What stands on the simulated bench: a scan that goes on must find the same there.
+pub fn on_the_bench(link: &Link, bench: &BenchArgs, die: &DieArgs) -> BTreeMap<String, String> {
+    let what_stands = || (FinishedScan::BENCH.to_string(), in_words(bench, die));
+    link.is_simulated().then(what_stands).into_iter().collect()
 }
 
 /// Runs the subcommand.
@@ -280,7 +276,7 @@ impl Args {
                 if let Some(grid) = self.grid {
                     grid.impose(Arc::make_mut(&mut subject.head))?;
                 }
-                let bench = self.on_the_bench(site.link());
+                let bench = on_the_bench(site.link(), &self.bench, &self.die);
                 let setting = site.setting.clone();
                 let mut scanner =
                     Scanner::open(subject, setting, self.views, session, &bench, root)?;
@@ -373,7 +369,7 @@ impl Args {
     }
 }
 
-fn show(progress: Progress) {
+pub fn show(progress: Progress) {
     match progress {
         Progress::Views {
             done,

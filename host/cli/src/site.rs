@@ -14,7 +14,7 @@ use flankscope_station::settings::StationSettings;
 use crate::help;
 
 /// Where it is looked, and for whom: every result says so.
-#[derive(clap::Args, Clone, Debug)]
+#[derive(clap::Args, Clone, Debug, Default)]
 pub struct Place {
     #[arg(long, value_name = help::LINK_VALUES, help = help::LINK)]
     link: Option<Link>,

@@ -85,36 +85,10 @@ pub fn check_voxel_size(voxel_mm: f64) -> Result<(), MergeError> {
 /// # Errors
 /// [`MergeError`] for a size that is no size, or a cloud with too many voxels or points to number.
 pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3]>, MergeError> {
-    check_voxel_size(voxel_mm)?;
-    if u32::try_from(points.len()).is_err() {
-        return Err(MergeError::TooManyPoints {
-            points: points.len(),
-        });
-    }
+    let numbering = Numbering::of(points, voxel_mm)?;
     if points.is_empty() {
         return Ok(Vec::new());
     }
-    let boxes: Vec<Aabb> = points.par_chunks(CHUNK).map(Aabb::around).collect();
-    let mut bounds = Aabb::EMPTY;
-    boxes.iter().for_each(|aabb| bounds.grow(aabb));
-    for (k, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
-        let voxels = (bounds.high[k] - bounds.low[k]) / voxel_mm;
-        let most = 1u32 << AXIS_BITS;
-        // An overflowed span is infinite, so it is refused here too.
-        if voxels >= f64::from(most) {
-            return Err(MergeError::TooManyVoxels {
-                axis,
-                voxels,
-                voxel_mm,
-                most,
-            });
-        }
-    }
-    let numbering = Numbering {
-        low: bounds.low,
-        voxel_mm,
-    };
-
     let chunks: Vec<Sorted> = points
         .par_chunks(CHUNK)
         .enumerate()
@@ -133,12 +107,63 @@ pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3
     Ok(ordered.concat())
 }
 
+/// The points (finite, mm) of every cube of `voxel_mm`, by their numbers in order; the cubes are those of [`voxel_centroids`], in
+/// the same order.
+///
+/// # Errors
+/// As [`voxel_centroids`].
+pub fn voxel_groups(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<Vec<u32>>, MergeError> {
+    let numbering = Numbering::of(points, voxel_mm)?;
+    let mut numbered: Vec<(u64, u32)> = points
+        .par_iter()
+        .zip(0..points.len() as u32)
+        .map(|(point, index)| (numbering.number(point), index))
+        .collect();
+    numbered.par_sort_unstable();
+    let mut groups: Vec<Vec<u32>> = numbered
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|voxel| voxel.iter().map(|(_, index)| *index).collect())
+        .collect();
+    groups.par_sort_unstable_by_key(|group| group.first().copied());
+    Ok(groups)
+}
+
 struct Numbering {
     low: [f64; 3],
     voxel_mm: f64,
 }
 
 impl Numbering {
+    /// Of the cubes that these points lie in.
+    fn of(points: &[[f64; 3]], voxel_mm: f64) -> Result<Self, MergeError> {
+        check_voxel_size(voxel_mm)?;
+        if u32::try_from(points.len()).is_err() {
+            return Err(MergeError::TooManyPoints {
+                points: points.len(),
+            });
+        }
+        let boxes: Vec<Aabb> = points.par_chunks(CHUNK).map(Aabb::around).collect();
+        let mut bounds = Aabb::EMPTY;
+        boxes.iter().for_each(|aabb| bounds.grow(aabb));
+        for (k, axis) in ['x', 'y', 'z'].into_iter().enumerate() {
+            let voxels = (bounds.high[k] - bounds.low[k]) / voxel_mm;
+            let most = 1u32 << AXIS_BITS;
+            // An overflowed span is infinite, so it is refused here too.
+            if voxels >= f64::from(most) {
+                return Err(MergeError::TooManyVoxels {
+                    axis,
+                    voxels,
+                    voxel_mm,
+                    most,
+                });
+            }
+        }
+        Ok(Self {
+            low: bounds.low,
+            voxel_mm,
+        })
+    }
+
     #[inline]
     fn number(&self, point: &[f64; 3]) -> u64 {
         let along = |k: usize| ((point[k] - self.low[k]) / self.voxel_mm) as u64;
@@ -283,6 +308,17 @@ mod tests {
         for voxel_mm in [0.02, 0.3, 100.0] {
             let merged = voxel_centroids(&points, voxel_mm).unwrap();
             assert_eq!(merged, brute_force(&points, voxel_mm), "{voxel_mm} mm");
+            // The groups are the same voxels: their sums in order give the same bytes.
+            let groups = voxel_groups(&points, voxel_mm).unwrap();
+            let centroid = |group: &Vec<u32>| {
+                [0, 1, 2].map(|k| {
+                    let sum = group
+                        .iter()
+                        .fold(0.0, |sum, &i| sum + points[i as usize][k]);
+                    sum / group.len() as f64
+                })
+            };
+            assert_eq!(groups.iter().map(centroid).collect::<Vec<_>>(), merged);
         }
     }
 
@@ -307,6 +343,7 @@ mod tests {
     #[test]
     fn what_cannot_be_merged_is_refused() {
         assert_eq!(voxel_centroids(&[], 0.1), Ok(Vec::new()));
+        assert_eq!(voxel_groups(&[], 0.1), Ok(Vec::new()));
         for voxel_mm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let refused = voxel_centroids(&[[0.0; 3]], voxel_mm);
             assert!(matches!(refused, Err(MergeError::VoxelSize { .. })));

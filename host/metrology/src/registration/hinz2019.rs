@@ -64,9 +64,18 @@ impl PaperReference {
     pub fn new(mesh: &TriMesh, centre: [f64; 3], options: &Hinz2019Options) -> Option<Self> {
         let region = &options.region;
         let points = region.sample(centre, mesh, options.samples, options.seed);
-        let points = points.ok()?;
+        Self::of_points(points.ok()?)
+    }
+
+    /// Points that were measured, tool coordinates, mm; none when there are none.
+    pub fn of_points(points: Vec<[f64; 3]>) -> Option<Self> {
         let tree = SampleTree::new(&points).ok()?;
         Some(Self { points, tree })
+    }
+
+    /// The points, tool coordinates, mm.
+    pub fn points(&self) -> &[[f64; 3]] {
+        &self.points
     }
 
     /// Distance of every point (tool coordinates, mm) to the nearest of them, mm.
@@ -101,38 +110,67 @@ pub fn register_hinz2019(
     initial: &Rigid<Tool, Cloud>,
     options: &Hinz2019Options,
 ) -> (Registration, Option<PaperReference>) {
-    let refused = |reason| Registration::refused(*initial, reason);
-    let start: Vec<[f64; 3]> = points.iter().map(|&p| initial.apply(p)).collect();
-    let centre = centre_of_mass(&start).filter(|_| points.len() >= options.least_points);
-    let Some(centre) = centre else {
-        let too_few = Reason::TooFewPoints {
-            points: points.len(),
-            least: options.least_points,
-        };
-        return (refused(too_few), None);
+    let centre = match centre_at(points, initial, options) {
+        Ok(centre) => centre,
+        Err(too_few) => return (Registration::refused(*initial, too_few), None),
     };
-    let disjoint = refused(Reason::Disjoint {
-        ratio: 0.0,
-        least_ratio: options.inlier_ratio,
-        capture_mm: options.region.half_height_mm,
-    });
     match PaperReference::new(mesh, centre, options) {
-        None => (disjoint, None),
+        None => {
+            let nothing_there = Reason::Disjoint {
+                ratio: 0.0,
+                least_ratio: options.inlier_ratio,
+                capture_mm: options.region.half_height_mm,
+            };
+            (Registration::refused(*initial, nothing_there), None)
+        }
         Some(reference) => {
-            let found = settle(&reference, points, disjoint, centre, options);
+            let found = settle(&reference, points, initial, centre, options);
             (found, Some(reference))
         }
     }
 }
 
-/// Point-to-point ICP from the pose of `result`.
+/// Lays finite `points` (mm) on other points as [`register_hinz2019`] does on random ones.
+pub fn register_to_reference(
+    reference: &PaperReference,
+    points: &[[f64; 3]],
+    initial: &Rigid<Tool, Cloud>,
+    options: &Hinz2019Options,
+) -> Registration {
+    match centre_at(points, initial, options) {
+        Ok(centre) => settle(reference, points, initial, centre, options),
+        Err(too_few) => Registration::refused(*initial, too_few),
+    }
+}
+
+/// Centre of mass of the points at a pose, tool coordinates, mm.
+fn centre_at(
+    points: &[[f64; 3]],
+    pose: &Rigid<Tool, Cloud>,
+    options: &Hinz2019Options,
+) -> Result<[f64; 3], Reason> {
+    let moved: Vec<[f64; 3]> = points.iter().map(|&p| pose.apply(p)).collect();
+    let centre = centre_of_mass(&moved).filter(|_| points.len() >= options.least_points);
+    centre.ok_or(Reason::TooFewPoints {
+        points: points.len(),
+        least: options.least_points,
+    })
+}
+
+/// Point-to-point ICP from a pose.
 fn settle(
     reference: &PaperReference,
     points: &[[f64; 3]],
-    mut result: Registration,
+    initial: &Rigid<Tool, Cloud>,
     centre: [f64; 3],
     options: &Hinz2019Options,
 ) -> Registration {
+    let not_begun = Reason::Disjoint {
+        ratio: 0.0,
+        least_ratio: options.inlier_ratio,
+        capture_mm: options.region.half_height_mm,
+    };
+    let mut result = Registration::refused(*initial, not_begun);
     let kept = ((points.len() as f64 * options.inlier_ratio) as usize).max(3);
     let mut pose = result.tool_from_cloud;
     for iteration in 1..=options.most_iterations {

@@ -15,7 +15,7 @@ mod response;
 mod solve;
 pub mod stretch;
 
-pub use hinz2019::{Hinz2019Options, PaperReference, register_hinz2019};
+pub use hinz2019::{Hinz2019Options, PaperReference, register_hinz2019, register_to_reference};
 pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;

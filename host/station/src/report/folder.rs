@@ -11,16 +11,19 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use askama::Template;
+use flankscope_metrology::io::cloud::write_ply;
 use flankscope_metrology::verdict::Word;
 
 use super::tables;
 use crate::files::{stream_whole, write_whole};
 use crate::inspection::Inspection;
-use crate::scan::Scan;
+use crate::scan::{Article, Scan};
 use crate::sink::{ResultSink, SinkError, document_text};
 
 /// The newest page's name.
 const PAGE: &str = "report.html";
+/// The page of the article's figures.
+const ARTICLE: &str = "article.html";
 /// Pages that the index lists, the newest.
 const LISTED: usize = 500;
 
@@ -106,6 +109,8 @@ impl ReportFolder {
         "views.csv",
         "gear.csv",
     ];
+    /// What the article's figures are written as.
+    pub const OF_ARTICLE: &'static [&'static str] = &[ARTICLE, "article.json", "first-view.ply"];
     /// What a watch writes into its folder of every check.
     pub const OF_WATCH: &'static [&'static str] = &[PAGE, "index.html"];
 
@@ -119,6 +124,12 @@ impl ReportFolder {
     #[must_use]
     pub fn page(&self) -> PathBuf {
         self.0.join(PAGE)
+    }
+
+    /// Where the page of the article's figures is.
+    #[must_use]
+    pub fn article(&self) -> PathBuf {
+        self.0.join(ARTICLE)
     }
 
     fn write(&self, name: &str, text: &str) -> Result<(), SinkError> {
@@ -222,6 +233,18 @@ impl ResultSink<Scan> for ReportFolder {
         }
         self.stream("map.ply", |file| super::scan_ply(scan, file))?;
         self.put_page(&super::scan_html(scan)?, &scan.date, "scan", scan.verdict)
+    }
+}
+
+impl ResultSink<Article> for ReportFolder {
+    /// The document first: what it says cannot be drawn again.
+    fn put(&mut self, article: &mut Article) -> Result<(), SinkError> {
+        self.write("article.json", &document_text(article)?)?;
+        self.stream("first-view.ply", |out| {
+            let first = &article.first_view;
+            write_ply(out, &first.points, &[("fringes", &first.fringes_dn)])
+        })?;
+        self.write(ARTICLE, &super::article::article_html(article)?)
     }
 }
 

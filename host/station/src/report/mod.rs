@@ -1,5 +1,6 @@
 //! The report: one HTML file that needs nothing else, for the screen, the mail and the printer.
 
+mod article;
 mod bars;
 mod chart;
 mod check;

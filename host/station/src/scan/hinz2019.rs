@@ -87,6 +87,11 @@ impl Hinz2019Settings {
 }
 
 impl Hinz2019Settings {
+    /// Seed of what is drawn for a view.
+    fn seed_of(&self, view: usize) -> u64 {
+        self.registration.seed.wrapping_add((view as u64) << 32)
+    }
+
     /// For people.
     #[must_use]
     pub fn in_words(&self) -> String {
@@ -177,8 +182,8 @@ pub(super) fn stitch(
     let mut one_view = None;
     for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
         let points = session.points(view)?.points;
-        let seed = settings.registration.seed.wrapping_add((view as u64) << 32);
-        let drawn = drawn(&points, settings, seed);
+        let seed = settings.seed_of(view);
+        let drawn = Drawing::of_view(&points, settings, view).points;
         let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
         let moved = stages.tool_from_camera(at);
         let start = match (stage_from_camera, settings.first_pose) {
@@ -238,25 +243,36 @@ pub(super) fn stitch(
     })
 }
 
-/// A share of the points that mask and denoising leave.
-pub(super) fn drawn(points: &[Kept], settings: &Hinz2019Settings, seed: u64) -> Vec<Kept> {
-    let left = denoised(masked(points, settings.mask_dn), settings.denoise);
-    let drawn = |(_, index): &(Kept, u64)| sampling::drawn(seed, *index, settings.share);
-    left.into_iter()
-        .zip(0..)
-        .filter(drawn)
-        .map(|(point, _)| point)
-        .collect()
+/// What a view comes to before it is laid on the CAD.
+pub(super) struct Drawing {
+    /// Points that the mask leaves.
+    pub masked: usize,
+    /// Points of those that denoising leaves.
+    pub denoised: usize,
+    /// A share of these.
+    pub points: Vec<Kept>,
 }
 
-/// Points around which the fringes oscillate enough.
-pub(super) fn masked(points: &[Kept], mask_dn: f64) -> Vec<Kept> {
-    let lit = |point: &&Kept| f64::from(point[4]) >= mask_dn;
-    points.iter().filter(lit).copied().collect()
+impl Drawing {
+    /// Masks and denoises the points of a view, and draws a share of what is left.
+    pub fn of_view(points: &[Kept], settings: &Hinz2019Settings, view: usize) -> Self {
+        let lit = |point: &&Kept| f64::from(point[4]) >= settings.mask_dn;
+        let masked: Vec<Kept> = points.iter().filter(lit).copied().collect();
+        let masked_count = masked.len();
+        let left = denoised(masked, settings.denoise);
+        let seed = settings.seed_of(view);
+        let drawn = |(_, index): &(&Kept, u64)| sampling::drawn(seed, *index, settings.share);
+        let points = left.iter().zip(0..).filter(drawn);
+        Self {
+            masked: masked_count,
+            denoised: left.len(),
+            points: points.map(|(point, _)| *point).collect(),
+        }
+    }
 }
 
 /// Points that are not scattered.
-pub(super) fn denoised(points: Vec<Kept>, denoise: Option<Denoise>) -> Vec<Kept> {
+fn denoised(points: Vec<Kept>, denoise: Option<Denoise>) -> Vec<Kept> {
     let Some(denoise) = denoise else {
         return points;
     };
@@ -267,7 +283,7 @@ pub(super) fn denoised(points: Vec<Kept>, denoise: Option<Denoise>) -> Vec<Kept>
 }
 
 /// Reference points all over the toothing.
-fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
+pub(super) fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
     let registration = &settings.registration;
     let threshold_mm = registration.region.radial_threshold_mm;
     let area_mm2 = sampling::area_mm2(&tool.mesh);

@@ -24,6 +24,7 @@
 //! | `metrics` | what the article's ways of measuring a distance would have said |
 //! | `view_pipeline` | what is done with a view once its frames are there |
 //! | `recorded` | the same scan of frames that were recorded |
+//! | `article` | the article's figures of a finished scan |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
 //! | `full_cloud` | every point of every view, streamed |
@@ -32,6 +33,7 @@
 //! | `flanks` | the wear of every flank, judged as in a check |
 //! | `result` | the JSON document |
 
+mod article;
 mod cell_observations;
 mod comparison;
 mod coverage;
@@ -55,6 +57,10 @@ mod stitch;
 mod view;
 mod view_pipeline;
 
+pub use article::{
+    Alignment, Article, DrawingSteps, FinishedScan, FinishedScanError, FirstView, Left,
+    MaskPicture, Merging, Overlay, SerialLayer,
+};
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};
 pub use fine_map::FineMapError;

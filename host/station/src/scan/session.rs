@@ -187,6 +187,22 @@ impl Session {
         Ok(session)
     }
 
+    /// What a folder's scan is of, before anything of it is believed.
+    pub fn identity(folder: &Path) -> Result<BTreeMap<String, String>, SessionError> {
+        #[derive(Deserialize)]
+        struct Named {
+            of: BTreeMap<String, String>,
+        }
+        let path = folder.join(MANIFEST);
+        let text = std::fs::read(&path).map_err(|error| {
+            let path = path.clone();
+            SessionError::Io { path, error }
+        })?;
+        let named: Named = serde_json::from_slice(&text)
+            .map_err(|error| SessionError::Manifest { path, error })?;
+        Ok(named.of)
+    }
+
     fn file(&self, view: usize) -> PathBuf {
         self.folder.join(format!("view-{view:04}.points"))
     }

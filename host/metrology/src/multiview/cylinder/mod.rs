@@ -105,7 +105,7 @@ fn form_row([x, y, z]: [f64; 3], normal: [f64; 3], [low, high]: [f64; 2]) -> SVe
 
 impl Layout {
     /// Number of the cell that a place belongs to; none above and below the grid.
-    fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
+    pub fn cell_of(&self, [x, y, z]: [f64; 3]) -> Option<usize> {
         let around = self.around.share(y.atan2(x));
         let column = ((around * self.columns as f64) as usize).min(self.columns - 1);
         Some(self.row_of(z)? * self.columns + column)
