@@ -316,6 +316,80 @@ fn a_check_in_passes_finds_wear_and_is_replayed() {
     assert_eq!(recorded.json["features"], seen.json["features"]);
 }
 
+/// Fringes that are bent: the same damage is found, stored, replayed and recorded, and the pictures say how they are bent.
+#[test]
+fn a_check_with_bent_fringes_finds_wear_and_is_replayed() {
+    let (folder, tool) = demo_tool();
+    let out = folder.path().join("out");
+    let written = run(flankscope()
+        .args([
+            "patterns",
+            "--tooth",
+            "40",
+            "--bend=1.6",
+            "--json",
+            "-",
+            "--adaptive",
+        ])
+        .arg(&tool)
+        .arg("-o")
+        .arg(&out));
+    assert_eq!(written.code, 0, "{}", written.stderr);
+    let of = |widths: &str| {
+        let [narrow, wide] =
+            [0, 1].map(|end| written.json["fringe_widths"][widths][end].as_f64().unwrap());
+        wide / narrow
+    };
+    // Nearer to 1 is more even.
+    assert!(
+        of("shown_mm") < of("straight_mm"),
+        "{}",
+        written.json["fringe_widths"]
+    );
+    let store = folder.path().join("press.db");
+    let store = store.to_str().unwrap();
+    let frames = folder.path().join("frames");
+    let frames = frames.to_str().unwrap();
+    let worn = ["--wear", "12:left:80:half", "--teeth", "12"];
+    let kept = ["--history", store, "--save-frames", frames];
+    let seen = in_passes(&tool, &out, &[&worn[..], &kept].concat());
+    assert_eq!(seen.code, 1, "{}", seen.stderr);
+    assert_eq!(seen.flank(12, "left"), Some("no-go"));
+    assert_eq!(seen.flank(12, "right"), Some("go"));
+    let left = seen.json["features"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|of| of["side"] == "left" || of["flank"] == "left");
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left.unwrap()[key].as_f64().unwrap());
+    assert!((wear_um - 80.0).abs() < u95_um, "{wear_um} ± {u95_um}");
+    let again = run(flankscope()
+        .args(["replay", store, "1", "--quiet", "--json", "-"])
+        .arg("--tool")
+        .arg(&tool));
+    assert_eq!(again.code, 1, "{}", again.stderr);
+    assert_eq!(again.json["same"], true, "{}", again.json);
+    let recorded = run(flankscope()
+        .args(["inspect", "--quiet", "--json", "-", "--frames", frames])
+        .arg("--tool")
+        .arg(&tool));
+    assert_eq!(recorded.code, 1, "{}", recorded.stderr);
+    assert_eq!(recorded.json["features"], seen.json["features"]);
+    // A bend that no projector shows is refused.
+    let path = out.join("adaptive.json");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut said: Value = serde_json::from_str(&text).unwrap();
+    said["bend"]["shift_px"][0][0] = Value::from(1e6);
+    std::fs::write(&path, said.to_string()).unwrap();
+    let refused = in_passes(&tool, &out, &["--teeth", "12"]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("coefficient of"),
+        "{}",
+        refused.stderr
+    );
+}
+
 #[test]
 fn pictures_that_do_not_fit_a_check_are_refused_before_anything_moves() {
     let (folder, tool) = demo_tool();

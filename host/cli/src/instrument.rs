@@ -12,7 +12,7 @@ use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter, Retention};
-use flankscope_station::inspection::{RecordedCheck, Station, Subject};
+use flankscope_station::inspection::{Light, RecordedCheck, Station, Subject};
 use flankscope_station::origin::Link;
 use flankscope_station::patterns::Adaptive;
 use flankscope_station::seal::{Kind, SealError, Seals};
@@ -235,16 +235,16 @@ impl Instrument {
             |mut subject, root| {
                 source.furnish(&mut subject, site.link())?;
                 let teeth = source.teeth.as_deref();
-                let lit_ratios = match &source.adaptive {
+                let light = match &source.adaptive {
                     Some(folder) => {
                         let pictures = Adaptive::open(folder)?;
-                        pictures.lit_ratios(&subject.tool, &subject.head, teeth)?
+                        pictures.light(&subject.tool, &subject.head, teeth)?
                     }
-                    None => Vec::new(),
+                    None => Light::default(),
                 };
                 let known = subject.clone();
                 let setting = site.setting.clone();
-                let station = Station::open(subject, setting, teeth, lit_ratios, root)?;
+                let station = Station::open(subject, setting, teeth, light, root)?;
                 writer = store
                     .map(|path| source.writer(path, site, &known))
                     .transpose()?;

@@ -2,7 +2,7 @@
 
 use flankscope_bench::demo;
 use flankscope_bench::world::{
-    BundleSpec, CoreTruth, MirrorMask, PatternSpec, ViewState, World, WorldConfig, WorldError,
+    BundleSpec, CoreTruth, DmdPass, PatternSpec, ViewState, World, WorldConfig, WorldError,
 };
 use flankscope_gear_cad::Mesh;
 use std::f64::consts::TAU;
@@ -182,7 +182,7 @@ fn a_pass_lights_what_its_mirrors_reach_and_nothing_else() {
     let middle = size_px[0] / 2;
     let mask = |lit: &dyn Fn(usize) -> u8| {
         let brightness = (0..size_px[0] * size_px[1]).map(|at| lit(at % size_px[0]));
-        MirrorMask::new(size_px, brightness.collect()).expect("one for each mirror")
+        DmdPass::new(size_px, brightness.collect()).expect("one for each mirror")
     };
     config.passes = vec![
         mask(&|column| if column < middle { 255 } else { 0 }),
@@ -212,7 +212,7 @@ fn a_pass_lights_what_its_mirrors_reach_and_nothing_else() {
         assert!((faint[at] / all[at] - 0.2).abs() < 0.1, "{t:?}");
     }
     assert!(seen.into_iter().all(|count| count > 20_000), "{seen:?}");
-    let wrong = MirrorMask::new(size_px, vec![255; 7]);
+    let wrong = DmdPass::new(size_px, vec![255; 7]);
     assert!(matches!(wrong, Err(WorldError::Buffer { got: 7, .. })));
 }
 

@@ -2,6 +2,7 @@
 
 mod head;
 
+use crate::bend::Bend;
 use crate::head::{HeadModel, Pinhole};
 use crate::pattern::Axis;
 
@@ -25,6 +26,8 @@ pub struct Triangulator {
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
     distorted: bool,
+    /// How the sheets of light are bent; what is called a column is then what straight ones would count.
+    bend: Option<Bend>,
 }
 
 /// The column must be met to this; a millionth of it is far below any calibration.
@@ -40,7 +43,14 @@ impl Triangulator {
             rotation: head.projector_from_camera.rotation,
             translation_mm: head.projector_from_camera.translation_mm,
             distorted: !head.projector.is_ideal(),
+            bend: None,
         }
+    }
+
+    /// The same for patterns that are bent.
+    #[must_use]
+    pub fn bent(self, bend: Option<Bend>) -> Self {
+        Self { bend, ..self }
     }
 
     /// The projector column of the point `depth_mm (x, y, 1)` and its derivative by depth; `None` behind the projector.
@@ -65,21 +75,27 @@ impl Triangulator {
         }
         let [u, v] = [x / z, y / z];
         let [du, dv] = [(a[0] - u * a[2]) / z, (a[1] - v * a[2]) / z];
-        let focal = self.projector.focal_px[self.axis];
-        let principal = self.projector.principal_px[self.axis];
-        if !self.distorted {
-            let (along, slope) = ([u, v][self.axis], [du, dv][self.axis]);
-            return Some((focal * along + principal, focal * slope));
-        }
-        let distorted = self.projector.distort([u, v]);
-        let gradient = match self.axis {
-            0 => distorted.gradient_x,
-            _ => distorted.gradient_y,
+        let (focal, principal) = (self.projector.focal_px, self.projector.principal_px);
+        let place = |axis: usize| {
+            let (value, slope) = match self.distorted {
+                false => ([u, v][axis], [du, dv][axis]),
+                true => {
+                    let distorted = self.projector.distort([u, v]);
+                    let gradient = [distorted.gradient_x, distorted.gradient_y][axis];
+                    (distorted.value[axis], gradient[0] * du + gradient[1] * dv)
+                }
+            };
+            (focal[axis] * value + principal[axis], focal[axis] * slope)
         };
-        let slope = gradient[0] * du + gradient[1] * dv;
+        let (column, slope) = place(self.axis);
+        let Some(bend) = &self.bend else {
+            return Some((column, slope));
+        };
+        let (row, across) = place(1 - self.axis);
+        let shift = bend.at([column, row]);
         Some((
-            focal * distorted.value[self.axis] + principal,
-            focal * slope,
+            column + shift.shift_px,
+            slope * (1.0 + shift.along) + across * shift.across,
         ))
     }
 
@@ -115,4 +131,72 @@ impl Triangulator {
 pub fn depth_sigma_mm(phase_sigma_rad: f64, periods: f64, width_px: f64, hit: &Hit) -> f64 {
     phase_sigma_rad * width_px
         / (std::f64::consts::TAU * periods * hit.column_by_depth_px_per_mm.abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A made-up head with a lens of every kind of distortion.
+    fn head() -> HeadModel {
+        toml::from_str(
+            "name = 'test'\nworking_distance_mm = 20.0\n\
+             [camera]\nwidth_px = 960\nheight_px = 600\nfocal_px = [1265.0, 1265.0]\nprincipal_px = [480.0, 300.0]\n\
+             [projector]\nwidth_px = 1024\nheight_px = 768\nfocal_px = [2300.0, 2310.0]\nprincipal_px = [510.0, 380.0]\n\
+             distortion = [0.08, -0.02, 0.001, -0.002, 0.0]\n\
+             [projector_from_camera]\nrotation = [[0.96, 0.02, -0.279284801], [0.0, 0.997446, 0.071425], [0.28, -0.068568, 0.957548]]\n\
+             translation_mm = [6.0, 5.0, 0.8]\n",
+        )
+        .unwrap()
+    }
+
+    /// Bent sheets of light by bisection over the depth: no Newton, no derivatives.
+    #[test]
+    fn a_ray_meets_a_bent_sheet_where_bisection_finds_it() {
+        let head = head();
+        for axis in [Axis::Columns, Axis::Rows] {
+            let size_px = [head.projector.width_px, head.projector.height_px];
+            let size_px = axis.along_and_across(size_px);
+            let bend = Bend::with_nodes([16.0, 64.0], size_px, |[along, across]| {
+                6.0 * (along / 60.0).sin() + 0.02 * across
+            });
+            bend.check().unwrap();
+            let straight = Triangulator::new(&head, axis);
+            let bent = straight.clone().bent(Some(bend.clone()));
+            let mut met = 0;
+            for ray in [[0.0, 0.0], [0.1, -0.05], [-0.15, 0.1], [0.02, 0.17]] {
+                // By the definition of the shift: where the point lies straight, and what is shown there.
+                let shown = |depth_mm: f64| {
+                    let own = straight.column(ray, depth_mm).unwrap().0;
+                    let other = Triangulator::new(&head, [Axis::Rows, Axis::Columns][axis.index()]);
+                    bend.shown_px([own, other.column(ray, depth_mm).unwrap().0])
+                };
+                let wanted = shown(20.7);
+                let (value, slope) = bent.column(ray, 20.7).unwrap();
+                assert!((value - wanted).abs() < 1e-9);
+                let step = 1e-5;
+                let by_steps = (shown(20.7 + step) - shown(20.7 - step)) / (2.0 * step);
+                assert!((slope / by_steps - 1.0).abs() < 1e-6, "{slope} {by_steps}");
+                let (mut near, mut far) = (19.0, 22.5);
+                if (shown(near) - wanted) * (shown(far) - wanted) >= 0.0 {
+                    continue;
+                }
+                for _ in 0..60 {
+                    let middle = 0.5 * (near + far);
+                    match (shown(middle) - wanted) * (shown(near) - wanted) > 0.0 {
+                        true => near = middle,
+                        false => far = middle,
+                    }
+                }
+                let hit = bent.intersect(ray, wanted).unwrap();
+                assert!(
+                    (hit.depth_mm - near).abs() < 1e-9,
+                    "{} {near}",
+                    hit.depth_mm
+                );
+                met += 1;
+            }
+            assert!(met > 1, "{axis:?}: {met}");
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::head::Sensor;
-use flankscope_profilometry::{Accumulator, PatternSet};
+use flankscope_profilometry::{Accumulator, Bend, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::job::Subject;
@@ -20,6 +20,9 @@ pub struct Recipe {
     /// Share of all mirrors' light that each pass of the patterns gives; none: they are shown once, by all mirrors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lit_ratios: Vec<f64>,
+    /// How fringes are bent, where they are and no recording's plan says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bend: Option<Bend>,
     /// Exposures, µs.
     pub exposures_us: Vec<u32>,
     /// What a point is made of: `core` or `pixel`.
@@ -56,14 +59,9 @@ impl Recipe {
         };
         let teeth: Vec<u32> = plan.views.iter().map(|view| view.tooth).collect();
         let by_files = ViewPlan::new(&subject.tool, &subject.head, Some(&teeth));
-        let recorded = by_files.is_ok_and(|by_files| {
-            let lit_ratios = plan.lit_ratios.clone();
-            ViewPlan {
-                lit_ratios,
-                ..by_files
-            } == *plan
-        });
-        let recorded = (!recorded).then(|| RecordedRecipe {
+        let light = plan.light();
+        let by_files = by_files.is_ok_and(|by_files| by_files.lit(light.clone()) == *plan);
+        let recorded = (!by_files).then(|| RecordedRecipe {
             views: plan.views.clone(),
             patterns: plan.patterns.clone(),
             dark_frame: plan.dark_frame,
@@ -72,9 +70,10 @@ impl Recipe {
         });
         Self {
             teeth,
+            bend: light.bend.filter(|_| by_files),
             recorded,
             pattern_set: plan.patterns.name.clone(),
-            lit_ratios: plan.lit_ratios.clone(),
+            lit_ratios: light.lit_ratios,
             exposures_us: plan.exposures_us.clone(),
             grid: grid.into(),
             temperature_degc: subject.temperature_degc,

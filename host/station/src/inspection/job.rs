@@ -12,7 +12,7 @@ use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
 use super::evidence::{Phasors, Recipe};
 use super::failure;
 use super::findings::Findings;
-use super::plan::{PlanningError, ViewPlan};
+use super::plan::{Light, PlanningError, ViewPlan};
 use super::result::{FrameCount, Inspection, Pictures, Timing, Toothing};
 use super::views::{Evaluator, EvaluatorError, ViewOutcome, hand_eye};
 use crate::acquisition::{
@@ -124,8 +124,7 @@ pub struct Station {
 
 impl Station {
     /// Starts the capture and compute threads for one subject, with frames arriving below `root`. Results say that they
-    /// come from `setting`. `lit_ratios` are the shares of all mirrors' light that the passes of the patterns give; none: they are
-    /// shown once, by all mirrors.
+    /// come from `setting`. `light` is that of pictures other than the plain ones.
     ///
     /// # Errors
     /// The subject is unfit, or shared memory is refused.
@@ -133,13 +132,10 @@ impl Station {
         subject: Subject,
         setting: Setting,
         teeth: Option<&[u32]>,
-        lit_ratios: Vec<f64>,
+        light: Light,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
-        let plan = ViewPlan {
-            lit_ratios,
-            ..ViewPlan::new(&subject.tool, &subject.head, teeth)?
-        };
+        let plan = ViewPlan::new(&subject.tool, &subject.head, teeth)?.lit(light);
         plan.check_way(&subject.tool, &subject.head, &subject.station)?;
         let poses = match subject.station.stages.poses.open()? {
             Some(PoseSource::Table(table)) => {

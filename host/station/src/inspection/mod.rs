@@ -46,7 +46,7 @@ pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
 pub use patch_view::PatchViewError;
-pub use plan::{PlannedView, PlanningError, ViewPlan};
+pub use plan::{Light, PlannedView, PlanningError, ViewPlan};
 pub use recorded::{RecordError, RecordedCheck};
 pub(crate) use recorded::{RecordingNotes, tooth_in_middle};
 pub use result::{

@@ -5,7 +5,7 @@ use flankscope_metrology::gear::{GearData, Kind};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::Sensor;
-use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
+use flankscope_profilometry::{Bend, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Recipe, RecordedRecipe};
@@ -43,6 +43,15 @@ impl PlannedView {
     ) -> Rigid<ToolFrame, Camera> {
         tool_from_camera(self.rotation_rad, self.vertical_mm, stage_from_camera)
     }
+}
+
+/// What a check must know of the light of its patterns.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Light {
+    /// Share of all mirrors' light that each pass gives; none: the patterns are shown once, by all mirrors.
+    pub lit_ratios: Vec<f64>,
+    /// How fringes are bent.
+    pub bend: Option<Bend>,
 }
 
 /// All views of a check and how each is exposed.
@@ -207,6 +216,21 @@ impl ViewPlan {
         })
     }
 
+    /// What is shown in other light.
+    pub(crate) fn lit(mut self, light: Light) -> Self {
+        self.lit_ratios = light.lit_ratios;
+        self.patterns.bend = light.bend;
+        self
+    }
+
+    /// The light of its patterns.
+    pub(crate) fn light(&self) -> Light {
+        Light {
+            lit_ratios: self.lit_ratios.clone(),
+            bend: self.patterns.bend.clone(),
+        }
+    }
+
     /// Where the stages stand to have each of these teeth in the middle of a view.
     ///
     /// # Errors
@@ -293,10 +317,11 @@ impl ViewPlan {
         recipe: &Recipe,
     ) -> Result<Self, PlanningError> {
         let Some(recorded) = &recipe.recorded else {
-            return Ok(Self {
+            let light = Light {
                 lit_ratios: recipe.lit_ratios.clone(),
-                ..Self::new(tool, head, Some(&recipe.teeth))?
-            });
+                bend: recipe.bend.clone(),
+            };
+            return Ok(Self::new(tool, head, Some(&recipe.teeth))?.lit(light));
         };
         let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
         let RecordedRecipe {

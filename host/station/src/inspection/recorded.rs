@@ -7,7 +7,7 @@ use flankscope_foundation::date::Date;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::{Bend, HeadModel};
 
 use super::failure;
 use super::job::{InspectError, Station, Subject};
@@ -153,6 +153,12 @@ pub enum RecordError {
     Toml(#[from] toml::ser::Error),
 }
 
+/// The part of a plan that says how fringes are bent.
+#[derive(serde::Serialize)]
+struct Bent<'a> {
+    bend: Option<&'a Bend>,
+}
+
 /// What a recording says beside its frames.
 #[derive(Debug)]
 pub(crate) struct RecordingNotes<'a> {
@@ -202,10 +208,16 @@ impl RecordingNotes<'_> {
             lit_ratios: self.plan.lit_ratios.clone(),
             view: views,
         };
+        let bend = Bent {
+            bend: self.plan.patterns.bend.as_ref(),
+        };
         let plan = format!(
             "# The dark frame, then exposure by exposure (and pass by pass) the patterns, in the order of the images' names.\n\
-             pattern_set = {:?}\nexposures_us = {:?}\ndark_first = {}\n",
-            self.plan.patterns.name, self.plan.exposures_us, self.plan.dark_frame
+             pattern_set = {:?}\nexposures_us = {:?}\ndark_first = {}\n{}",
+            self.plan.patterns.name,
+            self.plan.exposures_us,
+            self.plan.dark_frame,
+            toml::to_string(&bend)?
         );
         for (name, text) in [("PLAN.toml", plan), (FrameIndex::FILE, index.to_toml()?)] {
             let path = folder.join(name);

@@ -3,15 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::PatternSet;
+use flankscope_profilometry::bend::BendError;
 use flankscope_profilometry::head::{HeadModel, Mirrors};
+use flankscope_profilometry::{Bend, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::loading::{Loading, loading};
 use super::passes::{Passes, PassesError, Region};
 use super::{Packing, PatternsError, write_lit};
 use crate::files::write_whole;
-use crate::inspection::{PlannedView, PlanningError};
+use crate::inspection::{Light, PlannedView, PlanningError};
 use crate::settings::Timing;
 
 /// `adaptive.json`: what was written for a view.
@@ -29,6 +30,12 @@ pub struct Adaptive {
     pub mirrors: Mirrors,
     /// The passes, in the order in which they are shown.
     pub passes: Vec<Pass>,
+    /// How fringes are bent in all passes; none: they are straight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bend: Option<Bend>,
+    /// How wide the finest fringes are on the flanks.
+    #[serde(skip_deserializing)]
+    pub fringe_widths: Option<FringeWidths>,
     /// What a view takes.
     pub time: CaptureTime,
     /// What the controllers need until the pictures of a view are there.
@@ -45,6 +52,15 @@ pub struct Pass {
     pub lit_ratio: f64,
     /// How bright they are beside the plain pattern.
     pub brightness_ratio: f64,
+}
+
+/// How wide the finest fringes are on the flanks of a view, all but a twentieth at either end: narrowest and widest, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FringeWidths {
+    /// As they are shown.
+    pub shown_mm: [f64; 2],
+    /// As straight ones would be.
+    pub straight_mm: [f64; 2],
 }
 
 /// What a view takes from the first frame to the last, in passes and as a plain set, without loading.
@@ -107,6 +123,7 @@ pub fn write_adaptive(
         });
     }
     let patterns = Region::ALL.len() * set.frames_per_exposure();
+    let finest = set.finest().periods;
     let adaptive = Adaptive {
         format: Adaptive::FORMAT.into(),
         set: set.name.clone(),
@@ -114,6 +131,14 @@ pub fn write_adaptive(
         margin_mm: passes.margin_mm(),
         mirrors,
         passes: written,
+        bend: set.bend.clone(),
+        fringe_widths: passes
+            .fringe_widths_mm(finest, set.bend.as_ref())
+            .zip(passes.fringe_widths_mm(finest, None))
+            .map(|(shown_mm, straight_mm)| FringeWidths {
+                shown_mm,
+                straight_mm,
+            }),
         time,
         loading: loading(mirrors, patterns).to_vec(),
     };
@@ -150,19 +175,19 @@ impl Adaptive {
         Ok(read)
     }
 
-    /// Share of all mirrors' light that each pass gives, for a check of these teeth, or of the tool file's.
+    /// What they light in a check of these teeth, or of the tool file's.
     ///
     /// The pictures were made for one view. Those of other teeth are the same to a head if the stages bring each tooth where that
     /// one was: what is cast of the drawing says so.
     ///
     /// # Errors
     /// They are of another set or of other mirrors, or leave dark what a pass of a view should light.
-    pub fn lit_ratios(
+    pub fn light(
         &self,
         tool: &Tool,
         head: &HeadModel,
         teeth: Option<&[u32]>,
-    ) -> Result<Vec<f64>, AdaptiveError> {
+    ) -> Result<Light, AdaptiveError> {
         let set = head.pattern_set.as_deref().unwrap_or_default();
         if self.set != set {
             return Err(AdaptiveError::Set {
@@ -201,7 +226,17 @@ impl Adaptive {
                 lights: region.name(),
             }),
         };
-        Region::ALL.into_iter().map(lit_ratio).collect()
+        if let Some(bend) = &self.bend {
+            bend.check()?;
+            bend.check_reach([self.mirrors.columns, self.mirrors.rows])?;
+        }
+        Ok(Light {
+            lit_ratios: Region::ALL
+                .into_iter()
+                .map(lit_ratio)
+                .collect::<Result<_, _>>()?,
+            bend: self.bend.clone(),
+        })
     }
 }
 
@@ -266,6 +301,9 @@ pub enum AdaptiveError {
         /// Their margin, mm.
         margin_mm: f64,
     },
+    /// Fringes cannot be bent so.
+    #[error("bend: {0}; make the pictures anew")]
+    Bend(#[from] BendError),
     /// No passes by drawing and head.
     #[error(transparent)]
     Passes(#[from] PassesError),

@@ -15,6 +15,7 @@ use flankscope_foundation::order::median;
 use flankscope_foundation::rigid::{Camera, Projector, RigidError};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::bend::DENSITY;
 use flankscope_profilometry::head::{HeadModel, Mirrors};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -26,6 +27,16 @@ use crate::inspection::PlannedView;
 const BLOCK: u32 = 4;
 /// Rays end this far beyond the far end of the measuring volume.
 const BEYOND_RATIO: f64 = 2.0;
+
+/// Where the light of a block of mirrors first meets the drawing.
+#[derive(Clone, Copy, Debug)]
+struct Met {
+    region: Region,
+    /// On a matt surface: cosine by square of the distance.
+    brightness: f64,
+    /// In the tool frame, mm.
+    point: Vector3<f64>,
+}
 
 /// What a pass lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,6 +73,8 @@ pub struct Passes {
     margin_mm: f64,
     /// Blocks in a row.
     columns: usize,
+    /// What each block's light meets, row by row.
+    met: Vec<Option<Met>>,
     /// For each pass, whether a block is lit, row by row.
     lit: [Vec<bool>; 3],
     /// For each pass, how bright its lit mirrors are.
@@ -86,6 +99,12 @@ pub enum PassesError {
         "a margin of {got} mm: must be 0 to 2 mm, what the pose may be off before the first frame"
     )]
     Margin {
+        /// What was asked for.
+        got: f64,
+    },
+    /// Not a density.
+    #[error("fringes {got} times as dense as straight ones: must be 1 to {}", DENSITY[1])]
+    Density {
         /// What was asked for.
         got: f64,
     },
@@ -133,8 +152,7 @@ impl Passes {
         let mirrors = head.mirrors();
         let columns = mirrors.columns.div_ceil(BLOCK) as usize;
         let rows = mirrors.rows.div_ceil(BLOCK) as usize;
-        // What a block lights, and how bright that is on a matt surface: cosine by square of the distance.
-        let meets = |block: usize| -> Option<(Region, f64)> {
+        let meets = |block: usize| -> Option<Met> {
             let [column, row] = [block % columns, block / columns]
                 .map(|at| f64::from(BLOCK) * (at as f64 + 0.5) - 0.5);
             let [x, y] = head.projector.undistort([column, row])?;
@@ -150,13 +168,16 @@ impl Passes {
                 Some(_) => Region::Right,
                 None => Region::Rest,
             };
-            Some((region, cosine.max(0.0) / away.norm_squared()))
+            Some(Met {
+                region,
+                brightness: cosine.max(0.0) / away.norm_squared(),
+                point: met.point.into(),
+            })
         };
-        let met: Vec<Option<(Region, f64)>> =
-            (0..columns * rows).into_par_iter().map(meets).collect();
+        let met: Vec<Option<Met>> = (0..columns * rows).into_par_iter().map(meets).collect();
         let brightness = |wanted: fn(Region) -> bool| {
-            let of = met.iter().flatten().filter(|(region, _)| wanted(*region));
-            let mut of: Vec<f64> = of.map(|(_, brightness)| *brightness).collect();
+            let of = met.iter().flatten().filter(|met| wanted(met.region));
+            let mut of: Vec<f64> = of.map(|met| met.brightness).collect();
             median(&mut of)
         };
         let flanks = brightness(|region| region != Region::Rest);
@@ -170,7 +191,7 @@ impl Passes {
         let margin = focal_px
             .map(|px| (margin_mm * px / (volume.near_mm * f64::from(BLOCK))).ceil() as usize);
         let lit = Region::ALL.map(|of| {
-            let is_own = |met: &Option<(Region, f64)>| met.is_some_and(|(region, _)| region == of);
+            let is_own = |met: &Option<Met>| met.is_some_and(|met| met.region == of);
             let own: Vec<bool> = met.iter().map(is_own).collect();
             widened(&own, columns, margin)
         });
@@ -182,9 +203,44 @@ impl Passes {
             view: view.clone(),
             margin_mm,
             columns,
+            met,
             lit,
             brightness_ratios: [1.0, 1.0, dimmed],
         })
+    }
+
+    /// How wide one column is on the face that a block lights, mm; none where its neighbours light another face, or none.
+    ///
+    /// Columns and rows run over the face as the vectors a and b from mirror to mirror; stripes along b lie |a x b| / |b| apart.
+    pub(super) fn column_width_mm(&self, column: usize, row: usize) -> Option<f64> {
+        let rows = self.met.len() / self.columns;
+        let own = self.met[row * self.columns + column]?;
+        let beside = |columns: [usize; 2], rows: [usize; 2]| {
+            let met = [0, 1].map(|end| {
+                let met = self.met[rows[end] * self.columns + columns[end]];
+                met.filter(|met| met.region == own.region)
+            });
+            let [Some(before), Some(after)] = met else {
+                return None;
+            };
+            let blocks = (columns[1] - columns[0]) + (rows[1] - rows[0]);
+            Some((after.point - before.point) / (blocks as f64 * f64::from(BLOCK)))
+        };
+        let around = |at: usize, end: usize| [at.saturating_sub(1), (at + 1).min(end - 1)];
+        let along = beside(around(column, self.columns), [row; 2])?;
+        let down = beside([column; 2], around(row, rows))?;
+        let width_mm = along.cross(&down).norm() / down.norm();
+        (width_mm.is_finite() && width_mm > 0.0).then_some(width_mm)
+    }
+
+    /// Columns and rows of blocks, and the mirrors along a block's side.
+    pub(super) fn blocks(&self) -> ([usize; 2], u32) {
+        ([self.columns, self.met.len() / self.columns], BLOCK)
+    }
+
+    /// What a block lights, if anything.
+    pub(super) fn region(&self, column: usize, row: usize) -> Option<Region> {
+        self.met[row * self.columns + column].map(|met| met.region)
     }
 
     /// How the mirrors lie.

@@ -1,7 +1,7 @@
 //! How much of the projector's light arrives at a place.
 
 use super::bundle::Bundle;
-use super::mask::MirrorMask;
+use super::dmd::DmdPass;
 use super::microfacet::tangents;
 use super::optics::{HeadOptics, Pinhole};
 use super::scene::{CORE_APERTURE_PITCH, LANES, Lanes};
@@ -75,7 +75,7 @@ pub(crate) struct HeadLamp<'a> {
     position: Point3<f64>,
     frequencies: &'a [f64],
     mean_gain: f64,
-    mask: Option<&'a MirrorMask>,
+    pass: Option<&'a DmdPass>,
 }
 
 impl<'a> HeadLamp<'a> {
@@ -84,7 +84,7 @@ impl<'a> HeadLamp<'a> {
         bundle: &'a Bundle,
         tool_from_camera: &Isometry3<f64>,
         frequencies: &'a [f64],
-        mask: Option<&'a MirrorMask>,
+        pass: Option<&'a DmdPass>,
     ) -> Self {
         let projector_from_tool = optics.projector_from_camera * tool_from_camera.inverse();
         let gains = bundle.gains();
@@ -95,7 +95,7 @@ impl<'a> HeadLamp<'a> {
             projector_from_tool,
             frequencies,
             mean_gain: gains.iter().map(|g| f64::from(*g)).sum::<f64>() / gains.len() as f64,
-            mask,
+            pass,
         }
     }
 }
@@ -112,14 +112,16 @@ impl Lamp for HeadLamp<'_> {
             return None;
         }
         let objective = &self.optics.projector_objective;
-        let kept = self.mask.map_or(1.0, |mask| mask.ratio(px));
+        let kept = self.pass.map_or(1.0, |pass| pass.ratio(px));
         let mean = kept * self.mean_gain * projector_brightness(self.optics, p);
         let own_px =
             objective.sigma_pitch(p).hypot(CORE_APERTURE_PITCH) * self.bundle.spec().pitch_px();
         let patch_px = about.sigma_columns_px(&self.optics.projector, &self.projector_from_tool);
         let sigma_px = own_px.hypot(patch_px);
         let columns = self.optics.projector_size_px[0] as f64;
-        Some(fringes(self.frequencies, columns, px[0], mean, sigma_px))
+        let (shown, density) = self.pass.map_or((px[0], 1.0), |pass| pass.shown(px));
+        let sigma_px = density * sigma_px;
+        Some(fringes(self.frequencies, columns, shown, mean, sigma_px))
     }
 }
 

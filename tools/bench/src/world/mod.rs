@@ -17,12 +17,12 @@ mod bundle;
 mod design;
 mod die;
 mod die_mesh;
+mod dmd;
 mod form;
 mod ideal;
 mod indirect;
 mod lamp;
 mod liquid;
-mod mask;
 mod microfacet;
 mod mount;
 mod optics;
@@ -43,10 +43,10 @@ pub use design::{AT_HAND, Fibres, HeadDesign, Side};
 pub use die::Die;
 pub(crate) use die::flank_of_facet;
 pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
+pub use dmd::DmdPass;
 pub use form::Form;
 pub use ideal::{IdealView, PixelLight};
 pub use liquid::{Driven, LiquidLens};
-pub use mask::MirrorMask;
 pub use mount::{Carries, Mount, Saw};
 pub use optics::{HeadOptics, Objective, Pinhole};
 pub use pattern::PatternSpec;
@@ -106,7 +106,7 @@ pub struct WorldConfig {
     /// Bundle between DMD and objective, px of the DMD.
     pub projector_bundle: BundleSpec,
     /// What the DMD lights, pass after pass, all patterns in each; empty: all of it at once.
-    pub passes: Vec<MirrorMask>,
+    pub passes: Vec<DmdPass>,
     /// The camera.
     pub sensor: SensorSpec,
     /// Draws the head's individual traits: cores, gains, pixel response. One seed is one head.
@@ -299,7 +299,7 @@ pub struct World {
     finish: Finish,
     bounces: u32,
     print: Option<Print>,
-    passes: Vec<MirrorMask>,
+    passes: Vec<DmdPass>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
     sights: Vec<Sight>,
@@ -569,12 +569,12 @@ impl World {
         if self.passes.is_empty() {
             show(&all);
         }
-        for mask in &self.passes {
-            let pass = Stage {
-                mask: Some(mask),
+        for pass in &self.passes {
+            let stage = Stage {
+                pass: Some(pass),
                 ..stage
             };
-            show(&pass.look(tool_from_camera, &frequencies));
+            show(&stage.look(tool_from_camera, &frequencies));
         }
         let rates = self.sensor.expose(&per_core);
         Ok(ViewState {
@@ -596,7 +596,7 @@ impl World {
             bounces: self.bounces,
             print: self.print.as_ref(),
             seed: self.run_seed ^ pose_bits(rotation_rad, vertical_mm),
-            mask: None,
+            pass: None,
         }
     }
 

@@ -2,9 +2,9 @@
 
 use super::bundle::Bundle;
 use super::die::Die;
+use super::dmd::DmdPass;
 use super::indirect;
 use super::lamp::{HeadLamp, projector_reaches};
-use super::mask::MirrorMask;
 use super::optics::HeadOptics;
 use super::pattern::PatternSpec;
 use super::print::Print;
@@ -68,12 +68,12 @@ pub(crate) fn sights(optics: &HeadOptics, bundle: &Bundle) -> Vec<Sight> {
     bundle.positions_px().par_iter().map(sight).collect()
 }
 
-/// Light that leaves each projector core for the frequencies of a pattern set, where the mask leaves it lit.
+/// Light that leaves each projector core for the frequencies of a pattern set, where the pass leaves it lit.
 pub(crate) fn emission(
     optics: &HeadOptics,
     bundle: &Bundle,
     frequencies: &[f64],
-    mask: Option<&MirrorMask>,
+    pass: Option<&DmdPass>,
 ) -> Vec<Lanes> {
     let [columns, rows] = optics.projector_size_px.map(|n| n as f64);
     let pitch = bundle.spec().pitch_px();
@@ -83,12 +83,13 @@ pub(crate) fn emission(
         if !on_dmd {
             return lanes;
         }
-        let gain = gain * mask.map_or(1.0, |mask| mask.ratio([x, y])) as f32;
+        let gain = gain * pass.map_or(1.0, |pass| pass.ratio([x, y])) as f32;
         lanes[0] = gain;
+        let (shown, density) = pass.map_or((x, 1.0), |pass| pass.shown([x, y]));
         for (pair, periods) in lanes[1..].chunks_exact_mut(2).zip(frequencies) {
             let per_px = std::f64::consts::TAU * periods / columns;
-            let averaged = (-0.5 * (per_px * CORE_APERTURE_PITCH * pitch).powi(2)).exp();
-            let (sin, cos) = (per_px * (x + 0.5)).sin_cos();
+            let averaged = (-0.5 * (density * per_px * CORE_APERTURE_PITCH * pitch).powi(2)).exp();
+            let (sin, cos) = (per_px * (shown + 0.5)).sin_cos();
             pair[0] = gain * (averaged * cos) as f32;
             pair[1] = gain * (averaged * sin) as f32;
         }
@@ -119,7 +120,7 @@ pub(crate) struct Stage<'a> {
     /// Draws the ways of light.
     pub seed: u64,
     /// What the DMD lights; all of it without one.
-    pub mask: Option<&'a MirrorMask>,
+    pub pass: Option<&'a DmdPass>,
 }
 
 /// One camera core's share of a view.
@@ -148,7 +149,7 @@ impl Stage<'_> {
             // The head has been driven into the die.
             return self.sights.iter().map(|_| DARK).collect();
         }
-        let emission = &emission(self.optics, self.projector_bundle, frequencies, self.mask);
+        let emission = &emission(self.optics, self.projector_bundle, frequencies, self.pass);
         let lamp =
             tool_from_camera * (self.optics.projector_from_camera.inverse() * Point3::origin());
         let mut views: Vec<CoreView> = (0..self.sights.len())
@@ -175,7 +176,7 @@ impl Stage<'_> {
             self.projector_bundle,
             tool_from_camera,
             frequencies,
-            self.mask,
+            self.pass,
         );
         let transport = Transport {
             rays: self.rays,
