@@ -279,41 +279,45 @@ fn in_passes(tool: &Path, pictures: &Path, arguments: &[&str]) -> Run {
     inspect(&[&fixed[..], &[tool, "--adaptive", pictures], arguments].concat())
 }
 
+/// A check of tooth 12 with half of its left flank worn by 80 um: no-go there, as it was stored and as it was recorded. The live one
+/// and that of the recording.
+fn found_stored_and_recorded(folder: &Path, tool: &Path, pictures: &Path) -> [Run; 2] {
+    let [store, frames] = ["press.db", "frames"].map(|name| folder.join(name));
+    let [store, frames] = [&store, &frames].map(|path| path.to_str().unwrap());
+    let worn = ["--wear", "12:left:80:half", "--teeth", "12"];
+    let kept = ["--history", store, "--save-frames", frames];
+    let seen = in_passes(tool, pictures, &[&worn[..], &kept].concat());
+    assert_eq!(seen.code, 1, "{}", seen.stderr);
+    assert_eq!(seen.flank(12, "left"), Some("no-go"));
+    assert_eq!(seen.flank(12, "right"), Some("go"));
+    let again = run(flankscope()
+        .args(["replay", store, "1", "--quiet", "--json", "-"])
+        .arg("--tool")
+        .arg(tool));
+    assert_eq!(again.code, 1, "{}", again.stderr);
+    assert_eq!(again.json["same"], true, "{}", again.json);
+    let recorded = run(flankscope()
+        .args(["inspect", "--quiet", "--json", "-", "--frames", frames])
+        .arg("--tool")
+        .arg(tool));
+    assert_eq!(recorded.code, 1, "{}", recorded.stderr);
+    assert_eq!(recorded.json["features"], seen.json["features"]);
+    [seen, recorded]
+}
+
 #[test]
 fn a_check_in_passes_finds_wear_and_is_replayed() {
     let (folder, tool) = demo_tool();
     let out = folder.path().join("out");
-    pictures(&tool, &out, "0.1");
-    let store = folder.path().join("press.db");
-    let store = store.to_str().unwrap();
-    let frames = folder.path().join("frames");
-    let frames = frames.to_str().unwrap();
-    let worn = ["--wear", "12:left:80:half"];
-    let kept = ["--history", store, "--save-frames", frames];
-    let worn = [&worn[..], &kept].concat();
     // Pictures of tooth 40 do for tooth 12, which the stages bring to the same place.
-    let seen = in_passes(&tool, &out, &[&worn[..], &["--teeth", "12"]].concat());
-    assert_eq!(seen.code, 1, "{}", seen.stderr);
-    assert_eq!(seen.flank(12, "left"), Some("no-go"));
-    assert_eq!(seen.flank(12, "right"), Some("go"));
+    pictures(&tool, &out, "0.1");
+    let [seen, recorded] = found_stored_and_recorded(folder.path(), &tool, &out);
     // A dark frame, and 12 patterns at two exposures in three passes.
     assert_eq!(seen.json["frames"]["triggered"], 1 + 3 * 2 * 12);
+    // The recording says what each pass lit.
     let of_recipe = &seen.json["recipe"]["lit_ratios"];
     assert_eq!(of_recipe.as_array().unwrap().len(), 3);
-    let again = run(flankscope()
-        .args(["replay", store, "1", "--quiet", "--json", "-"])
-        .arg("--tool")
-        .arg(&tool));
-    assert_eq!(again.code, 1, "{}", again.stderr);
-    assert_eq!(again.json["same"], true, "{}", again.json);
-    // The recording says what each pass lit, and is judged as the live frames were.
-    let recorded = run(flankscope()
-        .args(["inspect", "--quiet", "--json", "-", "--frames", frames])
-        .arg("--tool")
-        .arg(&tool));
-    assert_eq!(recorded.code, 1, "{}", recorded.stderr);
     assert_eq!(recorded.json["recipe"]["lit_ratios"], *of_recipe);
-    assert_eq!(recorded.json["features"], seen.json["features"]);
 }
 
 /// Fringes that are bent: the same damage is found, stored, replayed and recorded, and the pictures say how they are bent.
@@ -346,35 +350,11 @@ fn a_check_with_bent_fringes_finds_wear_and_is_replayed() {
         "{}",
         written.json["fringe_widths"]
     );
-    let store = folder.path().join("press.db");
-    let store = store.to_str().unwrap();
-    let frames = folder.path().join("frames");
-    let frames = frames.to_str().unwrap();
-    let worn = ["--wear", "12:left:80:half", "--teeth", "12"];
-    let kept = ["--history", store, "--save-frames", frames];
-    let seen = in_passes(&tool, &out, &[&worn[..], &kept].concat());
-    assert_eq!(seen.code, 1, "{}", seen.stderr);
-    assert_eq!(seen.flank(12, "left"), Some("no-go"));
-    assert_eq!(seen.flank(12, "right"), Some("go"));
-    let left = seen.json["features"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .find(|of| of["side"] == "left" || of["flank"] == "left");
-    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left.unwrap()[key].as_f64().unwrap());
+    let [seen, _] = found_stored_and_recorded(folder.path(), &tool, &out);
+    let features = seen.json["features"].as_array().unwrap();
+    let left = features.iter().find(|of| of["flank"] == "left").unwrap();
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left[key].as_f64().unwrap());
     assert!((wear_um - 80.0).abs() < u95_um, "{wear_um} ± {u95_um}");
-    let again = run(flankscope()
-        .args(["replay", store, "1", "--quiet", "--json", "-"])
-        .arg("--tool")
-        .arg(&tool));
-    assert_eq!(again.code, 1, "{}", again.stderr);
-    assert_eq!(again.json["same"], true, "{}", again.json);
-    let recorded = run(flankscope()
-        .args(["inspect", "--quiet", "--json", "-", "--frames", frames])
-        .arg("--tool")
-        .arg(&tool));
-    assert_eq!(recorded.code, 1, "{}", recorded.stderr);
-    assert_eq!(recorded.json["features"], seen.json["features"]);
     // A bend that no projector shows is refused.
     let path = out.join("adaptive.json");
     let text = std::fs::read_to_string(&path).unwrap();
