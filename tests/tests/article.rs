@@ -6,6 +6,9 @@ use std::path::Path;
 
 use flankscope_gear_cad::Flank;
 use flankscope_metrology::io::{Unit, cloud};
+use flankscope_profilometry::FrameKind;
+use flankscope_profilometry::io::images::load_grey;
+use flankscope_station::acquisition::Recording;
 use flankscope_test_requisites::dear;
 use flankscope_tests::{Run, demo_gear, flankscope, run};
 use serde_json::Value;
@@ -230,6 +233,92 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
     let at: Vec<[f64; 3]> = points(0).iter().map(|(p, _)| moved(&rows, *p)).collect();
     let told_mm = off_mm(&at, centre(&at));
     assert!(told_mm.iter().all(|mm| mm.abs() < 0.01), "{told_mm:?}");
+}
+
+#[test]
+fn cross_sections_are_of_the_frames_that_were_saved_and_views_far_apart_are_not_laid_on_each_other()
+{
+    if !dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (session, frames, report) = (path("session"), path("frames"), path("report"));
+    let views = [
+        "--views",
+        "12x1",
+        "--session",
+        &session,
+        "--save-frames",
+        &frames,
+    ];
+    let scanned = scan(&views);
+    assert!(
+        Path::new(&session).join("manifest.json").exists(),
+        "{}",
+        scanned.stderr
+    );
+    let made = article(&["--scan", &session, "--frames", &frames, "--report", &report]);
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let why = made.json["serial_refused"].as_str().unwrap();
+    assert!(why.contains("of their points in common"), "{why}");
+    assert_eq!(made.json["serial"].as_array().map(Vec::len), Some(0));
+    assert!(
+        made.json["alignments"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|of| of["name"] != "serial")
+    );
+    // The frames are plain images: the same counts, and their spread by hand.
+    let sections = &made.json["sections"];
+    let counts: Vec<Vec<f64>> = serde_json::from_value(sections["counts"].clone()).unwrap();
+    let std: Vec<f64> = serde_json::from_value(sections["std_dn"].clone()).unwrap();
+    let row = sections["cut_px"].as_u64().unwrap() as usize;
+    let exposure_us = sections["exposure_us"].as_u64().unwrap() as u32;
+    let plan = Recording::open(Path::new(&frames)).unwrap();
+    let at = plan
+        .plan
+        .exposures_us
+        .iter()
+        .position(|&us| us == exposure_us)
+        .unwrap();
+    let first = Path::new(&frames).join(&plan.index.view[0].folder);
+    let finest = plan.plan.patterns.sets.len() - 1;
+    let kept = plan.plan.frames(&first).unwrap();
+    let images: Vec<_> = kept
+        .iter()
+        .filter(|(kind, _)| matches!(kind, FrameKind::Fringe { exposure, set, .. } if (*exposure, *set) == (at, finest)))
+        .map(|(_, image)| load_grey(image, [1920, 1200]).unwrap())
+        .collect();
+    assert!(images.len() >= 3 && images.len() == counts.len());
+    for x in (0..1920).step_by(37) {
+        let values: Vec<f64> = images
+            .iter()
+            .map(|image| f64::from(image.pixels[row * 1920 + x]))
+            .collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let squares: f64 = values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64;
+        let got: Vec<f64> = counts.iter().map(|step| step[x]).collect();
+        assert_eq!(got, values, "{x}");
+        assert!(
+            (std[x] - (squares - mean * mean).max(0.0).sqrt()).abs() < 1e-3,
+            "{x}"
+        );
+    }
+    let page = std::fs::read_to_string(folder.path().join("report/article.html")).unwrap();
+    assert!(page.contains("figures 11 to 13"));
+    // Frames of another scan.
+    let index = Path::new(&frames).join("frames.toml");
+    let text = std::fs::read_to_string(&index).unwrap();
+    std::fs::write(&index, text.replace("\"12x1\"", "\"13x1\"")).unwrap();
+    let other = article(&["--scan", &session, "--frames", &frames, "--report", &report]);
+    assert_eq!(other.code, 3);
+    assert!(
+        other.stderr.contains("is of 13x1, the scan of 12x1"),
+        "{}",
+        other.stderr
+    );
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_station::acquisition::Recording;
 use flankscope_station::inspection::Subject;
 use flankscope_station::report::ReportFolder;
 use flankscope_station::scan::{Article, FinishedScan, MethodResult};
@@ -25,6 +26,9 @@ pub struct Args {
     /// Write article.html, article.json and first-view.ply into this folder
     #[arg(long, value_name = "DIR")]
     report: PathBuf,
+    /// Frames that were saved with the scan (scan --save-frames DIR): adds cross-sections of the fringes
+    #[arg(long, value_name = "DIR")]
+    frames: Option<PathBuf>,
     #[arg(long, value_name = "DIR", help = help::TOOL)]
     tool: Option<PathBuf>,
     /// Head file instead of the tool folder's: the one that was scanned with
@@ -54,6 +58,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             "--serial-inlier-ratio {ratio}: 0.01 to 1 of the pairs are possible"
         );
     }
+    let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     args.common.try_json()?;
     try_folder(&args.report, ReportFolder::OF_ARTICLE).context("--report")?;
     let passing = scratch()?;
@@ -78,8 +83,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.common.quiet {
         say("the views are laid by positions, one on the other, the article's way and ours");
     }
-    let mut article =
-        FinishedScan::open(subject, &folder)?.article(&settings, args.serial_inlier_ratio)?;
+    let mut finished = FinishedScan::open(subject, &folder)?;
+    let sections = recording.as_ref().map(|frames| finished.sections(frames));
+    let sections = sections.transpose().context("--frames")?;
+    let mut article = finished.article(&settings, args.serial_inlier_ratio)?;
+    article.sections = sections;
     let mut report = ReportFolder::new(&args.report);
     report.put(&mut article)?;
     args.common.write_json(&article)?;

@@ -5,7 +5,9 @@ use askama::Template;
 use super::colour;
 use super::plot::{Axes, Scale, Series, binned};
 use super::{Fact, chart};
-use crate::scan::{Alignment, Article, DrawingSteps, Left, MethodResult, Overlay, Spread};
+use crate::scan::{
+    Alignment, Article, DrawingSteps, Left, MethodResult, Overlay, Sections, Spread,
+};
 
 /// Width of the wide pictures, px.
 const WIDE: f64 = 1150.0;
@@ -37,6 +39,15 @@ struct Page<'a> {
     rms: String,
     iterations: String,
     histograms: Vec<String>,
+    sections: Option<Cuts>,
+}
+
+/// Cross-sections of the fringes.
+struct Cuts {
+    counts: String,
+    spread: String,
+    /// The middle of the image at every step, as addresses.
+    crops: Vec<String>,
 }
 
 /// A figure that the article reports, what its method gives here, and ours.
@@ -128,6 +139,7 @@ pub fn article_html(article: &Article) -> Result<String, askama::Error> {
         rms: rms(article, map("paper")),
         iterations: iterations(article),
         histograms: histograms(article, map("paper")),
+        sections: article.sections.as_ref().map(cuts),
     };
     page.render()
 }
@@ -314,6 +326,57 @@ fn unrolled(article: &Article, of: &Alignment, title: &str) -> String {
         y: (layout.height_mm, "height / mm"),
     }
     .draw(&[Series::Picture(picture, Scale::Amount(MAP_UM))])
+}
+
+/// Counts along the cut, their spread, and the middles of the images.
+fn cuts(of: &Sections) -> Cuts {
+    let length = of.std_dn.len().max(2) as f64;
+    let line = |values: &mut dyn Iterator<Item = f64>| -> OverPlaces {
+        values
+            .enumerate()
+            .map(|(at, dn)| (at as f64, Some(dn)))
+            .collect()
+    };
+    let most = of.counts.iter().flatten().copied().max().unwrap_or(1);
+    let steps: Vec<OverPlaces> = of
+        .counts
+        .iter()
+        .map(|counts| line(&mut counts.iter().map(|&dn| f64::from(dn))))
+        .collect();
+    let colours = [BLUE, RED, GREEN, ORANGE];
+    let lines: Vec<Series<'_>> = steps
+        .iter()
+        .zip(colours.into_iter().cycle())
+        .map(|(points, colour)| Series::Line(points, colour.into()))
+        .collect();
+    let axes = |title: &'static str, most: f64, label: &'static str| Axes {
+        title,
+        size: [WIDE, 240.0],
+        x: ([0.0, length - 1.0], "along the cut / pixels"),
+        y: ([0.0, 1.05 * most.max(1.0)], label),
+    };
+    let widest = of.std_dn.iter().copied().fold(1.0, f64::max);
+    let (raw, smoothed) = (
+        line(&mut of.std_dn.iter().copied()),
+        line(&mut of.smoothed_dn.iter().copied()),
+    );
+    Cuts {
+        counts: axes("Counts across the finest fringes", most.into(), "counts").draw(&lines),
+        spread: axes(
+            "Their standard deviation",
+            widest,
+            "standard deviation / counts",
+        )
+        .draw(&[
+            Series::Line(&raw, "#c3ccd6".into()),
+            Series::Line(&smoothed, RED.into()),
+        ]),
+        crops: of
+            .crops
+            .iter()
+            .map(|crop| colour::grey_data_uri(Sections::CROP_PX, Sections::CROP_PX, crop))
+            .collect(),
+    }
 }
 
 /// How far serially laid views lie off, along the first layer.

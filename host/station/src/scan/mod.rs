@@ -59,7 +59,7 @@ mod view_pipeline;
 
 pub use article::{
     Alignment, Article, DrawingSteps, FinishedScan, FinishedScanError, FirstView, Left,
-    MaskPicture, Merging, Overlay, SerialLayer,
+    MaskPicture, Merging, Overlay, Sections, SectionsError, SerialLayer,
 };
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};

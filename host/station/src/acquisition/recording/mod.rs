@@ -239,6 +239,11 @@ fn inside(image: &Path, root: &Path) -> Result<(), RecordingError> {
 }
 
 impl RecordedView {
+    /// Its images, in the order in which they were taken.
+    pub(crate) fn images(&self) -> &[(FrameKind, PathBuf)] {
+        &self.images
+    }
+
     /// Frames of the view.
     pub(crate) fn frames(&self) -> usize {
         self.images.len()

@@ -12,6 +12,7 @@
 //! | `alignment` | the views by positions alone, one on the other, the article's way, ours: distances, maps (figures 4, 19, 20, 21) |
 //! | `serial` | one view on the one before, without CAD (figure 4b) |
 //! | `threshold` | the mask and its threshold (figure 14) |
+//! | `sections` | counts across the fringes, from recorded frames (figures 11 to 13) |
 //! | `overlay` | measured points on the article's reference points (figures 16, 17) |
 //! | `merging` | one point per voxel, chosen in several ways (figure 9, section 10) |
 
@@ -19,6 +20,7 @@ mod alignment;
 mod finished;
 mod merging;
 mod overlay;
+mod sections;
 mod serial;
 mod threshold;
 
@@ -37,6 +39,7 @@ pub use alignment::Alignment;
 pub use finished::{FinishedScan, FinishedScanError};
 pub use merging::Merging;
 pub use overlay::Overlay;
+pub use sections::{Sections, SectionsError};
 pub use serial::SerialLayer;
 pub use threshold::{Left, MaskPicture};
 
@@ -44,6 +47,7 @@ use super::comparison::{self, MethodResult};
 use super::hinz2019::{self, Drawing, Hinz2019Settings};
 use super::stitch::{Frame, first_information, stitch};
 use super::view::{Kept, coordinates, place};
+use crate::acquisition::Recording;
 
 /// Views of which every point is compared with the surface, for the threshold curves: at most so many, evenly among all.
 const RATED_VIEWS: usize = 12;
@@ -118,6 +122,9 @@ pub struct Article {
     pub serial_refused: Option<String>,
     /// One point per voxel, at the article's poses and at ours.
     pub merging: Vec<Merging>,
+    /// Cross-sections of the finest fringes; absent without recorded frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sections: Option<Sections>,
     /// Where the time went, ms.
     pub elapsed_ms: BTreeMap<&'static str, f64>,
     /// The first view that the article's method laid: for picking pairs.
@@ -335,6 +342,7 @@ impl FinishedScan {
             serial: serial.layers,
             serial_refused,
             merging,
+            sections: None,
             elapsed_ms,
             first_view,
             mask,
@@ -343,6 +351,23 @@ impl FinishedScan {
             layout,
             grid: [self.grid.around, self.grid.layers],
         })
+    }
+}
+
+impl FinishedScan {
+    /// Cross-sections of the fringes in the frames that were saved with this scan.
+    ///
+    /// # Errors
+    /// They are of another scan, or not what their plan and the head say.
+    pub fn sections(&self, recording: &Recording) -> Result<Sections, SectionsError> {
+        let scanned = self.grid.to_string();
+        match &recording.index.grid {
+            Some(recorded) if *recorded == scanned => Sections::of(recording, &self.subject.head),
+            recorded => Err(SectionsError::OtherScan {
+                recorded: recorded.clone().unwrap_or_else(|| "no grid".into()),
+                scanned,
+            }),
+        }
     }
 }
 
