@@ -17,6 +17,10 @@ use crate::ready::Ready;
 use crate::root::SharedRoot;
 use crate::services::{ServiceError, Services, refused};
 
+/// A socket counts its time-out in microseconds, and none is for ever (socket(7), `SO_RCVTIMEO`); iceoryx2 rounds down. What is left
+/// of a wait may be less.
+const SHORTEST_WAIT: Duration = Duration::from_micros(1);
+
 /// A frame that still lies in the shared memory; dropping it gives the slot back to the camera process.
 #[derive(Debug)]
 pub struct Frame {
@@ -155,7 +159,7 @@ impl FrameSource for FrameReceiver {
             // A camera process that came after the arming gets it only when this port looks for new peers.
             self.arm.update_connections().map_err(port_failed)?;
             let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() {
+            if left < SHORTEST_WAIT {
                 return Ok(None);
             }
             // Woken by the camera process; the event may tell of a frame that was already taken, hence the loop.

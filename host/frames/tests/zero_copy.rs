@@ -248,3 +248,29 @@ fn after_kill_of_either_side_the_next_run_works() {
         }
     }
 }
+
+/// A camera that says nothing holds nobody up, however little is left of a wait: sockets count microseconds, and none is for ever.
+#[test]
+fn the_shortest_waits_end() {
+    let (done, ended) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let base = tempfile::tempdir().unwrap();
+        let root = SharedRoot::create(base.path()).unwrap();
+        let mut receiver = FrameReceiver::create(&root).unwrap();
+        // As long as looking for a frame takes, so that next to nothing is left to wait for: nearer and nearer from either side.
+        let mut wait_ns = 20_000_u64;
+        for _ in 0..400 {
+            let begin = Instant::now();
+            let frame = receiver.receive(Duration::from_nanos(wait_ns)).unwrap();
+            assert!(frame.is_none());
+            wait_ns = match begin.elapsed() > Duration::from_micros(500) {
+                true => wait_ns.saturating_sub(200),
+                false => wait_ns + 200,
+            };
+        }
+        done.send(()).unwrap();
+    });
+    ended
+        .recv_timeout(Duration::from_secs(60))
+        .expect("a wait that does not end");
+}

@@ -15,6 +15,7 @@ use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::files;
 use flankscope_station::history::History;
+use flankscope_station::patterns::Adaptive;
 use flankscope_station::poses::PoseTable;
 use flankscope_station::seal::Seals;
 use flankscope_station::settings::StationSettings;
@@ -144,7 +145,8 @@ impl Readers {
             }
             "target/target.toml" => accepted(Target::load(&path))?,
             "focus.toml" => accepted(FocusSeries::load(&path))?,
-            "worn/PLAN.toml" => accepted(Plan::load(&path))?,
+            "worn/PLAN.toml" | "bent.toml" => accepted(Plan::load(&path))?,
+            "adaptive/adaptive.json" => accepted(Adaptive::open(&self.place("adaptive")))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
             "poses.csv" => accepted(PoseTable::load(&path))?,
             "station.toml" => accepted(StationSettings::load(&path))?,

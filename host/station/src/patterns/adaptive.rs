@@ -158,7 +158,7 @@ impl Adaptive {
     /// Reads what was written into a folder.
     ///
     /// # Errors
-    /// [`AdaptiveError::Read`], [`AdaptiveError::Format`].
+    /// [`AdaptiveError::Read`], [`AdaptiveError::Format`], [`AdaptiveError::Bend`].
     pub fn open(folder: &Path) -> Result<Self, AdaptiveError> {
         let path = folder.join(Self::FILE);
         let failed = |reason: String| {
@@ -171,6 +171,10 @@ impl Adaptive {
         if read.format != Self::FORMAT {
             let got = read.format;
             return Err(AdaptiveError::Format { path, got });
+        }
+        if let Some(bend) = &read.bend {
+            bend.check()?;
+            bend.check_reach([read.mirrors.columns, read.mirrors.rows])?;
         }
         Ok(read)
     }
@@ -226,10 +230,6 @@ impl Adaptive {
                 lights: region.name(),
             }),
         };
-        if let Some(bend) = &self.bend {
-            bend.check()?;
-            bend.check_reach([self.mirrors.columns, self.mirrors.rows])?;
-        }
         Ok(Light {
             lit_ratios: Region::ALL
                 .into_iter()
