@@ -8,6 +8,7 @@ use flankscope_profilometry::head::{HeadModel, Mirrors};
 use flankscope_profilometry::{Bend, PatternSet};
 use serde::{Deserialize, Serialize};
 
+use super::evenly::FringeWidths;
 use super::loading::{Loading, loading};
 use super::passes::{Passes, PassesError, Region};
 use super::{Packing, PatternsError, write_lit};
@@ -52,15 +53,6 @@ pub struct Pass {
     pub lit_ratio: f64,
     /// How bright they are beside the plain pattern.
     pub brightness_ratio: f64,
-}
-
-/// How wide the finest fringes are on the flanks of a view, all but a twentieth at either end: narrowest and widest, mm.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct FringeWidths {
-    /// As they are shown.
-    pub shown_mm: [f64; 2],
-    /// As straight ones would be.
-    pub straight_mm: [f64; 2],
 }
 
 /// What a view takes from the first frame to the last, in passes and as a plain set, without loading.
@@ -123,7 +115,6 @@ pub fn write_adaptive(
         });
     }
     let patterns = Region::ALL.len() * set.frames_per_exposure();
-    let finest = set.finest().periods;
     let adaptive = Adaptive {
         format: Adaptive::FORMAT.into(),
         set: set.name.clone(),
@@ -132,13 +123,7 @@ pub fn write_adaptive(
         mirrors,
         passes: written,
         bend: set.bend.clone(),
-        fringe_widths: passes
-            .fringe_widths_mm(finest, set.bend.as_ref())
-            .zip(passes.fringe_widths_mm(finest, None))
-            .map(|(shown_mm, straight_mm)| FringeWidths {
-                shown_mm,
-                straight_mm,
-            }),
+        fringe_widths: passes.fringe_widths(set.finest().periods, set.bend.as_ref()),
         time,
         loading: loading(mirrors, patterns).to_vec(),
     };

@@ -9,8 +9,9 @@
 use flankscope_profilometry::Bend;
 use flankscope_profilometry::bend::DENSITY;
 use flankscope_profilometry::head::HeadModel;
+use serde::Serialize;
 
-use super::passes::{Passes, PassesError, Region};
+use super::passes::{Passes, PassesError};
 
 /// Distance of a bend's nodes along rows and columns of mirrors, px: finer than a flank, coarser than a block.
 const SPACING_PX: [f64; 2] = [16.0, 64.0];
@@ -33,6 +34,15 @@ fn best_of_contrast(contrast: f64) -> f64 {
     best.clamp(1.0, DENSITY[1])
 }
 
+/// How wide the finest fringes are on the flanks of a view, all but a twentieth at either end: narrowest and widest, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FringeWidths {
+    /// As they are shown.
+    pub shown_mm: [f64; 2],
+    /// As straight ones would be.
+    pub straight_mm: [f64; 2],
+}
+
 impl Passes {
     /// Fringes that count columns, evenly wide on the flanks of these passes and at most `densest` times as dense as straight ones.
     ///
@@ -44,33 +54,17 @@ impl Passes {
         }
         let mirrors = self.mirrors();
         let ([columns, rows], side) = self.blocks();
-        let is_flank =
-            |region: Option<Region>| matches!(region, Some(Region::Left | Region::Right));
-        let flank_width = |column: usize, row: usize| {
-            is_flank(self.region(column, row))
-                .then(|| self.column_width_mm(column, row))
-                .flatten()
-        };
-        let all = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
-        let mut widths: Vec<f64> = all
-            .filter_map(|(column, row)| flank_width(column, row))
-            .collect();
+        let columns_mm = self.flank_columns_mm();
+        let mut widths: Vec<f64> = columns_mm.iter().copied().flatten().collect();
         widths.sort_by(f64::total_cmp);
-        let widest = widths
-            .get((WIDEST_RATIO * widths.len() as f64) as usize)
-            .copied()
-            .unwrap_or(1.0);
+        let widest = at_ratio(&widths, WIDEST_RATIO).unwrap_or(1.0);
+        let wanted = |width: f64| (densest * width / widest).clamp(REST_DENSITY, densest);
         // Of every row of blocks, by how much fringes are ahead of straight ones at each block's left edge, px.
-        let ahead: Vec<Vec<f64>> = (0..rows)
+        let ahead: Vec<Vec<f64>> = columns_mm
+            .chunks(columns)
             .map(|row| {
-                let wanted = |column: usize| {
-                    flank_width(column, row)
-                        .map(|width| (densest * width / widest).clamp(REST_DENSITY, densest))
-                };
-                ahead_px(
-                    &(0..columns).map(wanted).collect::<Vec<_>>(),
-                    f64::from(side),
-                )
+                let row: Vec<Option<f64>> = row.iter().map(|width| width.map(wanted)).collect();
+                ahead_px(&row, f64::from(side))
             })
             .collect();
         let shift_px = |[along_px, across_px]: [f64; 2]| {
@@ -91,31 +85,38 @@ impl Passes {
         Ok(Bend::with_nodes(SPACING_PX, size_px, shift_px))
     }
 
-    /// Widest and narrowest fringe on flanks, mm: all but a twentieth at either end.
+    /// How wide fringes of so many periods are on the flanks, bent and straight; none where no flank is lit.
     #[must_use]
-    pub fn fringe_widths_mm(&self, periods: f64, bend: Option<&Bend>) -> Option<[f64; 2]> {
-        let mirrors = self.mirrors();
-        let ([columns, rows], side) = self.blocks();
-        let straight_px = f64::from(mirrors.columns) / periods;
-        let mut widths = Vec::new();
-        for row in 0..rows {
-            for column in 0..columns {
-                let is_flank =
-                    matches!(self.region(column, row), Some(Region::Left | Region::Right));
-                let (true, Some(width_mm)) = (is_flank, self.column_width_mm(column, row)) else {
-                    continue;
-                };
-                let middle = |at: usize| f64::from(side) * (at as f64 + 0.5) - 0.5;
-                let density = bend.map_or(1.0, |bend| {
-                    1.0 + bend.at([middle(column), middle(row)]).along
-                });
-                widths.push(straight_px * width_mm / density);
-            }
-        }
-        widths.sort_by(f64::total_cmp);
-        let at = |ratio: f64| widths.get((ratio * widths.len() as f64) as usize).copied();
-        Some([at(0.05)?, at(0.95)?])
+    pub fn fringe_widths(&self, periods: f64, bend: Option<&Bend>) -> Option<FringeWidths> {
+        let ([columns, _], side) = self.blocks();
+        let straight_px = f64::from(self.mirrors().columns) / periods;
+        let middle = |at: usize| f64::from(side) * (at as f64 + 0.5) - 0.5;
+        let density = |block: usize| {
+            let place = [middle(block % columns), middle(block / columns)];
+            bend.map_or(1.0, |bend| 1.0 + bend.at(place).along)
+        };
+        let columns_mm = self.flank_columns_mm();
+        let flanks = columns_mm.into_iter().enumerate();
+        let (mut shown, mut straight): (Vec<f64>, Vec<f64>) = flanks
+            .filter_map(|(block, width)| {
+                let straight = straight_px * width?;
+                Some((straight / density(block), straight))
+            })
+            .unzip();
+        let range = |widths: &mut Vec<f64>| {
+            widths.sort_by(f64::total_cmp);
+            Some([at_ratio(widths, 0.05)?, at_ratio(widths, 0.95)?])
+        };
+        Some(FringeWidths {
+            shown_mm: range(&mut shown)?,
+            straight_mm: range(&mut straight)?,
+        })
     }
+}
+
+/// The value below which this part of sorted ones lies.
+fn at_ratio(sorted: &[f64], ratio: f64) -> Option<f64> {
+    sorted.get((ratio * sorted.len() as f64) as usize).copied()
 }
 
 /// Shares the fringes of a row out: blocks of `side` mirrors with a density wanted have it, the others what is left over; by how much

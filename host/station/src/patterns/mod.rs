@@ -20,8 +20,8 @@ use serde::Serialize;
 
 use crate::files::{hash, write_whole};
 
-pub use adaptive::{Adaptive, AdaptiveError, CaptureTime, FringeWidths, Pass, write_adaptive};
-pub use evenly::best_density;
+pub use adaptive::{Adaptive, AdaptiveError, CaptureTime, Pass, write_adaptive};
+pub use evenly::{FringeWidths, best_density};
 pub use loading::Loading;
 pub use passes::{Passes, PassesError, Region};
 

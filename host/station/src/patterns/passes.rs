@@ -209,12 +209,12 @@ impl Passes {
         })
     }
 
-    /// How wide one column is on the face that a block lights, mm; none where its neighbours light another face, or none.
+    /// How wide one column is on the flank that a block lights, mm; none where it or its neighbours light something else, or nothing.
     ///
     /// Columns and rows run over the face as the vectors a and b from mirror to mirror; stripes along b lie |a x b| / |b| apart.
-    pub(super) fn column_width_mm(&self, column: usize, row: usize) -> Option<f64> {
+    fn flank_column_mm(&self, column: usize, row: usize) -> Option<f64> {
         let rows = self.met.len() / self.columns;
-        let own = self.met[row * self.columns + column]?;
+        let own = self.met[row * self.columns + column].filter(|met| met.region != Region::Rest)?;
         let beside = |columns: [usize; 2], rows: [usize; 2]| {
             let met = [0, 1].map(|end| {
                 let met = self.met[rows[end] * self.columns + columns[end]];
@@ -238,9 +238,11 @@ impl Passes {
         ([self.columns, self.met.len() / self.columns], BLOCK)
     }
 
-    /// What a block lights, if anything.
-    pub(super) fn region(&self, column: usize, row: usize) -> Option<Region> {
-        self.met[row * self.columns + column].map(|met| met.region)
+    /// How wide one column is on the flanks, mm: of every block, row by row; none where a block and its neighbours do not light one
+    /// flank.
+    pub(super) fn flank_columns_mm(&self) -> Vec<Option<f64>> {
+        let of = |block: usize| self.flank_column_mm(block % self.columns, block / self.columns);
+        (0..self.met.len()).map(of).collect()
     }
 
     /// How the mirrors lie.

@@ -59,7 +59,7 @@ impl Alignment {
             let Some(drawn) = views.get(&view) else {
                 continue;
             };
-            let laid = laid(drawn, pose);
+            let laid = laid(&drawn.xyz, pose);
             let distances_mm = by.reference.distances(&laid, by.order);
             rms_um[view] = statistics(&distances_mm).map(|of: Statistics| of.rms_mm * 1e3);
             tool_from_camera[view] =
@@ -83,9 +83,9 @@ impl Alignment {
     }
 }
 
-/// The drawn points of a view in the tool frame, mm.
-pub(super) fn laid(drawn: &Drawn, pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
-    let points = drawn.xyz.iter();
+/// Points of a view in the tool frame, mm.
+pub(super) fn laid(xyz: &[[f64; 3]], pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
+    let points = xyz.iter();
     points.map(|&p| (pose * Point3::from(p)).into()).collect()
 }
 

@@ -86,7 +86,7 @@ pub(super) fn ways(
     };
     for (view, pose) in poses {
         if let Some(drawn) = views.get(view) {
-            cloud.points.extend(laid(drawn, pose));
+            cloud.points.extend(laid(&drawn.xyz, pose));
             cloud.sigma_mm.extend(&drawn.sigma_mm);
             cloud.fringes_dn.extend(&drawn.fringes_dn);
         }

@@ -241,11 +241,7 @@ impl FinishedScan {
             });
             views.extend(Drawn::of(&drawing.points).map(|drawn| (view, drawn)));
             if at % every == 0 {
-                let xyz = coordinates(&kept, kept.len());
-                let laid: Vec<[f64; 3]> = xyz
-                    .iter()
-                    .map(|&p| (pose * nalgebra::Point3::from(p)).into())
-                    .collect();
+                let laid = alignment::laid(&coordinates(&kept, kept.len()), pose);
                 let closest = tool.surface.closest_many(&laid);
                 rated.extend(threshold::rated(&kept, &closest, &frame.layout));
             }

@@ -37,7 +37,7 @@ pub(super) fn overlays(
 ) -> (Vec<Overlay>, Vec<f64>) {
     let clouds: Vec<(usize, Vec<[f64; 3]>)> = poses
         .iter()
-        .filter_map(|(&view, pose)| Some((view, laid(views.get(&view)?, pose))))
+        .filter_map(|(&view, pose)| Some((view, laid(&views.get(&view)?.xyz, pose))))
         .take(count)
         .collect();
     let mut one_view_um = Vec::new();

@@ -72,10 +72,10 @@ pub(super) fn serial(
         // From where `before` lies to `view`, by what the stages were told, and then by what both show.
         let mut step = |pose: &Isometry3<f64>, before: usize, view: usize| {
             let start = moved(view) * moved(before).inverse() * pose;
-            let Some(reference) = PaperReference::of_points(laid(&views[&before], pose)) else {
+            let Some(reference) = PaperReference::of_points(laid(&views[&before].xyz, pose)) else {
                 return Ok(start);
             };
-            let distances = reference.distances(&laid(&views[&view], &start), Order::Two);
+            let distances = reference.distances(&laid(&views[&view].xyz, &start), Order::Two);
             let same = distances.iter().filter(|&&mm| mm < SAME_PLACE_MM).count();
             let ratio = same as f64 / distances.len() as f64;
             if ratio < LEAST_COMMON {
