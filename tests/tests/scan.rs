@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use flankscope_gear_cad::{Flank, Mesh, Meshing, write_ply};
+use flankscope_test_requisites::python_with;
 use flankscope_tests::{Run, demo_gear, flankscope, run};
 use serde_json::Value;
 
@@ -95,6 +96,46 @@ fn the_full_cloud_holds_every_point_of_every_view() {
     }
     assert!(views >= 10, "{}", scanned.json["reason"]);
     assert!(vertices.next().is_none() && bytes.len() - end > 18 * 100_000);
+    arrays_hold_the_same(folder.path());
+}
+
+/// The session's views once more, as arrays for NumPy: those of the PLYs.
+fn arrays_hold_the_same(folder: &Path) {
+    let Some(python) = python_with(&["numpy"]) else {
+        return;
+    };
+    let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let again = |ending: &str| {
+        let [session, cloud, mesh] = ["session", "again", "mesh"].map(at);
+        let (cloud, mesh) = (cloud + ending, mesh + ending);
+        let mut args = vec!["--views", "12x1", "--session", &session];
+        args.extend(["--cloud", &cloud, "--mesh", &mesh]);
+        scan(&args)
+    };
+    again(".ply");
+    again(".npz");
+    let script = r#"
+import numpy as np
+body = lambda name: open(name, "rb").read().split(b"end_header\n", 1)[1]
+cloud, ply = np.load("again.npz"), body("again.ply")
+ply = np.frombuffer(ply, [("points_mm", "<f4", 3), ("sigma", "<f4"), ("view", "<u2")])
+assert sorted(cloud.files) == sorted(ply.dtype.names)
+assert all(np.array_equal(cloud[n], ply[n]) and cloud[n].dtype.base == ply[n].dtype.base for n in cloud.files)
+mesh, ply = np.load("mesh.npz"), body("mesh.ply")
+floats = ["nx", "ny", "nz", "deviation", "sigma", "views"]
+vertex = np.dtype([("points_mm", "<f8", 3), *[(n, "<f4") for n in floats[:3]], ("rgb", "u1", 3), *[(n, "<f4") for n in floats[3:]]])
+count = len(mesh["points_mm"])
+vertices = np.frombuffer(ply, vertex, count)
+assert np.array_equal(mesh["points_mm"], vertices["points_mm"]) and count > 1000
+assert all(np.array_equal(mesh[n].astype("f4"), vertices[n]) for n in floats)
+assert np.array_equal(np.stack([mesh[c] for c in ("red", "green", "blue")], 1), vertices["rgb"])
+faces = np.frombuffer(ply, [("n", "u1"), ("at", "<u4", 3)], offset=count * vertex.itemsize)
+assert np.array_equal(mesh["triangles"], faces["at"]) and len(faces) > count
+"#;
+    let mut said = Command::new(python);
+    let said = said.current_dir(folder).args(["-c", script]);
+    let said = String::from_utf8(said.output().unwrap().stderr).unwrap();
+    assert!(said.is_empty(), "{said}");
 }
 
 /// The same scan, stopped from the keyboard once its first sixteen views are captured; returns how many it kept.

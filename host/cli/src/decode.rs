@@ -7,11 +7,13 @@ use std::time::Instant;
 use anyhow::Context;
 use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::order::median_of;
+use flankscope_metrology::io::ply::{Column, Scalar};
+use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_profilometry::decode::{
-    Cloud, ConsistencyOptions, DecodeOptions, Decoder, GridKind, LightMedians, MaskOptions,
-    OrderConsistency, PatchOptions, PhaseMaps, Rejected,
+    Cloud, ConsistencyOptions, DecodeOptions, Decoder, LightMedians, LightParts, MaskOptions,
+    PatchOptions, PhaseMaps, Rejected,
 };
-use flankscope_profilometry::head::{HeadModel, Sensor};
+use flankscope_profilometry::head::HeadModel;
 use flankscope_profilometry::plan::Plan;
 use serde::Serialize;
 
@@ -36,8 +38,8 @@ pub struct Args {
     /// head.toml, or an OpenCV calibration (XML or YAML with Kc kc Kp kp Rp Tp).
     #[arg(long, value_name = "FILE")]
     head: PathBuf,
-    /// Where the cloud goes.
-    #[arg(long, short, value_name = "CLOUD.ply")]
+    /// Where the cloud goes: binary PLY, or arrays for NumPy (name.npz).
+    #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map].
     #[arg(long, value_enum, value_name = "GRID")]
@@ -52,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "PIXELS")]
     smooth_coarse: Option<f64>,
     /// Least contrast (amplitude over mean) of every frequency.
-    #[arg(long, value_name = "RATIO", default_value_t = 0.1)]
+    #[arg(long, value_name = "RATIO", default_value_t = DecodeOptions::IMAGE_CONTRAST)]
     min_contrast: f64,
     /// Least amplitude of every frequency, in counts per pixel and exposure [default: where rounding and read noise, unsmoothed,
     /// still leave the fringe order sure; the JSON's min_modulation_dn says how much that is].
@@ -66,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "MM")]
     max_sigma: Option<f64>,
     /// Drop patches of fewer connected cells; 0 keeps all.
-    #[arg(long, value_name = "CELLS", default_value_t = 200)]
+    #[arg(long, value_name = "CELLS", default_value_t = DecodeOptions::IMAGE_PATCH)]
     min_patch: usize,
     /// Mask: least standard deviation over the finest frequency's steps, in counts.
     #[arg(long, value_name = "DN")]
@@ -141,30 +143,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let loaded = Instant::now();
 
     let bits = frames.first().map_or(8, |(_, image)| image.bits);
-    let sensor_assumed = plan.sensor.is_none() && head.sensor.is_none();
-    head.sensor = plan.sensor.or(head.sensor).or(Some(Sensor::assumed(bits)));
-    // Noise that was only assumed judges nobody.
-    let consistency = match (args.frame_consistency, sensor_assumed) {
-        (Some(0.0), _) | (None, true) => None,
-        (probability, _) => Some(ConsistencyOptions {
-            least_probability: probability
-                .unwrap_or(ConsistencyOptions::INSTRUMENT.least_probability),
-            relative_to_view: true,
-            ..ConsistencyOptions::INSTRUMENT
-        }),
-    };
+    let sensor_assumed = head.take_sensor(plan.sensor, bits);
+    let defaults = DecodeOptions::for_images(&head, plan.dark_frame, sensor_assumed);
     let decoder = Decoder::new(
         &head,
         &plan.patterns,
         &plan.exposures_us,
-        DecodeOptions {
-            consistency,
-            order_consistency: match sensor_assumed {
-                true => OrderConsistency::SCENE,
-                false => OrderConsistency::INSTRUMENT,
-            },
-            ..options(args, &head, &plan)
-        },
+        options(args, defaults),
     )?;
     let mut accumulator = decoder.begin();
     for (kind, image) in &frames {
@@ -175,7 +160,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
     let cloud = &decoded.cloud;
     flankscope_station::files::stream_whole(&args.output, |file| {
-        write_ply(file, cloud, args.light_parts)
+        write_cloud(Format::of(&args.output), file, cloud, args.light_parts)
     })
     .with_context(|| format!("cannot write {}", args.output.display()))?;
     if let Some(path) = &args.phase {
@@ -226,23 +211,15 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 /// Frames that scatter more than this are worth a word: what a described sensor leaves open is about a tenth.
 const NOTABLE_NOISE_RATIO: f64 = 1.5;
 
-fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
-    let defaults = DecodeOptions::for_head(head).with_smoothed_orders();
-    // Less than a lens blurs.
-    let smoothing_px = match defaults.grid {
-        GridKind::Pixel => 0.7,
-        GridKind::Core => 0.0,
-    };
+fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {
+    let consistency = args.frame_consistency;
     DecodeOptions {
-        grid: defaults.grid,
         binning: args.binning.unwrap_or(defaults.binning),
-        dark_frame: plan.dark_frame,
         min_contrast: args.min_contrast,
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
-        consistency: defaults.consistency,
-        order_consistency: defaults.order_consistency,
-        smoothing_px: args.smooth.unwrap_or(smoothing_px),
+        consistency: consistency.map_or(defaults.consistency, ConsistencyOptions::of_images),
+        smoothing_px: args.smooth.unwrap_or(defaults.smoothing_px),
         coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {
             threshold_dn,
@@ -255,6 +232,7 @@ fn options(args: &Args, head: &HeadModel, plan: &Plan) -> DecodeOptions {
                 min_cells: args.min_patch,
                 ..patches
             }),
+        ..defaults
     }
 }
 
@@ -274,27 +252,25 @@ fn write_maps(file: &mut dyn Write, maps: &PhaseMaps) -> io::Result<()> {
     npz.finish().map(drop)
 }
 
-fn write_ply(file: &mut dyn Write, cloud: &Cloud, light_parts: bool) -> io::Result<()> {
-    let parts = match light_parts {
-        true => "property float direct\nproperty float global\n",
-        false => "",
+/// Single precision, which is 1 nm at the working distance.
+fn write_cloud(
+    format: Format,
+    file: &mut dyn Write,
+    cloud: &Cloud,
+    light_parts: bool,
+) -> io::Result<()> {
+    let electrons = |of: fn(&LightParts) -> f64| cloud.light.iter().map(of).collect::<Vec<_>>();
+    let (direct_e, global_e) = (electrons(|l| l.direct_e), electrons(|l| l.global_e));
+    let columns = [
+        Column::Single("sigma_z", &cloud.sigma_z_mm),
+        Column::Float("direct", &direct_e),
+        Column::Float("global", &global_e),
+    ];
+    let points = PointFile {
+        comment: "camera frame, mm; sigma_z is the standard uncertainty of z",
+        coordinate: Scalar::F32,
+        columns: if light_parts { &columns } else { &columns[..1] },
+        ..PointFile::of(&cloud.points_mm)
     };
-    write!(
-        file,
-        "ply\nformat binary_little_endian 1.0\ncomment camera frame, mm; sigma_z is the standard uncertainty of z\n\
-         element vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float sigma_z\n{parts}end_header\n",
-        cloud.len()
-    )?;
-    let vertices = cloud.points_mm.iter().zip(&cloud.sigma_z_mm);
-    for ((point, sigma), light) in vertices.zip(&cloud.light) {
-        let [x, y, z] = point.map(|mm| mm as f32);
-        let [direct, global] = [light.direct_e, light.global_e].map(|electrons| electrons as f32);
-        let mut vertex = [0u8; 24];
-        let values = [x, y, z, *sigma, direct, global];
-        for (bytes, value) in vertex.chunks_exact_mut(4).zip(values) {
-            bytes.copy_from_slice(&value.to_le_bytes());
-        }
-        file.write_all(if light_parts { &vertex } else { &vertex[..16] })?;
-    }
-    Ok(())
+    points.write(format, file)
 }

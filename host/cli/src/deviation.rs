@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_metrology::deviation::{self, Statistics};
+use flankscope_metrology::io::points::Format;
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::surface::orientation::Orientation;
 use flankscope_metrology::surface::sampling;
@@ -40,7 +41,7 @@ pub struct Args {
     /// Seed of the random surface points, for `--metric nearest`.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// The cloud in its order with `property float deviation` in mm, as binary PLY.
+    /// The cloud in its order with `deviation` of every point in mm, as binary PLY, or as arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -107,7 +108,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let statistics = deviation::statistics(&deviations)
         .with_context(|| format!("cloud {} has no points", args.cloud.display()))?;
     write_file(&args.output, |out| {
-        cloud.write_ply(out, &[("deviation", &deviations)])
+        let columns = [("deviation", &deviations[..])];
+        cloud.write(Format::of(&args.output), out, &columns)
     })?;
     let report = Report {
         signed,

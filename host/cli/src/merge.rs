@@ -6,6 +6,7 @@ use std::time::Instant;
 use flankscope_metrology::cloud::merge;
 use flankscope_metrology::io::cloud::{Cloud, FinitePoints};
 use flankscope_metrology::io::ply::Scalar;
+use flankscope_metrology::io::points::Format;
 use serde::Serialize;
 
 use crate::geometry::{CloudUnit, load_cloud, milliseconds, tell, write_file};
@@ -26,7 +27,7 @@ pub struct Args {
     /// Edge of the cubes, counted from the smallest coordinates of all clouds.
     #[arg(long, value_name = "S")]
     voxel_mm: f64,
-    /// The merged cloud, as binary PLY; its coordinates are double if those of any cloud are.
+    /// The merged cloud, as binary PLY, or as arrays for NumPy (name.npz); its coordinates are double if those of any cloud are.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -76,7 +77,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         coordinate,
         extras: Vec::new(),
     };
-    write_file(&args.output, |out| cloud.write_ply(out, &[]))?;
+    write_file(&args.output, |out| {
+        cloud.write(Format::of(&args.output), out, &[])
+    })?;
     args.common.write_json(&Report {
         clouds: args.clouds.len(),
         points: before,

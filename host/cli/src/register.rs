@@ -9,6 +9,7 @@ use flankscope_metrology::cloud::surface::CloudSurface;
 use flankscope_metrology::gear::Kind;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
+use flankscope_metrology::io::points::Format;
 use flankscope_metrology::registration::{
     Hinz2019Options, Options, Reason, Registration, Status, TYPICAL_NOISE_MM, detect_teeth,
     register, register_hinz2019,
@@ -76,7 +77,7 @@ pub struct Args {
     /// Distances to the surface itself, or the article's point-to-point fit to random points on it.
     #[arg(long, value_enum, default_value_t = Method::Surface)]
     method: Method,
-    /// The cloud in CAD coordinates, as binary PLY; written only when registered.
+    /// The cloud in CAD coordinates, as binary PLY, or as arrays for NumPy (name.npz); written only when registered.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -178,7 +179,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             coordinate: Scalar::F64,
             extras: cloud.extras,
         };
-        write_file(output, |out| laid.write_ply(out, &[]))?;
+        write_file(output, |out| laid.write(Format::of(output), out, &[]))?;
     }
     let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
     args.common.write_json(&report)?;

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use flankscope_metrology::{io::cloud, surface::sampling};
+use flankscope_metrology::io::points::{Format, PointFile};
+use flankscope_metrology::surface::sampling;
 use serde::Serialize;
 
 use crate::geometry::{Cad, CadArgs, milliseconds, tell, write_file};
@@ -24,7 +25,7 @@ pub struct Args {
     /// Seed; the same seed gives the same file.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
-    /// Points as binary PLY.
+    /// Points as binary PLY, or as arrays for NumPy (name.npz).
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -54,7 +55,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let points = sampling::sample(&mesh, args.count as usize, args.seed)
         .with_context(|| args.cad.trouble())?;
     let sampled = Instant::now();
-    write_file(&args.output, |out| cloud::write_ply(out, &points, &[]))?;
+    write_file(&args.output, |out| {
+        PointFile::of(&points).write(Format::of(&args.output), out)
+    })?;
     let report = Report {
         count: points.len(),
         seed: args.seed,

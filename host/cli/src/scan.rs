@@ -8,6 +8,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::deviation::Statistics;
+use flankscope_metrology::io::points::Format;
 use flankscope_station::acquisition::Recording;
 use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
@@ -76,15 +77,15 @@ pub struct Args {
     /// Write report.html, scan.json and map.ply into this folder
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen
+    /// Write the measured surface as a coloured PLY mesh, with holes where nothing was seen, or as arrays for NumPy (name.npz)
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
     /// Spacing of that mesh along the profile and the axis, from every point of every view [default: the cells of map.ply]
     #[arg(long, value_name = "MM", requires = "mesh")]
     mesh_mm: Option<f64>,
-    /// Write every measured point of every view in its final pose as a binary PLY in the tool frame: a whole die is 42 million
-    /// points, 0.8 GB
-    #[arg(long, value_name = "CLOUD.ply")]
+    /// Write every measured point of every view in its final pose in the tool frame, as a binary PLY or as arrays for NumPy
+    /// (name.npz): a whole die is 42 million points, 0.8 GB
+    #[arg(long, value_name = "FILE")]
     cloud: Option<PathBuf>,
     /// Also read profile, helix and pitch of every tooth (ISO 1328-1) from every point of every view: `gear` in the JSON, gear.csv
     /// in the report
@@ -334,7 +335,7 @@ impl Args {
         write_file(path, |file| {
             count = scanning
                 .scanner()
-                .write_cloud(scan, file)
+                .write_cloud(scan, Format::of(path), file)
                 .map_err(std::io::Error::other)?;
             Ok(())
         })?;
@@ -348,7 +349,8 @@ impl Args {
             .map(|spacing_mm| scanner.fine_map(scan, spacing_mm));
         let fine = fine.transpose()?;
         write_file(path, |file| {
-            scan_mesh(scan, fine.as_ref().unwrap_or(&scan.map), file)
+            let map = fine.as_ref().unwrap_or(&scan.map);
+            scan_mesh(scan, map, Format::of(path), file)
         })
     }
 

@@ -1,14 +1,17 @@
 //! Arrays for NumPy: `.npz`, a ZIP archive of `.npy` files.
 //!
 //! Sources: NumPy Enhancement Proposal 1 (`.npy`, version 1.0); PKWARE's APPNOTE 6.3 (ZIP). The entries are stored, not
-//! compressed, so that `numpy.load(mmap_mode=...)` and plain readers alike take them; no archive above 4 GiB is written.
+//! compressed, so that plain readers take them, too; their lengths and sums follow them (bit 3 of the flags), so that an array may be
+//! longer than memory. No archive above 4 GiB is written.
 
 use std::io::{self, Write};
 
-/// A number as NumPy stores it.
+/// A number as NumPy stores it, or several that follow each other.
 pub trait Element: Copy {
-    /// NumPy's name of the type, little endian.
+    /// NumPy's name of the number's type, little endian.
     const DESCR: &'static str;
+    /// How many numbers it is.
+    const NUMBERS: usize = 1;
     /// Appends its bytes.
     fn append(self, to: &mut Vec<u8>);
 }
@@ -24,7 +27,17 @@ macro_rules! element {
     )*};
 }
 
-element!(f32 => "<f4", f64 => "<f8", i32 => "<i4");
+impl<T: Element, const N: usize> Element for [T; N] {
+    const DESCR: &'static str = T::DESCR;
+    const NUMBERS: usize = N * T::NUMBERS;
+    fn append(self, to: &mut Vec<u8>) {
+        self.into_iter().for_each(|number| number.append(to));
+    }
+}
+
+element!(
+    f32 => "<f4", f64 => "<f8", i8 => "|i1", u8 => "|u1", i16 => "<i2", u16 => "<u2", i32 => "<i4", u32 => "<u4"
+);
 
 /// An archive that is being written.
 #[derive(Debug)]
@@ -63,39 +76,82 @@ impl<W: Write> NpzWriter<W> {
         shape: &[usize],
         values: &[T],
     ) -> io::Result<()> {
+        self.stream(name, shape, values.iter().map(|&value| Ok(value)))
+    }
+
+    /// As [`NpzWriter::array`], with values that come one by one.
+    ///
+    /// # Errors
+    /// As [`NpzWriter::array`], and the first of the values.
+    pub fn stream<T: Element>(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+        values: impl IntoIterator<Item = io::Result<T>>,
+    ) -> io::Result<()> {
         let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidInput, what);
-        let expected: usize = shape.iter().product();
-        if values.len() != expected {
-            return Err(invalid(format!(
-                "array \"{name}\" has {} values, its shape {shape:?} asks for {expected}",
-                values.len()
-            )));
-        }
         let taken = self.entries.iter().any(|entry| entry.name == name);
-        if taken || name.is_empty() || !name.is_ascii() {
+        if taken || name.is_empty() || !name.is_ascii() || name.len() > LONGEST_NAME {
             return Err(invalid(format!(
-                "\"{name}\" is no name for an array: ASCII, each once, is needed"
+                "\"{name}\" is no name for an array: ASCII of at most {LONGEST_NAME} letters, each once, is needed"
             )));
         }
-        let mut npy = npy_header::<T>(shape);
-        for value in values {
-            value.append(&mut npy);
-        }
-        let entry = Entry {
-            name: name.to_owned(),
-            crc32: crc32fast::hash(&npy),
-            bytes: npy.len(),
-            offset: self.written,
+        let expected = shape
+            .iter()
+            .try_fold(1usize, |n, &more| n.checked_mul(more));
+        let size = expected.and_then(|numbers| numbers.checked_mul(size_of::<T>() / T::NUMBERS));
+        let end = size.and_then(|size| size.checked_add(self.written + OVERHEAD_BYTES));
+        let (Some(expected), Some(end)) = (expected, end) else {
+            return Err(invalid(format!("array \"{name}\" does not fit into 4 GiB")));
         };
-        if u32::try_from(self.written + npy.len()).is_err() || self.entries.len() >= 0xFFFF {
+        if u32::try_from(end).is_err() || self.entries.len() >= 0xFFFF {
             return Err(invalid(format!("array \"{name}\" does not fit into 4 GiB")));
         }
+        let mut entry = Entry {
+            name: name.to_owned(),
+            crc32: 0,
+            bytes: 0,
+            offset: self.written,
+        };
         let mut header = vec![];
         header.extend_from_slice(b"PK\x03\x04");
         entry.append_common(&mut header);
         header.extend_from_slice(entry.file_name().as_bytes());
         self.write(&header)?;
-        self.write(&npy)?;
+
+        let (mut sum, mut count) = (crc32fast::Hasher::new(), 0);
+        let mut block = npy_header::<T>(shape);
+        for value in values {
+            value?.append(&mut block);
+            count += T::NUMBERS;
+            if block.len() >= BLOCK_BYTES {
+                sum.update(&block);
+                entry.bytes += block.len();
+                self.write(&block)?;
+                block.clear();
+            }
+            if count > expected {
+                break;
+            }
+        }
+        if count != expected {
+            let than = if count > expected {
+                "more than"
+            } else {
+                "only"
+            };
+            let told = count.min(expected);
+            return Err(invalid(format!(
+                "array \"{name}\" has {than} {told} values, its shape {shape:?} asks for {expected}"
+            )));
+        }
+        sum.update(&block);
+        entry.bytes += block.len();
+        self.write(&block)?;
+        entry.crc32 = sum.finalize();
+        let mut descriptor = b"PK\x07\x08".to_vec();
+        entry.append_sums(&mut descriptor);
+        self.write(&descriptor)?;
         self.entries.push(entry);
         Ok(())
     }
@@ -137,23 +193,36 @@ impl<W: Write> NpzWriter<W> {
 
 /// Version of ZIP that is needed to read a stored entry: 2.0.
 const VERSION: u16 = 20;
+/// Bit 3: lengths and sum stand behind the entry, and in the directory.
+const FLAGS: u16 = 1 << 3;
+/// Values are written so many bytes at a time.
+const BLOCK_BYTES: usize = 1 << 16;
+/// Names of arrays are at most so long, which keeps ZIP's headers small.
+const LONGEST_NAME: usize = 255;
+/// More than the headers of an entry take, with its share of the directory.
+const OVERHEAD_BYTES: usize = 2048;
 
 impl Entry {
     fn file_name(&self) -> String {
         format!("{}.npy", self.name)
     }
 
-    /// What an entry's own header and the directory have in common: version, flags, method, time, sum, sizes, lengths.
+    /// What an entry's own header and the directory have in common: version, flags, method, time, sums, lengths of names.
     fn append_common(&self, to: &mut Vec<u8>) {
         /// 1980-01-01, the first day that ZIP knows: the same arrays make the same bytes.
         const DATE: u16 = 1 << 5 | 1;
-        for word in [VERSION, 0, 0, 0, DATE] {
+        for word in [VERSION, FLAGS, 0, 0, DATE] {
             to.extend_from_slice(&word.to_le_bytes());
         }
-        for word in [self.crc32, self.bytes as u32, self.bytes as u32] {
-            to.extend_from_slice(&word.to_le_bytes());
-        }
+        self.append_sums(to);
         for word in [self.file_name().len() as u16, 0] {
+            to.extend_from_slice(&word.to_le_bytes());
+        }
+    }
+
+    /// Check sum and both lengths; nothing is known of them before the values.
+    fn append_sums(&self, to: &mut Vec<u8>) {
+        for word in [self.crc32, self.bytes as u32, self.bytes as u32] {
             to.extend_from_slice(&word.to_le_bytes());
         }
     }
@@ -192,6 +261,9 @@ mod tests {
             ("", &[1], &[1.0]),
             ("Größe", &[1], &[1.0]),
             ("few", &[2, 3], &[1.0]),
+            ("many", &[], &[1.0, 2.0]),
+            ("endless", &[1 << 40, 1 << 40], &[]),
+            ("too large", &[1 << 30], &[]),
         ] {
             let error = npz.array(name, shape, values).unwrap_err();
             assert_eq!(error.kind(), io::ErrorKind::InvalidInput);

@@ -4,6 +4,7 @@ pub mod cloud;
 mod faces;
 pub mod mesh;
 pub mod ply;
+pub mod points;
 mod unit;
 
 pub use unit::Unit;

@@ -29,6 +29,15 @@ impl ConsistencyOptions {
         response_ratio: 1.5e-3,
         relative_to_view: false,
     };
+
+    /// For somebody's images, where noise alone drops a cell with this probability; none for 0.
+    pub fn of_images(least_probability: f64) -> Option<Self> {
+        (least_probability != 0.0).then_some(Self {
+            least_probability,
+            relative_to_view: true,
+            ..Self::INSTRUMENT
+        })
+    }
 }
 
 /// What a frame of one cell scatters by, in counts.

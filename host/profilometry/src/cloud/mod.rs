@@ -90,19 +90,26 @@ pub struct Rejected {
 }
 
 impl Rejected {
+    /// Each reason by its name.
+    pub fn reasons(&self) -> [(&'static str, usize); 11] {
+        [
+            ("saturated", self.saturated),
+            ("low_contrast", self.low_contrast),
+            ("low_modulation", self.low_modulation),
+            ("uncertain_order", self.uncertain_order),
+            ("disagreeing", self.disagreeing),
+            ("outside_projector", self.outside_projector),
+            ("outside_volume", self.outside_volume),
+            ("uncertain_depth", self.uncertain_depth),
+            ("inconsistent", self.inconsistent),
+            ("masked", self.masked),
+            ("isolated", self.isolated),
+        ]
+    }
+
     /// All of them.
     pub fn total(&self) -> usize {
-        self.saturated
-            + self.low_contrast
-            + self.low_modulation
-            + self.uncertain_order
-            + self.disagreeing
-            + self.outside_projector
-            + self.outside_volume
-            + self.uncertain_depth
-            + self.inconsistent
-            + self.masked
-            + self.isolated
+        self.reasons().iter().map(|(_, count)| count).sum()
     }
 }
 

@@ -101,6 +101,39 @@ impl DecodeOptions {
         }
     }
 
+    /// For somebody's images of any scene, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
+    /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. Noise of a
+    /// sensor that was only assumed judges nobody.
+    pub fn for_images(head: &HeadModel, dark_frame: bool, sensor_assumed: bool) -> Self {
+        let defaults = Self::for_head(head).with_smoothed_orders();
+        Self {
+            dark_frame,
+            min_contrast: Self::IMAGE_CONTRAST,
+            smoothing_px: match defaults.grid {
+                GridKind::Pixel => 0.7,
+                GridKind::Core => 0.0,
+            },
+            consistency: ConsistencyOptions::of_images(match sensor_assumed {
+                true => 0.0,
+                false => ConsistencyOptions::INSTRUMENT.least_probability,
+            }),
+            order_consistency: match sensor_assumed {
+                true => OrderConsistency::SCENE,
+                false => OrderConsistency::INSTRUMENT,
+            },
+            patches: defaults.patches.map(|patches| PatchOptions {
+                min_cells: Self::IMAGE_PATCH,
+                ..patches
+            }),
+            ..defaults
+        }
+    }
+
+    /// Least contrast of somebody's images.
+    pub const IMAGE_CONTRAST: f64 = 0.1;
+    /// Cells of the smallest patch of somebody's images.
+    pub const IMAGE_PATCH: usize = 200;
+
     /// The same with smoothing of what only counts fringes, on the pixel grid; points stay their own cell's. Cores stay as they are.
     pub fn with_smoothed_orders(self) -> Self {
         let coarse_smoothing_px = match self.grid {

@@ -98,6 +98,14 @@ fn one() -> u32 {
 }
 
 impl HeadModel {
+    /// Settles which sensor frames are of: what a plan says goes before what the head says, and where neither does, one of `bits` is
+    /// assumed. Returns whether it had to be.
+    pub fn take_sensor(&mut self, of_plan: Option<Sensor>, bits: u32) -> bool {
+        let said = of_plan.or(self.sensor);
+        self.sensor = said.or(Some(Sensor::assumed(bits)));
+        said.is_none()
+    }
+
     /// Reads `head.toml`, or an OpenCV calibration (XML, or YAML) with `Kc kc Kp kp Rp Tp`.
     ///
     /// # Errors

@@ -11,7 +11,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use askama::Template;
-use flankscope_metrology::io::cloud::write_ply;
+use flankscope_metrology::io::ply::Column;
+use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::verdict::Word;
 
 use super::tables;
@@ -242,7 +243,11 @@ impl ResultSink<Article> for ReportFolder {
         self.write("article.json", &document_text(article)?)?;
         self.stream("first-view.ply", |out| {
             let first = &article.first_view;
-            write_ply(out, &first.points, &[("fringes", &first.fringes_dn)])
+            let points = PointFile {
+                columns: &[Column::Float("fringes", &first.fringes_dn)],
+                ..PointFile::of(&first.points)
+            };
+            points.write(Format::Ply, out)
         })?;
         self.write(ARTICLE, &super::article::article_html(article)?)
     }

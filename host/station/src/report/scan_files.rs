@@ -2,8 +2,8 @@
 
 use std::io::{self, Write};
 
-use flankscope_metrology::io::cloud::UNIT_COMMENT;
-use flankscope_metrology::io::ply::{Column, Scalar, write_mesh};
+use flankscope_metrology::io::ply::Column;
+use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap};
 
 use super::colour;
@@ -16,7 +16,7 @@ use crate::scan::Scan;
 /// # Errors
 /// Those of `out`.
 pub fn scan_ply(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
-    write(scan, &scan.map, out, &[])
+    write(scan, &scan.map, (Format::Ply, out), &[])
 }
 
 /// Writes the cells of a map of the scan, its own or a finer one, joined to a mesh of the measured surface, with holes where nothing
@@ -24,14 +24,19 @@ pub fn scan_ply(scan: &Scan, out: &mut dyn Write) -> io::Result<()> {
 ///
 /// # Errors
 /// Those of `out`.
-pub fn scan_mesh(scan: &Scan, map: &CylinderMap, out: &mut dyn Write) -> io::Result<()> {
-    write(scan, map, out, &triangles(map))
+pub fn scan_mesh(
+    scan: &Scan,
+    map: &CylinderMap,
+    format: Format,
+    out: &mut dyn Write,
+) -> io::Result<()> {
+    write(scan, map, (format, out), &triangles(map))
 }
 
 fn write(
     scan: &Scan,
     map: &CylinderMap,
-    out: &mut dyn Write,
+    (format, out): (Format, &mut dyn Write),
     triangles: &[[u32; 3]],
 ) -> io::Result<()> {
     let cells: Vec<Cell> = map.cells().collect();
@@ -43,11 +48,8 @@ fn write(
         .map(|cell| colour::diverging(cell.deviation_mm * 1e3 / full_um))
         .collect();
     let channel = |k: usize| -> Vec<u8> { rgb.iter().map(|rgb| rgb[k]).collect() };
-    write_mesh(
-        out,
-        UNIT_COMMENT,
-        (&points, Scalar::F64),
-        &[
+    let file = PointFile {
+        columns: &[
             Column::Float("nx", &float(&|c| c.normal[0])),
             Column::Float("ny", &float(&|c| c.normal[1])),
             Column::Float("nz", &float(&|c| c.normal[2])),
@@ -59,7 +61,9 @@ fn write(
             Column::Float("views", &float(&|c| f64::from(c.views))),
         ],
         triangles,
-    )
+        ..PointFile::of(&points)
+    };
+    file.write(format, out)
 }
 
 /// Triangles between neighbouring cells that were seen: two where all four corners of a field were, one where three were. Every

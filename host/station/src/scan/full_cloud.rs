@@ -2,7 +2,9 @@
 
 use std::io::{self, Write};
 
+use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
+use flankscope_metrology::io::points::Format;
 use nalgebra::{Isometry3, Point3};
 
 use super::result::Scan;
@@ -42,17 +44,44 @@ pub(super) fn points_in_tool(
     }))
 }
 
-/// Writes the cloud as a binary PLY in the tool frame: x, y, z, standard uncertainty along the ray that it was seen by (mm), and the
+/// Writes the cloud in the tool frame: x, y, z, standard uncertainty along the ray that it was seen by (mm), and the
 /// number of its view as in the JSON. Single precision is 4 nm at the radius of the bore. Returns the number of points.
 pub(super) fn write(
     scan: &Scan,
     session: &Session,
+    format: Format,
     out: &mut dyn Write,
 ) -> Result<u64, CloudError> {
-    let registered: Vec<(usize, Isometry3<f64>)> = registered(scan).collect();
     let held = |view: usize| session.views().find(|(held, _)| *held == view);
-    let points = registered.iter().filter_map(|(view, _)| held(*view));
-    let count: u64 = points.map(|(_, entry)| entry.points as u64).sum();
+    let views: Vec<View> = registered(scan)
+        .map(|(view, tool_from_camera)| View {
+            view,
+            tool_from_camera,
+            count: held(view).map_or(0, |(_, entry)| entry.points),
+        })
+        .collect();
+    let count = views.iter().map(|view| view.count).sum();
+    match format {
+        Format::Ply => write_ply(&views, count, session, out)?,
+        Format::Npz => write_arrays(&views, count, session, out)?,
+    }
+    Ok(count as u64)
+}
+
+/// A view that is written.
+struct View {
+    view: usize,
+    tool_from_camera: Isometry3<f64>,
+    /// Its points.
+    count: usize,
+}
+
+fn write_ply(
+    views: &[View],
+    count: usize,
+    session: &Session,
+    out: &mut dyn Write,
+) -> Result<(), CloudError> {
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment tool frame, mm; sigma is the standard uncertainty along the ray, mm; view as in the \
@@ -60,14 +89,52 @@ pub(super) fn write(
          property ushort view\nend_header\n"
     )?;
     let mut bytes = Vec::new();
-    for (view, tool_from_camera) in registered {
+    for of in views {
         bytes.clear();
-        for (p_tool, sigma) in points_in_tool(session, view, tool_from_camera)? {
+        for (p_tool, sigma) in points_in_tool(session, of.view, of.tool_from_camera)? {
             let [x, y, z] = p_tool.map(|c| c as f32);
             bytes.extend([x, y, z, sigma].into_iter().flat_map(f32::to_le_bytes));
-            bytes.extend((view as u16).to_le_bytes());
+            bytes.extend((of.view as u16).to_le_bytes());
         }
         out.write_all(&bytes)?;
     }
-    Ok(count)
+    Ok(())
+}
+
+/// Each array goes over the views once: none is in memory as a whole.
+fn write_arrays(
+    views: &[View],
+    count: usize,
+    session: &Session,
+    out: &mut dyn Write,
+) -> Result<(), CloudError> {
+    let mut npz = NpzWriter::new(out);
+    let points = in_turn(views, session, |p_tool, _| p_tool.map(|c| c as f32));
+    npz.stream("points_mm", &[count, 3], points)?;
+    let sigmas = in_turn(views, session, |_, sigma| sigma);
+    npz.stream("sigma", &[count], sigmas)?;
+    let numbers = views
+        .iter()
+        .flat_map(|of| std::iter::repeat_n(of.view as u16, of.count));
+    npz.stream("view", &[count], numbers.map(Ok))?;
+    npz.finish()?;
+    Ok(())
+}
+
+/// Something of every point, view after view.
+fn in_turn<'a, T: 'a>(
+    views: &'a [View],
+    session: &'a Session,
+    of_point: impl Fn([f64; 3], f32) -> T + Copy + 'a,
+) -> impl Iterator<Item = io::Result<T>> + 'a {
+    views.iter().flat_map(move |of| {
+        let (points, error) = match points_in_tool(session, of.view, of.tool_from_camera) {
+            Ok(points) => (Some(points), None),
+            Err(error) => (None, Some(Err(io::Error::other(error)))),
+        };
+        let points = points.into_iter().flatten();
+        points
+            .map(move |(p_tool, sigma)| Ok(of_point(p_tool, sigma)))
+            .chain(error)
+    })
 }

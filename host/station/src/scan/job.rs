@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use flankscope_foundation::date::Date;
 use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
+use flankscope_metrology::io::points::Format;
 use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
@@ -322,12 +323,17 @@ impl Scanner {
         Ok(fine_map::merged(scan, &self.store.session, tool, layout)?)
     }
 
-    /// Writes every point of every registered view of a finished scan, in its final pose, as a binary PLY; returns their number.
+    /// Writes every point of every registered view of a finished scan, in its final pose; returns their number.
     ///
     /// # Errors
     /// The session folder cannot be read, or `out` not be written.
-    pub fn write_cloud(&self, scan: &Scan, out: &mut dyn Write) -> Result<u64, CloudError> {
-        full_cloud::write(scan, &self.store.session, out)
+    pub fn write_cloud(
+        &self,
+        scan: &Scan,
+        format: Format,
+        out: &mut dyn Write,
+    ) -> Result<u64, CloudError> {
+        full_cloud::write(scan, &self.store.session, format, out)
     }
 
     /// Captures every view that the session folder lacks, some at a time; returns why views stayed lost.

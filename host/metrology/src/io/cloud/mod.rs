@@ -1,4 +1,4 @@
-//! Point clouds at the border: PLY or XYZ text in, PLY out.
+//! Point clouds at the border: PLY or XYZ text in, PLY or arrays out.
 
 mod text;
 
@@ -7,6 +7,7 @@ use std::path::Path;
 
 use crate::io::Unit;
 use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
+use crate::io::points::{Format, PointFile};
 use crate::space::Aabb;
 
 /// Points that are known to be finite, mm. Nothing else may feed a tree, a registration or a verdict.
@@ -200,32 +201,18 @@ impl Cloud {
     }
 }
 
-/// Writes points in their order as binary little-endian PLY with further `float` columns, for example `("deviation", ..)` in mm.
-///
-/// # Errors
-/// Those of `out`.
-pub fn write_ply(
-    out: &mut dyn Write,
-    points: &[[f64; 3]],
-    columns: &[(&str, &[f64])],
-) -> io::Result<()> {
-    let columns: Vec<Column<'_>> = columns
-        .iter()
-        .map(|(name, values)| Column::Float(name, values))
-        .collect();
-    ply::write_table(out, UNIT_COMMENT, points, Scalar::F64, &columns)
-}
-
-/// Header comment of every PLY that this crate writes.
-pub const UNIT_COMMENT: &str = "unit mm";
-
 impl Cloud {
-    /// Writes the cloud with the type of its coordinates, its own properties and further `float` columns; a column
+    /// Writes the cloud with the type of its coordinates, its own properties and further computed columns; a column
     /// replaces an own property of the same name.
     ///
     /// # Errors
-    /// Those of `out`.
-    pub fn write_ply(&self, out: &mut dyn Write, columns: &[(&str, &[f64])]) -> io::Result<()> {
+    /// Those of [`PointFile::write`].
+    pub fn write(
+        &self,
+        format: Format,
+        out: &mut dyn Write,
+        columns: &[(&str, &[f64])],
+    ) -> io::Result<()> {
         let replaced = |extra: &&Extra| !columns.iter().any(|(name, _)| *name == extra.name);
         let mut all: Vec<Column<'_>> = self
             .extras
@@ -243,6 +230,11 @@ impl Cloud {
             // Integer coordinates (a cloud in whole millimetres) are written as numbers too.
             _ => Scalar::F64,
         };
-        ply::write_table(out, UNIT_COMMENT, &self.points, coordinate, &all)
+        let file = PointFile {
+            coordinate,
+            columns: &all,
+            ..PointFile::of(&self.points)
+        };
+        file.write(format, out)
     }
 }

@@ -33,6 +33,12 @@ impl Extra {
         let bytes = self.bytes.get(index * size..(index + 1) * size)?;
         Some(self.kind.decode(bytes, false))
     }
+
+    /// All values, in the order of the vertices.
+    pub fn values(&self) -> impl Iterator<Item = f64> {
+        let each = self.bytes.chunks_exact(self.kind.size());
+        each.map(|bytes| self.kind.decode(bytes, false))
+    }
 }
 
 /// The content of a PLY file.

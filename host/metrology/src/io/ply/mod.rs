@@ -11,4 +11,4 @@ mod write;
 pub use body::{Extra, Table, Want, read};
 pub use error::PlyError;
 pub use header::{Encoding, Scalar};
-pub use write::{Column, write_mesh, write_table, write_triangles};
+pub use write::{Column, write_mesh, write_triangles};

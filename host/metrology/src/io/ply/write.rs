@@ -12,6 +12,8 @@ pub enum Column<'a> {
     Carried(&'a Extra),
     /// A computed quantity, stored as `float`.
     Float(&'a str, &'a [f64]),
+    /// The same, computed in single precision.
+    Single(&'a str, &'a [f32]),
     /// A share of 255, stored as `uchar`: one channel of a colour.
     Byte(&'a str, &'a [u8]),
 }
@@ -21,25 +23,10 @@ impl Column<'_> {
         match self {
             Self::Carried(extra) => extra.bytes.len() / extra.kind.size(),
             Self::Float(_, values) => values.len(),
+            Self::Single(_, values) => values.len(),
             Self::Byte(_, values) => values.len(),
         }
     }
-}
-
-/// Writes points in their order with further columns.
-///
-/// As [`write_mesh`] without triangles.
-///
-/// # Errors
-/// As [`write_mesh`].
-pub fn write_table(
-    out: &mut dyn Write,
-    comment: &str,
-    points: &[[f64; 3]],
-    coordinate: Scalar,
-    columns: &[Column<'_>],
-) -> io::Result<()> {
-    write_mesh(out, comment, (points, coordinate), columns, &[])
 }
 
 /// Writes points in their order with further columns, and triangles between them, if there are any.
@@ -72,7 +59,9 @@ pub fn write_mesh(
     for column in columns {
         match column {
             Column::Carried(extra) => writeln!(out, "property {} {}", extra.kind, extra.name)?,
-            Column::Float(name, _) => writeln!(out, "property float {name}")?,
+            Column::Float(name, _) | Column::Single(name, _) => {
+                writeln!(out, "property float {name}")?
+            }
             Column::Byte(name, _) => writeln!(out, "property uchar {name}")?,
         }
     }
@@ -100,6 +89,9 @@ pub fn write_mesh(
                     }
                     Column::Float(_, values) => {
                         block.extend_from_slice(&(values[index] as f32).to_le_bytes());
+                    }
+                    Column::Single(_, values) => {
+                        block.extend_from_slice(&values[index].to_le_bytes());
                     }
                     Column::Byte(_, values) => block.push(values[index]),
                 }
