@@ -19,6 +19,7 @@ const PROFILOMETRY: &str = "host/profilometry";
 const METROLOGY: &str = "host/metrology";
 const STATION: &str = "host/station";
 const CLI: &str = "host/cli";
+const PYTHON: &str = "host/python";
 const BENCH: &str = "tools/bench";
 const DEMO: &str = "tools/demo";
 const CAMPAIGN: &str = "tools/campaign";
@@ -74,6 +75,8 @@ const ROOMS: &[Room] = &[
             CAMERA,
         ],
     ),
+    // What it computes is what the command computes; nothing of the instrument.
+    (PYTHON, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
     // Nothing that decodes, registers or judges: a world that shares a formula with the instrument proves nothing.
     (
         BENCH,
@@ -316,6 +319,8 @@ mod tests {
             (BENCH, DEMO),
             (CONTROLLER, SIM),
             (CLI, STUDY),
+            (PYTHON, STATION),
+            (STATION, PYTHON),
             (CLI, "somewhere/else"),
         ] {
             assert!(judge(&arrow(from, to)).is_err(), "{from} to {to}");

@@ -7,6 +7,7 @@ mod elf;
 mod firmware;
 mod light;
 mod prerequisites;
+mod python;
 mod scan_study;
 mod tests;
 
@@ -19,6 +20,7 @@ cargo xtask COMMAND
   test [--all]           every test that this machine can run, and the arrows between the rooms; says what it could not run
                          and how to get it; --all: fails instead, and runs the long campaigns
   deps                   the arrows between the rooms: who may depend on whom
+  python                 the Python package: installed by pip into an environment below target, its tests, its example, its types
   lint                   rustfmt and clippy, warnings are errors
   doc                    documentation, warnings are errors
   firmware               both board images, with their budgets
@@ -46,6 +48,7 @@ fn main() -> ExitCode {
         ["test"] => test(false),
         ["test", "--all"] => test(true),
         ["deps"] => arrows(&root()),
+        ["python"] => python::run_all(&root()),
         ["lint"] => lint(),
         ["doc"] => doc(),
         ["firmware"] => firmware::build(&root()),
@@ -86,6 +89,9 @@ fn root() -> PathBuf {
     here.ancestors().nth(2).unwrap_or(here).to_path_buf()
 }
 
+/// The crate behind the Python package.
+const PYTHON: &str = "host/python";
+
 /// Where cargo builds.
 fn target() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
@@ -111,6 +117,7 @@ fn test(all: bool) -> Result<(), String> {
         // What a press gets, where there is no bench: its dependencies are built once more.
         let deployment = ["-p", "flankscope", "--no-default-features", "--bins"];
         tests = tests.and(run(self::cargo(&[&["test"][..], &deployment].concat())));
+        tests = tests.and(python::run_all(&root()));
     }
     let arrows = arrows(&root());
     eprintln!("\nsummary");
@@ -130,7 +137,7 @@ fn test(all: bool) -> Result<(), String> {
              100 000 drawn flanks instead of 3 000; three times the shapes of damage, surfaces and unmodelled errors; uneven \
              lenses, dies of other teeth or put down turned by one, a study in small, README and docs/hardware.md step by \
              step, a calibration and a check by it, one from other people's board; smoother steel lit in passes, a rack; a \
-             deployment without a bench; and fails where something cannot run"
+             deployment without a bench; the Python package; and fails where something cannot run"
         );
     }
     match (tests, arrows) {
@@ -150,12 +157,22 @@ fn features() -> &'static [&'static str] {
 
 fn lint() -> Result<(), String> {
     run(cargo(&["fmt", "--all", "--check"]))?;
-    // The images are workspaces of their own.
-    for image in ["mps2-an386", "nucleo-h743zi"] {
+    // The images are workspaces of their own, and so is the module for Python.
+    for other in ["firmware/mps2-an386", "firmware/nucleo-h743zi", PYTHON] {
         let mut fmt = cargo(&["fmt", "--check"]);
-        fmt.current_dir(root().join("firmware").join(image));
+        fmt.current_dir(root().join(other));
         run(fmt)?;
     }
+    let mut clippy = cargo(&[
+        "clippy",
+        "--all-targets",
+        "--locked",
+        "--",
+        "-D",
+        "warnings",
+    ]);
+    clippy.current_dir(root().join(PYTHON));
+    run(clippy)?;
     let mut clippy = cargo(&["clippy", "--workspace", "--all-targets"]);
     clippy.args(features()).args(["--", "-D", "warnings"]);
     run(clippy)?;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use flankscope_test_requisites::{BROWSERS, STAGE_CLIENTS, has_aravis};
 
-use crate::firmware;
+use crate::{firmware, python};
 
 /// Something a group of tests needs and this machine lacks.
 pub struct Missing {
@@ -59,6 +59,13 @@ pub fn missing(root: &Path) -> Vec<Missing> {
             what: "the check with every frame through a GigE Vision camera",
             needs: "Aravis 0.8.20 or newer, with its headers",
             how: "apt-get install libaravis-dev libusb-1.0-0-dev pkg-config",
+        });
+    }
+    if !python::is_there() {
+        missing.push(Missing {
+            what: "the Python package (host/python), in --all",
+            needs: "Python with venv and pip, and PyPI",
+            how: "apt-get install python3-venv",
         });
     }
     if !root.join(STAGE_CLIENTS).is_file() {

@@ -1,0 +1,49 @@
+//! The Python package: installed as a user does it, tested against others, its example run, its types held against it.
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::{run, target};
+
+/// Installs `host/python` into an environment of its own and runs what it has. pip fetches what it builds with and compares with.
+pub fn run_all(root: &Path) -> Result<(), String> {
+    let environment = target().join("python-package");
+    let python = environment.join("bin/python");
+    if !python.is_file() {
+        let mut venv = Command::new("python3");
+        venv.args(["-m", "venv"]).arg(&environment);
+        run(venv)?;
+    }
+    let package = root.join("host/python");
+    let command = |arguments: &[&str]| {
+        let mut command = Command::new(&python);
+        command.current_dir(&package).args(arguments);
+        command
+    };
+    run(command(&["-m", "pip", "install", "--quiet", ".[test]"]))?;
+    run(command(&["-m", "unittest", "discover", "tests"]))?;
+    run(command(&["examples/worn_block.py"]))?;
+    // What the types promise is what is there, and the example keeps to them.
+    let stubs = [
+        "-m",
+        "mypy.stubtest",
+        "flankscope",
+        "--allowlist",
+        "tests/stubtest.txt",
+    ];
+    run(command(&stubs))?;
+    run(command(&[
+        "-m",
+        "mypy",
+        "--strict",
+        "examples/worn_block.py",
+    ]))
+}
+
+/// Whether Python can make environments here.
+pub fn is_there() -> bool {
+    let asked = Command::new("python3")
+        .args(["-c", "import ensurepip, venv"])
+        .output();
+    asked.is_ok_and(|output| output.status.success())
+}
