@@ -324,6 +324,55 @@ fn a_flat_die_is_judged_by_its_patch() {
     holds(&shallow, 10.0);
 }
 
+/// Stored, computed again, followed and shown by its name, against the CAD and against a baseline.
+#[test]
+fn a_history_follows_a_patch() {
+    if !dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let tool = plate_tool(folder.path(), &format!("{BOSS}{BOTH}{LEFT}{RIGHT}"));
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (file, baseline) = (path("press.db"), path("new.json"));
+    let damaged = folder.path().join("damaged.ply");
+    put(&damaged, &plate(|_, _| 0.08));
+    let worn = ["--die-mesh", damaged.to_str().unwrap()];
+    let check = |arguments: &[&str]| {
+        let stored = ["--tool", &tool, "--link", "sim", "--history", &file];
+        inspect(&[&stored, arguments].concat())
+    };
+    let new = check(&["--record-baseline", &baseline]);
+    assert_eq!(new.code, 0, "{} {}", new.json["reason"], new.stderr);
+    let lost = check(&worn);
+    assert_eq!(lost.code, 1, "{} {}", lost.json["reason"], lost.stderr);
+    let since = check(&[&["--baseline", &baseline][..], &worn].concat());
+    assert_eq!(since.code, 1, "{} {}", since.json["reason"], since.stderr);
+    let of = &since.json["features"][0];
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| of[key].as_f64().unwrap());
+    assert!((wear_um - 80.0).abs() <= u95_um, "{wear_um} ± {u95_um}");
+    for (id, code) in [("1", 0), ("2", 1), ("3", 1)] {
+        let again = run(flankscope().args([
+            "replay", &file, id, "--tool", &tool, "--quiet", "--json", "-",
+        ]));
+        assert_eq!(again.code, code, "{id}: {} {}", again.json, again.stderr);
+        assert_eq!(again.json["same"], true, "{id}: {}", again.json);
+    }
+    let pages = path("pages");
+    let shown = run(flankscope().args([
+        "history", &file, "--quiet", "--json", "-", "--report", &pages,
+    ]));
+    assert_eq!(shown.code, 0, "{}", shown.stderr);
+    // The last check has a baseline, those before it have none: one figure.
+    let followed = shown.json["flanks"].as_array().unwrap();
+    assert_eq!(followed.len(), 1, "{followed:?}");
+    assert_eq!(followed[0]["patch"], "boss");
+    assert_eq!(followed[0]["points"][0]["wear_um"], wear_um);
+    assert_eq!(shown.json["last"]["flanks"][0]["patch"], "boss");
+    let page = std::fs::read_to_string(folder.path().join("pages/history.html")).unwrap();
+    assert!(page.contains("patch boss"));
+    assert!(!page.contains("tooth 1 face"));
+}
+
 #[test]
 fn a_patch_that_cannot_be_judged_is_refused_or_indeterminate() {
     let folder = tempfile::tempdir().unwrap();
@@ -354,7 +403,6 @@ fn a_patch_that_cannot_be_judged_is_refused_or_indeterminate() {
     let of_flanks = format!("{BOSS}{BOTH}{LEFT}{RIGHT}");
     for (option, hint) in [
         (["--wear", "1:left:80"], "no [gear]"),
-        (["--history", "here.db"], "it keeps flanks"),
         (["--teeth", "2"], "no patch that is judged"),
     ] {
         let tool = plate_tool(folder.path(), &of_flanks);

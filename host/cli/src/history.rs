@@ -7,11 +7,11 @@ use anyhow::Context;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_station::files::stream_whole;
 use flankscope_station::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
-use flankscope_station::report::{figure, history_html, rate, remaining};
+use flankscope_station::report::{Words, figure, history_html, rate, remaining};
 use serde_json::json;
 
 use crate::help;
-use crate::inspect::write_origin;
+use crate::inspect::{widest, write_origin};
 use crate::instrument::seals;
 use crate::output::{Common, Outcome, write_whole};
 
@@ -130,18 +130,21 @@ fn print_table(
             )?,
         }
     }
+    let words = Words::of(forecasts.iter().map(|of| &of.id));
+    let wide = widest(forecasts.iter().map(|of| &of.id));
     writeln!(
         out,
-        "tooth  flank   figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, 95 of 100 do more  changes at check"
+        "{:>5}  {:<wide$}  figures  wear/um   ±U95  um per 1000 cycles (95 %)   cycles left, 95 of 100 do more  changes at check",
+        words.number, words.one
     )?;
     for o in forecasts {
         let last = o.points.last();
         let changes: Vec<String> = o.changes.iter().map(i64::to_string).collect();
         writeln!(
             out,
-            "{:>5}  {:<6} {:>8} {:>8} {:>6}  {:<27} {:<31} {}",
-            o.tooth,
-            o.flank,
+            "{:>5}  {:<wide$} {:>8} {:>8} {:>6}  {:<27} {:<31} {}",
+            o.id.tooth,
+            o.id.side(),
             o.points.len(),
             figure(last.map(|p| p.wear_um)),
             figure(last.map(|p| COVERAGE_95 * p.u_um)),

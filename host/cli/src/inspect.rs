@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use flankscope_metrology::verdict::Word;
 use flankscope_station::acquisition::Recording;
-use flankscope_station::inspection::Inspection;
+use flankscope_station::inspection::{FeatureId, Inspection};
 use flankscope_station::origin::Origin;
-use flankscope_station::report::{ReportFolder, figure};
+use flankscope_station::report::{ReportFolder, Words, figure};
 use flankscope_station::sink::ResultSink;
 
 use crate::bench_link::BenchArgs;
@@ -131,7 +131,7 @@ impl Args {
             saved = Some((folder, instrument.copy_head(folder)?));
             instrument.station.save_frames(folder)?;
         }
-        let mut watcher = Watcher::of_teeth(quiet, instrument.station.teeth());
+        let mut watcher = Watcher::new(quiet, instrument.station.view_names());
         let inspection = instrument.station.inspect(
             &instrument.port,
             instrument.settings.clone(),
@@ -153,7 +153,7 @@ impl Args {
             site,
             self.common.quiet,
         )?;
-        let mut watcher = Watcher::of_teeth(self.common.quiet, check.teeth());
+        let mut watcher = Watcher::new(self.common.quiet, check.view_names());
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
         Ok(inspection)
     }
@@ -205,19 +205,33 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
     writeln!(out, "{}", Terminal::of_stdout().sentence(&said))
 }
 
+/// Width of a column of their sides or names.
+pub fn widest<'a>(parts: impl Iterator<Item = &'a FeatureId>) -> usize {
+    parts
+        .map(|id| id.side().chars().count())
+        .max()
+        .unwrap_or(0)
+        .max(6)
+}
+
 /// The figures of every flank, within 80 columns; then why one is no go.
 fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     let terminal = Terminal::of_stdout();
     let mut out = std::io::stdout().lock();
-    let header = "tooth flank   wear  ±U95  mean proud  cell  tip/mm  detects  seen  verdict";
-    writeln!(out, "\n{}", terminal.text(header))?;
+    let words = Words::of(inspection.features.iter().map(|f| &f.id));
+    let wide = widest(inspection.features.iter().map(|f| &f.id));
+    let header = format!(
+        "{:>5} {:<wide$}  wear  ±U95  mean proud  cell  tip/mm  detects  seen  verdict",
+        words.number, words.one
+    );
+    writeln!(out, "\n{}", terminal.text(&header))?;
     for f in &inspection.features {
         let detail = f.detail.as_ref();
         let tip = detail.and_then(|d| d.tip_edge_radius_mm);
         let line = format!(
-            "{:>5} {:<6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>7} {:>8} {:>4.0}%  ",
-            f.tooth,
-            f.side(),
+            "{:>5} {:<wide$} {:>5} {:>5} {:>5} {:>5} {:>5} {:>7} {:>8} {:>4.0}%  ",
+            f.id.tooth,
+            f.id.side(),
             figure(f.wear_um),
             figure(f.u95_um),
             figure(f.mean_um),
@@ -239,7 +253,7 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
     }
     for f in &inspection.features {
         if let Some(reason) = &f.reason {
-            let why = format!("{}: {reason}", f.label());
+            let why = format!("{}: {reason}", f.id);
             writeln!(out, "{}", terminal.sentence(&why))?;
         }
     }

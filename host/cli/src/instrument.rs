@@ -99,12 +99,6 @@ impl Source {
 
     /// What stores the checks of a subject in the history at `path`.
     fn writer(&self, path: &Path, site: &Site, subject: &Subject) -> anyhow::Result<HistoryWriter> {
-        anyhow::ensure!(
-            subject.tool.patches.is_empty(),
-            "history {}: it keeps flanks, and tool {:?} has patches; leave the history out, and keep the --json of every check",
-            path.display(),
-            subject.tool.name
-        );
         let history = History::open(path, &subject.seals)?;
         history.takes_head(&subject.head_id())?;
         let unknown = history.of_unknown_origin()?;

@@ -27,11 +27,6 @@ impl Watcher {
         }
     }
 
-    /// For views of teeth.
-    pub fn of_teeth(quiet: bool, teeth: impl Iterator<Item = u32>) -> Self {
-        Self::new(quiet, teeth.map(|tooth| format!("tooth {tooth}")).collect())
-    }
-
     /// Tells of a step.
     pub fn show(&mut self, progress: Progress) {
         if self.quiet {

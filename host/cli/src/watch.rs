@@ -207,7 +207,7 @@ impl<'a> Log<'a> {
                 .total_cmp(&b.wear_um.unwrap_or(f64::NEG_INFINITY))
         });
         let worst = worst.map_or_else(String::new, |f| {
-            format!(", most worn: {} {} um", f.label(), figure(f.wear_um))
+            format!(", most worn: {} {} um", f.id, figure(f.wear_um))
         });
         let held_s = inspection.timing_ms.total / 1000.0;
         let on = Terminal::of_stderr();

@@ -39,6 +39,14 @@ impl<'a> Features<'a> {
         }
     }
 
+    /// What the part with this number is called: a tooth by its number, a patch by its name.
+    pub fn name(self, number: u32) -> String {
+        match self.patch(number) {
+            Some(patch) => format!("patch {}", patch.name),
+            None => format!("tooth {number}"),
+        }
+    }
+
     /// Sides that a number has.
     pub fn sides(self) -> &'static [Flank] {
         match self {

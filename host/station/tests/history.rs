@@ -5,7 +5,7 @@ mod inspections;
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_station::die::DieKey;
 use flankscope_station::history::{History, HistoryError, HistoryWriter, Retention, csv, series};
-use flankscope_station::inspection::Inspection;
+use flankscope_station::inspection::{FeatureId, Inspection};
 use flankscope_station::origin::{HeadId, Link, Origin, Setting};
 use flankscope_station::sink::ResultSink;
 use inspections::{inspection, seals};
@@ -55,7 +55,7 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
     let last = checks.last().unwrap();
     assert_eq!(last.flanks.len(), 6);
     assert_eq!(
-        (last.flanks[5].tooth, last.flanks[5].flank.as_str()),
+        (last.flanks[5].id.tooth, last.flanks[5].id.flank.as_str()),
         (68, "right")
     );
     assert_eq!(last.flanks[0].wear_um, Some(14.0 / 8.0));
@@ -107,7 +107,7 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
     drop(History::open(&path("later.db"), &seals()).unwrap());
     Connection::open(path("later.db"))
         .unwrap()
-        .pragma_update(None, "user_version", 4)
+        .pragma_update(None, "user_version", 5)
         .unwrap();
     Connection::open(path("other.db"))
         .unwrap()
@@ -124,8 +124,8 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
             matches!(
                 later,
                 HistoryError::Newer {
-                    got: 4,
-                    known: 3,
+                    got: 5,
+                    known: 4,
                     ..
                 }
             ),
@@ -450,9 +450,9 @@ fn a_check_says_where_it_comes_from_in_row_document_and_table() {
         lines
             .next()
             .unwrap()
-            .ends_with("code,link,simulated,head,head_blake3,station,operator")
+            .ends_with("code,link,simulated,head,head_blake3,station,operator,patch")
     );
-    let row = format!(",sim,true,\"demo, 20 mm\",{},press 7,Ada", "ab".repeat(32));
+    let row = format!(",sim,true,\"demo, 20 mm\",{},press 7,Ada,", "ab".repeat(32));
     assert!(lines.all(|line| line.ends_with(&row)), "{table}");
 }
 
@@ -572,4 +572,107 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
         error.to_string().contains("\"bewitched\" is no word"),
         "{error}"
     );
+}
+
+/// The table of flanks as layout 3 had it, with what is in it.
+const FLANKS_OF_LAYOUT_3: &str = "
+DROP TRIGGER flank_keeps_UPDATE;
+DROP TRIGGER flank_keeps_DELETE;
+CREATE TABLE earlier (
+    inspection INTEGER NOT NULL REFERENCES inspection (id),
+    tooth INTEGER NOT NULL,
+    flank TEXT NOT NULL CHECK (flank IN ('left', 'right')),
+    wear_um REAL, u95_um REAL, warn_um REAL NOT NULL, limit_um REAL NOT NULL,
+    verdict TEXT NOT NULL, code TEXT,
+    PRIMARY KEY (inspection, tooth, flank)
+) STRICT, WITHOUT ROWID;
+INSERT INTO earlier SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code FROM flank;
+DROP TABLE flank;
+ALTER TABLE earlier RENAME TO flank;
+CREATE TRIGGER flank_keeps_UPDATE BEFORE UPDATE ON flank BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
+CREATE TRIGGER flank_keeps_DELETE BEFORE DELETE ON flank BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
+PRAGMA user_version = 3;
+";
+
+/// A check of one patch.
+fn of_patch(press_cycles: u32, place: u32, name: &str) -> Inspection {
+    let mut check = inspection(press_cycles, Word::Go, "");
+    check.features.truncate(1);
+    check.features[0].id = FeatureId {
+        tooth: place,
+        flank: "face".into(),
+        patch: Some(name.into()),
+    };
+    check
+}
+
+/// The rows of an earlier layout move to another table: they are the same links of the chain, and as protected as before.
+#[test]
+fn a_history_of_flanks_takes_patches_and_keeps_its_chain() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("press.db");
+    let mut history = History::open(&path, &seals()).unwrap();
+    for cycles in [8, 16] {
+        history
+            .record(&inspection(cycles, Word::Go, ""), None)
+            .unwrap();
+    }
+    let before = history.checks("die").unwrap();
+    drop(history);
+    Connection::open(&path)
+        .unwrap()
+        .execute_batch(FLANKS_OF_LAYOUT_3)
+        .unwrap();
+    // Who only reads changes nothing.
+    let reader = History::read(&path, &seals()).unwrap();
+    reader.verify().unwrap();
+    assert_eq!(reader.checks("die").unwrap(), before);
+    let mut history = History::open(&path, &seals()).unwrap();
+    history.verify().unwrap();
+    assert_eq!(history.checks("die").unwrap(), before);
+    // Another patch was put before it in the tool file: it is still the same.
+    for (cycles, place) in [(24, 1), (32, 2)] {
+        history
+            .record(&of_patch(cycles, place, "boss"), None)
+            .unwrap();
+    }
+    history.record(&of_patch(40, 1, "rib"), None).unwrap();
+    history.verify().unwrap();
+    let checks = reader.checks("die").unwrap();
+    let found = series(&checks);
+    let told: Vec<(String, u32, usize)> = found
+        .iter()
+        .map(|of| (of.id.to_string(), of.id.tooth, of.points.len()))
+        .collect();
+    let patches = &told[told.len() - 2..];
+    assert_eq!(
+        patches,
+        [("patch boss".into(), 2, 2), ("patch rib".into(), 1, 1)]
+    );
+    assert_eq!(told.len(), 6 + 2);
+    let mut table = Vec::new();
+    csv(&checks, &mut table).unwrap();
+    let table = String::from_utf8(table).unwrap();
+    assert_eq!(
+        table.lines().filter(|row| row.ends_with(",boss")).count(),
+        2
+    );
+    // A face has a name, a flank has none, and nothing of it can be changed.
+    let connection = Connection::open(&path).unwrap();
+    for sql in [
+        "INSERT INTO flank VALUES (1, 7, 'face', 0, 0, 30, 50, 'go', NULL, NULL)",
+        "INSERT INTO flank VALUES (1, 7, 'left', 0, 0, 30, 50, 'go', NULL, 'boss')",
+        "INSERT INTO flank VALUES (1, 7, 'top', 0, 0, 30, 50, 'go', NULL, NULL)",
+        "UPDATE flank SET patch = 'rib' WHERE patch = 'boss'",
+        "DELETE FROM flank",
+    ] {
+        connection.execute(sql, []).expect_err(sql);
+    }
+    // Unless somebody opens the lock, which the chain tells.
+    connection
+        .execute_batch(
+            "DROP TRIGGER flank_keeps_UPDATE; UPDATE flank SET patch = 'hub' WHERE patch = 'rib'",
+        )
+        .unwrap();
+    assert!(reader.verify().is_err());
 }

@@ -21,6 +21,7 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
         head: Some(HeadId {
             name: "head".into(),
             blake3: "ab".repeat(32),
+            seal: None,
         }),
         station: Some("press 7".into()),
         operator: None,
@@ -64,8 +65,8 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
             ("press_cycles", Field::Long(check.press_cycles)),
             ("baseline", Field::Null),
             ("check_verdict", text(check.verdict.as_str())),
-            ("tooth", Field::Int(flank.tooth as i32)),
-            ("flank", text(&flank.flank)),
+            ("tooth", Field::Int(flank.id.tooth as i32)),
+            ("flank", text(&flank.id.flank)),
             ("wear_um", number(flank.wear_um)),
             ("u95_um", number(flank.u95_um)),
             ("warn_um", Field::Double(30.0)),
@@ -87,6 +88,7 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
             ),
             ("station", of(&check.origin.station)),
             ("operator", Field::Null),
+            ("patch", Field::Null),
         ] {
             assert_eq!(field(row, name), value, "{name} of {flank:?}");
         }

@@ -3,8 +3,17 @@
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_station::history::{Check, FlankRow, Forecast};
 use flankscope_station::history::{LEAST_POINTS, Passage, Point, Series, Trend, changes, series};
+use flankscope_station::inspection::FeatureId;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+
+fn left(tooth: u32) -> FeatureId {
+    FeatureId {
+        tooth,
+        flank: "left".into(),
+        patch: None,
+    }
+}
 
 /// A standard normal number (Box and Muller).
 fn normal(random: &mut Pcg64) -> f64 {
@@ -108,8 +117,7 @@ fn a_chip_and_a_new_rate_are_found_where_they_are() {
         0.01 * cycles + 0.05 * (cycles - 200.0).max(0.0) + 0.3 * normal(&mut random)
     });
     let forecast = Forecast::of(Series {
-        tooth: 40,
-        flank: "left".into(),
+        id: left(40),
         warn_um: 30.0,
         limit_um: 50.0,
         points: faster,
@@ -221,8 +229,7 @@ fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
         origin: flankscope_station::origin::Origin::default(),
         serial: None,
         flanks: vec![FlankRow {
-            tooth: 7,
-            flank: "left".into(),
+            id: left(7),
             wear_um: Some(cycles as f64),
             u95_um: Some(1.96),
             warn_um: 30.0,

@@ -164,8 +164,8 @@ fn random_damage_is_not_passed_and_sound_flanks_are_not_refused() {
             println!(
                 "not held: {} on {} {}, true {:.2} um, found {:?} ± {:?} um, {} {}",
                 one.shape,
-                one.found.tooth,
-                one.found.flank,
+                one.found.id.tooth,
+                one.found.id.flank,
                 truth_um(one),
                 one.found.wear_um,
                 one.found.u95_um,

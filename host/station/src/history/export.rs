@@ -14,7 +14,7 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,
         "check,at,tool,tool_cycles,press_cycles,baseline,check_verdict,tooth,flank,wear_um,u95_um,warn_um,limit_um,verdict,code,\
-         link,simulated,head,head_blake3,station,operator"
+         link,simulated,head,head_blake3,station,operator,patch"
     )?;
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for check in checks {
@@ -24,7 +24,7 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
         for flank in &check.flanks {
             writeln!(
                 out,
-                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 check.id,
                 check.at,
                 quoted(&check.tool),
@@ -32,8 +32,8 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 check.press_cycles,
                 check.baseline.as_deref().unwrap_or_default(),
                 check.verdict,
-                flank.tooth,
-                flank.flank,
+                flank.id.tooth,
+                flank.id.flank,
                 number(flank.wear_um),
                 number(flank.u95_um),
                 flank.warn_um,
@@ -46,6 +46,7 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 head.map_or("", |head| head.blake3.as_str()),
                 text(check.origin.station.as_deref()),
                 text(check.origin.operator.as_deref()),
+                text(flank.id.patch.as_deref()),
             )?;
         }
     }

@@ -1,4 +1,4 @@
-//! What the history says of one flank.
+//! What the history says of one flank or patch.
 
 use serde::Serialize;
 
@@ -6,14 +6,14 @@ use super::change::changes;
 use super::remaining::Passage;
 use super::series::{Point, Series};
 use super::trend::Trend;
+use crate::inspection::FeatureId;
 
 /// Trend, changes and remaining cycles of one flank.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Forecast {
-    /// Tooth, from 1.
-    pub tooth: u32,
-    /// `left` or `right`.
-    pub flank: String,
+    /// Which flank or patch.
+    #[serde(flatten)]
+    pub id: FeatureId,
     /// Warn limit, µm.
     pub warn_um: f64,
     /// Stop limit, µm.
@@ -55,8 +55,7 @@ impl Forecast {
             _ => Remaining::default(),
         };
         Self {
-            tooth: series.tooth,
-            flank: series.flank,
+            id: series.id,
             warn_um: series.warn_um,
             limit_um: series.limit_um,
             changes: changed.iter().map(|&at| series.points[at].check).collect(),

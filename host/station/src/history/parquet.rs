@@ -33,6 +33,7 @@ const SCHEMA: &str = "message history {
     OPTIONAL BINARY head_blake3 (STRING);
     OPTIONAL BINARY station (STRING);
     OPTIONAL BINARY operator (STRING);
+    OPTIONAL BINARY patch (STRING);
 }";
 
 /// A flank and the check that it is of.
@@ -67,8 +68,8 @@ fn write(
     columns.all::<Int64Type>(|(check, _)| check.press_cycles)?;
     columns.some::<ByteArrayType>(|(check, _)| check.baseline.as_deref().map(text))?;
     columns.all::<ByteArrayType>(|(check, _)| text(check.verdict.as_str()))?;
-    columns.all::<Int32Type>(|(_, flank)| i32::try_from(flank.tooth).unwrap_or(i32::MAX))?;
-    columns.all::<ByteArrayType>(|(_, flank)| text(&flank.flank))?;
+    columns.all::<Int32Type>(|(_, flank)| i32::try_from(flank.id.tooth).unwrap_or(i32::MAX))?;
+    columns.all::<ByteArrayType>(|(_, flank)| text(&flank.id.flank))?;
     columns.some::<DoubleType>(|(_, flank)| flank.wear_um)?;
     columns.some::<DoubleType>(|(_, flank)| flank.u95_um)?;
     columns.all::<DoubleType>(|(_, flank)| flank.warn_um)?;
@@ -82,6 +83,7 @@ fn write(
     columns.some::<ByteArrayType>(|(check, _)| head(check).map(|head| text(&head.blake3)))?;
     columns.some::<ByteArrayType>(|(check, _)| check.origin.station.as_deref().map(text))?;
     columns.some::<ByteArrayType>(|(check, _)| check.origin.operator.as_deref().map(text))?;
+    columns.some::<ByteArrayType>(|(_, flank)| flank.id.patch.as_deref().map(text))?;
     columns.group.close()?;
     Ok(())
 }

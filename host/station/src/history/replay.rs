@@ -290,7 +290,8 @@ pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Dif
         &json!(features.len()),
     );
     for flank in &check.flanks {
-        let this = |f: &&Value| f["tooth"] == flank.tooth && f["flank"] == flank.flank.as_str();
+        let this =
+            |f: &&Value| f["tooth"] == flank.id.tooth && f["flank"] == flank.id.flank.as_str();
         let feature = features.iter().find(this).unwrap_or(&Value::Null);
         for (key, row) in [
             ("wear_um", json!(flank.wear_um)),
@@ -299,8 +300,9 @@ pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Dif
             ("limit_um", json!(flank.limit_um)),
             ("verdict", json!(flank.verdict)),
             ("code", json!(flank.code)),
+            ("patch", json!(flank.id.patch)),
         ] {
-            let what = format!("{key} of tooth {} {}", flank.tooth, flank.flank);
+            let what = format!("{key} of {}", flank.id);
             told(what, row, &feature[key]);
         }
     }

@@ -10,7 +10,8 @@ pub const APPLICATION_ID: i32 = 0x464C_4E4B;
 /// | 1 | |
 /// | 2 | a check says where it comes from, and the file whether its checks are simulated |
 /// | 3 | a check says which die it is of and how its head is known; the file has an id, and every row is a link of a chain |
-pub const VERSION: i32 = 3;
+/// | 4 | a row of `flank` may be of a patch |
+pub const VERSION: i32 = 4;
 
 /// What was written stays as it was written: rows are added, none is changed or removed.
 pub const TABLES: &str = "
@@ -44,13 +45,14 @@ CREATE INDEX inspection_of_tool ON inspection (tool, id);
 CREATE TABLE flank (
     inspection INTEGER NOT NULL REFERENCES inspection (id),
     tooth INTEGER NOT NULL,
-    flank TEXT NOT NULL CHECK (flank IN ('left', 'right')),
+    flank TEXT NOT NULL CHECK (flank IN ('left', 'right', 'face')),
     wear_um REAL,
     u95_um REAL,
     warn_um REAL NOT NULL,
     limit_um REAL NOT NULL,
     verdict TEXT NOT NULL CHECK (verdict IN ('go', 'warn', 'no-go', 'indeterminate')),
     code TEXT,
+    patch TEXT CHECK ((patch IS NOT NULL) = (flank = 'face')),
     PRIMARY KEY (inspection, tooth, flank)
 ) STRICT, WITHOUT ROWID;
 CREATE TABLE acknowledgement (
@@ -126,6 +128,30 @@ CREATE TABLE chain (
 INSERT INTO identity (one) VALUES (1);
 INSERT INTO audit (who, what, detail) SELECT 'flankscope', 'upgrade',
     count(*) || ' checks of an earlier release are taken over as they are' FROM inspection;
+";
+
+/// From version 3 to 4. SQLite changes no condition of a column: the rows move to a table that has it. A row without a patch is the
+/// same link of the chain as before.
+pub const FLANK_3_TO_4: &str = "
+DROP TRIGGER IF EXISTS flank_keeps_UPDATE;
+DROP TRIGGER IF EXISTS flank_keeps_DELETE;
+ALTER TABLE flank RENAME TO flank_3;
+CREATE TABLE flank (
+    inspection INTEGER NOT NULL REFERENCES inspection (id),
+    tooth INTEGER NOT NULL,
+    flank TEXT NOT NULL CHECK (flank IN ('left', 'right', 'face')),
+    wear_um REAL,
+    u95_um REAL,
+    warn_um REAL NOT NULL,
+    limit_um REAL NOT NULL,
+    verdict TEXT NOT NULL CHECK (verdict IN ('go', 'warn', 'no-go', 'indeterminate')),
+    code TEXT,
+    patch TEXT CHECK ((patch IS NOT NULL) = (flank = 'face')),
+    PRIMARY KEY (inspection, tooth, flank)
+) STRICT, WITHOUT ROWID;
+INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code)
+    SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code FROM flank_3;
+DROP TABLE flank_3;
 ";
 
 /// Which checks keep which phasors: no part of what was found, rows go with the files. Of a file without the table, all that

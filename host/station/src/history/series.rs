@@ -6,14 +6,13 @@ use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::{Code, Word};
 
 use super::store::Check;
+use crate::inspection::FeatureId;
 
-/// Wear of one flank over the tool's present life.
+/// Wear of one flank or patch over the tool's present life.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Tooth, from 1.
-    pub tooth: u32,
-    /// `left` or `right`.
-    pub flank: String,
+    /// Which flank or patch; a patch with the number that it had last.
+    pub id: FeatureId,
     /// Latest warn limit, µm.
     pub warn_um: f64,
     /// Latest stop limit, µm.
@@ -54,24 +53,32 @@ pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
         .filter(move |check| Some(like(check)) == last)
 }
 
-/// The measured figures of every flank, by tooth and flank.
+/// The measured figures of every flank, by tooth and flank, and of every patch, by name.
 ///
 /// A figure that is only too near to a limit to be decided is as good as any other; leaving it out would bend the trend
 /// where it matters. What was indeterminate for another reason is left out.
 #[must_use]
 pub fn series(checks: &[Check]) -> Vec<Series> {
-    let mut flanks: BTreeMap<(u32, &str), Series> = BTreeMap::new();
+    // Flanks in order of teeth, then patches by name.
+    let mut flanks: BTreeMap<(Option<&str>, u32, &str), Series> = BTreeMap::new();
     for check in present_life(checks) {
         for flank in &check.flanks {
+            let FeatureId {
+                tooth,
+                flank: side,
+                patch,
+            } = &flank.id;
+            // The place of a patch in its file changes when others are added; its name stays.
+            let place = if patch.is_some() { 0 } else { *tooth };
             let series = flanks
-                .entry((flank.tooth, &flank.flank))
+                .entry((patch.as_deref(), place, side))
                 .or_insert_with(|| Series {
-                    tooth: flank.tooth,
-                    flank: flank.flank.clone(),
+                    id: flank.id.clone(),
                     warn_um: flank.warn_um,
                     limit_um: flank.limit_um,
                     points: Vec::new(),
                 });
+            series.id.tooth = *tooth;
             (series.warn_um, series.limit_um) = (flank.warn_um, flank.limit_um);
             let measured =
                 flank.verdict != Word::Indeterminate || flank.code == Some(Code::Undecidable);

@@ -11,9 +11,11 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension, Row, TransactionBehavio
 use super::chain;
 use super::error::HistoryError;
 use super::same_die::{columns, same, same_as_asked};
-use super::schema::{APPLICATION_ID, FROM_1_TO_2, FROM_2_TO_3, KEPT, PHASORS, TABLES, VERSION};
+use super::schema::{
+    APPLICATION_ID, FLANK_3_TO_4, FROM_1_TO_2, FROM_2_TO_3, KEPT, PHASORS, TABLES, VERSION,
+};
 use crate::die::DieKey;
-use crate::inspection::Inspection;
+use crate::inspection::{FeatureId, Inspection};
 use crate::origin::{HeadId, Origin};
 use crate::seal::Seals;
 
@@ -52,17 +54,16 @@ pub struct Check {
     pub origin: Origin,
     /// Serial number of the tool, where its file names one.
     pub serial: Option<String>,
-    /// One entry per inspected flank.
+    /// One entry per inspected flank or patch.
     pub flanks: Vec<FlankRow>,
 }
 
-/// A flank of a stored check.
+/// A flank or patch of a stored check.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct FlankRow {
-    /// Tooth, from 1.
-    pub tooth: u32,
-    /// `left` or `right`.
-    pub flank: String,
+    /// Which one.
+    #[serde(flatten)]
+    pub id: FeatureId,
     /// Wear, µm; absent when it was not measured.
     pub wear_um: Option<f64>,
     /// Its expanded uncertainty (95 %), µm.
@@ -256,6 +257,10 @@ impl History {
                         .into_iter()
                         .try_for_each(|table| self.protect(table))?;
                     chain::link_all(&self.connection, &self.seals)?;
+                }
+                if (1..4).contains(&layout) {
+                    self.connection.execute_batch(FLANK_3_TO_4)?;
+                    self.protect("flank")?;
                     self.connection
                         .pragma_update(None, "user_version", VERSION)?;
                 }
@@ -501,20 +506,21 @@ impl History {
         )?;
         {
             let mut row = transaction.prepare(
-                "INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+                "INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code, patch) \
+                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
             )?;
             for feature in &inspection.features {
                 row.execute(params![
                     id,
-                    feature.tooth,
-                    feature.flank,
+                    feature.id.tooth,
+                    feature.id.flank,
                     feature.wear_um,
                     feature.u95_um,
                     feature.warn_um,
                     feature.limit_um,
                     feature.verdict.as_str(),
-                    feature.code.map(Code::word)
+                    feature.code.map(Code::word),
+                    feature.id.patch
                 ])?;
             }
         }
@@ -699,22 +705,26 @@ impl History {
                 })
             },
         )?;
+        let patch = if self.layout()? < 4 { "NULL" } else { "patch" };
         let flanks = self.rows(
             &format!(
-                "SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
+                "SELECT inspection, tooth, flank, {patch}, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
                  JOIN inspection ON inspection.id = inspection WHERE {condition} ORDER BY inspection, tooth, flank"
             ),
             [parameter],
             |row| {
                 let flank = FlankRow {
-                    tooth: row.get(1)?,
-                    flank: row.get(2)?,
-                    wear_um: row.get(3)?,
-                    u95_um: row.get(4)?,
-                    warn_um: row.get(5)?,
-                    limit_um: row.get(6)?,
-                    verdict: parsed(row, 7)?,
-                    code: parsed_or_none(row, 8)?,
+                    id: FeatureId {
+                        tooth: row.get(1)?,
+                        flank: row.get(2)?,
+                        patch: row.get(3)?,
+                    },
+                    wear_um: row.get(4)?,
+                    u95_um: row.get(5)?,
+                    warn_um: row.get(6)?,
+                    limit_um: row.get(7)?,
+                    verdict: parsed(row, 8)?,
+                    code: parsed_or_none(row, 9)?,
                 };
                 Ok((row.get::<_, i64>(0)?, flank))
             },

@@ -203,10 +203,12 @@ impl Station {
         self.subject.die()
     }
 
-    /// The tooth in the middle of every view of the plan.
-    pub fn teeth(&self) -> impl Iterator<Item = u32> + use<> {
-        let plan = Arc::clone(&self.plan);
-        (0..plan.views.len()).map(move |view| plan.views[view].tooth)
+    /// What is in the middle of every view of the plan: a tooth, or a patch.
+    #[must_use]
+    pub fn view_names(&self) -> Vec<String> {
+        let features = self.subject.tool.features();
+        let views = self.plan.views.iter();
+        views.map(|view| features.name(view.tooth)).collect()
     }
 
     /// Runs one check through the controller at `port`; the verdict waits for `store`.

@@ -10,6 +10,7 @@
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
 //! | `datum` | points inside a patch's datum |
+//! | `feature_id` | which flank or patch a figure is of |
 //! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `pose_sensitivity` | what the pose does to a flank's figures |
@@ -22,6 +23,7 @@
 mod datum;
 mod evidence;
 mod failure;
+mod feature_id;
 mod field;
 mod findings;
 mod flank_decision;
@@ -40,6 +42,7 @@ mod views;
 pub(crate) use evidence::unsaid;
 pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub(crate) use failure::unfit;
+pub use feature_id::FeatureId;
 pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;

@@ -35,9 +35,10 @@ pub struct RecordedCheck {
 }
 
 impl RecordedCheck {
-    /// The tooth in the middle of every view.
-    pub fn teeth(&self) -> impl Iterator<Item = u32> + use<> {
-        self.station.teeth()
+    /// What is in the middle of every view.
+    #[must_use]
+    pub fn view_names(&self) -> Vec<String> {
+        self.station.view_names()
     }
 
     /// Prepares a check of these frames, or of those of some `teeth`. Results say that they come from `setting`.

@@ -16,19 +16,16 @@ use crate::kinematics::Moves;
 use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
+use super::feature_id::FeatureId;
 use crate::acquisition::{Activity, Counts, Picture};
 use flankscope_frames::Frame;
 
 /// One inspected flank or patch: a row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Feature {
-    /// Tooth number, 1 is the first; of a patch, its place among those of the tool file.
-    pub tooth: u32,
-    /// `left` or `right`; of a patch `face`.
-    pub flank: String,
-    /// Name of the patch, where it is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub patch: Option<String>,
+    /// Which one.
+    #[serde(flatten)]
+    pub id: FeatureId,
     /// Wear, µm, positive for loss; absent when it could not be measured.
     pub wear_um: Option<f64>,
     /// Expanded uncertainty of the wear (95 %), µm.
@@ -102,20 +99,6 @@ pub struct FlankDetail {
     pub detection_limit_um: f64,
     /// Standard uncertainty of the wear by source, µm.
     pub budget_um: BTreeMap<&'static str, f64>,
-}
-
-impl Feature {
-    /// Which side of its tooth it is, or the name of its patch.
-    #[must_use]
-    pub fn side(&self) -> &str {
-        self.patch.as_deref().unwrap_or(&self.flank)
-    }
-
-    /// What it is called in a sentence.
-    #[must_use]
-    pub fn label(&self) -> String {
-        super::verdict::label(self.patch.as_deref(), self.tooth, &self.flank)
-    }
 }
 
 impl FlankDetail {
@@ -409,15 +392,11 @@ impl Toothing {
     }
 }
 
-/// Mean deviation per cell of one flank.
+/// Mean deviation per cell of one flank or patch.
 #[derive(Clone, Debug)]
 pub struct FlankMap {
-    /// Tooth number.
-    pub tooth: u32,
-    /// `left` or `right`; of a patch `face`.
-    pub flank: String,
-    /// Name of the patch, where it is one.
-    pub patch: Option<String>,
+    /// Which flank or patch.
+    pub id: FeatureId,
     /// Cells along the profile (from tip to root), or along the patch.
     pub columns: usize,
     /// Cells along the die axis, or up the patch.
@@ -426,12 +405,4 @@ pub struct FlankMap {
     pub size_mm: [f64; 2],
     /// Mean deviation, µm, row by row from the top; NaN without points.
     pub deviation_um: Vec<f64>,
-}
-
-impl FlankMap {
-    /// Which side of its tooth it is, or the name of its patch.
-    #[must_use]
-    pub fn side(&self) -> &str {
-        self.patch.as_deref().unwrap_or(&self.flank)
-    }
 }

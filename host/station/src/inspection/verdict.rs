@@ -10,15 +10,13 @@ use flankscope_metrology::verdict::flank::{Cause, Decision, Limits, judge};
 use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
 use flankscope_metrology::wear::{Budget, Figure, FlankWear};
 
+use super::feature_id::FeatureId;
 use super::result::{Expanded, Feature, FlankDetail};
 
 /// One flank or patch with its verdict.
 #[derive(Clone, Debug)]
 pub struct Judged {
-    tooth: u32,
-    flank: Flank,
-    /// Name of the patch that it is.
-    patch: Option<String>,
+    id: FeatureId,
     wear_um: Option<f64>,
     u95_um: Option<f64>,
     mean_um: Option<f64>,
@@ -46,9 +44,11 @@ impl Judged {
         let rule = limits.wear;
         let conformity = probability_below(rule.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
         Self {
-            tooth: wear.tooth,
-            flank: wear.flank,
-            patch: None,
+            id: FeatureId {
+                tooth: wear.tooth,
+                flank: wear.flank.to_string(),
+                patch: None,
+            },
             wear_um: finite_um(wear.wear_mm),
             u95_um: finite_um(wear.u95_mm()),
             mean_um: finite_um(wear.mean_mm),
@@ -76,14 +76,9 @@ impl Judged {
 
     /// The same, called by the name of its patch where it is one of the tool's.
     pub(crate) fn named(mut self, tool: &Tool) -> Self {
-        let patch = tool.features().patch(self.tooth);
-        self.patch = patch.map(|patch| patch.name.clone());
+        let patch = tool.features().patch(self.id.tooth);
+        self.id.patch = patch.map(|patch| patch.name.clone());
         self
-    }
-
-    /// What it is called.
-    fn label(&self) -> String {
-        label(self.patch.as_deref(), self.tooth, &self.flank.to_string())
     }
 
     /// The same, with the heights that it is for, mm.
@@ -155,9 +150,7 @@ impl From<Judged> for Feature {
         let reason = reason.map(Reason::to_string);
         let reason = reason.or_else(|| judged.cause.map(|cause| cause.sentence(&judged.verdict)));
         Self {
-            tooth: judged.tooth,
-            flank: judged.flank.to_string(),
-            patch: judged.patch,
+            id: judged.id,
             wear_um: judged.wear_um,
             u95_um: judged.u95_um,
             mean_um: judged.mean_um,
@@ -189,9 +182,11 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
         .as_ref()
         .map_or((0.0, 0.0), |inspect| (inspect.warn_um, inspect.limit_um));
     Judged {
-        tooth,
-        flank,
-        patch: None,
+        id: FeatureId {
+            tooth,
+            flank: flank.to_string(),
+            patch: None,
+        },
         wear_um: None,
         u95_um: None,
         mean_um: None,
@@ -208,14 +203,6 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
         measured: false,
     }
     .named(tool)
-}
-
-/// What a flank or a patch is called in a sentence.
-pub(super) fn label(patch: Option<&str>, tooth: u32, flank: &str) -> String {
-    patch.map_or_else(
-        || format!("tooth {tooth} {flank}"),
-        |name| format!("patch {name}"),
-    )
 }
 
 /// The tool's verdict and one sentence about it. A check that stopped early is never a go; a go against a CAD of which it is
@@ -239,7 +226,7 @@ pub fn of_tool(
                     .as_ref()
                     .map(|cause| cause.sentence(&flank.verdict));
                 let why = cause.map_or_else(String::new, |why| format!(" ({why})"));
-                format!("{}{why}", flank.label())
+                format!("{}{why}", flank.id)
             })
             .collect();
         names.join(", ")
@@ -251,7 +238,7 @@ pub fn of_tool(
             } else {
                 ""
             };
-            let what = match flanks.first().is_some_and(|of| of.patch.is_some()) {
+            let what = match flanks.first().is_some_and(|of| of.id.patch.is_some()) {
                 true => "patches",
                 false => "flanks",
             };

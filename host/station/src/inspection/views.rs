@@ -19,6 +19,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::datum;
 use super::evidence::Phasors;
+use super::feature_id::FeatureId;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
@@ -523,9 +524,11 @@ impl Evaluator {
             deviations_um.push(um);
         }
         let maps = sides.iter().zip(sums).map(|(flank, sums)| FlankMap {
-            tooth,
-            flank: flank.to_string(),
-            patch: features.patch(tooth).map(|patch| patch.name.clone()),
+            id: FeatureId {
+                tooth,
+                flank: flank.to_string(),
+                patch: features.patch(tooth).map(|patch| patch.name.clone()),
+            },
             columns,
             rows,
             size_mm,

@@ -66,7 +66,7 @@ pub(super) fn flanks(features: &[Feature], teeth: u32) -> String {
             for (side, flank) in ["left", "right"].into_iter().enumerate() {
                 let of = features
                     .iter()
-                    .find(|f| f.tooth == tooth && f.flank == flank);
+                    .find(|f| f.id.tooth == tooth && f.id.flank == flank);
                 let from = begin + (0.08 + 0.43 * side as f64) * each;
                 bar(
                     &mut svg,
@@ -134,13 +134,16 @@ fn bar(
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::inspection::FeatureId;
 
     /// A flank that was judged.
     pub fn feature(tooth: u32, flank: &str, wear_um: Option<f64>, verdict: Word) -> Feature {
         Feature {
-            tooth,
-            flank: flank.into(),
-            patch: None,
+            id: FeatureId {
+                tooth,
+                flank: flank.into(),
+                patch: None,
+            },
             wear_um,
             u95_um: wear_um.map(|_| 4.0),
             mean_um: wear_um,

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use askama::Template;
 use flankscope_metrology::verdict::{Code, Word};
 
-use super::{Fact, chart, colour, facts, numbered, ring};
+use super::{Fact, Words, chart, colour, facts, numbered, ring};
 use crate::acquisition::Picture;
 use crate::inspection::{FlankMap, Inspection};
 
@@ -20,6 +20,7 @@ struct Page<'a> {
     inspection: &'a Inspection,
     simulated: bool,
     facts: Vec<Fact>,
+    words: &'static Words,
     /// What to do about what could not be decided.
     remedies: BTreeSet<Code>,
     /// Parts of the uncertainty that some flank has.
@@ -71,6 +72,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
             Some(inspection.press_cycles.into()),
             &inspection.origin,
         ),
+        words: Words::of(inspection.features.iter().map(|f| &f.id)),
         remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
         sources: details
             .flat_map(|detail| detail.shown_budget())
@@ -108,10 +110,7 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
             }
         })
         .collect();
-    let flank = inspection
-        .features
-        .iter()
-        .find(|f| f.tooth == map.tooth && f.flank == map.flank);
+    let flank = inspection.features.iter().find(|f| f.id.is_same(&map.id));
     let [wide_mm, high_mm] = map.size_mm;
     let disc = flank.and_then(|f| f.detail.as_ref()).map(|detail| {
         let [along, up] = detail.deepest_at_mm;

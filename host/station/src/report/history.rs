@@ -5,7 +5,7 @@ use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::Word;
 
 use super::trend_chart::{Checks, horizon_cycles, one, overlay};
-use super::{Fact, facts, figure, numbered};
+use super::{Fact, Words, facts, figure, numbered};
 use crate::history::{Acknowledgement, Check, Forecast};
 
 /// Checks that the page lists, the last ones.
@@ -18,6 +18,7 @@ struct Page<'a> {
     checks: usize,
     last: Option<&'a Check>,
     facts: Vec<Fact>,
+    words: &'static Words,
     simulated: bool,
     unknown: usize,
     overlay: String,
@@ -78,6 +79,7 @@ pub fn history_html(
                 &last.origin,
             )
         }),
+        words: Words::of(forecasts.iter().map(|of| &of.id)),
         simulated: checks.iter().any(|check| check.origin.is_simulated()),
         unknown: checks
             .iter()
@@ -94,7 +96,7 @@ pub fn history_html(
 /// What a check said of a flank.
 fn on_flank(check: &Check, of: &Forecast) -> Word {
     let mut flanks = check.flanks.iter();
-    let flank = flanks.find(|f| f.tooth == of.tooth && f.flank == of.flank);
+    let flank = flanks.find(|f| f.id.is_same(&of.id));
     flank.map_or(Word::Indeterminate, |f| f.verdict)
 }
 
@@ -137,7 +139,16 @@ pub fn remaining(forecast: &Forecast) -> String {
 mod tests {
     use super::*;
     use crate::history::{Point, Series};
+    use crate::inspection::FeatureId;
     use crate::origin::Origin;
+
+    fn left(tooth: u32) -> FeatureId {
+        FeatureId {
+            tooth,
+            flank: "left".into(),
+            patch: None,
+        }
+    }
 
     /// A flank that wears by `rate_um` per cycle, seen every 10 cycles.
     fn flank(tooth: u32, rate_um: f64) -> Forecast {
@@ -148,8 +159,7 @@ mod tests {
             u_um: 0.5,
         };
         Forecast::of(Series {
-            tooth,
-            flank: "left".into(),
+            id: left(tooth),
             warn_um: 30.0,
             limit_um: 50.0,
             points: (0..11).map(point).collect(),
@@ -158,8 +168,7 @@ mod tests {
 
     fn check(id: i64, verdict: Word) -> Check {
         let row = |tooth, verdict| crate::history::FlankRow {
-            tooth,
-            flank: "left".into(),
+            id: left(tooth),
             wear_um: Some(1.0),
             u95_um: Some(1.0),
             warn_um: 30.0,

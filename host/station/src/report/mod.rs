@@ -14,12 +14,14 @@ mod scan_files;
 mod svg;
 mod tables;
 mod trend_chart;
+mod words;
 
 pub use check::html;
 pub use folder::{Pages, ReportFolder};
 pub use history::{history_html, rate, remaining};
 pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
+pub use words::Words;
 
 use crate::inspection::FlankDetail;
 use crate::origin::Origin;

@@ -49,9 +49,8 @@ fn path(points: impl Iterator<Item = [f64; 2]>) -> String {
 /// What hovering over a flank says, and what stands beside it.
 pub(super) fn in_words(of: &Feature) -> String {
     format!(
-        "tooth {} {}: {} ± {} µm, {}",
-        of.tooth,
-        of.flank,
+        "{}: {} ± {} µm, {}",
+        of.id,
         figure(of.wear_um),
         figure(of.u95_um),
         of.verdict
@@ -85,12 +84,12 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
     let _ = write!(svg, r#"<path d="{}z" class="tooth"/>"#, path(outline));
     let mut teeth: Vec<(u32, Word)> = Vec::new();
     for feature in features {
-        let side = if feature.flank == "left" {
+        let side = if feature.id.flank == "left" {
             &left
         } else {
             &right
         };
-        let centre = gear.tooth_centre_rad(feature.tooth);
+        let centre = gear.tooth_centre_rad(feature.id.tooth);
         let line = side
             .iter()
             .map(|&[radius, angle]| at(scale, [radius, centre + angle]));
@@ -102,10 +101,10 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
             in_words(feature)
         );
         match teeth.last_mut() {
-            Some((tooth, worst)) if *tooth == feature.tooth => {
+            Some((tooth, worst)) if *tooth == feature.id.tooth => {
                 *worst = (*worst).max(feature.verdict)
             }
-            _ => teeth.push((feature.tooth, feature.verdict)),
+            _ => teeth.push((feature.id.tooth, feature.verdict)),
         }
     }
     let few = teeth.len() <= 2 * NUMBERED;
@@ -166,7 +165,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
     for (name, side) in [("left", &left), ("right", &right)] {
         let of_side = features
             .iter()
-            .find(|f| f.tooth == worst.tooth && f.flank == name);
+            .find(|f| f.id.tooth == worst.id.tooth && f.id.flank == name);
         let shown = of_side.map_or_else(|| "none".into(), |f| f.verdict.to_string());
         let said = of_side.map_or_else(|| format!("{name}: not judged"), in_words);
         let _ = write!(
@@ -199,7 +198,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         svg,
         MIDDLE + 66.0,
         700,
-        &format!("tooth {}, {}", worst.tooth, worst.flank),
+        &format!("tooth {}, {}", worst.id.tooth, worst.id.flank),
     );
     line(
         svg,
@@ -212,7 +211,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         let from = gear.profile_mm(of.zone_radius_mm[0]);
         let radius = gear.radius_mm(from + along);
         if let Some(half) = gear.half_tooth_rad(radius) {
-            let side = if worst.flank == "left" { 1.0 } else { -1.0 };
+            let side = if worst.id.flank == "left" { 1.0 } else { -1.0 };
             let [x, y] = place([radius, side * half]);
             let _ = write!(
                 svg,

@@ -24,8 +24,8 @@ pub(super) fn flanks(features: &[Feature], out: &mut dyn Write) -> io::Result<()
         writeln!(
             out,
             "{},{},{},{},{},{},{},{},{},{}",
-            f.tooth,
-            f.flank,
+            f.id.tooth,
+            f.id.flank,
             number(f.wear_um),
             number(f.u95_um),
             number(f.mean_um),
@@ -51,8 +51,8 @@ pub(super) fn cells(inspection: &Inspection, out: &mut dyn Write) -> io::Result<
             writeln!(
                 out,
                 "{},{},{:.3},{:.3},{}",
-                map.tooth,
-                map.flank,
+                map.id.tooth,
+                map.id.flank,
                 (column as f64 + 0.5) * along,
                 high_mm - (row as f64 + 0.5) * up,
                 number(um.is_finite().then_some((um * 1e3).round() / 1e3))

@@ -39,7 +39,7 @@ impl<'a> Checks<'a> {
             return (Word::Indeterminate, "–");
         };
         let mut flanks = check.flanks.iter();
-        let flank = flanks.find(|f| f.tooth == of.tooth && f.flank == of.flank);
+        let flank = flanks.find(|f| f.id.is_same(&of.id));
         (flank.map_or(Word::Indeterminate, |f| f.verdict), &check.at)
     }
 }
@@ -180,7 +180,7 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
         .max_by(|a, b| a.1.cycles.total_cmp(&b.1.cycles));
     let dates = [begun, ended]
         .map(|of| of.map_or((0.0, "–"), |(f, p)| (p.cycles, checks.of_figure(f, p).1)));
-    let mut svg = frame.begin("Wear of all flanks against cycles", limits_um, dates);
+    let mut svg = frame.begin("Wear against cycles, all in one", limits_um, dates);
     let mut order: Vec<&Forecast> = forecasts.iter().filter(|f| !f.points.is_empty()).collect();
     let now = |f: &Forecast| f.points.last().map_or(0.0, |p| p.wear_um);
     order.sort_by(|a, b| now(b).total_cmp(&now(a)));
@@ -191,7 +191,7 @@ pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
             .iter()
             .map(|p| format!("{:.1},{:.1}", frame.x(p.cycles), frame.y(p.wear_um)))
             .collect();
-        let name = format!("tooth {} {}", of.tooth, of.flank);
+        let name = of.id.to_string();
         let (colour, dash) = (
             COLOURS.get(place).unwrap_or(&"#a8b0b8"),
             DASHES.get(place).unwrap_or(&"none"),
@@ -228,7 +228,7 @@ pub(super) fn one(of: &Forecast, checks: &Checks<'_>) -> String {
         cycles: [first, last + ahead.unwrap_or(0.0)],
         wear_um: heights(of.points.iter(), of.limit_um),
     };
-    let title = format!("Wear of tooth {} {} against cycles", of.tooth, of.flank);
+    let title = format!("Wear of {} against cycles", of.id);
     let date = |point: Option<&Point>| {
         point.map_or((0.0, "–"), |p| (p.cycles, checks.of_figure(of, p).1))
     };

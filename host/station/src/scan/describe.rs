@@ -184,7 +184,7 @@ fn of_scan(
             .iter()
             .filter(|f| f.verdict == verdict)
             .take(MOST_NAMED)
-            .map(|f| format!("tooth {} {}", f.tooth, f.flank))
+            .map(|f| f.id.to_string())
             .collect();
         format!("{verdict}: {}; {looked_at} looked at", named.join(", "))
     };

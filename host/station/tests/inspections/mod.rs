@@ -3,7 +3,7 @@
 use flankscope_metrology::verdict::Word;
 use flankscope_station::die::DieKey;
 use flankscope_station::inspection::{
-    Evidence, Feature, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
+    Evidence, Feature, FeatureId, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };
 use flankscope_station::origin::Origin;
 use flankscope_station::seal::Seals;
@@ -17,9 +17,11 @@ pub fn seals() -> Seals {
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
 pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
     let feature = |tooth, flank: &str| Feature {
-        tooth,
-        flank: flank.into(),
-        patch: None,
+        id: FeatureId {
+            tooth,
+            flank: flank.into(),
+            patch: None,
+        },
         wear_um: Some(f64::from(press_cycles) / 8.0),
         u95_um: Some(4.0),
         mean_um: Some(0.0),
