@@ -54,7 +54,7 @@ class GeometryError(FlankscopeError):
 class Head:
     """Camera and projector, calibrated: a head.toml, or an OpenCV calibration (XML, YAML)."""
 
-    def __new__(cls, path: _Path) -> Head: ...
+    def __new__(cls, path: _Path, *, projector: int = 1) -> Head: ...
     @property
     def frame_shape(self) -> tuple[int, int]:
         """Rows and columns of a frame."""

@@ -234,3 +234,76 @@ fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
     assert_eq!(refused.code, 3, "{}", refused.stderr);
     assert!(!folder.path().join("touched.toml").exists());
 }
+
+/// Two projectors: each flank by the one that sees it, both where they agree; stored, recorded and computed again as any check.
+#[test]
+fn a_head_with_two_projectors_sees_more_and_contradicts_itself_by_name() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (twin, one) = (at("twin"), at("one"));
+    written("demo-tool", twin.as_ref(), "twin");
+    written("demo-tool", one.as_ref(), "20mm");
+    let check = |tool: &str, more: &[&str]| {
+        let of_tooth = ["--link", "sim", "--teeth", "40", "--tool", tool];
+        inspect(&[&of_tooth, more].concat())
+    };
+    let (history, frames) = (at("press.db"), at("frames"));
+    let kept = ["--history", &history, "--save-frames", &frames];
+    let worn = check(&twin, &[&["--wear", "40:left:80"][..], &kept].concat());
+    assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
+    let left = &worn.json["features"][0];
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left[key].as_f64().unwrap());
+    assert!((wear_um - 80.0).abs() <= u95_um, "{wear_um} ± {u95_um}");
+    // Dark frame, then twelve patterns at two exposures by each.
+    assert_eq!(worn.json["frames"]["received"], 1 + 2 * 2 * 12);
+    let projectors = &worn.json["registration"][0]["light"]["projectors"];
+    let count = |of: &Value| of.as_u64().unwrap();
+    let alone = [&projectors["alone"][0], &projectors["alone"][1]].map(count);
+    let both = count(&projectors["both"]);
+    assert!(alone[0] > 100 && alone[1] > 100, "{projectors}");
+    assert!(both > 10 * (alone[0] + alone[1]), "{projectors}");
+    let recorded = inspect(&["--frames", &frames, "--tool", &twin]);
+    assert_eq!(recorded.json["features"], worn.json["features"]);
+    let again = run(flankscope()
+        .args(["replay", &history, "1", "--tool", &twin])
+        .args(["--quiet", "--json", "-"]));
+    assert_eq!(again.json["same"], true, "{}", again.json);
+    // The walls of a scratch across hide its floor from a projector on one side.
+    let scratched = |tool: &str| {
+        let found = check(tool, &["--wear", "40:left:150:scratch-across"]);
+        assert_eq!(found.code, 1, "{} {}", found.json["reason"], found.stderr);
+        found.json["features"][0]["u95_um"].as_f64().unwrap()
+    };
+    let (by_both, by_one) = (scratched(&twin), scratched(&one));
+    assert!(by_both < by_one, "{by_both} {by_one}");
+
+    // A second projector that is not where its file says: 0.1 mm along its base are 0.2 mm of depth.
+    let text = std::fs::read_to_string(folder.path().join("twin/head.toml")).unwrap();
+    let second = text
+        .find("[second_projector.projector_from_camera]")
+        .unwrap();
+    let line = second + text[second..].find("translation_mm").unwrap();
+    let end = line + text[line..].find('\n').unwrap();
+    let moved = "translation_mm = [-10.9, 0.0, 2.947]";
+    let moved = [&text[..line], moved, &text[end..]].concat();
+    let elsewhere = folder.path().join("twin/elsewhere.toml");
+    std::fs::write(&elsewhere, moved).unwrap();
+    let strange = check(&twin, &["--head", elsewhere.to_str().unwrap()]);
+    assert_eq!(strange.code, 2, "{}", strange.json["reason"]);
+
+    // What is not calibrated yet is not calibrated silently.
+    let target = at("target");
+    written("demo-target", target.as_ref(), "twin");
+    let refused = run(flankscope()
+        .args(["calibrate", "--link", "sim", "--quiet", "--target", &target])
+        .args(["-o", &at("head.toml")]));
+    assert_eq!(refused.code, 3);
+    assert!(
+        refused.stderr.contains("[second_projector]"),
+        "{}",
+        refused.stderr
+    );
+}

@@ -174,6 +174,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         (None, Some(output)) => {
             can_write(output)?;
             let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+            anyhow::ensure!(
+                head.second_projector.is_none(),
+                "the head to start from has a [second_projector], which is not calibrated yet: take it out for a head with one projector"
+            );
             let job = Job {
                 args,
                 site: args

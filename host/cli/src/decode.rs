@@ -41,6 +41,9 @@ pub struct Args {
     /// Where the cloud goes: binary PLY, or arrays for NumPy (name.npz).
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
+    /// Which of two projectors showed the patterns.
+    #[arg(long, value_name = "1|2", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=2))]
+    projector: u8,
     /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map].
     #[arg(long, value_enum, value_name = "GRID")]
     grid: Option<Grid>,
@@ -133,7 +136,9 @@ struct Elapsed {
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let start = Instant::now();
-    let mut head = HeadModel::load(&args.head).context("head")?;
+    let head = HeadModel::load(&args.head).context("head")?;
+    let head = head.with_projector(args.projector);
+    let mut head = head.context("--projector 2: the head has no [second_projector]")?;
     if let Some(grid) = args.grid {
         grid.impose(&mut head)?;
     }

@@ -234,7 +234,7 @@ impl Instrument {
                         let pictures = Adaptive::open(folder)?;
                         pictures.light(&subject.tool, &subject.head, teeth)?
                     }
-                    None => Light::default(),
+                    None => Light::of(&subject.head),
                 };
                 let known = subject.clone();
                 let setting = site.setting.clone();
@@ -306,6 +306,11 @@ impl<S> Instrument<S> {
         site.demands([tool, head])?;
         let folder = tool_folder(tool, own.path())?;
         let (subject, head_path) = standing(&folder, head, site, quiet, own.path())?;
+        anyhow::ensure!(
+            subject.head.projectors() == 1 || site.link().is_simulated(),
+            "head {:?} has a [second_projector], and the controller switches one projector only: use a head with one",
+            subject.head.name
+        );
         let cores = subject.head.cores.as_ref().map(|cores| cores.file.clone());
         let instrument = Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)

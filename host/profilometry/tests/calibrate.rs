@@ -81,6 +81,7 @@ fn truth() -> HeadModel {
             centre_px: [959.5, 599.5],
             radius_px: 575.0,
         }),
+        second_projector: None,
         cores: None,
         calibration: None,
         self_test: None,

@@ -4,9 +4,11 @@ mod bench_scene;
 
 use bench_scene::*;
 use flankscope_profilometry::decode::MaskOptions;
-use flankscope_profilometry::head::HeadModel;
+use flankscope_profilometry::head::{HeadModel, RigidTransform, SecondProjector};
 use flankscope_profilometry::pattern::{FringeSet, PatternSet};
-use flankscope_profilometry::{DecodeError, DecodeOptions, Decoded, Decoder};
+use flankscope_profilometry::{
+    Accumulator, DecodeError, DecodeOptions, Decoded, Decoder, FrameView,
+};
 
 /// z along a camera ray (x, y, 1).
 type Surface<'a> = &'a dyn Fn([f64; 2]) -> f64;
@@ -418,4 +420,179 @@ fn direct_and_global_light_come_back() {
         assert!((found.global_e - global_e).abs() < 12.0, "{found:?}");
         assert!((found.global_ratio - 0.25).abs() < 1e-3, "{found:?}");
     }
+}
+
+/// The head with a projector on the other side, a little nearer and with another lens.
+fn twin() -> HeadModel {
+    let head = head();
+    let length = 10f64.hypot(19.0);
+    let (x, z) = (10.0 / length, 19.0 / length);
+    let rotation = [[z, 0.0, -x], [0.0, 1.0, 0.0], [x, 0.0, z]];
+    let place = [-10.0, 0.0, 3.0];
+    let translation_mm =
+        rotation.map(|row: [f64; 3]| -(0..3).map(|i| row[i] * place[i]).sum::<f64>());
+    let mut projector = head.projector.clone();
+    projector.focal_px = [2230.0, 2230.0];
+    projector.distortion = [0.05, -0.02, 1e-3, -1e-3, 0.0];
+    HeadModel {
+        second_projector: Some(SecondProjector {
+            projector,
+            mirrors: None,
+            projector_from_camera: RigidTransform {
+                rotation,
+                translation_mm,
+            },
+        }),
+        ..head
+    }
+}
+
+/// The sums of a view that `first` and `second` of the twin's projectors light, each with its own frames.
+fn lit_by_both(
+    twin: &HeadModel,
+    decoder: &Decoder,
+    patterns: &PatternSet,
+    light: [&Light; 2],
+    columns: [Vec<f64>; 2],
+    shadows: [&dyn Fn(usize) -> bool; 2],
+) -> Accumulator {
+    let mut sums = decoder.begin();
+    let mut second = sums.take_second().unwrap();
+    for (at, sums) in [&mut sums, &mut second].into_iter().enumerate() {
+        let mut frames = capture(twin, decoder, patterns, &columns[at], &[1.0], light[at]);
+        for (kind, pixels) in &mut frames {
+            for (place, dn) in pixels.iter_mut().enumerate() {
+                if shadows[at](place % WIDTH) {
+                    *dn = 100;
+                }
+            }
+            let frame = FrameView::packed(pixels, WIDTH, HEIGHT);
+            sums.add(frame, *kind).unwrap();
+        }
+    }
+    sums.put_second(second);
+    sums
+}
+
+#[test]
+fn two_projectors_measure_what_either_sees_and_nothing_that_they_contradict_each_other_on() {
+    let twin = twin();
+    let by_second = twin.with_projector(2).unwrap();
+    let surface = plane([0.05, -0.03, 1.0], 21.9);
+    let patterns = PatternSet::named("high12").unwrap();
+    let decoder = Decoder::new(&twin, &patterns, &[1000], DecodeOptions::for_head(&twin)).unwrap();
+    assert_eq!(decoder.projectors(), 2);
+    let true_columns = columns(&by_second, &surface);
+    // Over the last rows the second one's light comes from a place 0.2 mm deeper.
+    let elsewhere = columns(&by_second, |ray| surface(ray) + 0.2);
+    let misled = |row: usize| row >= 80;
+    let second = (0..WIDTH * HEIGHT)
+        .map(|place| match misled(place / WIDTH) {
+            true => elsewhere[place],
+            false => true_columns[place],
+        })
+        .collect();
+    let sums = lit_by_both(
+        &twin,
+        &decoder,
+        &patterns,
+        [&BRIGHT; 2],
+        [columns(&twin, &surface), second],
+        [&|column| column < 40, &|column| column >= 110],
+    );
+    let decoded = decoder.finish(&sums).unwrap();
+    let found = decoded.projectors.unwrap();
+    let mut here = [0usize; 3];
+    for (point, cell) in decoded.cloud.points_mm.iter().zip(&decoded.cloud.cell) {
+        let [column, row] = cell.map(usize::from);
+        let z = surface(ray(&twin, column as f64, row as f64));
+        // What only the misled one saw nobody contradicts.
+        let deeper = if misled(row) && column < 40 { 0.2 } else { 0.0 };
+        let off = (point[2] - z - deeper).abs();
+        assert!(off < 1e-5, "{cell:?}: {off} mm");
+        here[usize::from(column >= 40) + usize::from(column >= 110)] += 1;
+        assert!(!(misled(row) && (40..110).contains(&column)), "{cell:?}");
+    }
+    assert_eq!(here, [found.alone[1], found.both, found.alone[0]]);
+    // The outermost columns are off the projectors.
+    assert!(here[0] > 25 * HEIGHT && here[2] > 25 * HEIGHT, "{here:?}");
+    assert!(
+        here[1] > 69 * 80 && found.disagreeing > 69 * 16,
+        "{found:?}"
+    );
+    assert!(found.apart_um.unwrap().abs() < 0.01, "{found:?}");
+    assert_eq!(decoded.cloud.light.len(), decoded.cloud.len());
+    // As bytes and back.
+    let bytes = sums.to_bytes();
+    assert_eq!(bytes.len(), sums.byte_count());
+    let mut again = decoder.begin();
+    again.restore(&bytes).unwrap();
+    assert_eq!(decoder.finish(&again).unwrap(), decoded);
+    let short = &bytes[..bytes.len() / 2];
+    assert!(again.restore(short).is_err(), "one projector's alone");
+    // A view of which one projector's frames are not there yet.
+    let mut half = sums;
+    let mut second = half.take_second().unwrap();
+    second.reset();
+    half.put_second(second);
+    let error = decoder.finish(&half).unwrap_err();
+    assert!(matches!(error, DecodeError::Incomplete { .. }), "{error}");
+}
+
+/// What both measured is as uncertain as is said, and less than what either does.
+#[test]
+fn two_projectors_are_surer_than_one() {
+    let twin = twin();
+    let surface = plane([0.05, -0.03, 1.0], 21.9);
+    let patterns = PatternSet::named("high12").unwrap();
+    let options = DecodeOptions::for_head(&twin);
+    let decoder = Decoder::new(&twin, &patterns, &[1000], options).unwrap();
+    let [one, two] = [11, 12].map(|seed| Light {
+        noise_seed: Some(seed),
+        ..BRIGHT
+    });
+    let by_second = twin.with_projector(2).unwrap();
+    let sums = lit_by_both(
+        &twin,
+        &decoder,
+        &patterns,
+        [&one, &two],
+        [columns(&twin, &surface), columns(&by_second, &surface)],
+        [&|_| false, &|_| false],
+    );
+    let both = decoder.finish(&sums).unwrap();
+    let alone = twin.with_projector(1).unwrap();
+    let single = decode(
+        &alone,
+        &patterns,
+        &columns(&alone, &surface),
+        &[1.0],
+        &one,
+        1,
+    );
+    // Root mean squares of error and of what was predicted for it, over the cells of both views.
+    let errors = |decoded: &Decoded| {
+        let (mut squares, mut predicted, mut count) = (0.0, 0.0, 0.0);
+        let cloud = &decoded.cloud;
+        for (i, cell) in cloud.cell.iter().enumerate() {
+            if (30..120).contains(&cell[0]) {
+                let z = surface(ray(&twin, f64::from(cell[0]), f64::from(cell[1])));
+                squares += (cloud.points_mm[i][2] - z).powi(2);
+                predicted += f64::from(cloud.sigma_z_mm[i]).powi(2);
+                count += 1.0;
+            }
+        }
+        [squares, predicted].map(|sum| f64::sqrt(sum / count))
+    };
+    let [error, predicted] = errors(&both);
+    let [error_of_one, predicted_of_one] = errors(&single);
+    // 8600 cells: a standard deviation is known to 1 %. The half distance as least uncertainty only adds.
+    assert!(
+        error < 1.05 * predicted && predicted < 1.3 * error,
+        "{error} {predicted}"
+    );
+    assert!((error_of_one / predicted_of_one - 1.0).abs() < 0.05);
+    // Alike but for 11 and 10 mm of base: about the square root of two.
+    let gain = error_of_one / error;
+    assert!((1.25..1.5).contains(&gain), "{gain}");
 }

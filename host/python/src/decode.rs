@@ -25,10 +25,15 @@ pub struct Head {
 
 #[pymethods]
 impl Head {
-    /// Reads a head.toml, or an OpenCV calibration.
+    /// Reads a head.toml, or an OpenCV calibration; of a head with two projectors, one of them.
     #[new]
-    fn new(path: PathBuf) -> PyResult<Self> {
+    #[pyo3(signature = (path, *, projector = 1))]
+    fn new(path: PathBuf, projector: u8) -> PyResult<Self> {
         let head = HeadModel::load(&path).map_err(file)?;
+        let head = head.with_projector(projector).ok_or_else(|| {
+            let has = head.projectors();
+            ArrayError::new_err(format!("projector is {projector}, the head has {has}"))
+        })?;
         Ok(Self { head })
     }
 

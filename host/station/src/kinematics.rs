@@ -11,7 +11,7 @@
 //! ```
 //! A turn about an axis and a way along it can be done in either order, so both chains are one, mirrored.
 
-use flankscope_foundation::rigid::{Camera, Rigid, Stage, Tool};
+use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage, Tool};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +60,7 @@ pub fn tool_from_camera(
 /// The space that the head takes in the tool on its way through the views: a sector of a ring about the axis, between two heights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SweptVolume {
-    /// Farthest of camera and projector window from the axis, mm.
+    /// Farthest of the camera's and the projectors' windows from the axis, mm.
     pub reach_mm: f64,
     /// Nearest of them, mm.
     pub nearest_mm: f64,
@@ -78,26 +78,32 @@ impl SweptVolume {
         views: impl Iterator<Item = (f64, f64)>,
         retract_mm: f64,
         stage_from_camera: Rigid<Stage, Camera>,
-        projector_from_camera: &Isometry3<f64>,
+        projectors_from_camera: &[Rigid<Projector, Camera>],
     ) -> Self {
         let camera = stage_from_camera.isometry();
-        let windows = [
-            camera.translation.vector,
-            (camera * projector_from_camera.inverse())
-                .translation
-                .vector,
-        ];
+        let projectors = projectors_from_camera.iter();
+        let projectors = projectors.map(|pose| camera * pose.isometry().inverse());
+        let windows: Vec<Vector3<f64>> = std::iter::once(*camera)
+            .chain(projectors)
+            .map(|window| window.translation.vector)
+            .collect();
         let (mut low, mut high) = (f64::INFINITY, retract_mm);
         let (mut first, mut last) = (f64::INFINITY, f64::NEG_INFINITY);
         for (turn_rad, lift_mm) in views {
             (low, high) = (low.min(lift_mm), high.max(lift_mm));
             (first, last) = (first.min(turn_rad), last.max(turn_rad));
         }
-        let [below, above] = [f64::min, f64::max].map(|of| of(windows[0].z, windows[1].z));
-        let from_axis_mm = windows.map(|window| window.x.hypot(window.y));
+        let span = |of: fn(&Vector3<f64>) -> f64| {
+            let values = windows.iter().map(of);
+            values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| {
+                [low.min(x), high.max(x)]
+            })
+        };
+        let [below, above] = span(|window| window.z);
+        let [nearest_mm, reach_mm] = span(|window| window.x.hypot(window.y));
         Self {
-            reach_mm: f64::max(from_axis_mm[0], from_axis_mm[1]),
-            nearest_mm: f64::min(from_axis_mm[0], from_axis_mm[1]),
+            reach_mm,
+            nearest_mm,
             heights_mm: [low + below, high + above],
             sector_rad: match moves {
                 Moves::Head | Moves::Outside => (last - first).clamp(0.0, std::f64::consts::TAU),
@@ -183,9 +189,9 @@ mod tests {
     fn a_head_that_turns_sweeps_a_sector_and_one_that_does_not_a_line() {
         let head: Rigid<Stage, Camera> =
             Rigid::from_isometry(Translation3::new(20.0, 0.0, 1.0).into());
-        let projector = Isometry3::from(Translation3::new(-3.0, -4.0, 0.0));
+        let projector = Rigid::from_isometry(Isometry3::from(Translation3::new(-3.0, -4.0, 0.0)));
         let views = [(-0.5, 33.0), (1.0, 20.0)];
-        let of = |moves| SweptVolume::of(moves, views.into_iter(), 86.0, head, &projector);
+        let of = |moves| SweptVolume::of(moves, views.into_iter(), 86.0, head, &[projector]);
         let swept = of(Moves::Head);
         assert!((swept.reach_mm - 23f64.hypot(4.0)).abs() < 1e-12);
         assert!((swept.nearest_mm - 20.0).abs() < 1e-12);

@@ -8,7 +8,9 @@ use flankscope_bench::files::{MadeHead, OPTICS_FILE};
 use flankscope_bench::world::{HeadDesign, Pinhole};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::head::{self, DepthRange, ImageCircle, RigidTransform, Sensor};
+use flankscope_profilometry::head::{
+    self, DepthRange, ImageCircle, RigidTransform, SecondProjector, Sensor,
+};
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -120,6 +122,14 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
         camera: pinhole_file(&optics.camera, optics.camera_size_px),
         projector: pinhole_file(&optics.projector, optics.projector_size_px),
         projector_from_camera: transform_file(&optics.projector_from_camera),
+        second_projector: optics
+            .second_projector
+            .as_ref()
+            .map(|second| SecondProjector {
+                projector: pinhole_file(&second.projector, optics.projector_size_px),
+                mirrors: None,
+                projector_from_camera: transform_file(&second.projector_from_camera),
+            }),
         stage_from_camera: Some(transform_file(&optics.stage_from_camera)),
         sensor: Some(Sensor {
             full_well_e: sensor.full_well_e,

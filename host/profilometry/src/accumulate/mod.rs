@@ -47,6 +47,8 @@ pub struct Accumulator {
     pub(crate) layout: Arc<Layout>,
     pub(crate) bands: Vec<Band>,
     next: usize,
+    /// Those of the same view by the head's second projector.
+    pub(crate) second: Option<Box<Self>>,
 }
 
 impl Accumulator {
@@ -63,12 +65,26 @@ impl Accumulator {
             layout,
             bands,
             next: 0,
+            second: None,
         }
+    }
+
+    /// The sums of the same view by the head's second projector, whose frames they take as any other's; none of a head with one.
+    pub fn take_second(&mut self) -> Option<Self> {
+        self.second.take().map(|second| *second)
+    }
+
+    /// Puts them back.
+    pub fn put_second(&mut self, second: Self) {
+        self.second = Some(Box::new(second));
     }
 
     /// Forgets the view; allocates nothing.
     pub fn reset(&mut self) {
         self.next = 0;
+        if let Some(second) = &mut self.second {
+            second.reset();
+        }
     }
 
     /// The frame that must come next; `None` when the view is complete.

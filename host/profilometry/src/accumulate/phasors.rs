@@ -8,7 +8,7 @@
 //!  difference f32, amplitude f32               for each bit of a code, most significant first
 //! ```
 //!
-//! All little endian. The phasor of a cell is `re + i im` over `sum`, each summed over steps and over the exposures that did
+//! Of a head with two projectors those of the second follow, in the same way. All little endian. The phasor of a cell is `re + i im` over `sum`, each summed over steps and over the exposures that did
 //! not saturate.
 
 use crate::accumulate::{Accumulator, Band};
@@ -55,6 +55,10 @@ impl Accumulator {
     /// Bytes that [`Self::to_bytes`] gives, whatever was summed.
     #[must_use]
     pub fn byte_count(&self) -> usize {
+        self.own_byte_count() + self.second.as_ref().map_or(0, |second| second.byte_count())
+    }
+
+    fn own_byte_count(&self) -> usize {
         let cells = self.layout.grid.len();
         let dark = if self.layout.dark_frame { 4 * cells } else { 0 };
         let tested = if self.layout.noise.is_some() { 4 } else { 0 };
@@ -92,6 +96,9 @@ impl Accumulator {
             plane(&mut bytes, &|band| &band.code[bit].difference);
             plane(&mut bytes, &|band| &band.code[bit].amplitude);
         }
+        if let Some(second) = &self.second {
+            bytes.extend(second.to_bytes());
+        }
         bytes
     }
 
@@ -126,6 +133,10 @@ impl Accumulator {
                 got: bytes.len(),
                 expected,
             });
+        }
+        let own = self.own_byte_count();
+        if let Some(second) = &mut self.second {
+            second.restore(&bytes[own..])?;
         }
         for band in &mut self.bands {
             fill(&mut band.dark, &mut rest);

@@ -136,6 +136,20 @@ impl LightMedians {
     }
 }
 
+/// What both projectors made of a view.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Projectors {
+    /// Cells that each of them measured alone.
+    pub alone: [usize; 2],
+    /// Cells that both measured, and agreed on.
+    pub both: usize,
+    /// Cells that both measured without agreeing: none of them is a point.
+    pub disagreeing: usize,
+    /// Depth by the second minus depth by the first over all cells that both measured, median, um; absent without any. It is what
+    /// their calibrations differ by.
+    pub apart_um: Option<f64>,
+}
+
 /// A decoded view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
@@ -156,4 +170,6 @@ pub struct Decoded {
     /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
     /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.
     pub contrast: Vec<f64>,
+    /// What two projectors made of it; `None` of a head with one.
+    pub projectors: Option<Projectors>,
 }

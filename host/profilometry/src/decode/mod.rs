@@ -10,8 +10,9 @@ mod neighbourhood;
 mod options;
 mod passes;
 mod rays;
+mod two_projectors;
 
-use std::f64::consts::TAU;
+use std::f64::consts::{SQRT_2, TAU};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -26,10 +27,13 @@ use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
-pub use crate::cloud::{CellColumn, Cloud, Decoded, LightMedians, PatchOptions, Rejected};
+pub use crate::cloud::{
+    CellColumn, Cloud, Decoded, LightMedians, PatchOptions, Projectors, Rejected,
+};
 pub use crate::phase::mask::MaskOptions;
 pub use crate::phase::parts::LightParts;
 use cell::{CellResult, Fate};
@@ -70,6 +74,10 @@ pub struct Decoder {
     chi_square_limits: Vec<f32>,
     /// Lateral size of a cell per unit of depth.
     cell_by_depth: f64,
+    /// The same head by its second projector, if it has one.
+    second: Option<Box<Self>>,
+    /// What the calibrations of both projectors may differ by, mm.
+    allowed_apart_mm: f64,
 }
 
 impl Decoder {
@@ -172,6 +180,15 @@ impl Decoder {
             consistency::limits(gate.least_probability, most)
         });
         let floors_dn = floor::floors_dn(patterns, &options, &sensor);
+        let by_second = head.with_projector(2);
+        let second = by_second
+            .map(|head| Self::new(&head, patterns, exposures_us, options.clone()))
+            .transpose()?
+            .map(Box::new);
+        let calibration = head.calibration.as_ref();
+        let allowed_apart_mm = calibration.map_or(two_projectors::UNCALIBRATED_MM, |record| {
+            COVERAGE_95 * SQRT_2 * 1e-3 * record.depth_sigma_um
+        });
         Ok(Self {
             layout: Arc::new(layout),
             patterns: patterns.clone(),
@@ -192,12 +209,23 @@ impl Decoder {
             floors_dn,
             chi_square_limits,
             cell_by_depth,
+            second,
+            allowed_apart_mm,
         })
     }
 
     /// Empty sums for one view; reuse them with [`Accumulator::reset`].
     pub fn begin(&self) -> Accumulator {
-        Accumulator::new(Arc::clone(&self.layout))
+        let mut sums = Accumulator::new(Arc::clone(&self.layout));
+        if let Some(second) = &self.second {
+            sums.put_second(second.begin());
+        }
+        sums
+    }
+
+    /// How many projectors its head has; each shows all patterns, one after the other.
+    pub fn projectors(&self) -> usize {
+        1 + usize::from(self.second.is_some())
     }
 
     /// The grid of cells.
@@ -241,6 +269,54 @@ impl Decoder {
     /// [`DecodeError::Incomplete`], [`DecodeError::ForeignAccumulator`]. A view without any point is no error here.
     pub fn finish(&self, accumulator: &Accumulator) -> Result<Decoded, DecodeError> {
         self.admit(accumulator)?;
+        let Measured {
+            mut results,
+            fringes_dn,
+            frame_noise_ratio,
+        } = self.measure(accumulator);
+        let mut by_second = Vec::new();
+        let mut projectors = None;
+        let second = self.second.as_deref().zip(accumulator.second.as_deref());
+        if let Some((second, sums)) = second {
+            let other = second.measure(sums);
+            let allowed_mm = self.allowed_apart_mm;
+            let (found, marked) = two_projectors::join(&mut results, &other.results, allowed_mm);
+            (projectors, by_second) = (Some(found), marked);
+        }
+        if let Some(options) = &self.options.patches {
+            for cell in small_patches(&self.layout.grid, &results, self.cell_by_depth, options) {
+                results[cell].reject(Fate::Isolated);
+            }
+        }
+        let mut decoded = self.collect(&results, fringes_dn.as_deref());
+        let by_first = |cell: usize| !by_second.get(cell).copied().unwrap_or(false);
+        decoded.cloud.light = match second {
+            None => self.light(accumulator, &results, &by_first),
+            // Every point's light is that of the projector which counts more in it.
+            Some((second, sums)) => {
+                let own = self.light(accumulator, &results, &by_first);
+                let other = second.light(sums, &results, &|cell| by_second[cell]);
+                let points = (0..results.len()).filter(|cell| results[*cell].fate == Fate::Point);
+                let (mut own, mut other) = (own.into_iter(), other.into_iter());
+                points
+                    .filter_map(|cell| match by_second[cell] {
+                        false => own.next(),
+                        true => other.next(),
+                    })
+                    .collect()
+            }
+        };
+        Ok(Decoded {
+            frame_noise_ratio,
+            contrast: self.contrasts(accumulator, &results, &by_first),
+            light: LightMedians::of(&decoded.cloud.light),
+            projectors,
+            ..decoded
+        })
+    }
+
+    /// What one projector makes of every cell by itself.
+    fn measure(&self, accumulator: &Accumulator) -> Measured {
         let fringes_dn = self
             .options
             .mask
@@ -265,19 +341,11 @@ impl Decoder {
                 }
             }
         }
-        if let Some(options) = &self.options.patches {
-            for cell in small_patches(&self.layout.grid, &results, self.cell_by_depth, options) {
-                results[cell].reject(Fate::Isolated);
-            }
-        }
-        let mut decoded = self.collect(&results, fringes_dn.as_deref());
-        decoded.cloud.light = self.light(accumulator, &results);
-        Ok(Decoded {
+        Measured {
             frame_noise_ratio: view.frame_noise_ratio,
-            contrast: self.contrasts(accumulator, &results),
-            light: LightMedians::of(&decoded.cloud.light),
-            ..decoded
-        })
+            results,
+            fringes_dn,
+        }
     }
 
     fn depths(&self, view: &Conditioned<'_>) -> Vec<CellResult> {
@@ -326,8 +394,13 @@ impl Decoder {
         median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
     }
 
-    /// Direct and global light of every point.
-    fn light(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<LightParts> {
+    /// Direct and global light of every point of the cells asked for.
+    fn light(
+        &self,
+        accumulator: &Accumulator,
+        results: &[CellResult],
+        of: &(dyn Fn(usize) -> bool + Sync),
+    ) -> Vec<LightParts> {
         let finest = self.layout.steps.len() - 1;
         // A point's neighbours may have lent it all its light.
         let dark = LightParts {
@@ -339,7 +412,10 @@ impl Decoder {
             estimate.map_or(dark, |own| LightParts::of(&own, self.fringe_contrast))
         };
         let of_band = |band: &Band| -> Vec<LightParts> {
-            let is_point = |index: &usize| results[band.first_cell + index].fate == Fate::Point;
+            let is_point = |index: &usize| {
+                let cell = band.first_cell + index;
+                results[cell].fate == Fate::Point && of(cell)
+            };
             let points = (0..band.cells).filter(is_point);
             points.map(|index| of_cell(band, index)).collect()
         };
@@ -347,13 +423,19 @@ impl Decoder {
         bands.concat()
     }
 
-    /// Median contrast of each frequency over the cells with a point.
-    fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
+    /// Median contrast of each frequency over the cells asked for that have a point.
+    fn contrasts(
+        &self,
+        accumulator: &Accumulator,
+        results: &[CellResult],
+        of: &(dyn Fn(usize) -> bool + Sync),
+    ) -> Vec<f64> {
         let of_set = |set: usize| -> Option<f64> {
             let of_band = |band: &Band| -> Vec<f64> {
                 let cell = |index: usize| {
                     let noise = self.noise(band, index);
-                    let seen = results[band.first_cell + index].fate == Fate::Point;
+                    let at = band.first_cell + index;
+                    let seen = results[at].fate == Fate::Point && of(at);
                     let estimate = seen.then(|| self.estimate(band, index, set, &noise).ok())??;
                     Some(estimate.contrast())
                 };
@@ -435,6 +517,11 @@ impl Decoder {
         if !Arc::ptr_eq(&accumulator.layout, &self.layout) {
             return Err(DecodeError::ForeignAccumulator);
         }
+        match (&self.second, &accumulator.second) {
+            (None, None) => {}
+            (Some(second), Some(sums)) => second.admit(sums)?,
+            _ => return Err(DecodeError::ForeignAccumulator),
+        }
         match accumulator.expected() {
             None => Ok(()),
             Some(expected) => Err(DecodeError::Incomplete {
@@ -497,8 +584,17 @@ impl Decoder {
             frame_noise_ratio: 1.0,
             light: None,
             contrast: Vec::new(),
+            projectors: None,
         }
     }
+}
+
+/// What the frames of one projector tell of every cell.
+struct Measured {
+    results: Vec<CellResult>,
+    /// What the mask goes by, if there is one.
+    fringes_dn: Option<Vec<f32>>,
+    frame_noise_ratio: f64,
 }
 
 /// What a frame of one cell scatters by.

@@ -204,7 +204,9 @@ pub(crate) fn geometry_blake3(head: &HeadModel) -> String {
             hasher.update(&value.to_bits().to_le_bytes());
         }
     };
-    for lens in [&head.camera, &head.projector] {
+    let second = head.second_projector.as_ref();
+    let lenses = [&head.camera, &head.projector].into_iter();
+    for lens in lenses.chain(second.map(|of| &of.projector)) {
         numbers(&[f64::from(lens.width_px), f64::from(lens.height_px)]);
         numbers(&lens.focal_px);
         numbers(&lens.principal_px);
@@ -221,7 +223,8 @@ pub(crate) fn geometry_blake3(head: &HeadModel) -> String {
             );
         }
     }
-    for pose in [Some(head.projector_from_camera), head.stage_from_camera] {
+    let poses = [Some(head.projector_from_camera), head.stage_from_camera].into_iter();
+    for pose in poses.chain(second.map(|of| Some(of.projector_from_camera))) {
         for row in pose.iter().flat_map(|pose| pose.rotation) {
             numbers(&row);
         }

@@ -9,6 +9,7 @@ mod mirrors;
 mod opencv;
 mod pose;
 pub mod residual;
+mod second_projector;
 mod self_test;
 mod sensor;
 mod volume;
@@ -29,6 +30,7 @@ pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
 pub use mirrors::{Arrangement, Mirrors};
 pub use pose::RigidTransform;
+pub use second_projector::SecondProjector;
 pub use self_test::{Limits, SelfTest, Unfit};
 pub use sensor::Sensor;
 pub use volume::{DepthRange, ImageCircle};
@@ -64,6 +66,9 @@ pub struct HeadModel {
     pub fringe_contrast: Option<f64>,
     /// `X_projector = rotation X_camera + translation_mm`.
     pub projector_from_camera: RigidTransform,
+    /// A second projector on the other side of the camera, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub second_projector: Option<SecondProjector>,
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage_from_camera: Option<RigidTransform>,
@@ -147,6 +152,7 @@ impl HeadModel {
             mirrors: None,
             fringe_contrast: None,
             projector_from_camera,
+            second_projector: None,
             stage_from_camera: None,
             sensor: None,
             volume: None,
@@ -201,6 +207,9 @@ impl HeadModel {
             mirrors.check(&self.projector)?;
         }
         self.projector_from_camera.check("projector_from_camera")?;
+        if let Some(second) = &self.second_projector {
+            second.check()?;
+        }
         if let Some(hand_eye) = &self.stage_from_camera {
             hand_eye.check("stage_from_camera")?;
         }

@@ -45,6 +45,7 @@ pub fn head() -> HeadModel {
             rotation,
             translation_mm,
         },
+        second_projector: None,
         stage_from_camera: None,
         sensor: Some(Sensor {
             full_well_e: 60_000.0,

@@ -48,20 +48,25 @@ pub fn planned_frames(decoder: &Decoder, lit_ratios: &[f64]) -> Vec<PlannedFrame
 #[derive(Clone, Debug)]
 pub struct ViewSums {
     first: Accumulator,
+    /// Those of later passes, or of a second projector.
     others: Vec<Accumulator>,
 }
 
 impl ViewSums {
     /// Empty ones.
     pub fn new(decoder: &Decoder, passes: usize) -> Self {
-        Self {
-            first: decoder.begin(),
-            others: (1..passes).map(|_| decoder.begin()).collect(),
-        }
+        let mut first = decoder.begin();
+        // A second projector shows its patterns as a second pass.
+        let others = match first.take_second() {
+            Some(second) => vec![second],
+            None => (1..passes).map(|_| decoder.begin()).collect(),
+        };
+        Self { first, others }
     }
 
     /// Forgets the view.
     pub fn reset(&mut self) {
+        self.others.extend(self.first.take_second());
         self.passes().for_each(Accumulator::reset);
     }
 
@@ -89,7 +94,11 @@ impl ViewSums {
 
     /// The sums of the view; empty ones, which no decoder takes for a view, if a pass is not whole.
     pub fn joined(&mut self, decoder: &Decoder) -> &Accumulator {
-        if !self.others.is_empty()
+        if decoder.projectors() > 1
+            && let Some(second) = self.others.pop()
+        {
+            self.first.put_second(second);
+        } else if !self.others.is_empty()
             && let Err(error) = decoder.join_passes(&mut self.first, &self.others)
         {
             tracing::error!(%error, "passes of a view");

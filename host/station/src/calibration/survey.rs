@@ -13,6 +13,7 @@ use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop,
 };
 use crate::controller::{Client, ClientSettings};
+use crate::inspection::Light;
 use crate::settings::StationSettings;
 use flankscope_frames::{FrameReceiver, SharedRoot};
 
@@ -87,7 +88,7 @@ impl<O: Send + 'static> Surveyor<O> {
         let program = Program {
             positions: positions.collect(),
             patterns,
-            lit_ratios: Vec::new(),
+            lit_ratios: Light::of(head).lit_ratios,
             exposures_us,
             retract_mm: target.retract_mm,
             timing: station.timing.clone(),

@@ -186,10 +186,11 @@ pub(super) fn check_way(
     views: &[PlannedView],
     out_mm: f64,
     hand_eye: Rigid<Stage, Camera>,
-    projector_from_camera: Rigid<Projector, Camera>,
+    projectors_from_camera: &[Rigid<Projector, Camera>],
 ) -> Result<(), PatchViewError> {
     let camera = hand_eye.isometry();
-    let projector = camera * projector_from_camera.isometry().inverse();
+    let projectors = projectors_from_camera.iter();
+    let projectors = projectors.map(|pose| camera * pose.isometry().inverse());
     let span = |of: fn(&PlannedView) -> f64| {
         let values = views.iter().map(of);
         values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], x| {
@@ -202,7 +203,8 @@ pub(super) fn check_way(
         let count = (length / STEP_MM).ceil().max(1.0) as u32;
         (0..=count).map(move |i| from + (to - from) * f64::from(i) / f64::from(count))
     };
-    for window in [camera.translation.vector, projector.translation.vector] {
+    for window in std::iter::once(*camera).chain(projectors) {
+        let window = window.translation.vector;
         let out_mm = high_mm.max(out_mm);
         let around_mm = window.x.hypot(window.y) * (turns[1] - turns[0]);
         for turn in steps(turns, around_mm) {

@@ -54,6 +54,21 @@ pub struct Light {
     pub bend: Option<Bend>,
 }
 
+impl Light {
+    /// All mirrors of every projector, one projector after the other.
+    #[must_use]
+    pub fn of(head: &HeadModel) -> Self {
+        let lit_ratios = match head.projectors() {
+            1 => Vec::new(),
+            several => vec![1.0; several],
+        };
+        Self {
+            lit_ratios,
+            bend: None,
+        }
+    }
+}
+
 /// All views of a check and how each is exposed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ViewPlan {
@@ -207,7 +222,7 @@ impl ViewPlan {
         Ok(Self {
             views,
             patterns,
-            lit_ratios: Vec::new(),
+            lit_ratios: Light::of(head).lit_ratios,
             exposures_us: head.exposures_us.clone(),
             dark_frame: true,
             sensor: None,
@@ -357,9 +372,13 @@ impl ViewPlan {
         let Some(hand_eye) = &head.stage_from_camera else {
             return Ok(());
         };
-        let (Ok(hand_eye), Ok(projector)) = (
+        let second = head.second_projector.as_ref();
+        let projectors = [head.projector_from_camera].into_iter();
+        let projectors = projectors.chain(second.map(|second| second.projector_from_camera));
+        let projectors = projectors.map(|pose| pose.rigid::<Projector, Camera>());
+        let (Ok(hand_eye), Ok(projectors)) = (
             hand_eye.rigid::<Stage, Camera>(),
-            head.projector_from_camera.rigid::<Projector, Camera>(),
+            projectors.collect::<Result<Vec<_>, _>>(),
         ) else {
             return Ok(());
         };
@@ -375,11 +394,11 @@ impl ViewPlan {
                     &self.views,
                     out_mm,
                     hand_eye,
-                    projector,
+                    &projectors,
                 )?),
             };
         };
-        let swept = SweptVolume::of(moves, views, out_mm, hand_eye, projector.isometry());
+        let swept = SweptVolume::of(moves, views, out_mm, hand_eye, &projectors);
         if swept.heights_mm[0] >= gear.height_mm[1] {
             return Ok(());
         }

@@ -7,7 +7,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
-use flankscope_profilometry::decode::{LightMedians, Rejected};
+use flankscope_profilometry::decode::{LightMedians, Projectors, Rejected};
 use serde::Serialize;
 
 use crate::baseline::{Baseline, BaselineError, Reference};
@@ -238,6 +238,9 @@ pub struct Light {
     /// Direct and global light, medians over the points; absent without any.
     #[serde(flatten)]
     pub medians: Option<LightMedians>,
+    /// What two projectors made of the view; absent of a head with one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub projectors: Option<Projectors>,
     /// Part of the points whose fringe order is another than the drawing's at the pose found: damage deeper than half a fringe,
     /// another die, light over a second surface. It is told and changes nothing: the frequencies alone say which order it is.
     pub other_order_ratio: f64,

@@ -297,6 +297,7 @@ impl Evaluator {
             rejected: decoded.rejected,
             contrast: decoded.contrast.clone(),
             medians: decoded.light,
+            projectors: decoded.projectors,
             other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
         };
         let measured = Measured {

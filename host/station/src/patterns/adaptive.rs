@@ -184,6 +184,9 @@ impl Adaptive {
                 expected: set.into(),
             });
         }
+        if head.projectors() > 1 {
+            return Err(AdaptiveError::TwoProjectors);
+        }
         if self.mirrors != head.mirrors() {
             return Err(AdaptiveError::Mirrors);
         }
@@ -237,6 +240,11 @@ pub enum AdaptiveError {
         /// Why it cannot be used.
         reason: String,
     },
+    /// Passes are of one projector.
+    #[error(
+        "the head has two projectors, which show whole patterns one after the other; passes are for a head with one"
+    )]
+    TwoProjectors,
     /// Another document.
     #[error("{} has format {got:?}; right would be {:?}", path.display(), Adaptive::FORMAT)]
     Format {

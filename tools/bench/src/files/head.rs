@@ -6,7 +6,7 @@ use nalgebra::Isometry3;
 use serde::Deserialize;
 
 use super::{FileError, Placement, read};
-use crate::world::{HeadDesign, HeadOptics, Pinhole, Remainder, Unevenness};
+use crate::world::{HeadDesign, HeadOptics, Pinhole, Remainder, SecondProjector, Unevenness};
 
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
@@ -19,8 +19,19 @@ pub struct HeadFile {
     pub projector: Lens,
     /// Projector against camera.
     pub projector_from_camera: Placement,
+    /// Another projector.
+    pub second_projector: Option<SecondLens>,
     /// Camera on the stages; without it, where the head as it was made has it.
     pub stage_from_camera: Option<Placement>,
+}
+
+/// A second projector.
+#[derive(Clone, Debug, Deserialize)]
+pub struct SecondLens {
+    /// Objective and DMD.
+    pub projector: Lens,
+    /// Against the camera.
+    pub projector_from_camera: Placement,
 }
 
 /// Pinhole with Brown's distortion, in OpenCV's order.
@@ -61,6 +72,10 @@ impl HeadFile {
             camera: lens(&optics.camera),
             projector: lens(&optics.projector),
             projector_from_camera: (&optics.projector_from_camera).into(),
+            second_projector: optics.second_projector.as_ref().map(|second| SecondLens {
+                projector: lens(&second.projector),
+                projector_from_camera: (&second.projector_from_camera).into(),
+            }),
             stage_from_camera: Some((&optics.stage_from_camera).into()),
         }
     }
@@ -70,6 +85,13 @@ impl HeadFile {
         optics.camera = self.camera.pinhole();
         optics.projector = self.projector.pinhole();
         optics.projector_from_camera = (&self.projector_from_camera).into();
+        optics.second_projector = self
+            .second_projector
+            .as_ref()
+            .map(|second| SecondProjector {
+                projector: second.projector.pinhole(),
+                projector_from_camera: (&second.projector_from_camera).into(),
+            });
         if let Some(hand_eye) = &self.stage_from_camera {
             optics.stage_from_camera = Isometry3::from(hand_eye);
         }

@@ -48,6 +48,12 @@ fn checked(head: HeadDesign, path: &Path) -> Result<HeadDesign, FileError> {
     if !(head.angle_deg > 0.0 && head.angle_deg < 90.0) {
         return Err(bad("angle_deg", head.angle_deg, "above 0 and below 90"));
     }
+    if let Some(angle_deg) = head.second_angle_deg
+        && !(angle_deg > 0.0 && angle_deg < 90.0)
+    {
+        let expected = "above 0 and below 90: it is on the camera's other side";
+        return Err(bad("second_angle_deg", angle_deg, expected));
+    }
     if head.volume_mm[0] >= head.volume_mm[1] {
         let expected = "beyond volume_mm[0]";
         return Err(bad("volume_mm[1]", head.volume_mm[1], expected));

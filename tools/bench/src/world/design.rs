@@ -4,13 +4,15 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use serde::Deserialize;
 
 use super::liquid::{Driven, LiquidLens, Refracted};
+use super::optics::SecondProjector;
 use super::{BundleSpec, HeadOptics, Objective, Pinhole, SensorSpec, WorldConfig};
 
 /// The heads that come along: name and text of their `optics.toml`.
-pub const AT_HAND: [(&str, &str); 3] = [
+pub const AT_HAND: [(&str, &str); 4] = [
     ("10mm", include_str!("../../heads/10mm.toml")),
     ("20mm", include_str!("../../heads/20mm.toml")),
     ("liquid", include_str!("../../heads/liquid.toml")),
+    ("twin", include_str!("../../heads/twin.toml")),
 ];
 /// The one of them that stands before the demo die.
 const DEMO: usize = 1;
@@ -32,6 +34,8 @@ pub struct HeadDesign {
     pub field_mm: f64,
     /// Between camera and projector.
     pub angle_deg: f64,
+    /// Between the camera and a second projector on its other side, if there is one; its parts are like the first one's.
+    pub second_angle_deg: Option<f64>,
     /// Depths that the head measures, from the camera's pinhole.
     pub volume_mm: [f64; 2],
     /// Modulation of a coarse pattern at the centre of the field: the rest is stray light.
@@ -154,18 +158,23 @@ impl HeadDesign {
         );
         let focus = Vector3::new(0.0, 0.0, self.stand_off_mm);
         // A positive turn about y moves the view towards +x, so the projector itself sits at negative x.
-        let camera_from_projector =
-            Rotation3::from_axis_angle(&Vector3::y_axis(), self.angle_deg.to_radians());
-        let rotation = camera_from_projector.inverse();
-        let projector_from_camera = Isometry3::from_parts(
-            Translation3::from(focus - rotation * focus),
-            UnitQuaternion::from(rotation),
-        );
+        let projector_at = |angle_deg: f64| {
+            let camera_from_projector =
+                Rotation3::from_axis_angle(&Vector3::y_axis(), angle_deg.to_radians());
+            let rotation = camera_from_projector.inverse();
+            Isometry3::from_parts(
+                Translation3::from(focus - rotation * focus),
+                UnitQuaternion::from(rotation),
+            )
+        };
         let seen = self.refracted(|lens| lens.camera_decentre_mm);
         let shone = self.refracted(|lens| lens.projector_decentre_mm);
         // Poses are of the pinholes where they appear from outside.
         let [camera_from_seen, projector_from_shone] =
             [&seen, &shone].map(|through| Translation3::from(Vector3::from(through.pinhole_mm)));
+        let appearing_at = |angle_deg: f64| {
+            projector_from_shone.inverse() * projector_at(angle_deg) * camera_from_seen
+        };
         HeadOptics {
             camera: self.pinhole(&self.camera, &seen),
             camera_size_px: self.camera.size_px,
@@ -173,9 +182,11 @@ impl HeadDesign {
             projector: self.pinhole(&self.projector, &shone),
             projector_size_px: self.projector.size_px,
             projector_objective: self.objective(&self.projector, &shone),
-            projector_from_camera: projector_from_shone.inverse()
-                * projector_from_camera
-                * camera_from_seen,
+            projector_from_camera: appearing_at(self.angle_deg),
+            second_projector: self.second_angle_deg.map(|angle_deg| SecondProjector {
+                projector: self.pinhole(&self.projector, &shone),
+                projector_from_camera: appearing_at(-angle_deg),
+            }),
             stage_from_camera: stage_from_camera * camera_from_seen,
             contrast_centre: self.contrast_centre,
             contrast_edge: self.contrast_edge,

@@ -48,7 +48,7 @@ pub use form::Form;
 pub use ideal::{IdealView, PixelLight};
 pub use liquid::{Driven, LiquidLens};
 pub use mount::{Carries, Mount, Saw};
-pub use optics::{HeadOptics, Objective, Pinhole};
+pub use optics::{HeadOptics, Objective, Pinhole, SecondProjector};
 pub use pattern::PatternSpec;
 pub use print::Print;
 pub use rays::{Hit, RayCaster};
@@ -302,6 +302,8 @@ pub struct World {
     passes: Vec<DmdPass>,
     camera_bundle: Bundle,
     projector_bundle: Bundle,
+    /// The head as its second projector has it, and that one's bundle.
+    second: Option<(HeadOptics, Bundle)>,
     sights: Vec<Sight>,
     core_exponents: Vec<f32>,
     die: Die,
@@ -330,6 +332,12 @@ impl World {
         config.sensor.validate()?;
         let camera_bundle = Bundle::camera(&config.camera_bundle, config.head_seed)?;
         let projector_bundle = Bundle::projector(&config.projector_bundle, config.head_seed)?;
+        // Drawn for itself, but by the same seed.
+        let second_bundle = || Bundle::projector(&config.projector_bundle, !config.head_seed);
+        let second = config.optics.by_second_projector();
+        let second = second
+            .map(|optics| Ok::<_, WorldError>((optics, second_bundle()?)))
+            .transpose()?;
         WorldError::check("growth", config.growth, 0.9, 1.1)?;
         WorldError::check("vibration_um", config.vibration_um, 0.0, 100.0)?;
         WorldError::check("shiver_um", config.shiver_um, 0.0, 1000.0)?;
@@ -378,6 +386,7 @@ impl World {
             passes: config.passes.clone(),
             camera_bundle,
             projector_bundle,
+            second,
             core_exponents,
             die,
             sensor,
@@ -513,7 +522,8 @@ impl World {
     /// Puts the stages at their *true* position and computes the light of every pattern on every pixel.
     ///
     /// `rotation_rad` turns the die, `vertical_mm` raises the head; stage errors are the caller's to add. Pattern `i` of
-    /// `patterns` becomes index `i + 1`, index 0 is black; with passes, those of each follow the ones before. Runs on rayon's threads; the result does not depend on their
+    /// `patterns` becomes index `i + 1`, index 0 is black; with passes, those of each follow the ones before,
+    /// and those of a second projector those of the first. Runs on rayon's threads; the result does not depend on their
     /// number.
     pub fn prepare(
         &self,
@@ -568,6 +578,14 @@ impl World {
         };
         if self.passes.is_empty() {
             show(&all);
+            if let Some((optics, projector_bundle)) = &self.second {
+                let stage = Stage {
+                    optics,
+                    projector_bundle,
+                    ..stage
+                };
+                show(&stage.look(tool_from_camera, &frequencies));
+            }
         }
         for pass in &self.passes {
             let stage = Stage {

@@ -130,6 +130,8 @@ pub struct HeadOptics {
     pub projector_objective: Objective,
     /// Projector frame from camera frame.
     pub projector_from_camera: Isometry3<f64>,
+    /// Another projector, with bundle and objective as the first.
+    pub second_projector: Option<SecondProjector>,
     /// Stage frame from camera frame with both stages at zero.
     pub stage_from_camera: Isometry3<f64>,
     /// Modulation of a coarse pattern at the centre of the field: the rest is stray light.
@@ -140,13 +142,36 @@ pub struct HeadOptics {
     pub dmd_leak_ratio: f64,
 }
 
+/// What a second projector has of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SecondProjector {
+    /// DMD through bundle and objective.
+    pub projector: Pinhole,
+    /// Its frame from the camera frame.
+    pub projector_from_camera: Isometry3<f64>,
+}
+
 impl HeadOptics {
-    /// Makes both lenses uneven by `rms_um` along each axis in best focus, whatever they were; one seed is one head.
+    /// The head with its second projector alone, if it has one.
+    pub fn by_second_projector(&self) -> Option<Self> {
+        let second = self.second_projector.clone()?;
+        Some(Self {
+            projector: second.projector,
+            projector_from_camera: second.projector_from_camera,
+            second_projector: None,
+            ..self.clone()
+        })
+    }
+
+    /// Makes all lenses uneven by `rms_um` along each axis in best focus, whatever they were; one seed is one head.
     pub fn make_uneven(&mut self, rms_um: f64, seed: u64) {
+        let second = self.second_projector.as_mut();
+        let second = second.map(|second| (&mut second.projector, &self.projector_objective));
         let lenses = [
             (&mut self.camera, &self.camera_objective),
             (&mut self.projector, &self.projector_objective),
         ];
+        let lenses = lenses.into_iter().chain(second);
         for (number, (lens, objective)) in (0..).zip(lenses) {
             let per_mm = 1.0 / objective.focus_mm;
             let (rms, field) = (1e-3 * rms_um * per_mm, objective.field_radius_mm * per_mm);
@@ -167,8 +192,9 @@ impl HeadOptics {
     }
 
     pub(crate) fn validate(&self) -> Result<(), WorldError> {
-        let pinholes = [(&self.camera, "camera"), (&self.projector, "projector")];
-        for (pinhole, _) in pinholes {
+        let second = self.second_projector.as_ref();
+        let pinholes = [&self.camera, &self.projector].into_iter();
+        for pinhole in pinholes.chain(second.map(|second| &second.projector)) {
             for focal in pinhole.focal_px {
                 WorldError::check("focal_px", focal, 1.0, 1e6)?;
             }

@@ -1,0 +1,66 @@
+//! A second projector, on the other side of the camera.
+
+use serde::{Deserialize, Serialize};
+
+use flankscope_foundation::textfile::BadValue;
+
+use super::{HeadModel, Mirrors, Pinhole, RigidTransform};
+
+/// Lens and place of a projector that shows the same patterns after the first. Units as in [`HeadModel`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SecondProjector {
+    /// Its lens, as an inverse camera.
+    pub projector: Pinhole,
+    /// How the mirrors of its DMD lie; absent: above each other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mirrors: Option<Mirrors>,
+    /// `X_projector = rotation X_camera + translation_mm`.
+    pub projector_from_camera: RigidTransform,
+}
+
+impl SecondProjector {
+    pub(super) fn check(&self) -> Result<(), BadValue> {
+        self.projector.check("second_projector.projector")?;
+        if let Some(mirrors) = &self.mirrors {
+            mirrors.check(&self.projector)?;
+        }
+        let key = "second_projector.projector_from_camera";
+        self.projector_from_camera.check(key)
+    }
+}
+
+impl HeadModel {
+    /// The head with one of its projectors alone, counted from 1. What its file says of a calibration is said of all of them.
+    #[must_use]
+    pub fn with_projector(&self, number: u8) -> Option<Self> {
+        let all = self.clone();
+        let alone = match (number, &self.second_projector) {
+            (1, None) => return Some(all),
+            (1, Some(_)) => all,
+            (2, Some(second)) => {
+                let second = second.clone();
+                Self {
+                    projector: second.projector,
+                    mirrors: second.mirrors,
+                    projector_from_camera: second.projector_from_camera,
+                    ..all
+                }
+            }
+            _ => return None,
+        };
+        Some(Self {
+            second_projector: None,
+            calibration: None,
+            seal: None,
+            self_test: None,
+            ..alone
+        })
+    }
+
+    /// How many projectors it has.
+    #[must_use]
+    pub fn projectors(&self) -> usize {
+        1 + usize::from(self.second_projector.is_some())
+    }
+}
