@@ -146,12 +146,12 @@ fn test(all: bool) -> Result<(), String> {
     }
 }
 
-/// What is built beside the default: the GigE camera, where its library is. The same in every command, so that nothing is built
+/// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that nothing is built
 /// twice.
 fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
-        true => &["--features", "flankscope/aravis"],
-        false => &[],
+        true => &["--features", "flankscope/aravis,flankscope/parquet"],
+        false => &["--features", "flankscope/parquet"],
     }
 }
 
