@@ -86,6 +86,10 @@ fn a_wrong_camera_is_named_and_nothing_moves() {
     for (trouble, words) in [
         ("free-runs", &["TriggerMode", "nothing triggers"][..]),
         ("colour", &["PixelFormat", "BayerRG12p", "Mono12p"]),
+        ("smaller", &["1856 x 1136 px", "1920 x 1200"]),
+        ("shallow", &["8 bits", "says 12"]),
+        // 6 dB are a factor of 1.995 in the counts of an electron.
+        ("amplified", &["3.964 electrons per count", "7.910"]),
     ] {
         let run = through_gige(&["--gige-trouble", trouble]);
         assert_eq!(run.code, 2, "{trouble}: {}", run.stderr);

@@ -123,7 +123,7 @@ pub struct BenchArgs {
     /// (in a build with the feature aravis)
     #[arg(long, value_name = "LINK", value_enum, default_value_t)]
     pub camera: CameraLink,
-    /// A GigE camera that misbehaves: free-runs, colour, unplugged:FRAME, or lost:SHARE of its packets
+    /// A GigE camera that misbehaves: free-runs, colour, smaller, shallow (8 bits), amplified (6 dB), unplugged:FRAME, or lost:SHARE of its packets
     #[arg(long, value_name = "KIND")]
     pub gige_trouble: Option<Given<Trouble>>,
 }

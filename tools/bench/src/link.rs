@@ -21,6 +21,12 @@ pub enum Trouble {
     FreeRuns,
     /// Its samples are coloured.
     Colour,
+    /// Its sensor is smaller than the head's.
+    Smaller,
+    /// Its samples have eight bits.
+    Shallow,
+    /// It amplifies by 6 dB.
+    Amplified,
     /// It is unplugged at this frame of its first capture, and plugged in again later.
     Unplugged(u32),
     /// This share of its packets gets lost.
@@ -34,10 +40,13 @@ impl std::str::FromStr for Trouble {
         let trouble = match text.split_once(':') {
             None if text == "free-runs" => Self::FreeRuns,
             None if text == "colour" => Self::Colour,
+            None if text == "smaller" => Self::Smaller,
+            None if text == "shallow" => Self::Shallow,
+            None if text == "amplified" => Self::Amplified,
             Some(("unplugged", frame)) => Self::Unplugged(frame.parse()?),
             Some(("lost", share)) => Self::Lost(share.parse()?),
             _ => anyhow::bail!(
-                "trouble {text:?}: free-runs, colour, unplugged:FRAME or lost:SHARE is needed, for example lost:0.0005"
+                "trouble {text:?}: free-runs, colour, smaller, shallow, amplified, unplugged:FRAME or lost:SHARE is needed, for example lost:0.0005"
             ),
         };
         if let Self::Lost(share) = trouble {

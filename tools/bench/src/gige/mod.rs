@@ -51,9 +51,14 @@ mod register {
     pub const DEAD: u32 = 0x8010;
 }
 
-/// `Mono12p` and `BayerRG12p` (EMVA, Pixel Format Values 2.1).
-const MONO_12P: u32 = 0x010C_0047;
-const BAYER_RG_12P: u32 = 0x010C_0059;
+/// Names and values of pixel formats (EMVA, Pixel Format Values 2.1).
+const MONO_12P: (&str, u32) = ("Mono12p", 0x010C_0047);
+const MONO_8: (&str, u32) = ("Mono8", 0x0108_0001);
+const BAYER_RG_12P: (&str, u32) = ("BayerRG12p", 0x010C_0059);
+/// What a camera amplifies that should not, dB.
+const AMPLIFIED_DB: f32 = 6.0;
+/// By how much a sensor is smaller, px.
+const SMALLER_PX: u32 = 64;
 
 /// A frame on its way into the fake.
 struct Packed {
@@ -149,19 +154,30 @@ impl GigeCamera {
             captures: 0,
             acquiring: false,
             sent: 0,
-            sensor: [sensor.offset_dn as f32, 0.0],
+            sensor: [
+                sensor.offset_dn as f32,
+                match trouble {
+                    Some(Trouble::Amplified) => AMPLIFIED_DB,
+                    _ => 0.0,
+                },
+            ],
         };
         camera.plug_in()?;
         Ok(camera)
     }
 
+    fn format(&self) -> (&'static str, u32) {
+        match self.trouble {
+            Some(Trouble::Colour) => BAYER_RG_12P,
+            Some(Trouble::Shallow) => MONO_8,
+            _ => MONO_12P,
+        }
+    }
+
     /// Writes what the camera says of itself, for Aravis.
     fn description(&self) -> anyhow::Result<PathBuf> {
         let path = self.folder.path().join("camera.xml");
-        let (format, value) = match self.trouble {
-            Some(Trouble::Colour) => ("BayerRG12p", BAYER_RG_12P),
-            _ => ("Mono12p", MONO_12P),
-        };
+        let (format, value) = self.format();
         let trigger_mode = match self.trouble {
             // It takes the setting, and does as before.
             Some(Trouble::FreeRuns) => register::DEAD,
@@ -189,18 +205,18 @@ impl GigeCamera {
             fake.set_gvsp_lost_ratio(share);
         }
         if let Some(inner) = fake.fake_camera() {
-            let [width, height] = self.size_px.map(|px| px as u32);
-            let [black_level, gain_db] = self.sensor.map(f32::to_bits);
-            let format = match self.trouble {
-                Some(Trouble::Colour) => BAYER_RG_12P,
-                _ => MONO_12P,
+            let less_px = match self.trouble {
+                Some(Trouble::Smaller) => SMALLER_PX,
+                _ => 0,
             };
+            let [width, height] = self.size_px.map(|px| (px as u32).saturating_sub(less_px));
+            let [black_level, gain_db] = self.sensor.map(f32::to_bits);
             for (register, value) in [
                 (register::SENSOR_WIDTH, width),
                 (register::SENSOR_HEIGHT, height),
                 (register::WIDTH, width),
                 (register::HEIGHT, height),
-                (register::PIXEL_FORMAT, format),
+                (register::PIXEL_FORMAT, self.format().1),
                 (register::FRAME_PERIOD_US, FREE_PERIOD_US),
                 (register::BLACK_LEVEL, black_level),
                 (register::GAIN_DB, gain_db),
