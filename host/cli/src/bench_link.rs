@@ -127,7 +127,7 @@ pub fn fits_real_press(args: &BenchArgs, link: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Refuses what recorded frames cannot have.
+/// Refuses what recorded frames or clouds cannot have.
 pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result<()> {
     let as_drawn = in_words(args, &DieArgs::default());
     let given = [
@@ -153,9 +153,7 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
     ];
     for (option, given) in given {
         if given {
-            bail!(
-                "{option} beside --frames: the frames were recorded, no bench can change what they show"
-            );
+            bail!("{option} beside --frames or --clouds: no bench can change what was recorded");
         }
     }
     Ok(())
@@ -272,7 +270,9 @@ impl Bench {
             controller: match link {
                 Link::Sim => ControllerKind::Sim,
                 Link::Qemu => ControllerKind::Qemu,
-                Link::Port(_) | Link::Recorded(_) => bail!("{link} is no simulated bench"),
+                Link::Port(_) | Link::Recorded(_) | Link::Clouds(_) => {
+                    bail!("{link} is no simulated bench")
+                }
             },
             bench: args.clone(),
             press: scene.press.cloned(),

@@ -4,9 +4,9 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use flankscope_metrology::verdict::Word;
-use flankscope_station::acquisition::Recording;
+use flankscope_station::acquisition::{FrameIndex, Recording};
 use flankscope_station::inspection::{FeatureId, Inspection};
-use flankscope_station::origin::Origin;
+use flankscope_station::origin::{Link, Origin};
 use flankscope_station::report::{ReportFolder, Words, figure};
 use flankscope_station::sink::ResultSink;
 
@@ -64,7 +64,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let quiet = args.common.quiet;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
-        Some(recording) => args.source.place.of_recording(recording)?,
+        Some(recording) => {
+            let link = Link::Recorded(recording.id());
+            args.source.place.of_recording(link)?
+        }
         None => args.source.site()?,
     };
     let report = args
@@ -164,7 +167,9 @@ impl Args {
         if let Some(folder) = report {
             try_report(folder, ReportFolder::OF_CHECK)?;
         }
-        self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
+        if let Some(folder) = &self.save_frames {
+            try_recording(folder, FrameIndex::FILE)?;
+        }
         self.record_baseline.as_deref().map_or(Ok(()), try_place)
     }
 

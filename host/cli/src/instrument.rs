@@ -263,7 +263,9 @@ pub fn recorded_check(
         "--adaptive with --frames: nothing is shown, the frames are there"
     );
     let store = source.store(site)?;
-    let mut subject = recorded_subject([&source.tool, &source.head], recording, site, quiet)?;
+    let files = [source.tool.as_deref(), source.head.as_deref()];
+    let mut subject = recorded_subject(files, recording.head(), site, quiet)?;
+    subject.temperature_degc = recording.index.tool_temperature_degc;
     source.furnish(&mut subject, site.link())?;
     let teeth = source.teeth.as_deref();
     let known = subject.clone();
@@ -274,18 +276,17 @@ pub fn recorded_check(
     Ok((check, writer))
 }
 
-/// What recorded frames are of: tool and head by their options, else the recording's head before the tool folder's.
+/// What a recording is of: tool and head by their options, else the head that it `names` before the tool folder's.
 pub fn recorded_subject(
-    [tool, head]: [&Option<PathBuf>; 2],
-    recording: &Recording,
+    [tool, head]: [Option<&Path>; 2],
+    names: Option<PathBuf>,
     site: &Site,
     quiet: bool,
 ) -> anyhow::Result<Subject> {
     let own = scratch()?;
-    let folder = tool_folder(tool.as_deref(), own.path())?;
-    let head = head.clone().or_else(|| recording.head());
-    let (mut subject, _) = standing(&folder, head.as_deref(), site, quiet, own.path())?;
-    subject.temperature_degc = recording.index.tool_temperature_degc;
+    let folder = tool_folder(tool, own.path())?;
+    let head = head.or(names.as_deref());
+    let (subject, _) = standing(&folder, head, site, quiet, own.path())?;
     Ok(subject)
 }
 

@@ -6,7 +6,6 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use flankscope_metrology::verdict::Word;
-use flankscope_station::acquisition::FrameIndex;
 use flankscope_station::report::ReportFolder;
 use flankscope_station::sink::{DocumentFile, ResultSink};
 
@@ -139,17 +138,18 @@ pub fn in_words(error: &anyhow::Error) -> String {
     words
 }
 
-/// Tries a folder for recorded frames, which must not hold any: one recording would be read as the other.
+/// Tries a folder for recorded frames or clouds, named by `index`, which must not hold any: one recording would be read as the
+/// other.
 ///
 /// # Errors
 /// As [`try_folder`], or there is something in it.
-pub fn try_recording(folder: &Path) -> anyhow::Result<()> {
-    try_folder(folder, &[FrameIndex::FILE])?;
+pub fn try_recording(folder: &Path, index: &str) -> anyhow::Result<()> {
+    try_folder(folder, &[index])?;
     let mut entries =
         std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?;
     anyhow::ensure!(
         entries.next().is_none(),
-        "{} is not empty: frames are saved into an empty folder, or one that is not there yet",
+        "{} is not empty: a recording is saved into an empty folder, or one that is not there yet",
         folder.display()
     );
     Ok(())

@@ -9,13 +9,14 @@ use anyhow::Context;
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::io::points::Format;
-use flankscope_station::acquisition::Recording;
+use flankscope_station::acquisition::{FrameIndex, Recording};
+use flankscope_station::inspection::Subject;
 use flankscope_station::kinematics::Moves;
 use flankscope_station::origin::Link;
 use flankscope_station::report::{ReportFolder, figure, scan_mesh};
 use flankscope_station::scan::{
-    FinishedScan, Grid, Hinz2019Settings, Method, MethodResult, Progress, RecordedScan, Scan,
-    ScanError, Scanner, percent,
+    CloudIndex, CloudRecording, CloudScan, FinishedScan, Grid, Hinz2019Settings, Method,
+    MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner, percent,
 };
 use flankscope_station::seal::Kind;
 use flankscope_station::sink::ResultSink;
@@ -57,15 +58,22 @@ pub struct Args {
         long,
         value_name = "AROUNDxLAYERS",
         default_value = "84x7",
-        conflicts_with = "frames"
+        conflicts_with_all = ["frames", "clouds"]
     )]
     views: Grid,
     /// Scan the frames in this folder, which were recorded before, as its frames.toml says: nothing moves, and no controller
     /// or camera is asked. Views are those of the recording
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
-    /// Also write every frame of this scan into this folder, for --frames later: the camera's raw counts, 4.6 MB each
+    /// Scan the clouds in this folder, which were recorded before, as its clouds.toml says: points of every view in the camera's
+    /// frame, without their frames. They lay the map; no flank is found sound by them
     #[arg(long, value_name = "DIR", conflicts_with = "frames")]
+    clouds: Option<PathBuf>,
+    /// Also write the cloud of every view, with the uncertainty of every point, into this folder, for --clouds later
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["frames", "clouds"])]
+    save_clouds: Option<PathBuf>,
+    /// Also write every frame of this scan into this folder, for --frames later: the camera's raw counts, 4.6 MB each
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["frames", "clouds"])]
     save_frames: Option<PathBuf>,
     /// Result of an earlier scan of this die (its --json file or report folder): says whether the die was put down turned
     /// by whole teeth since, by what its flanks have of their own
@@ -150,13 +158,26 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             "--gear: the article's method claims no uncertainty; --method surface or both does"
         );
     }
+    if args.clouds.is_some() && method != Method::Surface {
+        anyhow::bail!(
+            "--clouds: the article's method masks points by their fringes, which clouds do not have; --method surface does not"
+        );
+    }
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
-    let site = match &recording {
-        Some(recording) => args.place.of_recording(recording)?,
+    let clouds = args.clouds.as_deref().map(CloudRecording::open);
+    let clouds = clouds.transpose()?;
+    let recorded = match (&recording, &clouds) {
+        (Some(frames), _) => Some(Link::Recorded(frames.id())),
+        (None, Some(clouds)) => Some(Link::Clouds(clouds.id())),
+        (None, None) => None,
+    };
+    let is_live = recorded.is_none();
+    let site = match recorded {
+        Some(recorded) => args.place.of_recording(recorded)?,
         None => args.place.site(&[("--tool", args.tool.is_some())])?,
     };
     anyhow::ensure!(
-        recording.is_some() || site.settings.stages.moves == Moves::Die,
+        !is_live || site.settings.stages.moves == Moves::Die,
         "stages.moves is not \"die\": a scan turns the die on its table, where it can be told from the slide's lean; it needs a station \
          with moves = \"die\""
     );
@@ -177,9 +198,10 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         Ok(scanner.by_method(method, paper)?)
     };
-    let mut scanning = match &recording {
-        Some(recording) => args.recorded(recording, &site, session, set_up)?,
-        None => args.live(&site, session, set_up)?,
+    let mut scanning = match (&recording, clouds) {
+        (Some(recording), _) => args.recorded(recording, &site, session, set_up)?,
+        (None, Some(clouds)) => args.of_clouds(clouds, &site, session, set_up)?,
+        (None, None) => args.live(&site, session, set_up)?,
     };
     let watch = |progress| {
         if !quiet {
@@ -189,6 +211,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut complaints = Complaints::default();
     let mut scan = match &mut scanning {
         Scanning::Recorded(recorded) => recorded.scan(watch)?,
+        Scanning::Clouds(clouds) => clouds.scan(watch)?,
         Scanning::Live(instrument) => {
             let saved = args.begin_saving(instrument)?;
             let (port, settings) = (&instrument.port, instrument.settings.clone());
@@ -202,6 +225,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             if let Some((folder, head)) = saved {
                 let recorded = instrument.station.record(folder, &head);
                 complaints.hear(recorded.map_err(Into::into));
+            }
+            if let Some(folder) = &args.save_clouds {
+                let head = instrument.copy_head(folder)?;
+                let saved = instrument.station.save_clouds(folder, &head);
+                complaints.hear(saved.map(drop).map_err(Into::into));
             }
             scan
         }
@@ -244,6 +272,8 @@ enum Scanning {
     Live(Box<Instrument<Scanner>>),
     /// Frames that were recorded.
     Recorded(Box<RecordedScan>),
+    /// Clouds that were recorded.
+    Clouds(Box<CloudScan>),
 }
 
 impl Scanning {
@@ -251,6 +281,7 @@ impl Scanning {
         match self {
             Self::Live(instrument) => &instrument.station,
             Self::Recorded(recorded) => &recorded.scanner,
+            Self::Clouds(clouds) => &clouds.scanner,
         }
     }
 }
@@ -295,15 +326,35 @@ impl Args {
         session: &Path,
         set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
     ) -> anyhow::Result<Scanning> {
-        fits_recording(&self.bench, Some(&self.die))?;
-        let mut subject =
-            recorded_subject([&self.tool, &self.head], recording, site, self.common.quiet)?;
-        if let Some(grid) = self.grid {
-            grid.impose(Arc::make_mut(&mut subject.head))?;
-        }
+        let mut subject = self.recorded_subject(recording.head(), site)?;
+        subject.temperature_degc = recording.index.tool_temperature_degc;
         let mut recorded = RecordedScan::open(subject, site.setting.clone(), recording, session)?;
         set_up(&mut recorded.scanner)?;
         Ok(Scanning::Recorded(Box::new(recorded)))
+    }
+
+    fn of_clouds(
+        &self,
+        clouds: CloudRecording,
+        site: &Site,
+        session: &Path,
+        set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Scanning> {
+        let subject = self.recorded_subject(clouds.head(), site)?;
+        let mut clouds = CloudScan::open(subject, site.setting.clone(), clouds, session)?;
+        set_up(&mut clouds.scanner)?;
+        Ok(Scanning::Clouds(Box::new(clouds)))
+    }
+
+    /// What a recording is of that names this head.
+    fn recorded_subject(&self, head: Option<PathBuf>, site: &Site) -> anyhow::Result<Subject> {
+        fits_recording(&self.bench, Some(&self.die))?;
+        let files = [self.tool.as_deref(), self.head.as_deref()];
+        let mut subject = recorded_subject(files, head, site, self.common.quiet)?;
+        if let Some(grid) = self.grid {
+            grid.impose(Arc::make_mut(&mut subject.head))?;
+        }
+        Ok(subject)
     }
 
     /// Has frames written from here on, if that was asked for; returns where to, and the head's file there.
@@ -325,7 +376,14 @@ impl Args {
         if let Some(folder) = &self.report {
             try_report(folder, ReportFolder::OF_SCAN)?;
         }
-        self.save_frames.as_deref().map_or(Ok(()), try_recording)?;
+        for (folder, index) in [
+            (&self.save_frames, FrameIndex::FILE),
+            (&self.save_clouds, CloudIndex::FILE),
+        ] {
+            folder
+                .as_deref()
+                .map_or(Ok(()), |folder| try_recording(folder, index))?;
+        }
         self.cloud.as_deref().map_or(Ok(()), try_place)?;
         self.mesh.as_deref().map_or(Ok(()), try_place)
     }

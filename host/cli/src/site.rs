@@ -5,10 +5,9 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_profilometry::HeadModel;
-use flankscope_station::acquisition::Recording;
 use flankscope_station::inspection::Subject;
 use flankscope_station::kinematics::Moves;
-use flankscope_station::origin::{Link, RecordingId, Setting};
+use flankscope_station::origin::{Link, Setting};
 use flankscope_station::settings::StationSettings;
 
 use crate::help;
@@ -47,20 +46,15 @@ impl Place {
         Ok(self.at(link, settings, hash))
     }
 
-    /// The site of frames that were recorded: there is no controller, whatever the station's file says of one.
-    pub fn of_recording(&self, recording: &Recording) -> anyhow::Result<Site> {
+    /// The site of what was recorded: there is no controller, whatever the station's file says of one.
+    pub fn of_recording(&self, recorded: Link) -> anyhow::Result<Site> {
         if let Some(link) = &self.link {
             anyhow::bail!(
-                "--link {link} beside --frames: recorded frames come from no controller; leave one of them out"
+                "--link {link} beside --frames or --clouds: {recorded} come from no controller; leave one of them out"
             );
         }
         let (_, settings, hash) = self.file()?;
-        let link = Link::Recorded(RecordingId {
-            taken: recording.index.taken,
-            blake3: recording.blake3.clone(),
-            simulated: recording.index.simulated,
-        });
-        Ok(self.at(link, settings, hash))
+        Ok(self.at(recorded, settings, hash))
     }
 
     /// The station's file, if it has one, what it says, and its hash.

@@ -18,12 +18,14 @@ pub enum Link {
     Port(PathBuf),
     /// None: the frames were recorded.
     Recorded(RecordingId),
+    /// None: the clouds were recorded, and the frames are not there.
+    Clouds(RecordingId),
 }
 
-/// A recording of frames, by its index.
+/// A recording of frames or clouds, by its index.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RecordingId {
-    /// Day on which the frames were taken, where that is known.
+    /// Day on which they were taken, where that is known.
     pub taken: Option<Date>,
     /// BLAKE3 of the index.
     pub blake3: String,
@@ -46,7 +48,7 @@ impl Link {
         match self {
             Self::Sim | Self::Qemu => true,
             Self::Port(_) => false,
-            Self::Recorded(of) => of.simulated,
+            Self::Recorded(of) | Self::Clouds(of) => of.simulated,
         }
     }
 }
@@ -71,6 +73,7 @@ impl fmt::Display for Link {
             Self::Qemu => f.write_str("qemu"),
             Self::Port(port) => port.display().fmt(f),
             Self::Recorded(_) => f.write_str("recorded frames"),
+            Self::Clouds(_) => f.write_str("recorded clouds"),
         }
     }
 }
@@ -112,7 +115,7 @@ impl HeadId {
 /// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Origin {
-    /// `sim`, `qemu`, the controller's port, or `recorded frames`.
+    /// `sim`, `qemu`, the controller's port, `recorded frames` or `recorded clouds`.
     pub link: Option<String>,
     /// Whether it is of the simulated bench: no real die was looked at.
     pub simulated: Option<bool>,
@@ -122,7 +125,7 @@ pub struct Origin {
     pub station: Option<String>,
     /// Who ran it.
     pub operator: Option<String>,
-    /// The recording, of recorded frames.
+    /// The recording, of recorded frames or clouds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<RecordingId>,
 }
@@ -138,7 +141,7 @@ impl Origin {
             station: setting.map(|setting| setting.station.clone()),
             operator: setting.and_then(|setting| setting.operator.clone()),
             recording: match setting.map(|setting| &setting.link) {
-                Some(Link::Recorded(of)) => Some(of.clone()),
+                Some(Link::Recorded(of) | Link::Clouds(of)) => Some(of.clone()),
                 _ => None,
             },
         }

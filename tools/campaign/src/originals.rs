@@ -122,6 +122,9 @@ impl Originals {
         write("small.stl", &binary_stl())?;
         write("cloud.ply", CLOUD_PLY)?;
         write("cloud.xyz", &text_cloud())?;
+        std::fs::create_dir_all(self.folder.join("clouds"))?;
+        write("clouds/cloud.ply", CLOUD_PLY)?;
+        write("clouds/clouds.toml", CLOUDS)?;
         write("head.yml", OPENCV)?;
         write("station.toml", STATION)?;
         write("focus.toml", FOCUS)?;
@@ -160,6 +163,7 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("bent.toml", Structure::Toml, 4),
     ("adaptive/adaptive.json", Structure::Json, 3),
     ("worn/frames.toml", Structure::Toml, 6),
+    ("clouds/clouds.toml", Structure::Toml, 5),
     ("station.toml", Structure::Toml, 8),
     ("poses.csv", Structure::Text, 4),
     ("baseline.json", Structure::Json, 5),
@@ -194,6 +198,18 @@ Tp: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ -10., 0., 0. ]
 frameWidth: 1280\nframeHeight: 1024\nscreenResX: 912\nscreenResY: 1140\n";
 const POSES: &[u8] = b"# by the arm\ntooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad\n\
 12,-13.97,16.07,33.0,0.5,0.5,0.5,0.5,0.02,0.3\n40,20.9,-4.1,33.0,1,0,0,0,0.02,0.3\n";
+const CLOUDS: &[u8] = b"simulated = true
+taken = \"2026-01-31\"
+unit = \"mm\"
+sigma_um = 5.0
+grid = \"84x7\"
+
+[[view]]
+file = \"cloud.ply\"
+tooth = 40
+rotation_rad = -2.9919930034188504
+vertical_mm = 33.0
+";
 const FOCUS: &[u8] = b"name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\ncelsius_sigma = 0.5\n\
 [[focus]]\nsetting_dpt = -3.0\ncelsius = 23.0\nfile = \"a.toml\"\n[[focus]]\nsetting_dpt = 0.0\ncelsius = 23.0\nfile = \"b.toml\"\n\
 [[focus]]\nsetting_dpt = 3.0\ncelsius = 23.5\nfile = \"c.toml\"\n";

@@ -17,6 +17,7 @@ use flankscope_station::files;
 use flankscope_station::history::History;
 use flankscope_station::patterns::Adaptive;
 use flankscope_station::poses::PoseTable;
+use flankscope_station::scan::CloudRecording;
 use flankscope_station::seal::Seals;
 use flankscope_station::settings::StationSettings;
 use serde_json::Value;
@@ -52,13 +53,14 @@ pub struct Readers {
 static PLACE: Mutex<()> = Mutex::new(());
 
 /// Files that others refer to.
-const BESIDE: [&str; 6] = [
+const BESIDE: [&str; 7] = [
     "tool/tool.toml",
     "tool/die.ply",
     "cores/head.toml",
     "cores/cores.csv",
     "worn/PLAN.toml",
     "worn/frames.toml",
+    "clouds/cloud.ply",
 ];
 
 impl Readers {
@@ -148,6 +150,7 @@ impl Readers {
             "worn/PLAN.toml" | "bent.toml" => accepted(Plan::load(&path))?,
             "adaptive/adaptive.json" => accepted(Adaptive::open(&self.place("adaptive")))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
+            "clouds/clouds.toml" => accepted(CloudRecording::open(&self.place("clouds")))?,
             "poses.csv" => accepted(PoseTable::load(&path))?,
             "station.toml" => accepted(StationSettings::load(&path))?,
             "baseline.json" => self.baseline(&path)?,

@@ -136,8 +136,10 @@ codes! {
     OtherDie = "other_die", "check tool file and head file";
     /// Which tooth is which cannot be told, or is not as in the earlier scan.
     TurnedDie = "turned_die", "put the die down as it was";
-    /// The method claims no uncertainty.
-    NoUncertainty = "no_uncertainty", "stitch by --method surface";
+    /// The method, or a cloud, claims no uncertainty.
+    NoUncertainty = "no_uncertainty", "stitch by --method surface; state the uncertainty of clouds";
+    /// The points come without their frames.
+    NoFrames = "no_frames", "scan with --save-frames, and scan those; or look at the flank";
     /// There are no limits to judge by.
     NoLimits = "no_limits", "give the tool file an [inspect] section";
     /// The uncertainty is too large for the class that is asked for.

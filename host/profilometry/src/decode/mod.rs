@@ -248,6 +248,11 @@ impl Decoder {
         self.sensor.offset_dn + 0.01 * (2f64.powi(self.sensor.bits as i32) - 1.0)
     }
 
+    /// Lateral size of a cell per unit of depth.
+    pub fn cell_by_depth(&self) -> f64 {
+        self.cell_by_depth
+    }
+
     /// Width and height of a frame, px.
     pub fn size_px(&self) -> [u32; 2] {
         self.size_px

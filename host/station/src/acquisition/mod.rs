@@ -45,7 +45,7 @@ pub use program::{Program, ProgramError, StagePosition};
 pub(crate) use recapture::AfterStop;
 pub use recorder::Picture;
 pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
-pub(crate) use recording::{Playback, RecordedView, SavedView};
+pub(crate) use recording::{Playback, RecordedView, SavedView, stays_inside};
 pub use route::{Route, RouteTime};
 pub(crate) use run::{Counts, Run};
 pub use session::Acquisition;

@@ -17,6 +17,7 @@ use flankscope_profilometry::Accumulator;
 use flankscope_profilometry::head::Unfit;
 
 use super::cell_observations::layout;
+use super::clouds::CloudsError;
 use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::fine_map::{self, FineMapError};
@@ -55,6 +56,9 @@ pub enum ScanError {
     /// The session folder is unusable.
     #[error(transparent)]
     Session(#[from] SessionError),
+    /// Recorded clouds that cannot be used.
+    #[error(transparent)]
+    Clouds(#[from] CloudsError),
     /// The recording's grid is none.
     #[error("grid of the recording: {0}")]
     Grid(#[from] GridError),

@@ -24,6 +24,7 @@
 //! | `metrics` | what the article's ways of measuring a distance would have said |
 //! | `view_pipeline` | what is done with a view once its frames are there |
 //! | `recorded` | the same scan of frames that were recorded |
+//! | `clouds` | the same of clouds, without their frames |
 //! | `article` | the article's figures of a finished scan |
 //! | `job` | orders and captures from hello to result |
 //! | `describe` | what was stitched, to the document |
@@ -35,6 +36,7 @@
 
 mod article;
 mod cell_observations;
+mod clouds;
 mod comparison;
 mod coverage;
 mod describe;
@@ -60,6 +62,9 @@ mod view_pipeline;
 pub use article::{
     Alignment, Article, DrawingSteps, FinishedScan, FinishedScanError, FirstView, Left,
     MaskPicture, Merging, Overlay, Sections, SectionsError, SerialLayer,
+};
+pub use clouds::{
+    CloudIndex, CloudRecording, CloudScan, CloudsError, IndexedCloud, SaveCloudsError,
 };
 pub use comparison::{Creep, LayerDrift, Method, MethodResult, ScanDrift, Spread, Trend};
 pub use coverage::{Coverage, Hole, percent};

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use flankscope_foundation::date::Date;
+use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason};
 
 use super::grid::Grid;
@@ -12,7 +13,7 @@ use super::job::{Progress, ScanError, Scanner, keep};
 use super::result::Scan;
 use super::view::ScannedView;
 use super::view_pipeline::PlannedScan;
-use crate::acquisition::{AcquisitionError, Playback, RecordedView, Recording, Run};
+use crate::acquisition::{AcquisitionError, IndexedView, Playback, RecordedView, Recording, Run};
 use crate::inspection::{
     InspectError, PlannedView, PlanningError, Subject, ViewPlan, tooth_in_middle,
 };
@@ -47,7 +48,15 @@ impl RecordedScan {
     ) -> Result<Self, ScanError> {
         let recorded = recording.views(&subject.head);
         let recorded = recorded.map_err(InspectError::from)?;
-        let (planned, of) = planned(&subject, recording)?;
+        let (tool, index) = (&subject.tool, &recording.index);
+        let (views, of) = planned(tool, index.grid.as_deref(), &index.view)?;
+        let name = name_of(index.grid.as_deref(), &views);
+        let gear = tool.gear.as_ref();
+        let gear = gear.ok_or(InspectError::from(PlanningError::NoGear))?;
+        let planned = PlannedScan {
+            name,
+            plan: ViewPlan::of_recording(recording, views, gear, &subject.head),
+        };
         let camera = &subject.head.camera;
         let size_px = [camera.width_px, camera.height_px];
         let sensor = recording.sensor(&subject.head);
@@ -136,20 +145,21 @@ impl RecordedScan {
     }
 }
 
-/// The views of a recorded scan, those of its grid or else of the index; and for each of the index's, which of them it is.
-fn planned(
-    subject: &Subject,
-    recording: &Recording,
-) -> Result<(PlannedScan, Vec<usize>), ScanError> {
-    let (tool, index) = (&subject.tool, &recording.index);
+/// The views of a recorded scan, those of its grid or else those that its index says; and for each of the index's, which of them
+/// it is.
+pub(super) fn planned(
+    tool: &Tool,
+    grid: Option<&str>,
+    index: &[IndexedView],
+) -> Result<(Vec<PlannedView>, Vec<usize>), ScanError> {
     let gear = tool.gear.as_ref();
     let gear = gear.ok_or(InspectError::from(PlanningError::NoGear))?;
     let mut views: Vec<PlannedView> = Vec::new();
-    if let Some(grid) = &index.grid {
+    if let Some(grid) = grid {
         views = grid.parse::<Grid>()?.views(gear);
     }
-    let mut of = Vec::with_capacity(index.view.len());
-    for (at, said) in index.view.iter().enumerate() {
+    let mut of = Vec::with_capacity(index.len());
+    for (at, said) in index.iter().enumerate() {
         let tooth = tooth_in_middle(gear, at, said).map_err(InspectError::from)?;
         let nominal = ViewPlan::nominal(tool, &[tooth]);
         let nominal = nominal.map_err(InspectError::from)?.swap_remove(0);
@@ -162,7 +172,7 @@ fn planned(
             (view.rotation_rad - stood.rotation_rad).abs() < SAME_PLACE
                 && (view.vertical_mm - stood.vertical_mm).abs() < SAME_PLACE
         };
-        of.push(match (views.iter().position(same), &index.grid) {
+        of.push(match (views.iter().position(same), grid) {
             (Some(place), _) => place,
             (None, None) => {
                 views.push(stood);
@@ -171,17 +181,15 @@ fn planned(
             (None, Some(grid)) => {
                 return Err(ScanError::OffGrid {
                     view: at + 1,
-                    grid: grid.clone(),
+                    grid: grid.to_owned(),
                 });
             }
         });
     }
-    let name = index.grid.clone();
-    Ok((
-        PlannedScan {
-            name: name.unwrap_or_else(|| format!("{} recorded views", views.len())),
-            plan: ViewPlan::of_recording(recording, views, gear, &subject.head),
-        },
-        of,
-    ))
+    Ok((views, of))
+}
+
+/// What views of a recording are called.
+pub(super) fn name_of(grid: Option<&str>, views: &[PlannedView]) -> String {
+    grid.map_or_else(|| format!("{} recorded views", views.len()), str::to_owned)
 }

@@ -124,6 +124,25 @@ impl Scan {
         self.form = None;
     }
 
+    /// The points came without their frames: no flank is found sound by them. A loss that is shown to exceed its limit stays.
+    pub(super) fn without_frames(&mut self) {
+        let why = Reason::instrument(
+            Code::NoFrames,
+            "clouds do not say what their frames would: whether fringe orders are sure, light came over second surfaces, and all stood \
+             still; so no flank is found sound",
+        );
+        let is_sound = |word: Word| matches!(word, Word::Go | Word::Warn);
+        for feature in self.features.iter_mut().filter(|of| is_sound(of.verdict)) {
+            feature.verdict = Word::Indeterminate;
+            feature.reason = Some(why.to_string());
+            feature.code = Some(Code::NoFrames);
+        }
+        if is_sound(self.verdict) {
+            self.verdict = Word::Indeterminate;
+            self.reason = why.to_string();
+        }
+    }
+
     /// Shows what the article's method makes of the views in the place of ours. It claims no uncertainty, so there is no
     /// verdict and no flank is judged.
     pub(super) fn show_instead(&mut self, laid: Hinz2019Stitched, figures: &MethodResult) {

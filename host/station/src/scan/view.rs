@@ -6,6 +6,7 @@ use std::sync::Arc;
 use flankscope_foundation::display::Number;
 use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::cloud::outlier;
+use flankscope_metrology::deviation::{Order, SampleTree};
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::adjustment::{
     Local, Pose, Solution, Stages, ViewInformation, compress, solve,
@@ -122,28 +123,22 @@ impl ViewScanner {
 
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
-        let at = place(&self.plan, view);
-        let mut prior = self.adjustment.predict(at);
-        let expected = *prior.tool_from_cloud.isometry();
         let decoded_view = match self.decoder.finish(sums) {
             Ok(decoded) => decoded,
             Err(error) => {
+                let expected = self.adjustment.predict(place(&self.plan, view));
                 return ScannedView {
                     kept: KeptView::default(),
-                    tool_from_camera: expected,
+                    tool_from_camera: *expected.tool_from_cloud.isometry(),
                     laid: Err(Reason::instrument(Code::Decoding, error)),
                 };
             }
         };
         let decoded = &decoded_view.cloud;
-        let kept = outlier::statistical(&decoded.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
-        let (mut order, dropped): (Vec<usize>, Vec<usize>) =
-            (0..decoded.len()).partition(|&i| kept.get(i).copied().unwrap_or(false));
+        let (order, dropped) = fair_order(&decoded.points_mm);
         let without_point = rays_without_point(&self.decoder, &decoded_view, &dropped)
             .map(|[x, y, z]| [(x / z) as f32, (y / z) as f32])
             .collect();
-        // Shuffled the same way every time: the first thousand points are a fair sample of all.
-        order.sort_unstable_by_key(|&i| (i as u32).wrapping_mul(0x9E37_79B9));
         let points: Vec<Kept> = order
             .iter()
             .map(|&at| {
@@ -151,10 +146,46 @@ impl ViewScanner {
                 [x, y, z, decoded.sigma_z_mm[at], decoded.fringes_dn[at]]
             })
             .collect();
-        let kept = KeptView {
-            points,
-            without_point,
-        };
+        self.lay_on(
+            view,
+            KeptView {
+                points,
+                without_point,
+            },
+        )
+    }
+
+    /// Lays points on the CAD of which nothing is known but where they are, camera frame, and how sure each is. Of fringes they say
+    /// nothing, and a ray of the head without a point within half a cell saw nothing.
+    pub fn lay_cloud(
+        &mut self,
+        view: usize,
+        points_mm: &[[f64; 3]],
+        sigma_mm: &[f32],
+    ) -> ScannedView {
+        let (order, _) = fair_order(points_mm);
+        let points: Vec<Kept> = order
+            .iter()
+            .map(|&at| {
+                let [x, y, z] = points_mm[at].map(|c| c as f32);
+                [x, y, z, sigma_mm[at], f32::NAN]
+            })
+            .collect();
+        let without_point = rays_far_from(&self.decoder, &points);
+        self.lay_on(
+            view,
+            KeptView {
+                points,
+                without_point,
+            },
+        )
+    }
+
+    /// Lays a view on the CAD, from where the stages and the views before it say that it is.
+    fn lay_on(&mut self, view: usize, kept: KeptView) -> ScannedView {
+        let at = place(&self.plan, view);
+        let mut prior = self.adjustment.predict(at);
+        let expected = *prior.tool_from_cloud.isometry();
         let first = coordinates(&kept.points, FIRST_POSE);
         let surface = &self.tool.surface;
         let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
@@ -218,6 +249,36 @@ impl ViewScanner {
             self.adjustment = adjustment;
         }
     }
+}
+
+/// Points that do not stand alone, shuffled the same way every time, so that the first thousand are a fair sample of all; and those
+/// that do.
+fn fair_order(points_mm: &[[f64; 3]]) -> (Vec<usize>, Vec<usize>) {
+    let kept = outlier::statistical(points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+    let (mut order, dropped): (Vec<usize>, Vec<usize>) =
+        (0..points_mm.len()).partition(|&i| kept.get(i).copied().unwrap_or(false));
+    order.sort_unstable_by_key(|&i| (i as u32).wrapping_mul(0x9E37_79B9));
+    (order, dropped)
+}
+
+/// Where the head's rays look that have none of these points within half a cell, at z = 1.
+fn rays_far_from(decoder: &Decoder, points: &[Kept]) -> Vec<[f32; 2]> {
+    let directions = (0..).map_while(|cell| decoder.direction(cell));
+    let rays: Vec<[f64; 3]> = directions.map(|[x, y]| [x, y, 0.0]).collect();
+    let seen: Vec<[f64; 3]> = coordinates(points, points.len())
+        .iter()
+        .map(|[x, y, z]| [x / z, y / z, 0.0])
+        .collect();
+    let far = match SampleTree::new(&seen) {
+        Ok(tree) => tree.distances(&rays, Order::Infinity),
+        // No point at all.
+        Err(_) => vec![f64::INFINITY; rays.len()],
+    };
+    let is_without = |(_, far): &(&[f64; 3], &f64)| **far > 0.5 * decoder.cell_by_depth();
+    let without = rays.iter().zip(&far).filter(is_without);
+    without
+        .map(|([x, y, _], _)| [*x as f32, *y as f32])
+        .collect()
 }
 
 /// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from

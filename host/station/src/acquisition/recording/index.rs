@@ -138,7 +138,8 @@ impl FrameIndex {
 }
 
 impl IndexedView {
-    fn check(&self, at: usize) -> Result<(), BadValue> {
+    /// Whether what it says can be; `at` is its place in the index.
+    pub(crate) fn check(&self, at: usize) -> Result<(), BadValue> {
         let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
             Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
         };
@@ -195,7 +196,7 @@ fn within(value: f64, most: f64) -> bool {
 }
 
 /// Whether a path stays in the folder that it is relative to.
-pub(super) fn stays_inside(path: &Path) -> bool {
+pub(crate) fn stays_inside(path: &Path) -> bool {
     path.components()
         .all(|part| matches!(part, Component::Normal(_) | Component::CurDir))
 }

@@ -23,13 +23,14 @@ use flankscope_profilometry::io::images::{ImageError, ImageHeader};
 use flankscope_profilometry::plan::Plan;
 use flankscope_protocol::{Microseconds, Timestamp, Trigger};
 
+pub(crate) use index::stays_inside;
 pub use index::{FrameIndex, IndexedView};
 pub(crate) use playback::Playback;
 pub(crate) use saver::{SavedCapture, SavedView, Saver};
 pub use source::ImageProblem;
 
 use crate::files;
-use index::stays_inside;
+use crate::origin::RecordingId;
 
 /// A folder of recorded frames, its index and plan read.
 #[derive(Clone, Debug)]
@@ -122,6 +123,16 @@ impl Recording {
             blake3: files::hash(&bytes),
             folder: folder.to_owned(),
         })
+    }
+
+    /// What a result says of it.
+    #[must_use]
+    pub fn id(&self) -> RecordingId {
+        RecordingId {
+            taken: self.index.taken,
+            blake3: self.blake3.clone(),
+            simulated: self.index.simulated,
+        }
     }
 
     /// The head's file, if the index names one.
