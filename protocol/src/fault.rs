@@ -95,6 +95,24 @@ pub enum Fault {
     /// The press was held for the head for as long as it may be. The head is retracted and the press let go.
     #[error("the press was held for the head for as long as it may be")]
     HoldLimit = 57,
+    /// The lens driver did not answer.
+    #[error("the lens driver did not answer")]
+    LensSilent = 58,
+    /// The lens driver does not hold what it was told.
+    #[error("the lens driver lost its setting")]
+    LensLost = 59,
+    /// The lens driver finds no lens at an output.
+    #[error("the lens is not connected")]
+    LensOpen = 60,
+    /// The lens driver finds its outputs shorted.
+    #[error("the lens is shorted")]
+    LensShort = 61,
+    /// The lens driver is too hot and has switched off.
+    #[error("the lens driver is too hot")]
+    LensHot = 62,
+    /// The lens driver does not reach the voltage that it was told.
+    #[error("the lens driver does not reach its voltage")]
+    LensVoltage = 63,
 
     /// The LED must cool before the next view; the capture goes on by itself.
     #[error("the LED must cool before the next view")]
@@ -117,7 +135,7 @@ pub enum FaultClass {
 
 impl Fault {
     /// Every fault known to this version, by rising number.
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 36] = [
         Self::HostSilent,
         Self::EventOverflow,
         Self::MotionTimeout,
@@ -146,6 +164,12 @@ impl Fault {
         Self::PositionLost,
         Self::InterlockLocked,
         Self::HoldLimit,
+        Self::LensSilent,
+        Self::LensLost,
+        Self::LensOpen,
+        Self::LensShort,
+        Self::LensHot,
+        Self::LensVoltage,
         Self::LedCooling,
         Self::LinkNoise,
     ];

@@ -150,6 +150,9 @@ pub enum Refusal {
     /// A motion before the stages were configured in this session.
     #[error("the stages are not configured in this session; configure them first")]
     NotConfigured,
+    /// The plan drives a lens, and no driver of one answered when the controller started.
+    #[error("the plan drives a lens, and no lens driver is fitted")]
+    NoLens,
 }
 
 /// What the controller is.
@@ -169,6 +172,8 @@ pub struct Identity {
     pub verdict_life: Microseconds,
     /// Why the controller last started.
     pub boot: Boot,
+    /// A lens driver answered when the controller started: plans may have a [`crate::Focus`].
+    pub lens: bool,
 }
 
 /// Why the controller last started.

@@ -5,8 +5,8 @@
 //! first, every pattern from DMD index 1 on: set by set, each set step by step.
 
 use crate::units::{
-    Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians, Microseconds,
-    Milliamps, MillidegreesPerSecond, MillidegreesPerSecondSquared,
+    LensCounts, Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians,
+    Microseconds, Milliamps, MillidegreesPerSecond, MillidegreesPerSecondSquared,
 };
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -65,6 +65,15 @@ impl Default for Timeouts {
     }
 }
 
+/// How the liquid lens is driven while a series of views is taken. It is off before and after.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Focus {
+    /// What its driver is told.
+    pub counts: LensCounts,
+    /// Wait from there to the first LED on, for the lens to come to rest.
+    pub settle: Microseconds,
+}
+
 /// A series of views to capture. Build it with struct syntax, check it with [`CapturePlan::validate`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CapturePlan {
@@ -88,6 +97,8 @@ pub struct CapturePlan {
     pub retract: Micrometres,
     /// Waits that end in a fault.
     pub timeouts: Timeouts,
+    /// How the lens is driven; a head without one has none.
+    pub focus: Option<Focus>,
 }
 
 /// What one frame of a view shows.
@@ -188,6 +199,10 @@ pub struct Limits {
     pub stage_baud_min: u32,
     /// Fastest line to the stage controller, baud.
     pub stage_baud_max: u32,
+    /// Least that a lens driver is told.
+    pub lens_min: LensCounts,
+    /// Most that a lens driver is told.
+    pub lens_max: LensCounts,
 }
 
 impl Limits {
@@ -196,6 +211,8 @@ impl Limits {
     /// LED: a view of 49 frames (`scan16` x 3 exposures up to 50 ms) needs about 2.2 s, so 4 s cold; half duty for ever.
     /// Travel: one turn either way; ±150 mm of a 300 mm stage. Speeds and accelerations: two to six times those of
     /// [`crate::StageConfig::DEFAULT`]; a head of 1 kg at 5 m/s² pushes with 5 N, and stops from 0.3 m/s within 9 mm.
+    /// Lens: about 33 to 60 V of the 24 to 70 V that the driver gives. No source at hand states what the lens bears: an assumption,
+    /// to be replaced by its data sheet's.
     pub const DEFAULT: Self = Self {
         exposure_min: Microseconds(1_000),
         exposure_max: Microseconds(100_000),
@@ -218,6 +235,8 @@ impl Limits {
         stage_axes: 3,
         stage_baud_min: 1_200,
         stage_baud_max: 921_600,
+        lens_min: LensCounts(200),
+        lens_max: LensCounts(800),
     };
 }
 
@@ -244,6 +263,8 @@ pub enum Wait {
     DmdTimeout,
     /// [`Timeouts::camera`].
     CameraTimeout,
+    /// [`Focus::settle`].
+    FocusSettle,
 }
 
 /// Why a plan was refused, as a whole: the offending value and the limit it broke.
@@ -370,6 +391,16 @@ pub enum PlanError {
         /// Shortest allowed.
         limit: Microseconds,
     },
+    /// More or less than a lens may be driven with.
+    #[error("focus of {got} is outside {min} .. {max}")]
+    FocusOutOfRange {
+        /// Offending value.
+        got: LensCounts,
+        /// Least allowed.
+        min: LensCounts,
+        /// Most allowed.
+        max: LensCounts,
+    },
 }
 
 /// Shortest timeout that makes sense on any link or device.
@@ -450,6 +481,7 @@ impl CapturePlan {
             });
         }
         self.validate_travel(limits)?;
+        self.validate_focus(limits)?;
         self.validate_waits(limits)
     }
 
@@ -539,8 +571,19 @@ impl CapturePlan {
         Ok(())
     }
 
+    fn validate_focus(&self, limits: &Limits) -> Result<(), PlanError> {
+        let (min, max) = (limits.lens_min, limits.lens_max);
+        match self.focus.map(|focus| focus.counts) {
+            Some(got) if got < min || got > max => {
+                Err(PlanError::FocusOutOfRange { got, min, max })
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn validate_waits(&self, limits: &Limits) -> Result<(), PlanError> {
         let zero = Microseconds(0);
+        let focus_settle = self.focus.map_or(zero, |focus| focus.settle);
         for (which, got, least, limit) in [
             (Wait::Settle, self.settle, zero, limits.wait_max),
             (Wait::DmdSettle, self.dmd_settle, zero, limits.wait_max),
@@ -574,6 +617,7 @@ impl CapturePlan {
                 TIMEOUT_MIN,
                 limits.timeout_max,
             ),
+            (Wait::FocusSettle, focus_settle, zero, limits.wait_max),
         ] {
             if got < least {
                 return Err(PlanError::WaitTooShort {

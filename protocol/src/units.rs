@@ -66,6 +66,11 @@ quantity!(
     "mA"
 );
 quantity!(
+    /// Counts of a liquid lens' driver: steps of its output voltage.
+    LensCounts(u16),
+    "counts"
+);
+quantity!(
     /// Time since the controller powered up, in microseconds of its own clock.
     Timestamp(u64),
     "us"

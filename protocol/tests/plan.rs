@@ -80,6 +80,10 @@ fn every_limit_is_refused_one_beyond_and_accepted_at_it() {
         exposures: [limits.exposure_min, limits.exposure_max]
             .into_iter()
             .collect(),
+        focus: Some(Focus {
+            counts: limits.lens_max,
+            settle: limits.wait_max,
+        }),
         ..plan()
     };
     assert_eq!(at_limit.validate(&limits), Ok(()));
@@ -183,6 +187,12 @@ fn every_limit_is_refused_one_beyond_and_accepted_at_it() {
         (Wait::CameraTimeout, 1_000_000, |p| {
             p.timeouts.camera.0 = 1_000_001
         }),
+        (Wait::FocusSettle, 2_000_000, |p| {
+            p.focus = Some(Focus {
+                counts: LensCounts(500),
+                settle: Microseconds(2_000_001),
+            });
+        }),
     ] {
         assert_eq!(
             refused(&change),
@@ -190,6 +200,17 @@ fn every_limit_is_refused_one_beyond_and_accepted_at_it() {
                 which,
                 got: us(limit + 1),
                 limit: us(limit)
+            }
+        );
+    }
+    for counts in [199, 801].map(LensCounts) {
+        let settle = us(0);
+        assert_eq!(
+            refused(&|p| p.focus = Some(Focus { counts, settle })),
+            PlanError::FocusOutOfRange {
+                got: counts,
+                min: LensCounts(200),
+                max: LensCounts(800)
             }
         );
     }

@@ -46,6 +46,8 @@ pub struct CommandHandler {
     pub interlock: Interlock,
     /// The verdict at the press.
     pub verdict: VerdictLamp,
+    /// A lens driver answered at the start.
+    pub lens_fitted: bool,
     session: Session,
     /// The stages were accepted in this session.
     configured: bool,
@@ -62,6 +64,7 @@ impl CommandHandler {
             sequence,
             interlock: Interlock::new(timing),
             verdict: VerdictLamp::new(timing),
+            lens_fitted: false,
             session: Session::new(),
             configured: false,
             boot,
@@ -186,6 +189,9 @@ impl CommandHandler {
                     state => return Err(Refusal::Busy { state }),
                 }
                 plan.validate(&sequence.plan_limits())?;
+                if plan.focus.is_some() && !self.lens_fitted {
+                    return Err(Refusal::NoLens);
+                }
                 sequence.store(plan.clone());
             }
             Command::Start { .. } | Command::Home if !self.configured => {
@@ -271,6 +277,7 @@ impl CommandHandler {
             host_silence: config.host_silence,
             verdict_life: config.interlock.verdict_life,
             boot: self.boot,
+            lens: self.lens_fitted,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the controller needs of LED, DMD and camera, and the plain-pin versions of them.
+//! What the controller needs of LED, DMD, camera and lens, and the plain-pin versions of them.
 //!
 //! | line             | direction | meaning                                                                    |
 //! |------------------|-----------|----------------------------------------------------------------------------|
@@ -18,7 +18,7 @@ use core::future::pending;
 use embassy_futures::select::{Either3, select3};
 use embedded_hal::digital::{OutputPin, PinState};
 use embedded_hal_async::digital::Wait;
-use flankscope_protocol::Milliamps;
+use flankscope_protocol::{Fault, LensCounts, Milliamps};
 
 /// The LED driver.
 pub trait Led {
@@ -52,21 +52,69 @@ pub trait Camera {
     async fn wait(&mut self, what: CameraWait);
 }
 
+/// Why a lens does not do what it was told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LensFault {
+    /// How.
+    pub fault: Fault,
+    /// The register that tells so, or its answer.
+    pub detail: u32,
+}
+
+impl LensFault {
+    /// A fault, and the byte that tells so.
+    #[must_use]
+    pub fn of(fault: Fault, detail: Option<&u8>) -> Self {
+        let detail = detail.map_or(0, |&byte| u32::from(byte));
+        Self { fault, detail }
+    }
+}
+
+/// The liquid lens' driver.
+pub trait Lens {
+    /// Switches the lens off; false where no driver answers.
+    async fn off(&mut self) -> bool;
+    /// Gives the lens its voltage, and makes sure that it has it.
+    async fn set(&mut self, counts: LensCounts) -> Result<(), LensFault>;
+    /// Makes sure that the lens still has it.
+    async fn check(&mut self, counts: LensCounts) -> Result<(), LensFault>;
+}
+
+/// No lens on this board.
+#[derive(Debug)]
+pub struct NoLens;
+
+impl Lens for NoLens {
+    async fn off(&mut self) -> bool {
+        false
+    }
+    async fn set(&mut self, _: LensCounts) -> Result<(), LensFault> {
+        Err(LensFault::of(Fault::LensSilent, None))
+    }
+    async fn check(&mut self, _: LensCounts) -> Result<(), LensFault> {
+        Err(LensFault::of(Fault::LensSilent, None))
+    }
+}
+
 /// All devices that work with light.
 #[derive(Debug)]
-pub struct Optics<L, D, C> {
+pub struct Optics<L, D, C, N> {
     /// The LED.
     pub led: L,
     /// The DMD.
     pub dmd: D,
     /// The camera.
     pub camera: C,
+    /// The liquid lens.
+    pub lens: N,
 }
 
-impl<L: Led, D: Dmd, C: Camera> Optics<L, D, C> {
+impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
     /// Completes when a line awaited has its level. May be dropped at any time.
     pub async fn wait(&mut self, awaiting: Awaiting) -> Input {
-        let Self { led, dmd, camera } = self;
+        let Self {
+            led, dmd, camera, ..
+        } = self;
         let led = async {
             match awaiting.led_sense {
                 Some(level) => {

@@ -34,6 +34,7 @@ pub mod interlock;
 pub mod lamp;
 pub mod liveness;
 pub mod mailbox;
+pub mod max14574;
 pub mod press;
 pub mod sequence;
 pub mod session;
@@ -41,7 +42,7 @@ pub mod stage;
 pub mod tasks;
 
 pub use command_handler::CommandHandler;
-pub use devices::{Camera, Dmd, Led, Optics};
+pub use devices::{Camera, Dmd, Led, Lens, NoLens, Optics};
 pub use liveness::Watchdog;
 pub use press::{NoPress, PinPress, Press};
 pub use sequence::{Action, Actions, Config, Input, Sequence};

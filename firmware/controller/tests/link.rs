@@ -146,6 +146,7 @@ fn plan(number: u32) -> CapturePlan {
         camera_readout: Microseconds(12_500),
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
+        focus: None,
     }
 }
 

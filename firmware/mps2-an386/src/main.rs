@@ -27,7 +27,7 @@ use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Optics, Sequence, link, press_sequencer, sequence, serve_stage,
+    CommandHandler, Mailboxes, NoLens, Optics, Sequence, link, press_sequencer, sequence, serve_stage,
     supervise,
 };
 use flankscope_protocol::{Line, LineRecord, Microseconds};
@@ -76,6 +76,7 @@ type PinOptics = Optics<
     PinLed<Output, InputPin, Current>,
     PinDmd<Output, InputPin, PatternBus>,
     PinCamera<Output, InputPin, InputPin>,
+    NoLens,
 >;
 
 #[embassy_executor::task]
@@ -138,6 +139,7 @@ fn main() -> ! {
             ready: InputPin(&pins::CAMERA_READY),
             exposing: InputPin(&pins::CAMERA_EXPOSING),
         },
+        lens: NoLens,
     };
     let press = PinPress {
         press_open_a: InputPin(&pins::PRESS_OPEN_A),

@@ -5,7 +5,9 @@ use embassy_stm32::exti::{self, ExtiInput};
 use embassy_stm32::gpio::{Level, Output, Pull, Speed};
 use embassy_stm32::i2c::{self, I2c, Master};
 use embassy_stm32::mode::{Async, Blocking};
-use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH1, I2C1, IWDG1, USART2, USART3};
+use embassy_stm32::peripherals::{
+    DMA1_CH0, DMA1_CH1, DMA1_CH2, DMA1_CH3, I2C1, I2C2, IWDG1, USART2, USART3,
+};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart};
 use embassy_stm32::wdg::IndependentWatchdog;
@@ -14,6 +16,7 @@ use embassy_time::Duration;
 use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
 use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
+use flankscope_controller::max14574::Max14574;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::StagePort;
 use flankscope_controller::{Optics, Watchdog};
@@ -26,8 +29,12 @@ use static_cell::StaticCell;
 bind_interrupts!(struct Irqs {
     I2C1_EV => i2c::EventInterruptHandler<I2C1>;
     I2C1_ER => i2c::ErrorInterruptHandler<I2C1>;
+    I2C2_EV => i2c::EventInterruptHandler<I2C2>;
+    I2C2_ER => i2c::ErrorInterruptHandler<I2C2>;
     DMA1_STREAM0 => dma::InterruptHandler<DMA1_CH0>;
     DMA1_STREAM1 => dma::InterruptHandler<DMA1_CH1>;
+    DMA1_STREAM2 => dma::InterruptHandler<DMA1_CH2>;
+    DMA1_STREAM3 => dma::InterruptHandler<DMA1_CH3>;
     USART2 => usart::BufferedInterruptHandler<USART2>;
     USART3 => usart::BufferedInterruptHandler<USART3>;
     EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
@@ -42,10 +49,13 @@ bind_interrupts!(struct Irqs {
 /// How the host's line is set.
 static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
 
-/// The fastest that the DMD controller's bus goes.
-const PATTERN_BUS_HZ: u32 = 400_000;
+/// The fastest that the DMD controller's bus goes, and the lens driver's.
+const BUS_HZ: u32 = 400_000;
 /// Patience with one transaction: the longest has 10 bytes, a quarter of a millisecond.
-const PATTERN_BUS_TIMEOUT: Duration = Duration::from_millis(2);
+const BUS_TIMEOUT: Duration = Duration::from_millis(2);
+
+/// The lens driver's outputs that have a lens: the camera's on the first, the projector's on the second.
+const LENS_OUTPUTS: u8 = 0b0011;
 
 /// The patterns in the DMD controller's flash. One stands for as long as any camera exposure, and as long again.
 const PATTERNS: Settings = Settings {
@@ -60,10 +70,15 @@ const WATCHDOG_US: u32 = 200_000;
 type In = ExtiInput<'static, Async>;
 type Out = Output<'static>;
 /// The devices that work with light.
-pub type BoardOptics =
-    Optics<PinLed<Out, In, LedCurrent>, PinDmd<Out, In, PatternBus>, PinCamera<Out, In, In>>;
+pub type BoardOptics = Optics<
+    PinLed<Out, In, LedCurrent>,
+    PinDmd<Out, In, PatternBus>,
+    PinCamera<Out, In, In>,
+    Max14574<Bus>,
+>;
+type Bus = I2c<'static, Async, Master>;
 /// The DMD controller.
-type PatternBus = Dlpc350<I2c<'static, Async, Master>>;
+type PatternBus = Dlpc350<Bus>;
 
 /// The press's signals.
 pub type BoardPress = PinPress<In, Out>;
@@ -87,9 +102,11 @@ impl Board {
     pub fn take() -> Option<Self> {
         let p = embassy_stm32::init(clocks());
         let mut bus = i2c::Config::default();
-        bus.frequency = Hertz(PATTERN_BUS_HZ);
-        bus.timeout = PATTERN_BUS_TIMEOUT;
-        let bus = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH0, p.DMA1_CH1, Irqs, bus);
+        bus.frequency = Hertz(BUS_HZ);
+        bus.timeout = BUS_TIMEOUT;
+        let patterns = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH0, p.DMA1_CH1, Irqs, bus);
+        // A bus of its own: a lens on a long cable that holds it down takes no pattern with it.
+        let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH2, p.DMA1_CH3, Irqs, bus);
         let optics = Optics {
             led: PinLed {
                 enable: Output::new(p.PE2, Level::Low, Speed::Low),
@@ -99,13 +116,14 @@ impl Board {
             dmd: PinDmd {
                 trigger: Output::new(p.PE6, Level::Low, Speed::Low),
                 ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
-                port: Dlpc350::new(bus, PATTERNS),
+                port: Dlpc350::new(patterns, PATTERNS),
             },
             camera: PinCamera {
                 trigger: Output::new(p.PE7, Level::Low, Speed::Low),
                 ready: ExtiInput::new(p.PE5, p.EXTI5, Pull::Down, Irqs),
                 exposing: ExtiInput::new(p.PE10, p.EXTI10, Pull::Down, Irqs),
             },
+            lens: Max14574::new(lens, LENS_OUTPUTS),
         };
         let input_low = Pull::Down; // a cut cable reads as "not safe"
         let press = PinPress {

@@ -1,4 +1,4 @@
-//! The controller on the host: embassy's executor, one time driver, virtual pins and UARTs.
+//! The controller on the host: embassy's executor, one time driver, virtual pins, UARTs and I2C.
 //!
 //! Each [`Sim`] owns the thread it was made on, with a clock of its own, so simulations run in parallel and never see
 //! each other. Virtual time jumps from deadline to deadline and stands still in between, however long the host takes
@@ -28,6 +28,7 @@
 
 mod clock;
 mod executor;
+pub mod i2c;
 pub mod line;
 pub mod pty;
 pub mod uart;
@@ -36,6 +37,7 @@ mod wiring;
 
 pub use clock::now_us;
 pub use executor::{Clock, Hold, Pace, Remote, Sim};
+pub use i2c::I2cBus;
 pub use line::{Edge, Line};
 pub use pty::Pty;
 pub use uart::Port;

@@ -1,6 +1,7 @@
 //! All lines and ports between the controller and the devices around it, and the controller on its side of them.
 
 use crate::executor::Sim;
+use crate::i2c::I2cBus;
 use crate::line::Line;
 use crate::uart::Port;
 use core::cell::Cell;
@@ -11,6 +12,7 @@ use flankscope_controller::devices::{
     CurrentSetting, NotSelected, PatternPort, PinCamera, PinDmd, PinLed,
 };
 use flankscope_controller::liveness::Task;
+use flankscope_controller::max14574::Max14574;
 use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
     CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence,
@@ -19,6 +21,9 @@ use flankscope_controller::{
 use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
 use std::rc::Rc;
+
+/// The lens driver's outputs that have a lens: the camera's on the first, the projector's on the second.
+const LENS_OUTPUTS: u8 = 0b0011;
 
 /// The LED's current setting, a converter's output in real life.
 #[derive(Debug, Clone, Default)]
@@ -102,6 +107,8 @@ pub struct Board {
     pub camera_ready: Line,
     /// Camera -> controller: strobe.
     pub camera_exposing: Line,
+    /// Controller <-> liquid lens driver, where one is attached.
+    pub lens_bus: I2cBus,
     /// Press <-> controller.
     pub press: PressLines,
 }
@@ -205,6 +212,7 @@ impl Wiring {
             camera_trigger: sim.line("camera_trigger"),
             camera_ready: sim.line("camera_ready"),
             camera_exposing: sim.line("camera_exposing"),
+            lens_bus: I2cBus::default(),
             press: PressLines::new(sim),
         };
         Self {
@@ -249,6 +257,7 @@ pub(crate) fn tasks(
             ready: board.camera_ready,
             exposing: board.camera_exposing,
         },
+        lens: Max14574::new(board.lens_bus, LENS_OUTPUTS),
     };
     let press = board.press.pins();
     let handler = CommandHandler::new(Sequence::new(config), boot);

@@ -12,13 +12,15 @@ use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Captures, Target};
 use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
 use flankscope_station::calibration::{
-    Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport, save_self_test,
+    Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
+    save_self_test,
 };
 use flankscope_station::origin::{Link, Setting};
 use flankscope_station::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};
+use crate::calibrate_autofocus;
 use crate::calibrate_board::{self, Order};
 use crate::calibrate_focus::{self, FocusArgs};
 use crate::help;
@@ -69,7 +71,7 @@ pub struct Args {
         long,
         short,
         value_name = "HEAD.toml",
-        required_unless_present = "check"
+        required_unless_present_any = ["check", "autofocus"]
     )]
     output: Option<PathBuf>,
     /// Only test this calibrated head on plane and spheres; the result is written beside it
@@ -112,7 +114,7 @@ struct Document<'a> {
 
 /// Where a result comes from; images from elsewhere have no link.
 #[derive(Serialize)]
-struct Made<'a> {
+pub struct Made<'a> {
     link: Option<String>,
     simulated: Option<bool>,
     station: &'a str,
@@ -156,7 +158,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         };
         return calibrate_board::run(&order, &args.common);
     }
-    if let (Some(series), Some(output)) = (&args.focus.focus_series, &args.output) {
+    if let (Some(series), Some(output), false) =
+        (&args.focus.focus_series, &args.output, args.focus.autofocus)
+    {
+        ensure!(
+            args.target.is_none(),
+            "--target: nothing is captured to compute a head from --focus-series; leave it out, or add --autofocus"
+        );
         args.common.try_json()?;
         can_write(output)?;
         return calibrate_focus::run(&args.focus, series, output, &args.common);
@@ -169,15 +177,29 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let target = Target::load(&folder.join("target.toml")).context("target")?;
     args.common.try_json()?;
     let of_target = ("--target", args.target.is_some() && args.images.is_none());
+    if args.focus.autofocus {
+        return autofocus(args, of_target, &folder, &target);
+    }
     match (&args.check, &args.output) {
         (Some(head), _) => check(args, of_target, &folder, target, head),
         (None, Some(output)) => {
             can_write(output)?;
-            let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+            let path = folder.join("head.toml");
+            let mut head = HeadModel::load(&path).context("head to start from")?;
             anyhow::ensure!(
                 head.second_projector.is_none(),
                 "the head to start from has a [second_projector], which is not calibrated yet: take it out for a head with one projector"
             );
+            if let Some(setting_dpt) = args.focus.focus {
+                let lens = head.lens.with_context(|| {
+                    format!(
+                        "--focus {setting_dpt}: {} has no [lens], so there is nothing to drive",
+                        path.display()
+                    )
+                })?;
+                let lens = lens.driven_to(setting_dpt);
+                head.lens = Some(lens.map_err(|bad| bad.in_file(&path, ""))?);
+            }
             let job = Job {
                 args,
                 site: args
@@ -195,6 +217,47 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         (None, None) => bail!("--output or --check is needed"),
     }
+}
+
+/// Finds the sharpest setting before the target's blank plate, and writes the head there where it is asked for.
+fn autofocus(
+    args: &Args,
+    of_target: (&str, bool),
+    folder: &Path,
+    target: &Target,
+) -> anyhow::Result<Outcome> {
+    let series = args.focus.focus_series.as_deref();
+    ensure!(
+        args.output.is_some() == series.is_some(),
+        "--autofocus writes a head (-o HEAD.toml) by --focus-series FOCUS.toml, and only by that: give both or neither"
+    );
+    if let Some(output) = &args.output {
+        can_write(output)?;
+    }
+    let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+    let site = args.place.site(&[of_target])?;
+    let site = site.with_own_stages("a calibration")?;
+    begin(args, &site, target, &head)?;
+    let settings = &site.settings;
+    let mut search = open(args, &site, folder, |root| {
+        Ok(Autofocus::open(head, target, settings, root)?)
+    })?;
+    let mut watcher = Watcher::new(args.common.quiet, Vec::new());
+    let focused = search
+        .station
+        .search(&search.port, search.settings.clone(), |p| watcher.show(p))?;
+    let truth = search.close(args.common.quiet)?;
+    let setting_dpt = focused.lens.setting_dpt();
+    let written = series.zip(args.output.as_deref());
+    let written = written
+        .map(|(series, output)| {
+            let record = calibrate_focus::write(&args.focus, setting_dpt, series, output)?;
+            anyhow::Ok((output, record))
+        })
+        .transpose()?;
+    let written = written.as_ref().map(|(path, record)| (*path, record));
+    let made = Made::by(&site.setting, false);
+    calibrate_autofocus::conclude(&focused, made, written, truth, &args.common)
 }
 
 /// Before anything is measured: the head's folder is there.

@@ -21,18 +21,22 @@ pub struct FocusArgs {
     #[arg(
         long,
         value_name = "FOCUS.toml",
-        requires_all = ["focus", "lens_celsius"],
-        conflicts_with_all = ["target", "images", "board", "check"]
+        requires = "lens_celsius",
+        conflicts_with_all = ["images", "board", "check"]
     )]
     pub focus_series: Option<PathBuf>,
-    /// What the lens driver is told; with --focus-series
+    /// Power that the lens is driven to, as nearly as its driver can [default: the starting head's counts; with --focus-series, none]
     #[arg(
         long,
         value_name = "DPT",
-        requires = "focus_series",
+        conflicts_with_all = ["board", "check"],
         allow_negative_numbers = true
     )]
-    focus: Option<f64>,
+    pub focus: Option<f64>,
+    /// Find the setting of a driven lens at which the fringes on the target's blank plate are sharpest; with --focus-series and -o,
+    /// write the head there
+    #[arg(long, conflicts_with_all = ["focus", "images", "board", "check"])]
+    pub autofocus: bool,
     /// How warm the lens is; with --focus-series
     #[arg(
         long,
@@ -51,15 +55,15 @@ struct Document<'a> {
     calibration: &'a CalibrationRecord,
 }
 
-/// Computes and writes the head.
-pub fn run(
+/// Computes and writes the head at a setting.
+pub fn write(
     args: &FocusArgs,
+    setting_dpt: f64,
     series: &Path,
     output: &Path,
-    common: &Common,
-) -> anyhow::Result<Outcome> {
-    let (Some(setting_dpt), Some(celsius)) = (args.focus, args.lens_celsius) else {
-        anyhow::bail!("--focus-series without --focus and --lens-celsius");
+) -> anyhow::Result<CalibrationRecord> {
+    let Some(celsius) = args.lens_celsius else {
+        anyhow::bail!("--focus-series without --lens-celsius");
     };
     let heads = FocusSeries::load(series)?.heads(series)?;
     let seals = seals()?;
@@ -73,6 +77,20 @@ pub fn run(
         ..record
     })?;
     seals.seal_toml(Kind::Head, output)?;
+    Ok(record)
+}
+
+/// Computes and writes the head at the setting asked for.
+pub fn run(
+    args: &FocusArgs,
+    series: &Path,
+    output: &Path,
+    common: &Common,
+) -> anyhow::Result<Outcome> {
+    let Some(setting_dpt) = args.focus else {
+        anyhow::bail!("--focus-series without --focus, and without --autofocus, which finds one");
+    };
+    let record = write(args, setting_dpt, series, output)?;
     common.write_json(&Document {
         head: output,
         focus_series: series,

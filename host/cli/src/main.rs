@@ -9,6 +9,7 @@ mod bench_link;
 #[path = "no_bench.rs"]
 mod bench_link;
 mod calibrate;
+mod calibrate_autofocus;
 mod calibrate_board;
 mod calibrate_focus;
 mod camera_process;

@@ -184,6 +184,7 @@ fn picture(kind: BoardKind, (turns, middle): (V, V), noise: f64, moved_px: f64) 
             let cell = |at: f64, off: f64| CellColumn {
                 pixel,
                 mean_e: light,
+                contrast: 0.5,
                 column_px: Some(at + off),
             };
             columns.push(cell(lit[0], moved_px + 0.05 * noise * random()));

@@ -89,6 +89,7 @@ fn truth() -> HeadModel {
         core_map: None,
         mirrors: None,
         fringe_contrast: None,
+        lens: None,
     }
 }
 

@@ -51,6 +51,7 @@ pub fn short_plan() -> CapturePlan {
         camera_readout: Microseconds(12_500),
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
+        focus: None,
     }
 }
 
@@ -84,6 +85,10 @@ pub fn longest_plan() -> CapturePlan {
             dmd: Microseconds(u32::MAX),
             camera: Microseconds(u32::MAX),
         },
+        focus: Some(Focus {
+            counts: LensCounts(u16::MAX),
+            settle: Microseconds(u32::MAX),
+        }),
     }
 }
 
@@ -107,6 +112,14 @@ pub fn commands() -> Vec<Command> {
             .into_iter()
             .map(|stage| Command::ConfigureStage { version: 9, stage }),
     );
+    let focus = Focus {
+        counts: LensCounts(541),
+        settle: Microseconds(150_000),
+    };
+    all.push(Command::LoadPlan(CapturePlan {
+        focus: Some(focus),
+        ..short_plan()
+    }));
     all
 }
 
@@ -158,6 +171,7 @@ fn waits() -> Vec<Wait> {
         Wait::LedTimeout => Wait::LedTimeout,
         Wait::DmdTimeout => Wait::DmdTimeout,
         Wait::CameraTimeout => Wait::CameraTimeout,
+        Wait::FocusSettle => Wait::FocusSettle,
     )
 }
 
@@ -182,6 +196,8 @@ fn plan_errors() -> Vec<PlanError> {
         PlanError::WaitTooLong { .. } => PlanError::WaitTooLong { which: Wait::Settle, got: us(9), limit: us(8) },
         PlanError::WaitTooShort { .. } =>
             PlanError::WaitTooShort { which: Wait::LedTimeout, got: us(0), limit: us(1_000) },
+        PlanError::FocusOutOfRange { .. } =>
+            PlanError::FocusOutOfRange { got: LensCounts(900), min: LensCounts(200), max: LensCounts(800) },
     );
     all.extend(waits().into_iter().map(|which| PlanError::WaitTooLong {
         which,
@@ -269,6 +285,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::Interlock { .. } => Refusal::Interlock { fault: Fault::PressNotOpen.code() },
         Refusal::Stage(_) => Refusal::Stage(StageError::SameNumber { got: 1 }),
         Refusal::NotConfigured => Refusal::NotConfigured,
+        Refusal::NoLens => Refusal::NoLens,
     );
     all.extend(plan_errors().into_iter().map(Refusal::Plan));
     all.extend(stage_errors().into_iter().map(Refusal::Stage));
@@ -284,6 +301,7 @@ fn identity(boot: Boot) -> Identity {
         host_silence: Microseconds(100_000),
         verdict_life: Microseconds(5_000_000),
         boot,
+        lens: true,
     }
 }
 

@@ -96,6 +96,8 @@ enum Job {
     },
     /// The press began another stroke.
     Cycled(u32),
+    /// The liquid lens was given this voltage.
+    Focused(Option<u16>),
     HandOver {
         counter: u32,
         _hold: Option<Hold>,
@@ -211,6 +213,10 @@ impl ExposureSink for Camera {
         let _ = self.jobs.send(Job::Cycled(count));
     }
 
+    fn focused(&mut self, counts: Option<u16>) {
+        let _ = self.jobs.send(Job::Focused(counts));
+    }
+
     fn read_out(&mut self, counter: u32) {
         let _ = self.jobs.send(Job::HandOver {
             counter,
@@ -230,6 +236,8 @@ struct FrameRenderer<S: FrameSink> {
     ageing: Ageing,
     /// Strokes of the press so far, and after how many the world's die is.
     cycles: [u32; 2],
+    /// What the liquid lens is given, and what the world shows.
+    focus: [Option<u16>; 2],
     troubles: Troubles,
     /// Captures armed so far.
     captures: u32,
@@ -262,6 +270,7 @@ impl<S: FrameSink> FrameRenderer<S> {
             labels: Labels::default(),
             ageing,
             cycles: [0; 2],
+            focus: [None; 2],
             troubles,
             captures: 0,
             extra: 0,
@@ -337,6 +346,7 @@ impl<S: FrameSink> FrameRenderer<S> {
                     ended_monotonic_ns,
                 } => self.develop(&exposure, ended_monotonic_ns),
                 Job::Cycled(count) => self.cycles[0] = count,
+                Job::Focused(counts) => self.focus[0] = counts,
                 Job::HandOver { counter, _hold } => self.hand_over(counter),
                 Job::Finish(outcome) => {
                     return drop(outcome.send((self.truth, Box::new(self.world))));
@@ -347,6 +357,7 @@ impl<S: FrameSink> FrameRenderer<S> {
 
     fn prepare(&mut self, rotation_rad: f64, vertical_mm: f64) {
         self.age();
+        self.refocus();
         let key = [rotation_rad.to_bits(), vertical_mm.to_bits()];
         if self.views.iter().any(|(known, _)| *known == key) {
             return;
@@ -386,6 +397,19 @@ impl<S: FrameSink> FrameRenderer<S> {
         self.views.clear();
         if let Err(error) = self.world.wear_to(&self.ageing.after(cycles)) {
             eprintln!("bench: after {cycles} cycles: {error}");
+        }
+    }
+
+    /// Drives the lens as the controller did since the last view.
+    fn refocus(&mut self) {
+        let [given, shown] = self.focus;
+        if given == shown {
+            return;
+        }
+        self.focus[1] = given;
+        self.views.clear();
+        if let Err(error) = self.world.focus(given) {
+            eprintln!("bench: lens at {given:?} counts: {error}");
         }
     }
 

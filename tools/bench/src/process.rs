@@ -166,6 +166,9 @@ fn apply(
         config
             .optics
             .make_uneven(bench.lens_error_um, config.head_seed);
+        if let Some(head) = &mut config.driven_head {
+            head.lens_error_um = bench.lens_error_um;
+        }
     }
     let die = asked.die.clone().unwrap_or_default();
     config.form = Form {
@@ -268,6 +271,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         (patterns, config.passes) = pictures::load(folder, config.optics.projector_size_px)?;
     }
     let world = World::new(&config)?;
+    let has_lens = config.driven_head.is_some();
     // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
     let overflow = if speed > 1.0 {
         Overflow::Wait
@@ -301,6 +305,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     };
 
     let mut config = InstrumentConfig::paced(speed);
+    config.devices.lens = has_lens;
     config.devices.seed = seed;
     config.devices.axes.rotation.backlash = 1e-3 * asked.bench.backlash_mdeg;
     config.devices.axes.vertical.backlash = 1e-3 * asked.bench.backlash_um;

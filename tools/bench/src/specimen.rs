@@ -52,7 +52,7 @@ impl Specimen {
     }
 
     /// The die of a tool file or its folder before the head beside it (made as the `optics.toml` there says, with the lenses of the
-    /// `head.toml`), else before the demo head; judged are `teeth` instead of the file's.
+    /// `head.toml` unless a liquid lens makes them), else before the demo head; judged are `teeth` instead of the file's.
     ///
     /// # Errors
     /// The files cannot be read, or describe what cannot stand on the bench.
@@ -79,7 +79,10 @@ impl Specimen {
         };
         let mut config = WorldConfig::new(cad, gear_spec);
         made.impose(&mut config);
-        head.impose(&mut config.optics);
+        // A liquid lens makes the lenses of its head what they are.
+        if config.driven_head.is_none() {
+            head.impose(&mut config.optics);
+        }
         Ok(Self {
             judged: tool
                 .gear

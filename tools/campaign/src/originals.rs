@@ -132,7 +132,7 @@ impl Originals {
         write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
-        // A short core map, and a head that names it by its hash.
+        // A short core map, and a head that names it by its hash and drives a lens.
         let whole = std::fs::read_to_string(self.folder.join("tool/cores.csv"))?;
         let lines: Vec<&str> = whole.lines().take(400).collect();
         let (short, head) = (
@@ -142,7 +142,7 @@ impl Originals {
         let head = head.replace(
             &files::hash(whole.as_bytes()),
             &files::hash(short.as_bytes()),
-        );
+        ) + LENS;
         std::fs::create_dir_all(self.folder.join("cores"))?;
         write("cores/cores.csv", short.as_bytes())?;
         write("cores/head.toml", head.as_bytes())?;
@@ -210,6 +210,7 @@ tooth = 40
 rotation_rad = -2.9919930034188504
 vertical_mm = 33.0
 ";
+const LENS: &str = "\n[lens]\nzero_counts = 516.0\ndpt_per_count = 0.0399\nrange = [416, 616]\nsettle_ms = 150\ncounts = 541\n";
 const FOCUS: &[u8] = b"name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sigma_dpt_per_kelvin = 0.01\ncelsius_sigma = 0.5\n\
 [[focus]]\nsetting_dpt = -3.0\ncelsius = 23.0\nfile = \"a.toml\"\n[[focus]]\nsetting_dpt = 0.0\ncelsius = 23.0\nfile = \"b.toml\"\n\
 [[focus]]\nsetting_dpt = 3.0\ncelsius = 23.5\nfile = \"c.toml\"\n";

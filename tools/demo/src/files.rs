@@ -5,11 +5,11 @@ use std::path::Path;
 
 use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
 use flankscope_bench::files::{MadeHead, OPTICS_FILE};
-use flankscope_bench::world::{HeadDesign, Pinhole};
+use flankscope_bench::world::{HeadDesign, LiquidLens, Pinhole};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::{
-    self, DepthRange, ImageCircle, RigidTransform, SecondProjector, Sensor,
+    self, DepthRange, ImageCircle, LensDrive, RigidTransform, SecondProjector, Sensor,
 };
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -150,6 +150,21 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
         core_map: None,
         mirrors: None,
         fringe_contrast: None,
+        lens: made.lens.as_ref().map(|lens| lens_file(lens, made)),
+    }
+}
+
+/// What the driver of a head's liquid lens is told, at first for the setting that the head is drawn at.
+fn lens_file(lens: &LiquidLens, made: &HeadDesign) -> LensDrive {
+    let counts = |dpt: f64| (lens.zero_counts + dpt / lens.dpt_per_count).round() as u16;
+    let ends = lens.range_dpt.map(counts);
+    let [one, other] = ends;
+    LensDrive {
+        zero_counts: lens.zero_counts,
+        dpt_per_count: lens.dpt_per_count,
+        range: [one.min(other), one.max(other)],
+        settle_ms: lens.settle_ms,
+        counts: counts(made.driven.map_or(0.0, |driven| driven.setting_dpt)),
     }
 }
 

@@ -13,7 +13,9 @@
 //! * the LED is enabled only between the settle of a view and its last frame: never while a stage moves;
 //! * a fault, an abort or a retract switches the LED and the camera trigger off in the same step that it arrives in;
 //! * after a fault nothing starts until it is acknowledged, after power-up nothing until homed;
-//! * every wait has a deadline.
+//! * every wait has a deadline;
+//! * a lens has its voltage from the start of a capture to its end, however it ends, and at no other time. It is told before
+//!   anything moves, and asked before every view whether it has it still.
 //!
 //! **Readout overlap.** The camera reads frame n out while frame n+1 is exposed. If the readout of frame n ends at r
 //! and frame n+1 is exposed for e, it is triggered no earlier than r - e, so that it never ends inside that readout.
@@ -63,6 +65,10 @@ enum Step {
         until: Timestamp,
     },
     Settling {
+        until: Timestamp,
+    },
+    /// Settled; the lens is asked whether it has its voltage.
+    Checking {
         until: Timestamp,
     },
     Cooling {
@@ -134,6 +140,10 @@ pub struct Sequence {
     dmd_at: Timestamp,
     camera_at: Timestamp,
     readout_end: Timestamp,
+    /// The lens has a voltage.
+    lens_on: bool,
+    /// It has come to rest by then.
+    lens_rests_at: Timestamp,
     /// A retract failed and is tried again then.
     retract_again: Option<Timestamp>,
     host_heard: Timestamp,
@@ -162,6 +172,8 @@ impl Sequence {
             dmd_at: Timestamp(0),
             camera_at: Timestamp(0),
             readout_end: Timestamp(0),
+            lens_on: false,
+            lens_rests_at: Timestamp(0),
             retract_again: None,
             host_heard: Timestamp(0),
         }
@@ -219,7 +231,7 @@ impl Sequence {
             Step::Ready => State::Ready,
             Step::Claiming { .. } => State::Claiming,
             Step::Moving { .. } => State::Moving,
-            Step::Settling { .. } => State::Settling,
+            Step::Settling { .. } | Step::Checking { .. } => State::Settling,
             Step::Cooling { .. } => State::Cooling,
             Step::Lighting => State::Lighting,
             Step::Selecting { .. }
@@ -311,6 +323,7 @@ impl Sequence {
             | Step::Claiming { until }
             | Step::Moving { until }
             | Step::Settling { until }
+            | Step::Checking { until }
             | Step::Cooling { until }
             | Step::Selecting { until }
             | Step::Switching { until }
@@ -360,6 +373,7 @@ impl Sequence {
             Input::DmdReady => self.dmd_ready(now, out),
             Input::CameraReady => self.camera_ready(now, out),
             Input::CameraExposing(level) => self.camera_exposing(now, level, out),
+            Input::Lens(outcome) => self.lens(now, outcome, out),
             Input::EventsLost => self.fail(now, Fault::EventOverflow, 0, out),
             Input::MayEnter => {
                 if let Step::Claiming { .. } = self.step {
@@ -392,7 +406,8 @@ impl Sequence {
                 self.fail(now, Fault::InterlockLocked, 0, out)
             }
             Step::Moving { until } if now >= until => self.fail(now, Fault::MotionTimeout, 0, out),
-            Step::Settling { until } if now >= until => self.light(now, out),
+            Step::Settling { until } if now >= until => self.settled(now, out),
+            Step::Checking { until } if now >= until => self.fail(now, Fault::LensSilent, 0, out),
             Step::Cooling { until } if now >= until => self.light(now, out),
             Step::Selecting { until } if now >= until => self.fail(now, Fault::DmdSelect, 0, out),
             Step::Switching { until } if now >= until => self.fail(now, Fault::DmdNotReady, 0, out),
@@ -434,7 +449,7 @@ impl Sequence {
                     );
                     self.enter(
                         Step::Settling {
-                            until: now.after(settle),
+                            until: now.after(settle).max(self.lens_rests_at),
                         },
                         Why::Sequence,
                         now,
@@ -549,6 +564,11 @@ impl Sequence {
                     at: now,
                 }),
             );
+        }
+        // Last, as its bus takes its time.
+        if self.lens_on && !self.capturing() {
+            self.lens_on = false;
+            push(out, Action::LensOff);
         }
     }
 }

@@ -22,6 +22,12 @@ impl Sequence {
         (self.view, self.frame, self.frames_total) = (0, 0, 0);
         self.host_heard = now;
         self.readout_end = now;
+        // First of all: what comes to nothing by the lens has moved nothing.
+        self.lens_rests_at = now;
+        if let Some(focus) = self.focus() {
+            self.lens_on = true;
+            push(out, Action::SetLens(focus.counts));
+        }
         self.enter(
             Step::Claiming {
                 until: now.after(self.config.claim_timeout),

@@ -1,6 +1,7 @@
 //! What goes into the sequence and what comes out.
 
-use flankscope_protocol::{Event, Fault, Micrometres, Microradians, Milliamps, View};
+use crate::devices::LensFault;
+use flankscope_protocol::{Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, View};
 
 /// Most actions of one step: the longest chain is a fault (event, LED, event, camera, DMD, stop, retract, event).
 pub const MAX_ACTIONS: usize = 16;
@@ -50,6 +51,8 @@ pub enum Input {
     CameraReady,
     /// Level of the camera's exposure-active line.
     CameraExposing(bool),
+    /// The lens has the voltage that it was given, or what is wrong with it.
+    Lens(Result<(), LensFault>),
     /// Events for the host were lost.
     EventsLost,
     /// The press was claimed and has had its time to obey: the head may enter.
@@ -90,6 +93,12 @@ pub enum Action {
     LedOff,
     /// Select a pattern; answer with [`Input::PatternSelected`] before anything else.
     SelectPattern(u16),
+    /// Give the lens its voltage; answer with [`Input::Lens`] before anything else.
+    SetLens(LensCounts),
+    /// Make sure that the lens has it still; answer with [`Input::Lens`] before anything else.
+    CheckLens(LensCounts),
+    /// Switch the lens off.
+    LensOff,
     /// Level of the DMD trigger: the rising edge shows the selected pattern.
     DmdTrigger(bool),
     /// Level of the camera trigger: exposed while high.

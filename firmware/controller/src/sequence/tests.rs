@@ -2,11 +2,14 @@
 
 extern crate std;
 
+mod lens;
+
 use super::*;
 use crate::diagrams;
 use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
 
-use flankscope_protocol::{FringeSet, Timeouts};
+use crate::devices::LensFault;
+use flankscope_protocol::{FringeSet, LensCounts, Timeouts};
 use std::{vec, vec::Vec};
 
 const RETRACTED: Micrometres = Micrometres(90_000);
@@ -47,6 +50,7 @@ fn plan() -> CapturePlan {
         camera_readout: Microseconds(12_500),
         retract: RETRACTED,
         timeouts: Timeouts::default(),
+        focus: None,
     }
 }
 
@@ -61,6 +65,8 @@ struct World {
     exposing_flips_at: Timestamp,
     motion: Option<(Timestamp, u16, View)>,
     pose: View,
+    lens: Option<LensCounts>,
+    lens_says: Result<(), LensFault>,
     /// No device answers any more.
     frozen: bool,
     host_alive: bool,
@@ -99,6 +105,8 @@ impl Rig {
             exposing_flips_at: Timestamp(0),
             motion: None,
             pose: home,
+            lens: None,
+            lens_says: Ok(()),
             frozen: false,
             host_alive: true,
             host_next: Timestamp(0),
@@ -112,8 +120,8 @@ impl Rig {
         }
     }
 
-    /// Homed and started.
-    fn started(config: Config, plan: CapturePlan) -> Self {
+    /// Homed, with a plan.
+    fn homed(config: Config, plan: CapturePlan) -> Self {
         let mut rig = Self::new(config);
         rig.order(|sequence, now, out| sequence.home(now, out));
         rig.run();
@@ -121,6 +129,12 @@ impl Rig {
         assert_eq!(plan.validate(&config.limits), Ok(()));
         rig.sequence.store(plan);
         rig.log.clear();
+        rig
+    }
+
+    /// Homed and started.
+    fn started(config: Config, plan: CapturePlan) -> Self {
+        let mut rig = Self::homed(config, plan);
         rig.order(|sequence, now, out| sequence.start(now, out));
         assert_eq!(rig.sequence.state(), State::Claiming);
         rig.input(Input::MayEnter);
@@ -141,7 +155,7 @@ impl Rig {
 
     fn perform(&mut self, actions: Actions) {
         assert!(actions.len() < MAX_ACTIONS, "no room left: {actions:?}");
-        let mut selected = false;
+        let (mut selected, mut asked) = (false, false);
         for action in actions {
             self.log.push((self.now, action));
             let world = &mut self.world;
@@ -184,12 +198,21 @@ impl Rig {
                     };
                     world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
                 }
+                Action::SetLens(counts) => (world.lens, asked) = (Some(counts), true),
+                Action::CheckLens(counts) => {
+                    assert_eq!(world.lens, Some(counts));
+                    asked = true;
+                }
+                Action::LensOff => world.lens = None,
                 Action::StopStages => world.motion = None,
                 Action::Report(_) => {}
             }
         }
         if selected && !self.world.frozen {
             self.input(Input::PatternSelected(true));
+        }
+        if asked && !self.world.frozen {
+            self.input(Input::Lens(self.world.lens_says));
         }
     }
 

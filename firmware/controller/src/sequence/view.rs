@@ -2,7 +2,10 @@
 
 use super::signals::{Action, Actions, push};
 use super::{Sequence, Step, Then};
-use flankscope_protocol::{Event, Fault, FrameSpec, Microseconds, Timestamp, Trigger, View, Why};
+use crate::devices::LensFault;
+use flankscope_protocol::{
+    Event, Fault, Focus, FrameSpec, Microseconds, Timestamp, Trigger, View, Why,
+};
 
 impl Sequence {
     pub(super) fn move_to_view(&mut self, now: Timestamp, why: Why, out: &mut Actions) {
@@ -26,7 +29,46 @@ impl Sequence {
         );
     }
 
-    /// Settled: light the LED, once it has cooled enough to last the whole view.
+    /// Settled: light the LED, once the lens has been asked, where one is driven.
+    pub(super) fn settled(&mut self, now: Timestamp, out: &mut Actions) {
+        let patience = self.plan.as_ref().map(|plan| plan.timeouts.led);
+        match self.focus().zip(patience) {
+            None => self.light(now, out),
+            Some((focus, patience)) => {
+                push(out, Action::CheckLens(focus.counts));
+                self.step = Step::Checking {
+                    until: now.after(patience),
+                };
+            }
+        }
+    }
+
+    /// The lens was told its voltage, before the head moved, or was asked for it, before a view.
+    pub(super) fn lens(
+        &mut self,
+        now: Timestamp,
+        outcome: Result<(), LensFault>,
+        out: &mut Actions,
+    ) {
+        match (outcome, self.step) {
+            (Ok(()), Step::Checking { .. }) => self.light(now, out),
+            (Ok(()), _) => {
+                let settle = self.focus().map_or(Microseconds(0), |focus| focus.settle);
+                self.lens_rests_at = now.after(settle);
+            }
+            (Err(LensFault { fault, detail }), _) if self.lens_on => {
+                self.fail(now, fault, detail, out);
+            }
+            // The capture ended meanwhile.
+            (Err(_), _) => {}
+        }
+    }
+
+    pub(super) fn focus(&self) -> Option<Focus> {
+        self.plan.as_ref()?.focus
+    }
+
+    /// Light the LED, once it has cooled enough to last the whole view.
     pub(super) fn light(&mut self, now: Timestamp, out: &mut Actions) {
         let Some((need, led, timeout)) = self
             .plan

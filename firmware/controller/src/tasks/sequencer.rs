@@ -2,7 +2,7 @@
 
 use super::{Mailboxes, Outgoing, Request};
 use crate::command_handler::{CommandHandler, LinkCounts};
-use crate::devices::{Camera, Dmd, Led, Optics};
+use crate::devices::{Camera, Dmd, Led, Lens, LensFault, Optics};
 use crate::interlock::Position;
 use crate::liveness::Task;
 use crate::press::{NoPress, Press};
@@ -12,10 +12,13 @@ use core::sync::atomic::Ordering;
 use embassy_futures::select::{Either, Either4, select, select4};
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use flankscope_protocol::message::Boot;
-use flankscope_protocol::{Event, Timestamp};
+use flankscope_protocol::{Event, Fault, Timestamp};
 
 /// A pattern selection that takes longer than this counts as refused; on a 400 kHz bus it takes 0.2 ms.
 const SELECT_TIMEOUT: Duration = Duration::from_millis(20);
+
+/// A lens that takes longer is silent: on a 400 kHz bus it is told, tested and read within [`crate::max14574::TEST_POLLS`] + 2 ms.
+const LENS_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// The controller's clock.
 #[must_use]
@@ -24,9 +27,9 @@ pub fn now() -> Timestamp {
 }
 
 /// Runs the sequence for ever on a table, without a press.
-pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
+pub async fn sequencer<L: Led, D: Dmd, C: Camera, N: Lens>(
     handler: CommandHandler,
-    optics: Optics<L, D, C>,
+    optics: Optics<L, D, C, N>,
     mail: &Mailboxes,
 ) -> ! {
     press_sequencer(handler, optics, NoPress, mail).await
@@ -34,9 +37,9 @@ pub async fn sequencer<L: Led, D: Dmd, C: Camera>(
 
 /// Runs the sequence for ever: waits for a command, a stage, a pin, the press or a deadline, and does what the
 /// interlock and the sequence say, in this order.
-pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
+pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, N: Lens, P: Press>(
     mut handler: CommandHandler,
-    mut optics: Optics<L, D, C>,
+    mut optics: Optics<L, D, C, N>,
     mut press: P,
     mail: &Mailboxes,
 ) -> ! {
@@ -45,6 +48,12 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
         // What was set off before the reset may still be under way.
         let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
     }
+    // Off, too, is a lens that kept its voltage over a reset.
+    let lens_off = with_timeout(LENS_TIMEOUT, optics.lens.off());
+    handler.lens_fitted = matches!(
+        mail.liveness.alive(Task::Sequencer, lens_off).await,
+        Ok(true)
+    );
     loop {
         watch_press(&mut handler, &mut optics, &mut press, mail, &mut unreported).await;
         let awaiting = handler.sequence.awaiting();
@@ -100,9 +109,9 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, P: Press>(
 }
 
 /// Looks at the press, drives its outputs, and passes on what the interlock found.
-async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
+async fn watch_press<L: Led, D: Dmd, C: Camera, N: Lens, P: Press>(
     handler: &mut CommandHandler,
-    optics: &mut Optics<L, D, C>,
+    optics: &mut Optics<L, D, C, N>,
     press: &mut P,
     mail: &Mailboxes,
     unreported: &mut u32,
@@ -136,9 +145,9 @@ async fn watch_press<L: Led, D: Dmd, C: Camera, P: Press>(
 
 /// Carries out actions in order, and what follows from them; none is left. Lent, not given: they are a kilobyte, and
 /// copying it would be most of the time from an alarm to its edge.
-async fn perform<L: Led, D: Dmd, C: Camera>(
+async fn perform<L: Led, D: Dmd, C: Camera, N: Lens>(
     handler: &mut CommandHandler,
-    optics: &mut Optics<L, D, C>,
+    optics: &mut Optics<L, D, C, N>,
     mail: &Mailboxes,
     actions: &mut Actions,
     unreported: &mut u32,
@@ -158,6 +167,16 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
                 Action::SelectPattern(pattern) => {
                     let taken = with_timeout(SELECT_TIMEOUT, optics.dmd.select(pattern)).await;
                     follow_up = Some(Input::PatternSelected(matches!(taken, Ok(Ok(())))));
+                }
+                Action::SetLens(counts) => {
+                    follow_up = Some(in_time(optics.lens.set(counts)).await);
+                }
+                Action::CheckLens(counts) => {
+                    follow_up = Some(in_time(optics.lens.check(counts)).await);
+                }
+                Action::LensOff => {
+                    // One that does not obey fails at its next setting.
+                    let _obeyed = with_timeout(LENS_TIMEOUT, optics.lens.off()).await;
                 }
                 Action::Home { ticket } => {
                     let stage = *handler.sequence.stage();
@@ -181,6 +200,12 @@ async fn perform<L: Led, D: Dmd, C: Camera>(
         let Some(input) = follow_up else { return };
         handler.sequence.step(now(), input, actions);
     }
+}
+
+/// What the lens answers, if it does.
+async fn in_time(asked: impl Future<Output = Result<(), LensFault>>) -> Input {
+    let answer = with_timeout(LENS_TIMEOUT, asked).await;
+    Input::Lens(answer.unwrap_or(Err(LensFault::of(Fault::LensSilent, None))))
 }
 
 /// Queues an event; false on the first one of a row that finds no room.

@@ -22,7 +22,8 @@ use serde::Deserialize;
 use super::uncertainty::{samples, seen_point};
 use crate::head::residual::ResidualField;
 use crate::head::{
-    CalibrationRecord, CoreMapError, DepthRange, FocusRecord, HeadModel, Pinhole, RigidTransform,
+    CalibrationRecord, CoreMapError, DepthRange, FocusRecord, HeadModel, LensDrive, Pinhole,
+    RigidTransform,
 };
 use crate::pattern::Axis;
 use crate::triangulate::Triangulator;
@@ -107,6 +108,9 @@ pub enum FocusError {
         /// Least and most setting at that temperature.
         range_dpt: [f64; 2],
     },
+    /// Beyond what the lens is driven to.
+    #[error("{} dpt: {}", .0.got, .0.expected)]
+    Beyond(BadValue),
     /// A ray of one setting meets no sheet of light of another.
     #[error("{}: its rays do not meet the other settings' light: is it another head?", file.display())]
     Strange {
@@ -261,6 +265,14 @@ impl FocusedHeads {
                     "was itself computed between settings: name the calibrated ones",
                 ));
             }
+            if head
+                .lens
+                .is_some_and(|lens| !is_told(&lens, focus.setting_dpt))
+            {
+                return Err(unfit(
+                    "drives its lens to another setting: [lens] counts must be those nearest to setting_dpt",
+                ));
+            }
             if head.volume.is_none() || head.stage_from_camera.is_none() {
                 return Err(unfit("must have [volume] and [stage_from_camera]"));
             }
@@ -269,7 +281,7 @@ impl FocusedHeads {
                 .is_some_and(|first| !is_same(&first.head, &head))
             {
                 return Err(unfit(
-                    "is another head than the first setting's: pixels, patterns, exposures, binning, sensor and image circle must be the same",
+                    "is another head than the first setting's: pixels, patterns, exposures, binning, sensor, image circle and lens driver must be the same",
                 ));
             }
             if nodes
@@ -280,9 +292,13 @@ impl FocusedHeads {
                     "was calibrated by another target or at another place than the first setting's: calibrate all by one",
                 ));
             }
+            // Told in steps, it had what its counts give.
+            let setting_dpt = head
+                .lens
+                .map_or(focus.setting_dpt, |lens| lens.setting_dpt());
             nodes.push(Node {
-                setting_dpt: focus.setting_dpt,
-                power_dpt: series.power_of(&focus),
+                setting_dpt,
+                power_dpt: series.power_dpt(setting_dpt, focus.celsius),
                 celsius: focus.celsius,
                 file,
                 head,
@@ -334,6 +350,10 @@ impl FocusedHeads {
             });
         }
         let nodes: Vec<&Node> = self.nodes.iter().collect();
+        // What a driver is told comes in steps: the head is that of the nearest.
+        let lens = nodes[0].head.lens.map(|lens| lens.driven_to(setting_dpt));
+        let lens = lens.transpose().map_err(FocusError::Beyond)?;
+        let setting_dpt = lens.map_or(setting_dpt, |lens| lens.setting_dpt());
         let power_dpt = self.series.power_dpt(setting_dpt, celsius);
         let [first, last] = [&nodes[0], &nodes[nodes.len() - 1]].map(|node| node.power_dpt);
         // A setting that was calibrated is within, whatever the sum of setting and drift is rounded to.
@@ -348,7 +368,8 @@ impl FocusedHeads {
         }
         let by = weights(&nodes, power_dpt);
         let mut head = mean(&nodes, &by);
-        head.name = format!("{}, {setting_dpt} dpt at {celsius} °C", self.series.name);
+        head.lens = lens;
+        head.name = format!("{}, {setting_dpt:.3} dpt at {celsius} °C", self.series.name);
         head.check().map_err(FocusError::NoHead)?;
 
         let strange = || FocusError::Strange {
@@ -437,7 +458,19 @@ fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
         && a.mirrors == b.mirrors
         && a.sensor == b.sensor
         && a.image_circle == b.image_circle
+        && driver(a) == driver(b)
         && a.core_map.is_some() == b.core_map.is_some()
+}
+
+/// The lens' driver, whatever it is told.
+fn driver(head: &HeadModel) -> Option<LensDrive> {
+    head.lens.map(|lens| LensDrive { counts: 0, ..lens })
+}
+
+/// Whether a driver is told a setting, as nearly as it can be.
+fn is_told(lens: &LensDrive, setting_dpt: f64) -> bool {
+    let off_dpt = (lens.setting_dpt() - setting_dpt).abs();
+    off_dpt <= (0.5 + 1e-6) * lens.dpt_per_count.abs()
 }
 
 fn is_made_alike(a: &CalibrationRecord, b: &CalibrationRecord) -> bool {

@@ -58,6 +58,8 @@ pub struct CellColumn {
     pub pixel: [f64; 2],
     /// Mean light over the finest frequency's steps in electrons, NaN where every exposure was saturated.
     pub mean_e: f64,
+    /// Contrast of those steps; not a number likewise.
+    pub contrast: f64,
     /// Projector column that lights the place, where it could be told.
     pub column_px: Option<f64>,
 }

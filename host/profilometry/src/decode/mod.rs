@@ -501,13 +501,16 @@ impl Decoder {
             let cell = |index: usize| {
                 let ray = &self.rays[band.first_cell + index];
                 let noise = self.noise(band, index);
-                let mean_e = self
+                let (mean_e, contrast) = self
                     .estimate(band, index, finest, &noise)
-                    .map_or(f64::NAN, |estimate| estimate.mean_e);
+                    .map_or((f64::NAN, f64::NAN), |estimate| {
+                        (estimate.mean_e, estimate.contrast())
+                    });
                 let column = self.column(view, conditioned, index, ray).ok();
                 CellColumn {
                     pixel: ray.pixel,
                     mean_e,
+                    contrast,
                     column_px: column.map(|column| column.column_px),
                 }
             };

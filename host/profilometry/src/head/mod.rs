@@ -5,6 +5,7 @@
 mod calibration;
 mod camera;
 mod core_map;
+mod lens;
 mod mirrors;
 mod opencv;
 mod pose;
@@ -28,6 +29,7 @@ pub use calibration::{BoardRecord, CalibrationRecord, FocusRecord, HoldOut, Reco
 pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
+pub use lens::LensDrive;
 pub use mirrors::{Arrangement, Mirrors};
 pub use pose::RigidTransform;
 pub use second_projector::SecondProjector;
@@ -69,6 +71,9 @@ pub struct HeadModel {
     /// A second projector on the other side of the camera, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub second_projector: Option<SecondProjector>,
+    /// The liquid lens that its focus follows, and how it is driven; absent: it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens: Option<LensDrive>,
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage_from_camera: Option<RigidTransform>,
@@ -153,6 +158,7 @@ impl HeadModel {
             fringe_contrast: None,
             projector_from_camera,
             second_projector: None,
+            lens: None,
             stage_from_camera: None,
             sensor: None,
             volume: None,
@@ -215,6 +221,9 @@ impl HeadModel {
         }
         if let Some(sensor) = &self.sensor {
             sensor.check()?;
+        }
+        if let Some(lens) = &self.lens {
+            lens.check()?;
         }
         if let Some(volume) = &self.volume {
             volume.check()?;

@@ -66,6 +66,7 @@ pub fn head() -> HeadModel {
         core_map: None,
         mirrors: None,
         fringe_contrast: None,
+        lens: None,
     }
 }
 

@@ -30,6 +30,9 @@ impl<O: Send + 'static> Acquisition<O> {
         if let Some(fault) = status.fault {
             return Err(AcquisitionError::Faulted { fault });
         }
+        if self.program.lens.is_some() && !client.identity().lens {
+            return Err(AcquisitionError::NoLens);
+        }
         client.configure(&self.program.stage).await?;
         if client.status().await?.homed {
             return Ok(());

@@ -35,6 +35,11 @@ pub enum AcquisitionError {
     /// Somebody asked for it.
     #[error("interrupted")]
     Interrupted,
+    /// The head's focus follows a lens that nobody drives.
+    #[error(
+        "the head's file has a [lens], and the controller found no lens driver when it started: is the driver powered, wired as in firmware/README.md, and the controller reset since?"
+    )]
+    NoLens,
     /// The controller waits for somebody.
     #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
     Faulted {

@@ -1,9 +1,10 @@
 //! What stages, pattern projector and camera are to do, and how that is put to the controller.
 
 use flankscope_profilometry::PatternSet;
+use flankscope_profilometry::head::LensDrive;
 use flankscope_protocol::{
-    CapturePlan, FringeSet, Limits, Micrometres, Microradians, Microseconds, Milliamps,
-    StageConfig, Timeouts, View,
+    CapturePlan, Focus, FringeSet, LensCounts, Limits, Micrometres, Microradians, Microseconds,
+    Milliamps, StageConfig, Timeouts, View,
 };
 
 use crate::settings::{Light, Stages, Timing};
@@ -61,6 +62,8 @@ pub struct Program {
     pub light: Light,
     /// What moves.
     pub stage: StageConfig,
+    /// The head's liquid lens, if it has one.
+    pub lens: Option<LensDrive>,
 }
 
 /// What a capture plan cannot say.
@@ -154,6 +157,10 @@ impl Program {
                 motion: Timeouts::default().motion.max(self.stage.motion_timeout()),
                 ..Timeouts::default()
             },
+            focus: self.lens.map(|lens| Focus {
+                counts: LensCounts(lens.counts),
+                settle: Microseconds::from_millis(lens.settle_ms),
+            }),
         };
         let too_many = |what, got, limit| ProgramError::TooMany { what, got, limit };
         let limit = plan.views.capacity();
@@ -201,6 +208,7 @@ mod tests {
             timing: Timing::default(),
             light: Light::default(),
             stage: StageConfig::DEFAULT,
+            lens: None,
         }
     }
 

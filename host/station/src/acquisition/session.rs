@@ -6,6 +6,7 @@ use std::sync::mpsc;
 use std::thread::JoinHandle;
 
 use flankscope_frames::FrameSource;
+use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::sync::mpsc as channel;
 
@@ -115,6 +116,11 @@ impl<O: Send + 'static> Acquisition<O> {
             compute: Some(compute),
             saved: Vec::new(),
         })
+    }
+
+    /// How the lens is driven from the next capture on.
+    pub(crate) fn drive(&mut self, lens: Option<LensDrive>) {
+        self.program.lens = lens;
     }
 
     /// What stages, projector and camera are to do.

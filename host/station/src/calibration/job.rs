@@ -7,7 +7,8 @@ use flankscope_foundation::date::Date;
 use flankscope_foundation::textfile::TextFileError;
 use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
 use flankscope_profilometry::calibrate::{
-    Adjusted, CalibrateError, SelfTestError, Sighting, StagePose, Target, adjust, hold_out,
+    Adjusted, CalibrateError, NotSharp, SelfTestError, Sighting, StagePose, Target, adjust,
+    hold_out,
 };
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
@@ -47,6 +48,12 @@ pub enum CalibrationError {
     /// No self-test from these captures.
     #[error(transparent)]
     SelfTest(#[from] SelfTestError),
+    /// No focus from these captures.
+    #[error(transparent)]
+    NotSharp(#[from] NotSharp),
+    /// Nothing to focus with.
+    #[error("the head's file has no [lens]: its focus is not driven")]
+    NoLens,
     /// A manifest or a plan.
     #[error(transparent)]
     File(#[from] TextFileError),

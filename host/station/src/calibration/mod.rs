@@ -12,8 +12,10 @@
 //! | `job` | from the captures to the head |
 //! | `folder` | the same from images made elsewhere |
 //! | `board` | a head from an ordinary board, of images made elsewhere |
+//! | `autofocus` | the blank plate at setting after setting of a driven lens |
 //! | `fitness` | plane and sphere measured with it, today and every week |
 
+mod autofocus;
 mod board;
 mod fitness;
 mod folder;
@@ -21,6 +23,7 @@ mod job;
 mod survey;
 mod views;
 
+pub use autofocus::{Autofocus, Focused};
 pub use board::{BoardFolder, BoardFolderError};
 pub use fitness::{FitnessSurvey, save_self_test};
 pub use folder::CaptureFolder;

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use flankscope_profilometry::calibrate::{StagePose, Target};
+use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::pattern::PatternError;
 use flankscope_profilometry::{
     Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet,
@@ -94,6 +95,7 @@ impl<O: Send + 'static> Surveyor<O> {
             timing: station.timing.clone(),
             light: station.light.clone(),
             stage: station.stages.config(),
+            lens: head.lens,
         };
         let views = program.positions.len();
         let own = Arc::clone(&decoder);
@@ -115,6 +117,32 @@ impl<O: Send + 'static> Surveyor<O> {
         &mut self,
         port: &Path,
         settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Vec<O>, SurveyError> {
+        let lens = self.acquisition.program().lens;
+        self.sweep(&[lens], port, settings, watch)
+    }
+
+    /// Captures every position with the lens driven one way after the other: the results of each after those of the one before.
+    ///
+    /// # Errors
+    /// As [`Self::survey`].
+    pub fn through(
+        &mut self,
+        lenses: &[LensDrive],
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Vec<O>, SurveyError> {
+        let lenses: Vec<_> = lenses.iter().copied().map(Some).collect();
+        self.sweep(&lenses, port, settings, watch)
+    }
+
+    fn sweep(
+        &mut self,
+        lenses: &[Option<LensDrive>],
+        port: &Path,
+        settings: ClientSettings,
         mut watch: impl FnMut(Progress),
     ) -> Result<Vec<O>, SurveyError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -126,38 +154,51 @@ impl<O: Send + 'static> Surveyor<O> {
             let mut client = client.map_err(AcquisitionError::from)?;
             watch(Progress::Connected);
             self.acquisition.make_ready(&mut client, &mut watch).await?;
-            let wanted: Vec<usize> = (0..self.views).collect();
-            let mut run = Run::new(wanted.clone(), None);
-            for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
-                let missing = |run: &mut Run<O>, views: &[usize], _: Option<&Stop>| {
-                    Ok::<_, AcquisitionError>(run.without_outcome(views))
-                };
-                let captured = self.acquisition.capture_settled(
-                    &mut client,
-                    &mut run,
-                    views,
-                    AfterStop::End,
-                    missing,
-                    &mut watch,
-                );
-                let stopped = captured.await?;
-                if let Some(Stop::Interrupted) = stopped {
-                    return Err(SurveyError::Interrupted {
-                        done: run.outcomes.len(),
-                        of: self.views,
-                    });
-                }
-                let lost = run.without_outcome(views).first().copied();
-                if let Some(view) = lost.or(stopped.is_some().then_some(views[0])) {
-                    let why = match (stopped, run.problems.get(&view)) {
-                        (Some(stopped), _) => stopped.to_string(),
-                        (None, Some(problem)) => problem.to_string(),
-                        (None, None) => "it was not captured".into(),
-                    };
-                    return Err(SurveyError::Lost { view, why });
-                }
+            let mut outcomes = Vec::with_capacity(lenses.len() * self.views);
+            for &lens in lenses {
+                self.acquisition.drive(lens);
+                outcomes.extend(self.capture_all(&mut client, &mut watch).await?);
             }
-            Ok(run.outcomes.into_values().collect())
+            Ok(outcomes)
         })
+    }
+
+    async fn capture_all(
+        &mut self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Vec<O>, SurveyError> {
+        let wanted: Vec<usize> = (0..self.views).collect();
+        let mut run = Run::new(wanted.clone(), None);
+        for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
+            let missing = |run: &mut Run<O>, views: &[usize], _: Option<&Stop>| {
+                Ok::<_, AcquisitionError>(run.without_outcome(views))
+            };
+            let captured = self.acquisition.capture_settled(
+                client,
+                &mut run,
+                views,
+                AfterStop::End,
+                missing,
+                watch,
+            );
+            let stopped = captured.await?;
+            if let Some(Stop::Interrupted) = stopped {
+                return Err(SurveyError::Interrupted {
+                    done: run.outcomes.len(),
+                    of: self.views,
+                });
+            }
+            let lost = run.without_outcome(views).first().copied();
+            if let Some(view) = lost.or(stopped.is_some().then_some(views[0])) {
+                let why = match (stopped, run.problems.get(&view)) {
+                    (Some(stopped), _) => stopped.to_string(),
+                    (None, Some(problem)) => problem.to_string(),
+                    (None, None) => "it was not captured".into(),
+                };
+                return Err(SurveyError::Lost { view, why });
+            }
+        }
+        Ok(run.outcomes.into_values().collect())
     }
 }

@@ -146,6 +146,7 @@ impl Client {
                 host_silence: flankscope_protocol::Microseconds(0),
                 verdict_life: flankscope_protocol::Microseconds(0),
                 boot: flankscope_protocol::message::Boot::PowerUp,
+                lens: false,
             },
             session,
             sequence: 0,

@@ -90,11 +90,13 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
         "baud": Line::HOST.baud,
         "answer_ms": answer_ms as u64,
         "boot": boot,
+        "lens": identity.lens,
         "frames_dropped": status.frames_dropped,
         "events_lost": status.events_lost,
     });
+    let lens = if identity.lens { ", drives a lens" } else { "" };
     let seen = format!(
-        "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}",
+        "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}{lens}",
         Line::HOST
     );
     let finding = match (status.fault, identity.boot) {

@@ -4,7 +4,7 @@ use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage, Tool as Tool
 use flankscope_metrology::gear::{GearData, Kind};
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
-use flankscope_profilometry::head::Sensor;
+use flankscope_profilometry::head::{LensDrive, Sensor};
 use flankscope_profilometry::{Bend, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 use serde::{Deserialize, Serialize};
 
@@ -80,6 +80,8 @@ pub struct ViewPlan {
     pub lit_ratios: Vec<f64>,
     /// Exposure times, ascending, µs.
     pub exposures_us: Vec<u32>,
+    /// The head's liquid lens, where frames are captured through it.
+    pub lens: Option<LensDrive>,
     /// Whether a dark frame precedes each view.
     pub dark_frame: bool,
     /// The sensor that counted, where it is not the one of the head's file.
@@ -224,6 +226,7 @@ impl ViewPlan {
             patterns,
             lit_ratios: Light::of(head).lit_ratios,
             exposures_us: head.exposures_us.clone(),
+            lens: head.lens,
             dark_frame: true,
             sensor: None,
             top_mm: tool.top_mm(),
@@ -315,6 +318,7 @@ impl ViewPlan {
             patterns: plan.patterns.clone(),
             lit_ratios: recording.index.lit_ratios.clone(),
             exposures_us: plan.exposures_us.clone(),
+            lens: None,
             dark_frame: plan.dark_frame,
             sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),
             top_mm: gear.height_mm[1],
@@ -351,6 +355,7 @@ impl ViewPlan {
             patterns: patterns.checked()?,
             lit_ratios: recipe.lit_ratios.clone(),
             exposures_us: recipe.exposures_us.clone(),
+            lens: None,
             dark_frame,
             sensor,
             top_mm: gear.height_mm[1],
@@ -488,6 +493,7 @@ impl ViewPlan {
             timing: settings.timing.clone(),
             light: settings.light.clone(),
             stage: settings.stages.config(),
+            lens: self.lens,
         }
     }
 }

@@ -69,6 +69,10 @@ pub trait ExposureSink {
     fn moving_to(&mut self, pose: super::TruePose) {
         let _ = pose;
     }
+    /// The liquid lens was given this voltage, or none.
+    fn focused(&mut self, counts: Option<u16>) {
+        let _ = counts;
+    }
     /// A frame was exposed; it is not read out yet.
     fn exposed(&mut self, exposure: Exposure);
     /// The frame with this counter is read out: the camera hands it over now.

@@ -48,6 +48,18 @@ pub enum DeviceFault {
     StageOvershoots,
     /// The vertical stage meets a limit switch halfway, once: its controller stops it and switches its motor off.
     StageLimit,
+    /// The lens driver does not acknowledge any more.
+    LensSilent,
+    /// The supply of the lens driver failed for a moment, once.
+    LensForgets,
+    /// A lens came off its driver.
+    LensOpen,
+    /// A lens is shorted.
+    LensShort,
+    /// The lens driver is too hot.
+    LensHot,
+    /// The lens driver does not reach its voltage.
+    LensNoBoost,
 }
 
 impl DeviceFault {
@@ -65,6 +77,7 @@ impl DeviceFault {
                 | Self::StageBeside
                 | Self::StageOvershoots
                 | Self::StageLimit
+                | Self::LensForgets
         )
     }
 }

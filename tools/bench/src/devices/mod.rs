@@ -4,6 +4,7 @@
 //!  controller ──led_enable──► led ──led_sense──►            host
 //!             ──pattern bus, dmd_trigger──► dmd ──ready──►   │ pseudo-terminal
 //!             ──camera_trigger──► camera ──ready, exposing──►│
+//!             ──I2C──► lens driver                           │
 //!             ◄──UART, ESP301 text──► stage                  ▼
 //!             ◄──press open, guard, ..──► press ◄──head clear
 //!                                     camera ──► ExposureSink: what was exposed, under which pattern, at which pose
@@ -17,6 +18,7 @@ pub mod esp301;
 pub mod faults;
 pub mod instrument;
 pub mod led;
+pub mod max14574;
 pub mod motion;
 pub mod press;
 pub mod stage;
@@ -65,6 +67,8 @@ pub struct DeviceConfig {
     pub axes: stage::AxisModels,
     /// Press around the die.
     pub press: PressModel,
+    /// The head has a liquid lens, and the controller a driver for it.
+    pub lens: bool,
     /// Seed of the stage errors.
     pub seed: u64,
 }
@@ -86,6 +90,14 @@ pub fn spawn_all(
     });
     let sink = Rc::new(RefCell::new(sink));
     let board = || wiring.board.clone();
+    if config.lens {
+        let (troubled, focused) = (Rc::clone(&world), Rc::clone(&sink));
+        let chip = max14574::Chip::new(
+            move |fault| troubled.faults.spoils(fault),
+            move |counts| focused.borrow_mut().focused(counts),
+        );
+        wiring.board.lens_bus.attach(max14574::ADDRESS, chip);
+    }
     sim.spawn(led::run(board(), config.led, Rc::clone(&world)));
     sim.spawn(dmd::run(board(), config.dmd, Rc::clone(&world)));
     sim.spawn(camera::run(

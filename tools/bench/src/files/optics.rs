@@ -88,6 +88,14 @@ fn check_lens(
         let expected = "beyond range_dpt[0], both within 20 dpt of nothing";
         return Err(bad("lens.range_dpt[1]", most_dpt, expected));
     }
+    for (key, got, least, most) in [
+        ("lens.zero_counts", lens.zero_counts, 0.0, 1023.0),
+        ("lens.dpt_per_count", lens.dpt_per_count.abs(), 1e-4, 1.0),
+    ] {
+        if !(least..=most).contains(&got) {
+            return Err(bad(key, got, "0 to 1023 counts, 0.0001 to 1 dpt each"));
+        }
+    }
     let decentres = [lens.camera_decentre_mm, lens.projector_decentre_mm];
     for mm in decentres.into_iter().flatten() {
         if !(-1.0..=1.0).contains(&mm) {

@@ -66,6 +66,29 @@ pub struct HeadDesign {
     pub sensor: SensorSpec,
 }
 
+/// A head whose liquid lenses a controller drives while it photographs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrivenHead {
+    /// As it was made.
+    pub made: HeadDesign,
+    /// As [`HeadOptics::make_uneven`].
+    pub lens_error_um: f64,
+}
+
+impl DrivenHead {
+    /// Where light goes in it, at so many counts of the driver; without, as its file says.
+    pub(super) fn optics(&self, counts: Option<u16>, head_seed: u64) -> HeadOptics {
+        let mut optics = match counts {
+            Some(counts) => self.made.commanded(counts).optics(),
+            None => self.made.optics(),
+        };
+        if self.lens_error_um > 0.0 {
+            optics.make_uneven(self.lens_error_um, head_seed);
+        }
+        optics
+    }
+}
+
 /// One of the two ways of light.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -116,6 +139,18 @@ impl HeadDesign {
         self.lens
             .as_ref()
             .map_or(0.0, |lens| lens.power_per_mm(self.driven))
+    }
+
+    /// The same head with its lenses driven by a controller, as warm as they are.
+    fn commanded(&self, counts: u16) -> Self {
+        let setting_dpt = self.lens.as_ref().map(|lens| lens.asked_dpt(counts));
+        Self {
+            driven: setting_dpt.map(|setting_dpt| Driven {
+                setting_dpt,
+                celsius: self.driven.and_then(|driven| driven.celsius),
+            }),
+            ..self.clone()
+        }
     }
 
     fn refracted(&self, decentre_mm: impl Fn(&LiquidLens) -> [f64; 2]) -> Refracted {
@@ -249,6 +284,12 @@ impl HeadDesign {
     /// Puts the head into a world.
     pub fn impose(&self, config: &mut WorldConfig) {
         config.optics = self.optics();
+        config.driven_head = self.lens.is_some().then(|| {
+            Box::new(DrivenHead {
+                made: self.clone(),
+                lens_error_um: 0.0,
+            })
+        });
         config.camera_bundle = self.bundle(&self.camera);
         config.projector_bundle = self.bundle(&self.projector);
         config.sensor = self.sensor.clone();

@@ -13,6 +13,12 @@ use serde::Deserialize;
 pub struct LiquidLens {
     /// What the driver can ask for, dpt: least and most.
     pub range_dpt: [f64; 2],
+    /// Counts of the driver that give no power.
+    pub zero_counts: f64,
+    /// Power of one more.
+    pub dpt_per_count: f64,
+    /// From the voltage to rest.
+    pub settle_ms: u32,
     /// From the lens to the stop of the objective behind it.
     pub apart_mm: f64,
     /// The camera's lens lies this far beside its objective's axis: along columns and rows.
@@ -58,6 +64,13 @@ impl Default for Refracted {
 }
 
 impl LiquidLens {
+    /// What so many counts of the driver ask for; within the range, beyond which the lens does not follow.
+    #[must_use]
+    pub fn asked_dpt(&self, counts: u16) -> f64 {
+        let [least, most] = self.range_dpt;
+        ((f64::from(counts) - self.zero_counts) * self.dpt_per_count).clamp(least, most)
+    }
+
     /// Focal power, 1/mm.
     pub(super) fn power_per_mm(&self, driven: Option<Driven>) -> f64 {
         let setting_dpt = driven.map_or(0.0, |driven| driven.setting_dpt);
@@ -90,6 +103,9 @@ mod tests {
 
     const LENS: LiquidLens = LiquidLens {
         range_dpt: [-5.0, 5.0],
+        zero_counts: 516.0,
+        dpt_per_count: 0.04,
+        settle_ms: 150,
         apart_mm: 1.5,
         camera_decentre_mm: [0.03, -0.02],
         projector_decentre_mm: [0.0, 0.0],

@@ -39,7 +39,7 @@ mod unevenness;
 mod wear;
 
 pub use bundle::{Bundle, BundleSpec};
-pub use design::{AT_HAND, Fibres, HeadDesign, Side};
+pub use design::{AT_HAND, DrivenHead, Fibres, HeadDesign, Side};
 pub use die::Die;
 pub(crate) use die::flank_of_facet;
 pub use die_mesh::{DieMesh, MAX_DIE_TRIANGLES};
@@ -101,6 +101,8 @@ pub struct WorldConfig {
     pub print: Option<Print>,
     /// The head.
     pub optics: HeadOptics,
+    /// The same, if a controller may drive its liquid lenses.
+    pub driven_head: Option<Box<DrivenHead>>,
     /// Bundle between objective and camera, px of the camera.
     pub camera_bundle: BundleSpec,
     /// Bundle between DMD and objective, px of the DMD.
@@ -134,6 +136,7 @@ impl WorldConfig {
             bounces: 1,
             print: None,
             optics: head.optics(),
+            driven_head: None,
             camera_bundle: head.bundle(&head.camera),
             projector_bundle: head.bundle(&head.projector),
             passes: Vec::new(),
@@ -291,6 +294,8 @@ pub struct World {
     die_mesh: Option<Arc<DieMesh>>,
     growth: f64,
     optics: HeadOptics,
+    driven_head: Option<Box<DrivenHead>>,
+    head_seed: u64,
     mount: Mount,
     vibration_um: f64,
     shiver_um: f64,
@@ -375,6 +380,8 @@ impl World {
             sights: scene::sights(&config.optics, &camera_bundle),
             rays: RayCaster::new(die.mesh()),
             optics: config.optics.clone(),
+            driven_head: config.driven_head.clone(),
+            head_seed: config.head_seed,
             mount: config.mount.clone(),
             vibration_um: config.vibration_um,
             shiver_um: config.shiver_um,
@@ -439,6 +446,19 @@ impl World {
     pub fn shift_cores(&mut self, shift_px: f64) -> Result<(), WorldError> {
         WorldError::check("shift_px", shift_px, -10.0, 10.0)?;
         self.sensor.shift(&self.camera_bundle, shift_px);
+        Ok(())
+    }
+
+    /// Drives a head's liquid lenses by so many counts; none: as its file says. Views prepared before show it as it was.
+    /// # Errors
+    /// Optics that are none; they then stay.
+    pub fn focus(&mut self, counts: Option<u16>) -> Result<(), WorldError> {
+        if let Some(head) = &self.driven_head {
+            let optics = head.optics(counts, self.head_seed);
+            optics.validate()?;
+            self.sights = scene::sights(&optics, &self.camera_bundle);
+            self.optics = optics;
+        }
         Ok(())
     }
 

@@ -48,6 +48,7 @@ pub fn plan() -> CapturePlan {
         camera_readout: Microseconds(12_500),
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
+        focus: None,
     }
 }
 
@@ -58,6 +59,7 @@ pub struct Notes {
     pub read_out: Vec<(u32, u64)>,
     pub lost: Vec<(u32, Lost)>,
     pub destinations: Vec<TruePose>,
+    pub focused: Vec<Option<u16>>,
 }
 
 #[derive(Clone, Default)]
@@ -66,6 +68,9 @@ pub struct Notebook(pub Rc<RefCell<Notes>>);
 impl ExposureSink for Notebook {
     fn moving_to(&mut self, pose: TruePose) {
         self.0.borrow_mut().destinations.push(pose);
+    }
+    fn focused(&mut self, counts: Option<u16>) {
+        self.0.borrow_mut().focused.push(counts);
     }
     fn exposed(&mut self, exposure: Exposure) {
         self.0.borrow_mut().exposures.push(exposure);

@@ -1,0 +1,94 @@
+//! Autofocus on a target's blank plate: the lens is driven over its range, then about the sharpest place.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use flankscope_profilometry::calibrate::{Sharpest, Sharpness, Target, coarse, fine, sharpest};
+use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::head::LensDrive;
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
+
+use super::job::CalibrationError;
+use super::survey::Surveyor;
+use super::views;
+use crate::acquisition::Progress;
+use crate::controller::ClientSettings;
+use crate::settings::StationSettings;
+use flankscope_frames::SharedRoot;
+
+/// The captures of the blank plate through a lens that is driven.
+#[derive(Debug)]
+pub struct Autofocus {
+    surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
+    head: HeadModel,
+    lens: LensDrive,
+}
+
+/// What was seen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Focused {
+    /// The lens, driven as nearly as it can be to where the fringes are sharpest.
+    pub lens: LensDrive,
+    /// Where that is.
+    pub sharpest: Sharpest,
+    /// Every setting that was looked at, in that order.
+    pub steps: Vec<Sharpness>,
+}
+
+impl Autofocus {
+    /// Starts the threads, with frames arriving below `root`.
+    ///
+    /// # Errors
+    /// The head has no lens or is unfit, or shared memory is refused.
+    pub fn open(
+        head: HeadModel,
+        target: &Target,
+        station: &StationSettings,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let lens = head.lens.ok_or(CalibrationError::NoLens)?;
+        let at = [views::facing(&target.blank)];
+        let options = DecodeOptions::for_head(&head);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
+        Ok(Self {
+            surveyor: Surveyor::open(&head, options, target, &at, (station, root), to_cells)?,
+            head,
+            lens,
+        })
+    }
+
+    /// Photographs the plate at setting after setting.
+    ///
+    /// # Errors
+    /// A capture failed, or no setting is the sharpest.
+    pub fn search(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Focused, CalibrationError> {
+        let Self {
+            surveyor,
+            head,
+            lens,
+        } = self;
+        let mut look = |at: Vec<u16>| -> Result<Vec<Sharpness>, CalibrationError> {
+            let through = |&counts: &u16| LensDrive { counts, ..*lens };
+            let lenses: Vec<LensDrive> = at.iter().map(through).collect();
+            let views = surveyor.through(&lenses, port, settings.clone(), &mut watch)?;
+            let seen = at.into_iter().zip(views);
+            seen.map(|(counts, cells)| Ok(Sharpness::of(counts, &cells?, head)?))
+                .collect()
+        };
+        let mut steps = look(coarse(lens.range))?;
+        let near = look(fine(&steps)?)?;
+        let sharpest = sharpest(&near)?;
+        steps.extend(near);
+        let counts = sharpest.counts.round() as u16;
+        Ok(Focused {
+            lens: LensDrive { counts, ..*lens },
+            sharpest,
+            steps,
+        })
+    }
+}
