@@ -4,11 +4,10 @@ use super::*;
 use crate::devices::LensFault;
 use flankscope_protocol::{Focus, LensCounts};
 
-/// Longer than a move and a settle together.
-const REST_US: u32 = 900_000;
 const FOCUS: Focus = Focus {
     counts: LensCounts(541),
-    settle: Microseconds(REST_US),
+    // Longer than a move and its settle together.
+    settle: Microseconds(900_000),
 };
 
 fn focused() -> CapturePlan {
@@ -26,14 +25,15 @@ fn spoiled(fault: Fault) -> Result<(), LensFault> {
 fn the_lens_has_its_voltage_from_before_the_first_move_and_rests_before_the_first_light() {
     let mut rig = Rig::started(config(), focused());
     rig.run();
-    let at = |wanted: fn(&Action) -> bool| {
-        let found = rig.log.iter().find(|(_, action)| wanted(action));
-        found.expect("it happened").0.get()
+    let step = |wanted: fn(&Action) -> bool| {
+        let found = rig.log.iter().position(|(_, action)| wanted(action));
+        found.expect("it happened")
     };
-    let set = at(|action| *action == Action::SetLens(FOCUS.counts));
-    assert!(set < at(|action| matches!(action, Action::Move { .. })));
-    let lit = at(|action| matches!(action, Action::LedOn(_)));
-    assert!(lit >= set + u64::from(REST_US), "{set} {lit}");
+    let set = step(|action| *action == Action::SetLens(FOCUS.counts));
+    assert!(set < step(|action| matches!(action, Action::Move { .. })));
+    let lit = step(|action| matches!(action, Action::LedOn(_)));
+    let [(set, _), (lit, _)] = [rig.log[set], rig.log[lit]];
+    assert!(lit >= set.after(FOCUS.settle), "{set} {lit}");
     let checks = |(_, action): &&(Timestamp, Action)| *action == Action::CheckLens(FOCUS.counts);
     assert_eq!(rig.log.iter().filter(checks).count(), focused().views.len());
     assert_eq!((rig.world.lens, rig.faults()), (None, vec![]));
