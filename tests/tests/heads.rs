@@ -190,7 +190,7 @@ fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
     let refused = between("2.7", &at("beyond.toml"));
     assert_eq!(refused.code, 3);
     assert!(
-        refused.stderr.contains("-3.492 to 2.492 dpt"),
+        refused.stderr.contains("at that temperature -3.49"),
         "{}",
         refused.stderr
     );

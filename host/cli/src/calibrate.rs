@@ -186,10 +186,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             can_write(output)?;
             let path = folder.join("head.toml");
             let mut head = HeadModel::load(&path).context("head to start from")?;
-            anyhow::ensure!(
-                head.second_projector.is_none(),
-                "the head to start from has a [second_projector], which is not calibrated yet: take it out for a head with one projector"
-            );
+            has_one_projector(&head)?;
             if let Some(setting_dpt) = args.focus.focus {
                 let lens = head.lens.with_context(|| {
                     format!(
@@ -235,6 +232,7 @@ fn autofocus(
         can_write(output)?;
     }
     let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+    has_one_projector(&head)?;
     let site = args.place.site(&[of_target])?;
     let site = site.with_own_stages("a calibration")?;
     begin(args, &site, target, &head)?;
@@ -258,6 +256,15 @@ fn autofocus(
     let written = written.as_ref().map(|(path, record)| (*path, record));
     let made = Made::by(&site.setting, false);
     calibrate_autofocus::conclude(&focused, made, written, truth, &args.common)
+}
+
+/// A second projector is calibrated by nobody yet.
+fn has_one_projector(head: &HeadModel) -> anyhow::Result<()> {
+    ensure!(
+        head.second_projector.is_none(),
+        "the head to start from has a [second_projector], which is not calibrated yet: take it out for a head with one projector"
+    );
+    Ok(())
 }
 
 /// Before anything is measured: the head's folder is there.

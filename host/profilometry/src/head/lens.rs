@@ -28,7 +28,9 @@ impl LensDrive {
     /// Power that counts give.
     #[must_use]
     pub fn power_dpt(&self, counts: u16) -> f64 {
-        (f64::from(counts) - self.zero_counts) * self.dpt_per_count
+        let dpt = (f64::from(counts) - self.zero_counts) * self.dpt_per_count;
+        // A file states it: without what a product of decimals leaves in the sixteenth place.
+        (1e6 * dpt).round() / 1e6
     }
 
     /// Power that it is driven to.

@@ -457,6 +457,10 @@ impl World {
             let optics = head.optics(counts, self.head_seed);
             optics.validate()?;
             self.sights = scene::sights(&optics, &self.camera_bundle);
+            if let (Some((second, _)), Some(by)) = (&mut self.second, optics.by_second_projector())
+            {
+                *second = by;
+            }
             self.optics = optics;
         }
         Ok(())
