@@ -119,8 +119,8 @@ impl<O: Send + 'static> Acquisition<O> {
     }
 
     /// How the lens is driven from the next capture on.
-    pub(crate) fn drive(&mut self, lens: Option<LensDrive>) {
-        self.program.lens = lens;
+    pub(crate) fn drive(&mut self, lens: LensDrive) {
+        self.program.lens = Some(lens);
     }
 
     /// What stages, projector and camera are to do.

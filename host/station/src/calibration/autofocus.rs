@@ -65,30 +65,35 @@ impl Autofocus {
         &mut self,
         port: &Path,
         settings: ClientSettings,
-        mut watch: impl FnMut(Progress),
+        watch: impl FnMut(Progress),
     ) -> Result<Focused, CalibrationError> {
         let Self {
             surveyor,
             head,
             lens,
         } = self;
-        let mut look = |at: Vec<u16>| -> Result<Vec<Sharpness>, CalibrationError> {
+        let (mut at, mut looks): (Vec<u16>, Vec<Vec<Sharpness>>) = Default::default();
+        surveyor.through(port, settings, watch, |views| {
+            if !at.is_empty() {
+                let seen = at.iter().zip(views).map(|(&counts, cells)| {
+                    Ok::<_, CalibrationError>(Sharpness::of(counts, &cells?, head)?)
+                });
+                looks.push(seen.collect::<Result<_, _>>()?);
+            }
+            at = match looks.as_slice() {
+                [] => coarse(lens.range),
+                [rough] => fine(rough)?,
+                _ => Vec::new(),
+            };
             let through = |&counts: &u16| LensDrive { counts, ..*lens };
-            let lenses: Vec<LensDrive> = at.iter().map(through).collect();
-            let views = surveyor.through(&lenses, port, settings.clone(), &mut watch)?;
-            let seen = at.into_iter().zip(views);
-            seen.map(|(counts, cells)| Ok(Sharpness::of(counts, &cells?, head)?))
-                .collect()
-        };
-        let mut steps = look(coarse(lens.range))?;
-        let near = look(fine(&steps)?)?;
-        let sharpest = sharpest(&near)?;
-        steps.extend(near);
+            Ok::<_, CalibrationError>(at.iter().map(through).collect())
+        })?;
+        let sharpest = sharpest(looks.last().map_or(&[], Vec::as_slice))?;
         let counts = sharpest.counts.round() as u16;
         Ok(Focused {
             lens: LensDrive { counts, ..*lens },
             sharpest,
-            steps,
+            steps: looks.concat(),
         })
     }
 }

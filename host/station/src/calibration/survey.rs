@@ -117,50 +117,53 @@ impl<O: Send + 'static> Surveyor<O> {
         &mut self,
         port: &Path,
         settings: ClientSettings,
-        watch: impl FnMut(Progress),
+        mut watch: impl FnMut(Progress),
     ) -> Result<Vec<O>, SurveyError> {
-        let lens = self.acquisition.program().lens;
-        self.sweep(&[lens], port, settings, watch)
+        runtime()?.block_on(async {
+            let mut client = self.ready(port, settings, &mut watch).await?;
+            self.capture_all(&mut client, &mut watch).await
+        })
     }
 
-    /// Captures every position with the lens driven one way after the other: the results of each after those of the one before.
+    /// Captures every position with the lens driven as `next` says, one way after the other, until it says nothing more; it is given
+    /// the results of what it said last.
     ///
     /// # Errors
-    /// As [`Self::survey`].
-    pub fn through(
+    /// As [`Self::survey`], and what `next` fails with.
+    pub fn through<E: From<SurveyError>>(
         &mut self,
-        lenses: &[LensDrive],
-        port: &Path,
-        settings: ClientSettings,
-        watch: impl FnMut(Progress),
-    ) -> Result<Vec<O>, SurveyError> {
-        let lenses: Vec<_> = lenses.iter().copied().map(Some).collect();
-        self.sweep(&lenses, port, settings, watch)
-    }
-
-    fn sweep(
-        &mut self,
-        lenses: &[Option<LensDrive>],
         port: &Path,
         settings: ClientSettings,
         mut watch: impl FnMut(Progress),
-    ) -> Result<Vec<O>, SurveyError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
-        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
-        runtime.block_on(async {
-            let client = Client::connect(port, settings).await;
-            let mut client = client.map_err(AcquisitionError::from)?;
-            watch(Progress::Connected);
-            self.acquisition.make_ready(&mut client, &mut watch).await?;
-            let mut outcomes = Vec::with_capacity(lenses.len() * self.views);
-            for &lens in lenses {
-                self.acquisition.drive(lens);
-                outcomes.extend(self.capture_all(&mut client, &mut watch).await?);
+        mut next: impl FnMut(Vec<O>) -> Result<Vec<LensDrive>, E>,
+    ) -> Result<(), E> {
+        runtime()?.block_on(async {
+            let mut client = self.ready(port, settings, &mut watch).await?;
+            let mut outcomes = Vec::new();
+            loop {
+                let lenses = next(std::mem::take(&mut outcomes))?;
+                if lenses.is_empty() {
+                    return Ok(());
+                }
+                for lens in lenses {
+                    self.acquisition.drive(lens);
+                    outcomes.extend(self.capture_all(&mut client, &mut watch).await?);
+                }
             }
-            Ok(outcomes)
         })
+    }
+
+    async fn ready(
+        &self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Client, SurveyError> {
+        let client = Client::connect(port, settings).await;
+        let mut client = client.map_err(AcquisitionError::from)?;
+        watch(Progress::Connected);
+        self.acquisition.make_ready(&mut client, watch).await?;
+        Ok(client)
     }
 
     async fn capture_all(
@@ -201,4 +204,11 @@ impl<O: Send + 'static> Surveyor<O> {
         }
         Ok(run.outcomes.into_values().collect())
     }
+}
+
+fn runtime() -> Result<tokio::runtime::Runtime, SurveyError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    Ok(runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?)
 }
