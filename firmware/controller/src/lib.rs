@@ -32,6 +32,7 @@ mod diagrams;
 pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
+pub mod lens;
 pub mod liveness;
 pub mod mailbox;
 pub mod max14574;
@@ -42,7 +43,8 @@ pub mod stage;
 pub mod tasks;
 
 pub use command_handler::CommandHandler;
-pub use devices::{Camera, Dmd, Led, Lens, NoLens, Optics};
+pub use devices::{Camera, Dmd, Led, Optics};
+pub use lens::{Lens, NoLens};
 pub use liveness::Watchdog;
 pub use press::{NoPress, PinPress, Press};
 pub use sequence::{Action, Actions, Config, Input, Sequence};

@@ -23,7 +23,7 @@
 //! connections ends within [`TEST_POLLS`] ms, and that outputs without a lens show only in their own bits of FAIL. Nothing has been
 //! tried on a chip here.
 
-use crate::devices::{Lens, LensFault};
+use crate::lens::{Lens, LensFault};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::{Fault, LensCounts};

@@ -5,7 +5,7 @@ mod common;
 use common::{Host, Notebook, Notes, plan, stages};
 use flankscope_bench::devices::max14574::{ADDRESS, Chip};
 use flankscope_bench::devices::{DeviceConfig, DeviceFault, spawn_all};
-use flankscope_controller::devices::{Lens, LensFault};
+use flankscope_controller::lens::{Lens, LensFault};
 use flankscope_controller::max14574::Max14574;
 use flankscope_controller::sequence::Config;
 use flankscope_protocol::*;

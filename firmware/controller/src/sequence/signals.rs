@@ -1,6 +1,6 @@
 //! What goes into the sequence and what comes out.
 
-use crate::devices::LensFault;
+use crate::lens::LensFault;
 use flankscope_protocol::{Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, View};
 
 /// Most actions of one step: the longest chain is a fault (event, LED, event, camera, DMD, stop, retract, event).

@@ -8,7 +8,7 @@ use super::*;
 use crate::diagrams;
 use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
 
-use crate::devices::LensFault;
+use crate::lens::LensFault;
 use flankscope_protocol::{FringeSet, LensCounts, Timeouts};
 use std::{vec, vec::Vec};
 

@@ -2,7 +2,7 @@
 
 use super::signals::{Action, Actions, push};
 use super::{Sequence, Step, Then};
-use crate::devices::LensFault;
+use crate::lens::LensFault;
 use flankscope_protocol::{
     Event, Fault, Focus, FrameSpec, Microseconds, Timestamp, Trigger, View, Why,
 };

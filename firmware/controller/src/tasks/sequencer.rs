@@ -2,8 +2,9 @@
 
 use super::{Mailboxes, Outgoing, Request};
 use crate::command_handler::{CommandHandler, LinkCounts};
-use crate::devices::{Camera, Dmd, Led, Lens, LensFault, Optics};
+use crate::devices::{Camera, Dmd, Led, Optics};
 use crate::interlock::Position;
+use crate::lens::{Lens, LensFault};
 use crate::liveness::Task;
 use crate::press::{NoPress, Press};
 use crate::sequence::{Action, Actions, Input};

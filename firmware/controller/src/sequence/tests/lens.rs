@@ -1,7 +1,7 @@
 //! Captures through a liquid lens.
 
 use super::*;
-use crate::devices::LensFault;
+use crate::lens::LensFault;
 use flankscope_protocol::{Focus, LensCounts};
 
 const FOCUS: Focus = Focus {
