@@ -27,8 +27,8 @@ use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
-    CommandHandler, Mailboxes, NoLens, Optics, Sequence, link, press_sequencer, sequence, serve_stage,
-    supervise,
+    CommandHandler, Mailboxes, NoLens, Optics, Sequence, link, press_sequencer, sequence,
+    serve_stage, supervise,
 };
 use flankscope_protocol::{Line, LineRecord, Microseconds};
 
