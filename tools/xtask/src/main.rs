@@ -146,8 +146,8 @@ fn test(all: bool) -> Result<(), String> {
     }
 }
 
-/// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that nothing is built
-/// twice.
+/// What is built beside the default: Parquet, and the GigE camera where its library is. The same in every command, so that
+/// nothing is built twice.
 fn features() -> &'static [&'static str] {
     match flankscope_test_requisites::has_aravis() {
         true => &["--features", "flankscope/aravis,flankscope/parquet"],

@@ -30,6 +30,8 @@ pub(super) enum Fate {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellResult {
     pub fate: Fate,
+    /// The second projector counts more in it.
+    pub by_second: bool,
     pub depth_mm: f64,
     /// Where its light comes from, x and y at z = 1.
     pub direction: [f64; 2],
@@ -75,6 +77,7 @@ impl CellResult {
     pub(super) fn rejected(fate: Fate) -> Self {
         Self {
             fate,
+            by_second: false,
             depth_mm: f64::NAN,
             direction: [f64::NAN; 2],
             sigma_z_mm: f32::NAN,
@@ -354,6 +357,7 @@ impl Decoder {
         let sigma_z_mm = depth_sigma_mm(column.sigma_rad, periods, self.projector_width_px, &hit);
         Ok(CellResult {
             fate: Fate::Point,
+            by_second: false,
             depth_mm: hit.depth_mm,
             direction,
             sigma_z_mm: sigma_z_mm as f32,

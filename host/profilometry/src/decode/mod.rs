@@ -279,41 +279,21 @@ impl Decoder {
             fringes_dn,
             frame_noise_ratio,
         } = self.measure(accumulator);
-        let mut by_second = Vec::new();
-        let mut projectors = None;
         let second = self.second.as_deref().zip(accumulator.second.as_deref());
-        if let Some((second, sums)) = second {
-            let other = second.measure(sums);
-            let allowed_mm = self.allowed_apart_mm;
-            let (found, marked) = two_projectors::join(&mut results, &other.results, allowed_mm);
-            (projectors, by_second) = (Some(found), marked);
-        }
+        let projectors = second.map(|(second, sums)| {
+            let other = second.measure(sums).results;
+            two_projectors::join(&mut results, &other, self.allowed_apart_mm)
+        });
         if let Some(options) = &self.options.patches {
             for cell in small_patches(&self.layout.grid, &results, self.cell_by_depth, options) {
                 results[cell].reject(Fate::Isolated);
             }
         }
         let mut decoded = self.collect(&results, fringes_dn.as_deref());
-        let by_first = |cell: usize| !by_second.get(cell).copied().unwrap_or(false);
-        decoded.cloud.light = match second {
-            None => self.light(accumulator, &results, &by_first),
-            // Every point's light is that of the projector which counts more in it.
-            Some((second, sums)) => {
-                let own = self.light(accumulator, &results, &by_first);
-                let other = second.light(sums, &results, &|cell| by_second[cell]);
-                let points = (0..results.len()).filter(|cell| results[*cell].fate == Fate::Point);
-                let (mut own, mut other) = (own.into_iter(), other.into_iter());
-                points
-                    .filter_map(|cell| match by_second[cell] {
-                        false => own.next(),
-                        true => other.next(),
-                    })
-                    .collect()
-            }
-        };
+        decoded.cloud.light = self.light(accumulator, second, &results);
         Ok(Decoded {
             frame_noise_ratio,
-            contrast: self.contrasts(accumulator, &results, &by_first),
+            contrast: self.contrasts(accumulator, &results),
             light: LightMedians::of(&decoded.cloud.light),
             projectors,
             ..decoded
@@ -399,12 +379,12 @@ impl Decoder {
         median(&mut ratios.concat()).map_or(1.0, f64::sqrt)
     }
 
-    /// Direct and global light of every point of the cells asked for.
+    /// Direct and global light of every point, by the projector that counts more in it.
     fn light(
         &self,
         accumulator: &Accumulator,
+        second: Option<(&Self, &Accumulator)>,
         results: &[CellResult],
-        of: &(dyn Fn(usize) -> bool + Sync),
     ) -> Vec<LightParts> {
         let finest = self.layout.steps.len() - 1;
         // A point's neighbours may have lent it all its light.
@@ -412,35 +392,37 @@ impl Decoder {
             direct_e: 0.0,
             global_e: 0.0,
         };
-        let of_cell = |band: &Band, index: usize| {
-            let estimate = self.estimate(band, index, finest, &self.noise(band, index));
-            estimate.map_or(dark, |own| LightParts::of(&own, self.fringe_contrast))
+        let of_cell = |decoder: &Self, band: &Band, index: usize| {
+            let estimate = decoder.estimate(band, index, finest, &decoder.noise(band, index));
+            estimate.map_or(dark, |own| LightParts::of(&own, decoder.fringe_contrast))
         };
-        let of_band = |band: &Band| -> Vec<LightParts> {
-            let is_point = |index: &usize| {
-                let cell = band.first_cell + index;
-                results[cell].fate == Fate::Point && of(cell)
-            };
-            let points = (0..band.cells).filter(is_point);
-            points.map(|index| of_cell(band, index)).collect()
+        let of_band = |(at, band): (usize, &Band)| -> Vec<LightParts> {
+            let second = second.map(|(decoder, sums)| (decoder, &sums.bands[at]));
+            let result = |index: usize| &results[band.first_cell + index];
+            let points = (0..band.cells).filter(|&index| result(index).fate == Fate::Point);
+            let light = points.map(|index| match second {
+                Some((decoder, band)) if result(index).by_second => of_cell(decoder, band, index),
+                _ => of_cell(self, band, index),
+            });
+            light.collect()
         };
-        let bands: Vec<_> = accumulator.bands.par_iter().map(of_band).collect();
+        let bands: Vec<_> = accumulator
+            .bands
+            .par_iter()
+            .enumerate()
+            .map(of_band)
+            .collect();
         bands.concat()
     }
 
-    /// Median contrast of each frequency over the cells asked for that have a point.
-    fn contrasts(
-        &self,
-        accumulator: &Accumulator,
-        results: &[CellResult],
-        of: &(dyn Fn(usize) -> bool + Sync),
-    ) -> Vec<f64> {
+    /// Median contrast of each frequency over the cells with a point that the second projector does not count more in.
+    fn contrasts(&self, accumulator: &Accumulator, results: &[CellResult]) -> Vec<f64> {
         let of_set = |set: usize| -> Option<f64> {
             let of_band = |band: &Band| -> Vec<f64> {
                 let cell = |index: usize| {
                     let noise = self.noise(band, index);
-                    let at = band.first_cell + index;
-                    let seen = results[at].fate == Fate::Point && of(at);
+                    let result = &results[band.first_cell + index];
+                    let seen = result.fate == Fate::Point && !result.by_second;
                     let estimate = seen.then(|| self.estimate(band, index, set, &noise).ok())??;
                     Some(estimate.contrast())
                 };

@@ -14,13 +14,8 @@ const APART_SIGMA: f64 = 4.0;
 /// And by as much as two calibrations of one camera may leave between them, mm, where the head's file does not say: as drawn.
 pub(super) const UNCALIBRATED_MM: f64 = 0.02;
 
-/// Puts the depths of both into `first`. `allowed_mm` is what their calibrations may differ by. Cells that the second one gave are
-/// marked in the answer, for what else is told of their light.
-pub(super) fn join(
-    first: &mut [CellResult],
-    second: &[CellResult],
-    allowed_mm: f64,
-) -> (Projectors, Vec<bool>) {
+/// Puts the depths of both into `first`. `allowed_mm` is what their calibrations may differ by.
+pub(super) fn join(first: &mut [CellResult], second: &[CellResult], allowed_mm: f64) -> Projectors {
     let mut found = Projectors {
         alone: [0; 2],
         both: 0,
@@ -28,8 +23,7 @@ pub(super) fn join(
         apart_um: None,
     };
     let mut apart_um = Vec::new();
-    let mut by_second = vec![false; first.len()];
-    for ((one, two), by_second) in first.iter_mut().zip(second).zip(&mut by_second) {
+    for (one, two) in first.iter_mut().zip(second) {
         match (one.fate, two.fate) {
             (Fate::Point, Fate::Point) => {
                 let off_mm = two.depth_mm - one.depth_mm;
@@ -46,12 +40,12 @@ pub(super) fn join(
                     true => a / (a + b),
                     false => 0.5,
                 };
-                *by_second = share > 0.5;
                 found.both += 1;
                 // The truth need not lie nearer to their mean than to one of them.
                 let sigma_mm = (share * b).sqrt().max(0.5 * off_mm.abs());
                 let between = |one: f64, two: f64| one + share * (two - one);
                 *one = CellResult {
+                    by_second: share > 0.5,
                     depth_mm: between(one.depth_mm, two.depth_mm),
                     direction: [0, 1].map(|axis| between(one.direction[axis], two.direction[axis])),
                     sigma_z_mm: sigma_mm as f32,
@@ -62,14 +56,16 @@ pub(super) fn join(
             (Fate::Point, _) => found.alone[0] += 1,
             (_, Fate::Point) => {
                 found.alone[1] += 1;
-                *by_second = true;
-                *one = *two;
+                *one = CellResult {
+                    by_second: true,
+                    ..*two
+                };
             }
             _ => {}
         }
     }
     found.apart_um = median(&mut apart_um);
-    (found, by_second)
+    found
 }
 
 #[cfg(test)]
@@ -79,6 +75,7 @@ mod tests {
     fn point(depth_mm: f64, sigma_z_mm: f32) -> CellResult {
         CellResult {
             fate: Fate::Point,
+            by_second: false,
             depth_mm,
             direction: [0.1, -0.2],
             sigma_z_mm,
@@ -108,10 +105,11 @@ mod tests {
             point(22.5, 0.002),
             lost,
         ];
-        let (found, by_second) = join(&mut first, &second, 0.01);
+        let found = join(&mut first, &second, 0.01);
         assert_eq!((found.alone, found.both, found.disagreeing), ([1, 1], 2, 1));
         // The middle of 2, 4 and 100 um.
         assert!((found.apart_um.unwrap() - 4.0).abs() < 1e-9);
+        let by_second = first.map(|cell| cell.by_second);
         assert_eq!(by_second, [false, true, false, false, true, false]);
         // Weights are 1 / sigma^2: nine tenths of the way where the second is three times as good.
         assert!((first[0].depth_mm - 22.001).abs() < 1e-12);
