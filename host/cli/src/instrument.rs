@@ -12,7 +12,7 @@ use flankscope_station::acquisition::Recording;
 use flankscope_station::baseline::Baseline;
 use flankscope_station::controller::ClientSettings;
 use flankscope_station::history::{History, HistoryWriter, Retention};
-use flankscope_station::inspection::{Light, RecordedCheck, Station, Subject};
+use flankscope_station::inspection::{RecordedCheck, Station, Subject};
 use flankscope_station::origin::Link;
 use flankscope_station::patterns::Adaptive;
 use flankscope_station::seal::{Kind, SealError, Seals};
@@ -232,9 +232,9 @@ impl Instrument {
                 let light = match &source.adaptive {
                     Some(folder) => {
                         let pictures = Adaptive::open(folder)?;
-                        pictures.light(&subject.tool, &subject.head, teeth)?
+                        Some(pictures.light(&subject.tool, &subject.head, teeth)?)
                     }
-                    None => Light::of(&subject.head),
+                    None => None,
                 };
                 let known = subject.clone();
                 let setting = site.setting.clone();

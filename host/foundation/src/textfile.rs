@@ -133,6 +133,21 @@ pub fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFileError
     })
 }
 
+/// Reads a TOML file of at most `limit_bytes` and has its values checked. Returns its text too, for whoever needs its hash.
+///
+/// # Errors
+/// As [`read`] and [`parse_toml`]; [`TextFileError::Value`] with the line of what `check` complains about.
+pub fn load_toml<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    limit_bytes: u64,
+    check: impl FnOnce(&T) -> Result<(), BadValue>,
+) -> Result<(T, String), TextFileError> {
+    let text = read_up_to(path, limit_bytes)?;
+    let value = parse_toml(path, &text)?;
+    check(&value).map_err(|bad| bad.in_file(path, &text))?;
+    Ok((value, text))
+}
+
 /// Parses TOML, with file and line on errors.
 ///
 /// # Errors

@@ -74,11 +74,8 @@ impl Captures {
     /// [`TextFileError`] with file, line and what would be right: too few views, a plate that `target` does not have.
     pub fn load(folder: &Path, target: &Target) -> Result<Self, TextFileError> {
         let path = folder.join(Self::FILE);
-        let text = textfile::read(&path)?;
-        let captures: Self = textfile::parse_toml(&path, &text)?;
-        captures
-            .check(target)
-            .map_err(|bad| bad.in_file(&path, &text))?;
+        let check = |captures: &Self| captures.check(target);
+        let (captures, _) = textfile::load_toml(&path, textfile::MAX_BYTES, check)?;
         Ok(captures)
     }
 

@@ -148,9 +148,7 @@ impl FocusSeries {
     /// # Errors
     /// [`TextFileError`] with file, line and what would be right.
     pub fn load(path: &Path) -> Result<Self, TextFileError> {
-        let text = textfile::read(path)?;
-        let series: Self = textfile::parse_toml(path, &text)?;
-        series.check().map_err(|bad| bad.in_file(path, &text))?;
+        let (series, _) = textfile::load_toml(path, textfile::MAX_BYTES, Self::check)?;
         Ok(series)
     }
 

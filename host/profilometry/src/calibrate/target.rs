@@ -191,9 +191,7 @@ impl Target {
     /// # Errors
     /// [`TextFileError`] with file, line and what would be right.
     pub fn load(path: &Path) -> Result<Self, TextFileError> {
-        let text = textfile::read(path)?;
-        let target: Self = textfile::parse_toml(path, &text)?;
-        target.check().map_err(|bad| bad.in_file(path, &text))?;
+        let (target, _) = textfile::load_toml(path, textfile::MAX_BYTES, Self::check)?;
         Ok(target)
     }
 

@@ -163,11 +163,8 @@ impl SelfTest {
         if !path.exists() {
             return Ok(None);
         }
-        let text = textfile::read(&path)?;
-        let test: Self = textfile::parse_toml(&path, &text)?;
-        test.limits
-            .check()
-            .map_err(|bad| bad.in_file(&path, &text))?;
+        let check = |test: &Self| test.limits.check();
+        let (test, _) = textfile::load_toml(&path, textfile::MAX_BYTES, check)?;
         Ok(Some(test))
     }
 

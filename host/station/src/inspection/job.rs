@@ -132,10 +132,14 @@ impl Station {
         subject: Subject,
         setting: Setting,
         teeth: Option<&[u32]>,
-        light: Light,
+        light: Option<Light>,
         root: Arc<SharedRoot>,
     ) -> Result<Self, InspectError> {
-        let plan = ViewPlan::new(&subject.tool, &subject.head, teeth)?.lit(light);
+        let plain = ViewPlan::new(&subject.tool, &subject.head, teeth)?;
+        let plan = match light {
+            Some(light) => plain.lit(light),
+            None => plain,
+        };
         plan.check_way(&subject.tool, &subject.head, &subject.station)?;
         let poses = match subject.station.stages.poses.open()? {
             Some(PoseSource::Table(table)) => {

@@ -56,8 +56,7 @@ pub struct Light {
 
 impl Light {
     /// All mirrors of every projector, one projector after the other.
-    #[must_use]
-    pub fn of(head: &HeadModel) -> Self {
+    pub(crate) fn of(head: &HeadModel) -> Self {
         let lit_ratios = match head.projectors() {
             1 => Vec::new(),
             several => vec![1.0; several],

@@ -277,9 +277,7 @@ impl StationSettings {
     /// # Errors
     /// It cannot be read, or says something wrong: file, line, and what would be right.
     pub fn load(path: &Path) -> Result<Self, TextFileError> {
-        let text = textfile::read(path)?;
-        let mut settings: Self = textfile::parse_toml(path, &text)?;
-        settings.check().map_err(|bad| bad.in_file(path, &text))?;
+        let (mut settings, _) = textfile::load_toml(path, textfile::MAX_BYTES, Self::check)?;
         let beside = |of: &mut Option<PathBuf>| {
             if let Some(place) = of {
                 *place = path.with_file_name("").join(&*place);

@@ -92,16 +92,13 @@ impl FrameIndex {
     /// The index's name in its folder.
     pub const FILE: &str = "frames.toml";
 
-    /// Reads a folder's index.
+    /// Reads a folder's index. Returns its text too, which tells this recording from others.
     ///
     /// # Errors
     /// [`TextFileError`] with file, line and what would be right.
-    pub fn load(folder: &Path) -> Result<Self, TextFileError> {
+    pub fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
         let path = folder.join(Self::FILE);
-        let text = textfile::read_up_to(&path, textfile::MAX_BYTES * 16)?;
-        let index: Self = textfile::parse_toml(&path, &text)?;
-        index.check().map_err(|bad| bad.in_file(&path, &text))?;
-        Ok(index)
+        textfile::load_toml(&path, textfile::MAX_BYTES * 16, Self::check)
     }
 
     fn check(&self) -> Result<(), BadValue> {
@@ -283,6 +280,6 @@ mod tests {
             index.to_toml().unwrap(),
         )
         .unwrap();
-        assert_eq!(FrameIndex::load(folder.path()).unwrap(), index);
+        assert_eq!(FrameIndex::load(folder.path()).unwrap().0, index);
     }
 }

@@ -113,14 +113,12 @@ impl Recording {
     /// # Errors
     /// File, line and what would be right.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
-        let index = FrameIndex::load(folder)?;
+        let (index, text) = FrameIndex::load(folder)?;
         let plan = Plan::load(&folder.join(&index.plan))?;
-        let path = folder.join(FrameIndex::FILE);
-        let bytes = std::fs::read(&path).map_err(|source| TextFileError::Read { path, source })?;
         Ok(Self {
             index,
             plan,
-            blake3: files::hash(&bytes),
+            blake3: files::hash(text.as_bytes()),
             folder: folder.to_owned(),
         })
     }

@@ -131,12 +131,10 @@ impl CloudRecording {
     /// # Errors
     /// File, line and what would be right; the first cloud that is not there.
     pub fn open(folder: &Path) -> Result<Self, CloudsError> {
-        let index = CloudIndex::load(folder)?;
-        let path = folder.join(CloudIndex::FILE);
-        let bytes = std::fs::read(&path).map_err(|source| TextFileError::Read { path, source })?;
+        let (index, text) = CloudIndex::load(folder)?;
         let recording = Self {
             index,
-            blake3: files::hash(&bytes),
+            blake3: files::hash(text.as_bytes()),
             folder: folder.to_owned(),
         };
         let real = |path: &Path| {

@@ -8,7 +8,7 @@ use flankscope_metrology::io::ply::{Column, Scalar};
 use flankscope_metrology::io::points::{Format, PointFile};
 
 use super::{CloudIndex, IndexedCloud};
-use crate::files::{hash, stream_whole, write_whole};
+use crate::files::{hash, write_whole};
 use crate::scan::grid::Grid;
 use crate::scan::job::Scanner;
 use crate::scan::session::SessionError;
@@ -50,17 +50,16 @@ impl Scanner {
             let sigma_mm: Vec<f32> = kept.iter().map(|of| of[3]).collect();
             let file = format!("view-{:04}.ply", number + 1);
             let path = folder.join(&file);
-            let written = stream_whole(&path, |out| {
-                let cloud = PointFile {
-                    comment: "camera frame, mm; sigma_z is the standard uncertainty of z",
-                    coordinate: Scalar::F32,
-                    columns: &[Column::Single("sigma_z", &sigma_mm)],
-                    ..PointFile::of(&points)
-                };
-                cloud.write(Format::Ply, out)
-            });
-            let written = written.and_then(|()| std::fs::read(&path));
-            let bytes = written.map_err(|source| SaveCloudsError::Write { path, source })?;
+            let cloud = PointFile {
+                comment: "camera frame, mm; sigma_z is the standard uncertainty of z",
+                coordinate: Scalar::F32,
+                columns: &[Column::Single("sigma_z", &sigma_mm)],
+                ..PointFile::of(&points)
+            };
+            let mut bytes = Vec::new();
+            let written = cloud.write(Format::Ply, &mut bytes);
+            let written = written.and_then(|()| write_whole(&path, &bytes));
+            written.map_err(|source| SaveCloudsError::Write { path, source })?;
             let place = &self.plan.views[number];
             view.push(IndexedCloud {
                 file: file.into(),
