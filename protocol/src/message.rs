@@ -9,7 +9,7 @@
 //! `Accepted` means that the order was understood and has begun, never that it is done: completion is an event.
 
 use crate::fault::FaultCode;
-use crate::plan::{CapturePlan, Limits, PlanError};
+use crate::plan::{CapturePlan, Limits, PlanError, Projector};
 use crate::stage::{StageConfig, StageError};
 use crate::units::{Micrometres, Microradians, Microseconds, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -153,6 +153,14 @@ pub enum Refusal {
     /// The plan drives a lens, and no driver of one answered when the controller started.
     #[error("the plan drives a lens, and no lens driver is fitted")]
     NoLens,
+    /// The plan uses more projectors than the controller has.
+    #[error("the plan uses {got} projectors, the controller has {fitted}")]
+    TooFewProjectors {
+        /// Projectors of the plan.
+        got: u8,
+        /// Projectors fitted.
+        fitted: u8,
+    },
 }
 
 /// What the controller is.
@@ -174,6 +182,8 @@ pub struct Identity {
     pub boot: Boot,
     /// A lens driver answered when the controller started: plans may have a [`crate::Focus`].
     pub lens: bool,
+    /// Projectors fitted: a plan uses no more.
+    pub projectors: u8,
 }
 
 /// Why the controller last started.
@@ -252,7 +262,7 @@ pub struct Status {
     pub view: u8,
     /// Frame of the view being captured, counted from 0.
     pub frame: u16,
-    /// The LED enable output.
+    /// An LED enable output is on.
     pub led_on: bool,
     /// Both axes are referenced.
     pub homed: bool,
@@ -292,7 +302,7 @@ pub struct Trigger {
     pub view: u8,
     /// Frame of the view, counted from 0; frame 0 is the dark index frame.
     pub frame: u16,
-    /// DMD index shown: 0 is black.
+    /// Pattern shown, as [`crate::FramePlace`] counts: 0 is black.
     pub pattern: u16,
     /// Commanded exposure.
     pub exposure: Microseconds,
@@ -331,8 +341,10 @@ pub enum Event {
         /// When.
         at: Timestamp,
     },
-    /// The LED enable output changed.
+    /// An LED enable output changed.
     Led {
+        /// Whose.
+        projector: Projector,
         /// On or off.
         on: bool,
         /// When.
@@ -366,7 +378,7 @@ pub enum Event {
         fault: FaultCode,
         /// While doing what.
         state: State,
-        /// A device's own error number, 0 if it has none.
+        /// A device's own error number, 0 if it has none; of a projector [`Projector::detail`].
         detail: u32,
         /// When.
         at: Timestamp,

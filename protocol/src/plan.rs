@@ -2,7 +2,8 @@
 //!
 //! A plan is declarative. Per view the controller shows and exposes, in this order ([`FrameOrder`]):
 //! frame 0 = the dark index frame (DMD index 0, all black) at the shortest exposure; then for each exposure, shortest
-//! first, every pattern from DMD index 1 on: set by set, each set step by step.
+//! first, every pattern from DMD index 1 on: set by set, each set step by step. Where two projectors show them, the second one
+//! shows them all once more at each exposure, after the first: every frame has the light of exactly one.
 
 use crate::units::{
     LensCounts, Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians,
@@ -21,6 +22,32 @@ pub const MAX_FRINGE_SETS: usize = 12;
 pub const BLACK_PATTERN: u16 = 0;
 /// Fewest phase steps from which a phase can be computed.
 pub const MIN_STEPS: u8 = 3;
+
+/// Most projectors of a head.
+pub const MAX_PROJECTORS: u8 = 2;
+
+/// One of a head's projectors: an LED and a DMD.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Projector {
+    /// The one that every head has.
+    First,
+    /// The one on the camera's other side.
+    Second,
+}
+
+impl Projector {
+    /// All, in the order in which they show their patterns.
+    pub const ALL: [Self; MAX_PROJECTORS as usize] = [Self::First, Self::Second];
+
+    /// What a fault of it has for a detail.
+    #[must_use]
+    pub fn detail(self) -> u32 {
+        match self {
+            Self::First => 0,
+            Self::Second => 2,
+        }
+    }
+}
 
 /// One pose of the stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -99,12 +126,16 @@ pub struct CapturePlan {
     pub timeouts: Timeouts,
     /// How the lens is driven; a head without one has none.
     pub focus: Option<Focus>,
+    /// How many projectors show the fringes, one after the other: 1 or 2.
+    pub projectors: u8,
 }
 
 /// What one frame of a view shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameSpec {
-    /// DMD index: 0 is black, fringe patterns count from 1.
+    /// Whose light it has.
+    pub projector: Projector,
+    /// Index in that projector's DMD: 0 is black, fringe patterns count from 1.
     pub pattern: u16,
     /// Exposure time.
     pub exposure: Microseconds,
@@ -117,7 +148,7 @@ pub struct FrameSpec {
 pub struct FrameOrder {
     /// Exposure steps (HDR series).
     pub exposures: u16,
-    /// Fringe patterns per exposure step.
+    /// Fringe patterns per exposure step, those of all projectors.
     pub patterns: u16,
 }
 
@@ -126,7 +157,7 @@ pub struct FrameOrder {
 pub struct FramePlace {
     /// Exposure step, 0 the shortest.
     pub exposure: u16,
-    /// DMD index: 0 is black, fringe patterns count from 1.
+    /// 0 is black, fringe patterns count from 1; those of a second projector go on from the first one's.
     pub pattern: u16,
 }
 
@@ -175,7 +206,7 @@ pub struct Limits {
     pub vertical_min: Micrometres,
     /// Travel of the vertical stage, upper end.
     pub vertical_max: Micrometres,
-    /// Most fringe patterns that the DMD holds, black not counted.
+    /// Most fringe patterns that a DMD holds, black not counted.
     pub patterns_max: u16,
     /// Most frames per view.
     pub frames_max: u16,
@@ -344,7 +375,7 @@ pub enum PlanError {
         limit: Milliamps,
     },
     /// LED on for too long in one view.
-    #[error("a view keeps the LED on for {got}; the budget is {limit}")]
+    #[error("a view keeps an LED on for {got}; the budget is {limit}")]
     LedOnTime {
         /// Offending value.
         got: Microseconds,
@@ -401,13 +432,21 @@ pub enum PlanError {
         /// Most allowed.
         max: LensCounts,
     },
+    /// No projector, or more than a head has.
+    #[error("the plan uses {got} projectors; 1 to {limit} are possible")]
+    Projectors {
+        /// Offending value.
+        got: u8,
+        /// Most allowed.
+        limit: u8,
+    },
 }
 
 /// Shortest timeout that makes sense on any link or device.
 const TIMEOUT_MIN: Microseconds = Microseconds(1_000);
 
 impl CapturePlan {
-    /// Fringe patterns in all sets together; their DMD indices are 1..=this.
+    /// Fringe patterns in all sets together; their indices in a DMD are 1..=this.
     #[must_use]
     pub fn pattern_count(&self) -> u16 {
         self.fringes
@@ -420,21 +459,29 @@ impl CapturePlan {
     pub fn order(&self) -> FrameOrder {
         FrameOrder {
             exposures: u16::try_from(self.exposures.len()).unwrap_or(u16::MAX),
-            patterns: self.pattern_count(),
+            patterns: self
+                .pattern_count()
+                .saturating_mul(u16::from(self.projectors)),
         }
     }
 
-    /// Frames taken per view: the dark index frame and every pattern at every exposure.
+    /// Frames taken per view: the dark index frame and every pattern of every projector at every exposure.
     #[must_use]
     pub fn frames_per_view(&self) -> u16 {
         self.order().frames()
     }
 
-    /// Pattern and exposure of frame `index` of a view; `None` beyond the last frame.
+    /// Projector, pattern and exposure of frame `index` of a view; `None` beyond the last frame. The dark one is the first
+    /// projector's.
     #[must_use]
     pub fn frame(&self, index: u16) -> Option<FrameSpec> {
         let FramePlace { exposure, pattern } = self.order().place(index)?;
+        let (projector, pattern) = match pattern.checked_sub(self.pattern_count()) {
+            Some(beyond @ 1..) => (Projector::Second, beyond),
+            _ => (Projector::First, pattern),
+        };
         Some(FrameSpec {
+            projector,
             pattern,
             exposure: *self.exposures.get(usize::from(exposure))?,
         })
@@ -453,9 +500,10 @@ impl CapturePlan {
         None
     }
 
-    /// Time the LED is on for one view, with nothing overlapped: exposure, DMD settle and readout of every frame.
+    /// Time a projector's LED is on for one view, with nothing overlapped: exposure, DMD settle and readout of every frame.
     ///
-    /// The real sequence overlaps readout with the next frame and is shorter, unless a device dawdles.
+    /// The real sequence overlaps readout with the next frame and is shorter, unless a device dawdles. A second projector shows no
+    /// dark frame, and is on for less.
     #[must_use]
     pub fn led_on_per_view(&self) -> Microseconds {
         let overhead = self.dmd_settle.0.saturating_add(self.camera_readout.0);
@@ -518,6 +566,12 @@ impl CapturePlan {
     }
 
     fn validate_patterns(&self, limits: &Limits) -> Result<(), PlanError> {
+        if !(1..=MAX_PROJECTORS).contains(&self.projectors) {
+            return Err(PlanError::Projectors {
+                got: self.projectors,
+                limit: MAX_PROJECTORS,
+            });
+        }
         if self.fringes.is_empty() {
             return Err(PlanError::NoFringes);
         }

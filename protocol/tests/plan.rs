@@ -42,6 +42,44 @@ fn frames_come_dark_first_then_by_exposure_then_by_pattern() {
 }
 
 #[test]
+fn a_second_projector_shows_all_once_more_at_each_exposure() {
+    let one = plan();
+    let two = CapturePlan {
+        projectors: 2,
+        ..plan()
+    };
+    let frames = |plan: &CapturePlan| -> Vec<FrameSpec> {
+        (0..).map_while(|index| plan.frame(index)).collect()
+    };
+    let [alone, shared] = [&one, &two].map(frames);
+    assert_eq!((alone.len(), shared.len()), (1 + 2 * 12, 1 + 2 * 2 * 12));
+    assert_eq!(shared.len(), usize::from(two.frames_per_view()));
+    // The dark one and 12 at each exposure are those of a plan without it.
+    let of = |wanted: Projector| {
+        let frames = shared.iter().copied();
+        frames
+            .filter(move |frame| frame.projector == wanted)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(of(Projector::First), alone);
+    let again: Vec<FrameSpec> = alone[1..]
+        .iter()
+        .map(|&frame| FrameSpec {
+            projector: Projector::Second,
+            ..frame
+        })
+        .collect();
+    assert_eq!(of(Projector::Second), again);
+    // It comes after the first at each exposure.
+    let turns: Vec<Projector> = shared[1..].iter().map(|frame| frame.projector).collect();
+    let (first, second) = ([Projector::First; 12], [Projector::Second; 12]);
+    assert_eq!(turns, [first, second, first, second].concat());
+    // No LED is on for longer, and no DMD holds more.
+    assert_eq!(two.led_on_per_view(), one.led_on_per_view());
+    assert_eq!(two.pattern_count(), one.pattern_count());
+}
+
+#[test]
 fn patterns_count_through_the_sets() {
     let plan = plan();
     let steps: Vec<_> = (0..=13)
@@ -203,6 +241,17 @@ fn every_limit_is_refused_one_beyond_and_accepted_at_it() {
             }
         );
     }
+    for got in [0, 3] {
+        assert_eq!(
+            refused(&|p| p.projectors = got),
+            PlanError::Projectors { got, limit: 2 }
+        );
+    }
+    // Both projectors' frames count.
+    assert_eq!(
+        refused(&|p| p.projectors = 2),
+        PlanError::TooManyFrames { got: 49, limit: 25 }
+    );
     for counts in [199, 801].map(LensCounts) {
         let settle = us(0);
         assert_eq!(

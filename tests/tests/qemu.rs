@@ -90,6 +90,27 @@ fn the_emulated_image_lives_in_real_time() {
     assert!(run.stderr.contains("--speed must be 1"), "{}", run.stderr);
 }
 
+/// The emulated image has pins for one projector, and says so before anything moves.
+#[test]
+fn a_head_with_two_projectors_is_refused_by_name() {
+    if emulated_image(IMAGE).is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let die = folder.path().join("die");
+    let made = run(flankscope()
+        .args(["bench", "demo-tool", "--head", "twin", "--out"])
+        .arg(&die));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let die = die.to_str().unwrap();
+    let refused = inspect(&[
+        "--link", "qemu", "--speed", "1", "--teeth", "40", "--tool", die,
+    ]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    let words = "2 projectors, and the controller found 1";
+    assert!(refused.stderr.contains(words), "{}", refused.stderr);
+}
+
 #[test]
 fn a_killed_check_leaves_no_emulator_behind() {
     let Some(image) = emulated_image(IMAGE) else {

@@ -48,6 +48,8 @@ pub struct CommandHandler {
     pub verdict: VerdictLamp,
     /// A lens driver answered at the start.
     pub lens_fitted: bool,
+    /// Projectors fitted at the start.
+    pub projectors_fitted: u8,
     session: Session,
     /// The stages were accepted in this session.
     configured: bool,
@@ -65,6 +67,7 @@ impl CommandHandler {
             interlock: Interlock::new(timing),
             verdict: VerdictLamp::new(timing),
             lens_fitted: false,
+            projectors_fitted: 1,
             session: Session::new(),
             configured: false,
             boot,
@@ -192,6 +195,10 @@ impl CommandHandler {
                 if plan.focus.is_some() && !self.lens_fitted {
                     return Err(Refusal::NoLens);
                 }
+                let (got, fitted) = (plan.projectors, self.projectors_fitted);
+                if got > fitted {
+                    return Err(Refusal::TooFewProjectors { got, fitted });
+                }
                 sequence.store(plan.clone());
             }
             Command::Start { .. } | Command::Home if !self.configured => {
@@ -278,6 +285,7 @@ impl CommandHandler {
             verdict_life: config.interlock.verdict_life,
             boot: self.boot,
             lens: self.lens_fitted,
+            projectors: self.projectors_fitted,
         }
     }
 }

@@ -1,4 +1,6 @@
-//! What the controller needs of LED, DMD, camera and lens, and the plain-pin versions of them.
+//! What the controller needs of LEDs, DMDs, camera and lens, and the plain-pin versions of them.
+//!
+//! Each projector has an LED and a DMD of its own, on lines of their own.
 //!
 //! | line             | direction | meaning                                                                    |
 //! |------------------|-----------|----------------------------------------------------------------------------|
@@ -15,10 +17,10 @@
 use crate::sequence::{Awaiting, CameraWait, Input};
 use core::convert::Infallible;
 use core::future::pending;
-use embassy_futures::select::{Either3, select3};
+use embassy_futures::select::{Either4, select4};
 use embedded_hal::digital::{OutputPin, PinState};
 use embedded_hal_async::digital::Wait;
-use flankscope_protocol::Milliamps;
+use flankscope_protocol::{Milliamps, Projector};
 
 /// The LED driver.
 pub trait Led {
@@ -52,39 +54,121 @@ pub trait Camera {
     async fn wait(&mut self, what: CameraWait);
 }
 
-/// All devices that work with light.
+/// What a projector's light comes from.
 #[derive(Debug)]
-pub struct Optics<L, D, C, N> {
+pub struct LightEngine<L, D> {
     /// The LED.
     pub led: L,
     /// The DMD.
     pub dmd: D,
+}
+
+/// All devices that work with light.
+#[derive(Debug)]
+pub struct Optics<L, D, C, N> {
+    /// The projector that every head has.
+    pub first: LightEngine<L, D>,
+    /// The one on the camera's other side, where one is fitted.
+    pub second: Option<LightEngine<L, D>>,
     /// The camera.
     pub camera: C,
     /// The liquid lens.
     pub lens: N,
 }
 
+/// Completes when an LED's current sense has the level awaited. Where no LED is fitted none shines.
+async fn sensed<L: Led>(led: Option<&mut L>, awaited: Option<bool>) -> bool {
+    match (led, awaited) {
+        (Some(led), Some(level)) => {
+            led.sense(level).await;
+            level
+        }
+        (None, Some(false)) => false,
+        _ => pending().await,
+    }
+}
+
 impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
+    /// Projectors fitted.
+    #[must_use]
+    pub fn projectors(&self) -> u8 {
+        1 + u8::from(self.second.is_some())
+    }
+
+    fn engine(&mut self, projector: Projector) -> Option<&mut LightEngine<L, D>> {
+        match projector {
+            Projector::First => Some(&mut self.first),
+            Projector::Second => self.second.as_mut(),
+        }
+    }
+
+    fn engines(&mut self) -> impl Iterator<Item = &mut LightEngine<L, D>> {
+        core::iter::once(&mut self.first).chain(&mut self.second)
+    }
+
+    /// Enables a projector's LED at this current, and no other: those go off first.
+    pub fn light(&mut self, projector: Projector, current: Milliamps) {
+        self.dark();
+        if let Some(engine) = self.engine(projector) {
+            engine.led.on(current);
+        }
+    }
+
+    /// Disables every LED.
+    pub fn dark(&mut self) {
+        self.engines().for_each(|engine| engine.led.off());
+    }
+
+    /// Drives one projector's DMD trigger high and the others low.
+    pub fn show(&mut self, whose: Option<Projector>) {
+        self.engines().for_each(|engine| engine.dmd.trigger(false));
+        if let Some(engine) = whose.and_then(|projector| self.engine(projector)) {
+            engine.dmd.trigger(true);
+        }
+    }
+
+    /// Selects the pattern that a projector shows at its next trigger.
+    ///
+    /// # Errors
+    /// It is refused, or no such projector is fitted.
+    pub async fn select(&mut self, projector: Projector, pattern: u16) -> Result<(), NotSelected> {
+        match self.engine(projector) {
+            Some(engine) => engine.dmd.select(pattern).await,
+            None => Err(NotSelected),
+        }
+    }
+
     /// Completes when a line awaited has its level. May be dropped at any time.
     pub async fn wait(&mut self, awaiting: Awaiting) -> Input {
         let Self {
-            led, dmd, camera, ..
+            first,
+            second,
+            camera,
+            ..
         } = self;
-        let led = async {
-            match awaiting.led_sense {
-                Some(level) => {
-                    led.sense(level).await;
-                    Input::LedSense(level)
-                }
-                None => pending().await,
-            }
+        let (led, dmd) = match second {
+            Some(LightEngine { led, dmd }) => (Some(led), Some(dmd)),
+            None => (None, None),
+        };
+        let [one, two] = awaiting.led_sense;
+        let first_led = async {
+            let level = sensed(Some(&mut first.led), one).await;
+            Input::LedSense(Projector::First, level)
+        };
+        let second_led = async {
+            let level = sensed(led, two).await;
+            Input::LedSense(Projector::Second, level)
         };
         let dmd = async {
-            if !awaiting.dmd_ready {
-                pending::<()>().await;
+            let awaited = match awaiting.dmd_ready {
+                Some(Projector::First) => Some(&mut first.dmd),
+                Some(Projector::Second) => dmd,
+                None => None,
+            };
+            match awaited {
+                Some(dmd) => dmd.ready().await,
+                None => pending().await,
             }
-            dmd.ready().await;
             Input::DmdReady
         };
         let camera = async {
@@ -97,8 +181,11 @@ impl<L: Led, D: Dmd, C: Camera, N> Optics<L, D, C, N> {
                 CameraWait::Exposing(level) => Input::CameraExposing(level),
             }
         };
-        match select3(led, dmd, camera).await {
-            Either3::First(input) | Either3::Second(input) | Either3::Third(input) => input,
+        match select4(first_led, second_led, dmd, camera).await {
+            Either4::First(input)
+            | Either4::Second(input)
+            | Either4::Third(input)
+            | Either4::Fourth(input) => input,
         }
     }
 }

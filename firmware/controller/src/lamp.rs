@@ -35,13 +35,11 @@ pub struct Lamp {
 }
 
 impl Lamp {
-    /// An LED that is off and cold; where a reset put it out, its current may still flow until `timeout` after the start.
+    /// An LED that is off and cold; where a reset put it out, its current may still flow until then.
     #[must_use]
-    pub fn new(limits: &Limits, timeout: Microseconds) -> Self {
+    pub fn new(limits: &Limits, until: Timestamp) -> Self {
         Self {
-            phase: Phase::Falling {
-                until: Timestamp(0).after(timeout),
-            },
+            phase: Phase::Falling { until },
             enabled: false,
             budget: LedBudget::new(limits),
         }
@@ -51,6 +49,12 @@ impl Lamp {
     #[must_use]
     pub fn enabled(&self) -> bool {
         self.enabled
+    }
+
+    /// Its current is known to be gone.
+    #[must_use]
+    pub fn is_dark(&self) -> bool {
+        self.phase == Phase::Dark
     }
 
     /// On-time bookkeeping.

@@ -6,7 +6,7 @@
 //! host ◄── link::transmit ◄── replies, events ◄──────────────┘ ▲ └─────────► serve_stage ──► stage driver (UART)
 //!                                                              └──────────── pin levels, in position, deadlines
 //! ```
-//! [`sequence::Sequence`] and what it is made of ([`lamp::Lamp`], [`budget::LedBudget`], [`session::Session`]) are
+//! [`sequence::Sequence`] and what it is made of ([`lamps::Lamps`], [`budget::LedBudget`], [`session::Session`]) are
 //! pure: time comes in as an argument, what to do comes out as a list of [`sequence::Action`]s. They are tested by
 //! hand-stepped time. The tasks in [`tasks`] only carry: they wait, ask, and do what they are
 //! told. A board image or the simulator supplies pins, UARTs and the time driver.
@@ -32,6 +32,7 @@ mod diagrams;
 pub mod dlpc350;
 pub mod interlock;
 pub mod lamp;
+pub mod lamps;
 pub mod lens;
 pub mod liveness;
 pub mod mailbox;
@@ -43,7 +44,7 @@ pub mod stage;
 pub mod tasks;
 
 pub use command_handler::CommandHandler;
-pub use devices::{Camera, Dmd, Led, Optics};
+pub use devices::{Camera, Dmd, Led, LightEngine, Optics};
 pub use lens::{Lens, NoLens};
 pub use liveness::Watchdog;
 pub use press::{NoPress, PinPress, Press};

@@ -147,6 +147,7 @@ fn plan(number: u32) -> CapturePlan {
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
         focus: None,
+        projectors: 1,
     }
 }
 

@@ -27,8 +27,8 @@ use flankscope_controller::liveness::Task;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
-    CommandHandler, Mailboxes, NoLens, Optics, Sequence, link, press_sequencer, sequence,
-    serve_stage, supervise,
+    CommandHandler, LightEngine, Mailboxes, NoLens, Optics, Sequence, link, press_sequencer,
+    sequence, serve_stage, supervise,
 };
 use flankscope_protocol::{Line, LineRecord, Microseconds};
 
@@ -124,16 +124,20 @@ fn main() -> ! {
     HOST.start(divider);
 
     let optics = Optics {
-        led: PinLed {
-            enable: Output::new(Subject::LedEnable),
-            sense: InputPin(&pins::LED_SENSE),
-            current: Current,
+        first: LightEngine {
+            led: PinLed {
+                enable: Output::new(Subject::LedEnable),
+                sense: InputPin(&pins::LED_SENSE),
+                current: Current,
+            },
+            dmd: PinDmd {
+                trigger: Output::new(Subject::DmdTrigger),
+                ready: InputPin(&pins::DMD_READY),
+                port: PatternBus,
+            },
         },
-        dmd: PinDmd {
-            trigger: Output::new(Subject::DmdTrigger),
-            ready: InputPin(&pins::DMD_READY),
-            port: PatternBus,
-        },
+        // No virtual pins for one.
+        second: None,
         camera: PinCamera {
             trigger: Output::new(Subject::CameraTrigger),
             ready: InputPin(&pins::CAMERA_READY),

@@ -1,12 +1,13 @@
 //! Pins of the NUCLEO-H743ZI2 and what is on them. The table in `firmware/README.md` is this file in words.
 
-use embassy_stm32::dac::{DacChannel, Value};
+use embassy_stm32::dac::{Dac, DacChannel, Value};
 use embassy_stm32::exti::{self, ExtiInput};
-use embassy_stm32::gpio::{Level, Output, Pull, Speed};
+use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use embassy_stm32::i2c::{self, I2c, Master};
 use embassy_stm32::mode::{Async, Blocking};
 use embassy_stm32::peripherals::{
-    DMA1_CH0, DMA1_CH1, DMA1_CH2, DMA1_CH3, I2C1, I2C2, IWDG1, USART2, USART3,
+    DMA1_CH0, DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, DMA1_CH5, I2C1, I2C2, I2C3, IWDG1, USART2,
+    USART3,
 };
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, BufferedUart};
@@ -19,7 +20,7 @@ use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
 use flankscope_controller::max14574::Max14574;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::StagePort;
-use flankscope_controller::{Optics, Watchdog};
+use flankscope_controller::{LightEngine, Optics, Watchdog};
 use flankscope_protocol::{
     FlowControl, Limits, Line, LineRecord, MAX_FRAME_BYTES, Microseconds, Milliamps, Parity,
     StageConfig,
@@ -31,10 +32,14 @@ bind_interrupts!(struct Irqs {
     I2C1_ER => i2c::ErrorInterruptHandler<I2C1>;
     I2C2_EV => i2c::EventInterruptHandler<I2C2>;
     I2C2_ER => i2c::ErrorInterruptHandler<I2C2>;
+    I2C3_EV => i2c::EventInterruptHandler<I2C3>;
+    I2C3_ER => i2c::ErrorInterruptHandler<I2C3>;
     DMA1_STREAM0 => dma::InterruptHandler<DMA1_CH0>;
     DMA1_STREAM1 => dma::InterruptHandler<DMA1_CH1>;
     DMA1_STREAM2 => dma::InterruptHandler<DMA1_CH2>;
     DMA1_STREAM3 => dma::InterruptHandler<DMA1_CH3>;
+    DMA1_STREAM4 => dma::InterruptHandler<DMA1_CH4>;
+    DMA1_STREAM5 => dma::InterruptHandler<DMA1_CH5>;
     USART2 => usart::BufferedInterruptHandler<USART2>;
     USART3 => usart::BufferedInterruptHandler<USART3>;
     EXTI0 => exti::InterruptHandler<interrupt::typelevel::EXTI0>;
@@ -49,15 +54,15 @@ bind_interrupts!(struct Irqs {
 /// How the host's line is set.
 static HOST_LINE: LineRecord = LineRecord::new(Line::HOST);
 
-/// The fastest that the DMD controller's bus goes, and the lens driver's.
+/// The fastest that a DMD controller's bus goes, and the lens driver's.
 const BUS_HZ: u32 = 400_000;
 /// Patience with one transaction: the longest has 10 bytes, a quarter of a millisecond.
 const BUS_TIMEOUT: Duration = Duration::from_millis(2);
 
-/// The lens driver's outputs that have a lens: the camera's on the first, the projector's on the second.
+/// The lens driver's outputs that have a lens: the camera's on the first, the projectors' on the second.
 const LENS_OUTPUTS: u8 = 0b0011;
 
-/// The patterns in the DMD controller's flash. One stands for as long as any camera exposure, and as long again.
+/// The patterns in a DMD controller's flash. One stands for as long as any camera exposure, and as long again.
 const PATTERNS: Settings = Settings {
     depth: BitDepth::Eight,
     exposure: Microseconds(2 * Limits::DEFAULT.exposure_max.get()),
@@ -106,18 +111,38 @@ impl Board {
         bus.timeout = BUS_TIMEOUT;
         let patterns = I2c::new(p.I2C1, p.PB8, p.PB9, p.DMA1_CH0, p.DMA1_CH1, Irqs, bus);
         // A bus of its own: a lens on a long cable that holds it down takes no pattern with it.
-        let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH2, p.DMA1_CH3, Irqs, bus);
-        let optics = Optics {
+        let second_patterns = I2c::new(p.I2C3, p.PA8, p.PC9, p.DMA1_CH4, p.DMA1_CH5, Irqs, bus);
+        let [first_current, second_current] =
+            LedCurrent::both(Dac::new_blocking(p.DAC1, p.PA4, p.PA5));
+        // A bridge in its plug: what is not plugged in is not there.
+        let fitted = Input::new(p.PG3, Pull::Down).is_high();
+        let second = LightEngine {
             led: PinLed {
-                enable: Output::new(p.PE2, Level::Low, Speed::Low),
-                sense: ExtiInput::new(p.PE3, p.EXTI3, Pull::Down, Irqs),
-                current: LedCurrent(DacChannel::new_blocking(p.DAC1, p.PA4)),
+                enable: Output::new(p.PE15, Level::Low, Speed::Low),
+                sense: ExtiInput::new(p.PE13, p.EXTI13, Pull::Down, Irqs),
+                current: second_current,
             },
             dmd: PinDmd {
-                trigger: Output::new(p.PE6, Level::Low, Speed::Low),
-                ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
-                port: Dlpc350::new(patterns, PATTERNS),
+                trigger: Output::new(p.PE9, Level::Low, Speed::Low),
+                ready: ExtiInput::new(p.PE11, p.EXTI11, Pull::Down, Irqs),
+                port: Dlpc350::new(second_patterns, PATTERNS),
             },
+        };
+        let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH2, p.DMA1_CH3, Irqs, bus);
+        let optics = Optics {
+            first: LightEngine {
+                led: PinLed {
+                    enable: Output::new(p.PE2, Level::Low, Speed::Low),
+                    sense: ExtiInput::new(p.PE3, p.EXTI3, Pull::Down, Irqs),
+                    current: first_current,
+                },
+                dmd: PinDmd {
+                    trigger: Output::new(p.PE6, Level::Low, Speed::Low),
+                    ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
+                    port: Dlpc350::new(patterns, PATTERNS),
+                },
+            },
+            second: fitted.then_some(second),
             camera: PinCamera {
                 trigger: Output::new(p.PE7, Level::Low, Speed::Low),
                 ready: ExtiInput::new(p.PE5, p.EXTI5, Pull::Down, Irqs),
@@ -242,6 +267,14 @@ fn clocks() -> Config {
 /// The LED driver's current input: full scale of the converter is the largest current allowed.
 pub struct LedCurrent(DacChannel<'static, Blocking>);
 
+impl LedCurrent {
+    /// The converter's two channels: one for each projector.
+    fn both(converter: Dac<'static, Blocking>) -> [Self; 2] {
+        let (first, second) = converter.split();
+        [Self(first), Self(second)]
+    }
+}
+
 impl CurrentSetting for LedCurrent {
     fn set(&mut self, current: Milliamps) {
         let full = u32::from(Limits::DEFAULT.led_max.get()).max(1);
@@ -275,10 +308,10 @@ pub fn watchdog_reset() -> bool {
     bitten
 }
 
-/// LED enable, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.
+/// Both LED enables, camera trigger and both head-clear outputs low, whatever the rest of the program thinks.
 pub fn go_dark() {
     use embassy_stm32::pac::GPIOE;
-    for pin in [2, 7, 12, 14] {
+    for pin in [2, 7, 12, 14, 15] {
         GPIOE.bsrr().write(|bits| bits.set_br(pin, true));
     }
 }

@@ -42,4 +42,6 @@ pub use line::{Edge, Line};
 pub use pty::Pty;
 pub use uart::Port;
 pub use watchdog::Controller;
-pub use wiring::{Board, CurrentCell, PatternBus, PressLines, Wiring, spawn_controller};
+pub use wiring::{
+    Board, CurrentCell, PatternBus, PressLines, ProjectorLines, Wiring, spawn_controller,
+};

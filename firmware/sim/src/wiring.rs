@@ -15,8 +15,8 @@ use flankscope_controller::liveness::Task;
 use flankscope_controller::max14574::Max14574;
 use flankscope_controller::stage::esp301::Esp301;
 use flankscope_controller::{
-    CommandHandler, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer, sequence,
-    serve_stage,
+    CommandHandler, LightEngine, Mailboxes, Optics, PinPress, Sequence, link, press_sequencer,
+    sequence, serve_stage,
 };
 use flankscope_protocol::Milliamps;
 use flankscope_protocol::message::Boot;
@@ -86,9 +86,9 @@ impl PatternPort for PatternBus {
     }
 }
 
-/// Every line once. Both sides hold a clone.
+/// The lines of a projector.
 #[derive(Clone)]
-pub struct Board {
+pub struct ProjectorLines {
     /// Controller -> LED driver.
     pub led_enable: Line,
     /// LED driver -> controller: current flows.
@@ -101,6 +101,15 @@ pub struct Board {
     pub dmd_ready: Line,
     /// Controller <-> DMD.
     pub pattern_bus: PatternBus,
+}
+
+/// Every line once. Both sides hold a clone.
+#[derive(Clone)]
+pub struct Board {
+    /// LED driver and DMD of each projector.
+    pub projectors: [ProjectorLines; 2],
+    /// High where the second projector is plugged in.
+    pub second_fitted: Line,
     /// Controller -> camera: exposed while high.
     pub camera_trigger: Line,
     /// Camera -> controller: a trigger would be obeyed.
@@ -134,9 +143,11 @@ impl Board {
     /// What the pins do when the controller is reset: its outputs fall.
     pub(crate) fn release_outputs(&self) {
         let press = &self.press;
+        for lines in &self.projectors {
+            lines.led_enable.set(false);
+            lines.dmd_trigger.set(false);
+        }
         for line in [
-            &self.led_enable,
-            &self.dmd_trigger,
             &self.camera_trigger,
             &press.head_clear_1,
             &press.head_clear_2,
@@ -148,6 +159,48 @@ impl Board {
         }
     }
 }
+
+/// What the lines of a projector are called.
+const PROJECTOR_LINES: [[&str; 4]; 2] = [
+    ["led_enable", "led_sense", "dmd_trigger", "dmd_ready"],
+    [
+        "led_enable_2",
+        "led_sense_2",
+        "dmd_trigger_2",
+        "dmd_ready_2",
+    ],
+];
+
+impl ProjectorLines {
+    fn new(sim: &Sim, names: [&'static str; 4]) -> Self {
+        let [led_enable, led_sense, dmd_trigger, dmd_ready] = names.map(|name| sim.line(name));
+        Self {
+            led_enable,
+            led_sense,
+            led_current: CurrentCell::default(),
+            dmd_trigger,
+            dmd_ready,
+            pattern_bus: PatternBus::new(),
+        }
+    }
+
+    fn pins(self) -> Engine {
+        LightEngine {
+            led: PinLed {
+                enable: self.led_enable,
+                sense: self.led_sense,
+                current: self.led_current,
+            },
+            dmd: PinDmd {
+                trigger: self.dmd_trigger,
+                ready: self.dmd_ready,
+                port: self.pattern_bus,
+            },
+        }
+    }
+}
+
+type Engine = LightEngine<PinLed<Line, Line, CurrentCell>, PinDmd<Line, Line, PatternBus>>;
 
 impl PressLines {
     fn new(sim: &Sim) -> Self {
@@ -203,12 +256,8 @@ impl Wiring {
         let (host, controller_link) = Port::pair();
         let (stage, controller_stage) = Port::pair();
         let board = Board {
-            led_enable: sim.line("led_enable"),
-            led_sense: sim.line("led_sense"),
-            led_current: CurrentCell::default(),
-            dmd_trigger: sim.line("dmd_trigger"),
-            dmd_ready: sim.line("dmd_ready"),
-            pattern_bus: PatternBus::new(),
+            projectors: PROJECTOR_LINES.map(|names| ProjectorLines::new(sim, names)),
+            second_fitted: sim.line("second_fitted"),
             camera_trigger: sim.line("camera_trigger"),
             camera_ready: sim.line("camera_ready"),
             camera_exposing: sim.line("camera_exposing"),
@@ -241,17 +290,10 @@ pub(crate) fn tasks(
     mail: &'static Mailboxes,
 ) -> [(Task, BoxedTask); 4] {
     let board = wiring.board.clone();
+    let [first, second] = board.projectors.map(ProjectorLines::pins);
     let optics = Optics {
-        led: PinLed {
-            enable: board.led_enable,
-            sense: board.led_sense,
-            current: board.led_current,
-        },
-        dmd: PinDmd {
-            trigger: board.dmd_trigger,
-            ready: board.dmd_ready,
-            port: board.pattern_bus,
-        },
+        first,
+        second: board.second_fitted.level().then_some(second),
         camera: PinCamera {
             trigger: board.camera_trigger,
             ready: board.camera_ready,

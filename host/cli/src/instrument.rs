@@ -307,11 +307,6 @@ impl<S> Instrument<S> {
         site.demands([tool, head])?;
         let folder = tool_folder(tool, own.path())?;
         let (subject, head_path) = standing(&folder, head, site, quiet, own.path())?;
-        anyhow::ensure!(
-            subject.head.projectors() == 1 || site.link().is_simulated(),
-            "head {:?} has a [second_projector], and the controller switches one projector only: use a head with one",
-            subject.head.name
-        );
         let cores = subject.head.cores.as_ref().map(|cores| cores.file.clone());
         let instrument = Self::before(&folder, site, bench, scene, quiet, own, |root| {
             station(subject, root)

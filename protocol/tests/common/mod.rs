@@ -52,6 +52,7 @@ pub fn short_plan() -> CapturePlan {
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
         focus: None,
+        projectors: 1,
     }
 }
 
@@ -89,6 +90,7 @@ pub fn longest_plan() -> CapturePlan {
             counts: LensCounts(u16::MAX),
             settle: Microseconds(u32::MAX),
         }),
+        projectors: u8::MAX,
     }
 }
 
@@ -118,6 +120,10 @@ pub fn commands() -> Vec<Command> {
     };
     all.push(Command::LoadPlan(CapturePlan {
         focus: Some(focus),
+        ..short_plan()
+    }));
+    all.push(Command::LoadPlan(CapturePlan {
+        projectors: 2,
         ..short_plan()
     }));
     all
@@ -198,6 +204,7 @@ fn plan_errors() -> Vec<PlanError> {
             PlanError::WaitTooShort { which: Wait::LedTimeout, got: us(0), limit: us(1_000) },
         PlanError::FocusOutOfRange { .. } =>
             PlanError::FocusOutOfRange { got: LensCounts(900), min: LensCounts(200), max: LensCounts(800) },
+        PlanError::Projectors { .. } => PlanError::Projectors { got: 3, limit: 2 },
     );
     all.extend(waits().into_iter().map(|which| PlanError::WaitTooLong {
         which,
@@ -286,6 +293,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::Stage(_) => Refusal::Stage(StageError::SameNumber { got: 1 }),
         Refusal::NotConfigured => Refusal::NotConfigured,
         Refusal::NoLens => Refusal::NoLens,
+        Refusal::TooFewProjectors { .. } => Refusal::TooFewProjectors { got: 2, fitted: 1 },
     );
     all.extend(plan_errors().into_iter().map(Refusal::Plan));
     all.extend(stage_errors().into_iter().map(Refusal::Stage));
@@ -302,6 +310,7 @@ fn identity(boot: Boot) -> Identity {
         verdict_life: Microseconds(5_000_000),
         boot,
         lens: true,
+        projectors: 2,
     }
 }
 
@@ -361,7 +370,7 @@ pub fn events() -> Vec<Event> {
         }),
         Event::InPosition { .. } =>
             Event::InPosition { view: 2, rotation: Microradians(-1), vertical: Micrometres(33_000), at: AT },
-        Event::Led { .. } => Event::Led { on: true, at: AT },
+        Event::Led { .. } => Event::Led { projector: Projector::First, on: true, at: AT },
         Event::ViewDone { .. } => Event::ViewDone { session: 3, view: 2, frames: 25, at: AT },
         Event::CaptureDone { .. } => Event::CaptureDone { session: 3, views: 3, frames: 75, at: AT },
         Event::Fault { .. } =>
@@ -370,6 +379,15 @@ pub fn events() -> Vec<Event> {
         Event::Cycle { .. } => Event::Cycle { count: 1_000, at: AT },
         Event::PressOpen { .. } => Event::PressOpen { open: true, at: AT },
     );
+    let projectors = each!(Projector:
+        Projector::First => Projector::First,
+        Projector::Second => Projector::Second,
+    );
+    all.extend(projectors.into_iter().map(|projector| Event::Led {
+        projector,
+        on: false,
+        at: AT,
+    }));
     all.extend(whys().into_iter().map(|why| Event::StateChanged {
         prev: State::Moving,
         next: State::Settling,

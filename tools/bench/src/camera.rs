@@ -481,11 +481,10 @@ impl<S: FrameSink> FrameRenderer<S> {
         ];
         let (_, view) = self.views.iter().find(|(known, _)| *known == key)?;
         let exposure_us = u32::try_from(exposure.end_us - exposure.start_us).unwrap_or(u32::MAX);
-        let rendered = self.world.render(
+        let rendered = self.world.expose(
             view,
-            exposure.pattern,
+            exposure.shown,
             exposure_us,
-            exposure.led_on,
             exposure.counter,
             frame.pixels(),
         );

@@ -272,6 +272,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     }
     let world = World::new(&config)?;
     let has_lens = config.driven_head.is_some();
+    let has_second_projector = config.optics.second_projector.is_some();
     // A camera in real time never waits for a slow host; one that runs ahead of real time would drown any host.
     let overflow = if speed > 1.0 {
         Overflow::Wait
@@ -306,6 +307,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
 
     let mut config = InstrumentConfig::paced(speed);
     config.devices.lens = has_lens;
+    config.devices.second_projector = has_second_projector;
     config.devices.seed = seed;
     config.devices.axes.rotation.backlash = 1e-3 * asked.bench.backlash_mdeg;
     config.devices.axes.vertical.backlash = 1e-3 * asked.bench.backlash_um;

@@ -123,8 +123,8 @@ fn a_capture_of_three_views_is_exposed_as_planned() {
         );
         // What the camera saw is what the controller said, not merely what it meant to do.
         assert_eq!(
-            (exposure.counter, exposure.pattern, exposure.led_on),
-            (n as u32, spec.pattern, true)
+            (exposure.counter, exposure.shown),
+            (n as u32, [Some(spec.pattern), None])
         );
         assert_eq!(
             exposure.end_us - exposure.start_us,

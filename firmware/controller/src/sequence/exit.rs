@@ -2,7 +2,7 @@
 
 use super::signals::{Action, Actions, push};
 use super::{Sequence, Step, Then};
-use flankscope_protocol::{Event, Fault, Micrometres, Timestamp, Why};
+use flankscope_protocol::{Event, Fault, Micrometres, Microseconds, Timestamp, Why};
 
 impl Sequence {
     /// A fault: all lights and triggers off at once, halt, retract, wait for an acknowledgement.
@@ -119,14 +119,26 @@ impl Sequence {
         );
     }
 
-    /// LED and triggers off, whatever was going on.
+    /// LEDs and triggers off, whatever was going on.
     pub(super) fn dark(&mut self, now: Timestamp, out: &mut Actions) {
-        if self.lamp.switch_off(now, self.config.led_off_timeout) {
-            push(out, Action::LedOff);
-            push(out, Action::Report(Event::Led { on: false, at: now }));
-        }
+        self.put_out(now, self.config.led_off_timeout, out);
         push(out, Action::CameraTrigger(false));
-        push(out, Action::DmdTrigger(false));
+        push(out, Action::DmdTrigger(None));
+    }
+
+    /// LEDs off; their current must be gone within `timeout`.
+    pub(super) fn put_out(&mut self, now: Timestamp, timeout: Microseconds, out: &mut Actions) {
+        if let Some(projector) = self.lamps.switch_off(now, timeout) {
+            push(out, Action::LedOff);
+            push(
+                out,
+                Action::Report(Event::Led {
+                    projector,
+                    on: false,
+                    at: now,
+                }),
+            );
+        }
     }
 
     pub(super) fn retract_position(&self) -> Micrometres {

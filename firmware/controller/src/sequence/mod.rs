@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Unhomed ─► Homing ─► Ready ─► (Claiming) ─► Moving ─► Settling ─► (Cooling) ─► Lighting ─┐
-//!              ▲         ▲        ▲                                          ▼
+//!              ▲         ▲        ▲                   ┌─ next projector ─►   ▼
 //!              │         │        └── next view ── Darkening ◄── Capturing, per frame:
 //!              │         │                             │            select ► trigger DMD ► ready ► settle
 //!              │         └──────── Retracting ◄────────┘            ► earliest start ► camera ready
@@ -10,8 +10,9 @@
 //!              └── Unhomed ◄── Faulted   └ any fault: from every state, LED off first
 //! ```
 //! Rules that hold in every state, and that the tests check by brute force:
-//! * the LED is enabled only between the settle of a view and its last frame: never while a stage moves;
-//! * a fault, an abort or a retract switches the LED and the camera trigger off in the same step that it arrives in;
+//! * an LED is enabled only between the settle of a view and its last frame: never while a stage moves;
+//! * it is enabled only for the frames of its own projector, and only once the current of the other's is gone;
+//! * a fault, an abort or a retract switches the LEDs and the camera trigger off in the same step that it arrives in;
 //! * after a fault nothing starts until it is acknowledged, after power-up nothing until homed;
 //! * every wait has a deadline;
 //! * a lens has its voltage from the start of a capture to its end, however it ends, and at no other time. It is told before
@@ -31,10 +32,11 @@ pub use signals::{Action, Actions, Awaiting, CameraWait, Input, MAX_ACTIONS};
 pub use view::earliest_trigger;
 
 use crate::interlock::{Head, Position};
-use crate::lamp::{Confirmed, Lamp};
+use crate::lamp::Confirmed;
+use crate::lamps::Lamps;
 use flankscope_protocol::{
     CapturePlan, Event, Fault, Limits, Micrometres, Microradians, Microseconds, PressStatus,
-    StageConfig, State, Status, Timestamp, Why,
+    Projector, StageConfig, State, Status, Timestamp, Why,
 };
 use signals::push;
 
@@ -47,6 +49,15 @@ enum Then {
     Ready(Why),
     Complete,
     Faulted,
+}
+
+/// What is done once all LEDs are dark.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Dark {
+    /// The view goes on with the next projector's frames.
+    NextProjector,
+    NextView,
+    Leave,
 }
 
 /// Inner state; [`Sequence::state`] is the coarser one that the host sees.
@@ -104,9 +115,9 @@ enum Step {
     Closing {
         until: Timestamp,
     },
-    /// LED off, waiting for it to be dark.
+    /// LEDs off, waiting for them to be dark.
     Darkening {
-        after_last: bool,
+        then: Dark,
     },
     Retracting {
         until: Timestamp,
@@ -125,7 +136,7 @@ pub struct Sequence {
     next_stage: Option<StageConfig>,
     plan: Option<CapturePlan>,
     step: Step,
-    lamp: Lamp,
+    lamps: Lamps,
     fault: Option<Fault>,
     homed: bool,
     /// The stages reported to stand retracted and have not been sent away since.
@@ -159,7 +170,7 @@ impl Sequence {
             next_stage: None,
             plan: None,
             step: Step::Unhomed,
-            lamp: Lamp::new(&config.limits, config.led_off_timeout),
+            lamps: Lamps::new(&config.limits, Timestamp(0).after(config.led_off_timeout)),
             fault: None,
             homed: false,
             parked: false,
@@ -177,6 +188,12 @@ impl Sequence {
             retract_again: None,
             host_heard: Timestamp(0),
         }
+    }
+
+    /// The clock stands here at the start: what a reset put out has its time from now on.
+    pub fn begin(&mut self, now: Timestamp) {
+        let until = now.after(self.config.led_off_timeout);
+        self.lamps = Lamps::new(&self.config.limits, until);
     }
 
     /// What is true of the instrument.
@@ -284,7 +301,7 @@ impl Sequence {
             plan: self.plan.as_ref().map(|plan| plan.session),
             view: self.view,
             frame: self.frame,
-            led_on: self.lamp.enabled(),
+            led_on: self.lamps.enabled().is_some(),
             homed: self.homed && !self.must_home(),
             rotation: self.rotation,
             vertical: self.vertical,
@@ -299,8 +316,11 @@ impl Sequence {
     #[must_use]
     pub fn awaiting(&self) -> Awaiting {
         Awaiting {
-            led_sense: self.lamp.awaits(),
-            dmd_ready: matches!(self.step, Step::Switching { .. }),
+            led_sense: self.lamps.awaits(),
+            dmd_ready: match self.step {
+                Step::Switching { .. } => Some(self.shows()),
+                _ => None,
+            },
             camera: match self.step {
                 Step::Arming { .. } => Some(CameraWait::Ready),
                 Step::Exposing {
@@ -341,7 +361,7 @@ impl Sequence {
         let host = self
             .capturing()
             .then(|| self.host_heard.after(self.config.host_silence));
-        [step, host, self.lamp.deadline(), self.retract_again]
+        [step, host, self.lamps.deadline(), self.retract_again]
             .into_iter()
             .flatten()
             .min()
@@ -368,7 +388,7 @@ impl Sequence {
             }
             // An answer to a request that was overtaken by another.
             Input::InPosition { .. } | Input::StageFailed { .. } => {}
-            Input::LedSense(level) => self.led_sense(now, level, out),
+            Input::LedSense(projector, level) => self.led_sense(now, projector, level, out),
             Input::PatternSelected(taken) => self.pattern_selected(now, taken, out),
             Input::DmdReady => self.dmd_ready(now, out),
             Input::CameraReady => self.camera_ready(now, out),
@@ -388,8 +408,8 @@ impl Sequence {
 
     /// Everything that happens because its time has come.
     fn tick(&mut self, now: Timestamp, out: &mut Actions) {
-        if let Err(fault) = self.lamp.expire(now) {
-            self.fail(now, fault, 0, out);
+        if let Err((projector, fault)) = self.lamps.expire(now) {
+            self.fail(now, fault, projector.detail(), out);
         }
         if self.capturing() && now >= self.host_heard.after(self.config.host_silence) {
             self.fail(now, Fault::HostSilent, 0, out);
@@ -409,8 +429,12 @@ impl Sequence {
             Step::Settling { until } if now >= until => self.settled(now, out),
             Step::Checking { until } if now >= until => self.fail(now, Fault::LensSilent, 0, out),
             Step::Cooling { until } if now >= until => self.light(now, out),
-            Step::Selecting { until } if now >= until => self.fail(now, Fault::DmdSelect, 0, out),
-            Step::Switching { until } if now >= until => self.fail(now, Fault::DmdNotReady, 0, out),
+            Step::Selecting { until } if now >= until => {
+                self.fail(now, Fault::DmdSelect, self.shows().detail(), out);
+            }
+            Step::Switching { until } if now >= until => {
+                self.fail(now, Fault::DmdNotReady, self.shows().detail(), out);
+            }
             Step::Standing { until } if now >= until => self.hold(now, out),
             Step::Holding { until } if now >= until => self.arm(now),
             Step::Arming { until } if now >= until => self.fail(now, Fault::CameraNotReady, 0, out),
@@ -529,15 +553,15 @@ impl Sequence {
         }
     }
 
-    fn led_sense(&mut self, now: Timestamp, level: bool, out: &mut Actions) {
-        match self.lamp.sense(level) {
-            Err(fault) => self.fail(now, fault, 0, out),
+    fn led_sense(&mut self, now: Timestamp, projector: Projector, level: bool, out: &mut Actions) {
+        match self.lamps.sense(projector, level) {
+            Err(fault) => self.fail(now, fault, projector.detail(), out),
             Ok(Some(Confirmed::Lit)) if self.step == Step::Lighting => {
                 self.select(now, out);
             }
             Ok(Some(Confirmed::Dark)) => {
-                if let Step::Darkening { after_last } = self.step {
-                    self.leave_view(now, after_last, out);
+                if let Step::Darkening { then } = self.step {
+                    self.darkened(now, then, out);
                 }
             }
             Ok(_) => {}

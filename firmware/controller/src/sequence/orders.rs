@@ -77,7 +77,7 @@ impl Sequence {
     pub(crate) fn acknowledge(&mut self, now: Timestamp, out: &mut Actions) {
         if self.step == Step::Faulted {
             self.fault = None;
-            self.lamp.acknowledge();
+            self.lamps.acknowledge();
             let next = if self.homed {
                 Step::Ready
             } else {

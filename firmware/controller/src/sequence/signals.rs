@@ -1,7 +1,9 @@
 //! What goes into the sequence and what comes out.
 
 use crate::lens::LensFault;
-use flankscope_protocol::{Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, View};
+use flankscope_protocol::{
+    Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, Projector, View,
+};
 
 /// Most actions of one step: the longest chain is a fault (event, LED, event, camera, DMD, stop, retract, event).
 pub const MAX_ACTIONS: usize = 16;
@@ -41,11 +43,11 @@ pub enum Input {
         /// The stage controller's own error number, 0 if none.
         detail: u32,
     },
-    /// Level of the LED's current sense.
-    LedSense(bool),
+    /// Level of the current sense of a projector's LED.
+    LedSense(Projector, bool),
     /// The DMD took the pattern selection, or did not.
     PatternSelected(bool),
-    /// The DMD says that the selected pattern stands.
+    /// The DMD awaited says that the selected pattern stands.
     DmdReady,
     /// The camera can be triggered.
     CameraReady,
@@ -87,20 +89,20 @@ pub enum Action {
     },
     /// Halt both axes.
     StopStages,
-    /// Enable the LED at this current.
-    LedOn(Milliamps),
-    /// Disable the LED.
+    /// Enable this projector's LED at this current, and no other.
+    LedOn(Projector, Milliamps),
+    /// Disable every LED.
     LedOff,
-    /// Select a pattern; answer with [`Input::PatternSelected`] before anything else.
-    SelectPattern(u16),
+    /// Select a projector's pattern; answer with [`Input::PatternSelected`] before anything else.
+    SelectPattern(Projector, u16),
     /// Give the lens its voltage; answer with [`Input::Lens`] before anything else.
     SetLens(LensCounts),
     /// Make sure that the lens has it still; answer with [`Input::Lens`] before anything else.
     CheckLens(LensCounts),
     /// Switch the lens off.
     LensOff,
-    /// Level of the DMD trigger: the rising edge shows the selected pattern.
-    DmdTrigger(bool),
+    /// Whose DMD trigger is high, every other is low: the rising edge shows the selected pattern.
+    DmdTrigger(Option<Projector>),
     /// Level of the camera trigger: exposed while high.
     CameraTrigger(bool),
     /// Tell the host.
@@ -110,10 +112,10 @@ pub enum Action {
 /// Which pins to watch; anything they say is passed to [`super::Sequence::step`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Awaiting {
-    /// Level of the LED's current sense that would be news.
-    pub led_sense: Option<bool>,
-    /// Watch the DMD's ready line.
-    pub dmd_ready: bool,
+    /// Level of the current sense of each projector's LED that would be news.
+    pub led_sense: [Option<bool>; 2],
+    /// Watch this projector's DMD's ready line.
+    pub dmd_ready: Option<Projector>,
     /// Watch the camera.
     pub camera: Option<CameraWait>,
 }

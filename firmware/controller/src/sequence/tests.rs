@@ -3,6 +3,7 @@
 extern crate std;
 
 mod lens;
+mod two_projectors;
 
 use super::*;
 use crate::diagrams;
@@ -51,14 +52,20 @@ fn plan() -> CapturePlan {
         retract: RETRACTED,
         timeouts: Timeouts::default(),
         focus: None,
+        projectors: 1,
     }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Led {
+    on: bool,
+    flips_at: Timestamp,
 }
 
 /// Ideal devices: each answers after a fixed time.
 #[derive(Debug, Clone)]
 struct World {
-    led: bool,
-    led_flips_at: Timestamp,
+    leds: [Led; 2],
     ready_at: Option<Timestamp>,
     dmd_switch_us: u32,
     exposing: bool,
@@ -97,8 +104,10 @@ impl Rig {
             vertical: StageConfig::DEFAULT.vertical.home,
         };
         let world = World {
-            led: false,
-            led_flips_at: Timestamp(0),
+            leds: [Led {
+                on: false,
+                flips_at: Timestamp(0),
+            }; 2],
             ready_at: None,
             dmd_switch_us: DMD_SWITCH_US,
             exposing: false,
@@ -160,19 +169,32 @@ impl Rig {
             self.log.push((self.now, action));
             let world = &mut self.world;
             match action {
-                Action::LedOn(_) => {
-                    (world.led, world.led_flips_at) =
-                        (true, self.now.after(Microseconds(LED_RISE_US)))
+                Action::LedOn(projector, _) => {
+                    // Not even the light that goes out is left.
+                    let dark = |led: &Led| !led.on && led.flips_at <= self.now;
+                    assert!(world.leds.iter().all(dark), "two LEDs at once");
+                    world.leds[projector as usize] = Led {
+                        on: true,
+                        flips_at: self.now.after(Microseconds(LED_RISE_US)),
+                    };
                 }
                 Action::LedOff => {
-                    (world.led, world.led_flips_at) =
-                        (false, self.now.after(Microseconds(LED_RISE_US)))
+                    for led in world.leds.iter_mut().filter(|led| led.on) {
+                        *led = Led {
+                            on: false,
+                            flips_at: self.now.after(Microseconds(LED_RISE_US)),
+                        };
+                    }
                 }
-                Action::SelectPattern(_) => (world.ready_at, selected) = (None, true),
-                Action::DmdTrigger(true) => {
+                Action::SelectPattern(projector, _) => {
+                    assert!(world.leds[projector as usize].on, "selected in the dark");
+                    (world.ready_at, selected) = (None, true);
+                }
+                Action::DmdTrigger(Some(projector)) => {
+                    assert!(world.leds[projector as usize].on, "shown in the dark");
                     world.ready_at = Some(self.now.after(Microseconds(world.dmd_switch_us)))
                 }
-                Action::DmdTrigger(false) => {}
+                Action::DmdTrigger(None) => {}
                 Action::CameraTrigger(level) => {
                     if level != world.exposing {
                         (world.exposing, world.exposing_flips_at) =
@@ -188,7 +210,10 @@ impl Rig {
                     world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
                 }
                 Action::Move { ticket, view } => {
-                    assert!(!world.led, "moving with the LED on");
+                    assert!(
+                        !world.leds.iter().any(|led| led.on),
+                        "moving with the LED on"
+                    );
                     world.motion = Some((self.now.after(Microseconds(MOTION_US)), ticket, view));
                 }
                 Action::Retract { ticket, vertical } => {
@@ -221,10 +246,13 @@ impl Rig {
         let (world, awaiting) = (&self.world, self.sequence.awaiting());
         let mut said = Vec::new();
         if !world.frozen {
-            if awaiting.led_sense == Some(world.led) {
-                said.push((world.led_flips_at, Input::LedSense(world.led)));
+            for projector in Projector::ALL {
+                let Led { on, flips_at } = world.leds[projector as usize];
+                if awaiting.led_sense[projector as usize] == Some(on) {
+                    said.push((flips_at, Input::LedSense(projector, on)));
+                }
             }
-            if let Some(at) = world.ready_at.filter(|_| awaiting.dmd_ready) {
+            if let Some(at) = world.ready_at.filter(|_| awaiting.dmd_ready.is_some()) {
                 said.push((at, Input::DmdReady));
             }
             match awaiting.camera {
@@ -316,13 +344,20 @@ impl Rig {
     }
 
     fn dark(&self) -> bool {
-        !self.world.led && !self.world.exposing && !self.sequence.lamp.enabled()
+        let lit = self.world.leds.iter().any(|led| led.on);
+        !lit && !self.world.exposing && self.sequence.lamps.enabled().is_none()
     }
 }
 
-/// Every step of an undisturbed capture.
+/// Every step of an undisturbed capture by one projector, and by two.
 fn every_step() -> Vec<Rig> {
-    let mut rig = Rig::started(config(), plan());
+    let mut steps = steps_of(plan());
+    steps.extend(steps_of(two_projectors::plan()));
+    steps
+}
+
+fn steps_of(plan: CapturePlan) -> Vec<Rig> {
+    let mut rig = Rig::started(config(), plan);
     let mut steps = vec![rig.clone()];
     while rig.advance() {
         steps.push(rig.clone());
@@ -415,7 +450,7 @@ fn the_pattern_shown_is_the_one_selected_last() {
     let mut shown = Vec::new();
     for (_, action) in &rig.log {
         match action {
-            Action::SelectPattern(pattern) => selected = Some(*pattern),
+            Action::SelectPattern(_, pattern) => selected = Some(*pattern),
             Action::CameraTrigger(true) => shown.push(selected.expect("a pattern")),
             _ => {}
         }
@@ -432,7 +467,7 @@ fn the_pattern_shown_is_the_one_selected_last() {
 fn the_led_is_on_only_between_settle_and_the_last_frame() {
     let mut rig = Rig::started(config(), plan());
     while rig.advance() {
-        let lit = rig.sequence.lamp.enabled();
+        let lit = rig.sequence.lamps.enabled().is_some();
         let may = matches!(rig.sequence.state(), State::Lighting | State::Capturing);
         assert_eq!(lit, may, "in {:?}", rig.sequence.step);
         assert!(
@@ -446,7 +481,7 @@ fn the_led_is_on_only_between_settle_and_the_last_frame() {
         .filter(|(_, action)| {
             matches!(
                 action,
-                Action::LedOn(_) | Action::Report(Event::InPosition { .. })
+                Action::LedOn(..) | Action::Report(Event::InPosition { .. })
             )
         })
         .map(|(at, _)| *at)
@@ -631,7 +666,10 @@ fn a_fault_at_any_step_darkens_at_once_retracts_and_waits() {
             detail: 106,
         },
         |_| Input::EventsLost,
-        |sequence| Input::LedSense(!sequence.lamp.enabled()),
+        |sequence| {
+            let projector = sequence.shows();
+            Input::LedSense(projector, sequence.lamps.enabled() != Some(projector))
+        },
     ];
     let mut provoked = 0;
     for rig in every_step() {
@@ -649,7 +687,7 @@ fn a_fault_at_any_step_darkens_at_once_retracts_and_waits() {
                     continue;
                 }
                 // The sense may still be on its way to where it should be.
-                assert!(matches!(input, Input::LedSense(_)));
+                assert!(matches!(input, Input::LedSense(..)));
                 continue;
             }
             provoked += 1;
@@ -685,12 +723,12 @@ fn an_led_that_goes_its_own_way_is_a_fault() {
     for mut rig in every_step() {
         match rig.sequence.state() {
             State::Capturing => {
-                rig.input(Input::LedSense(false));
+                rig.input(Input::LedSense(rig.sequence.shows(), false));
                 assert_eq!(rig.sequence.fault(), Some(Fault::LedLost));
                 provoked.0 += 1;
             }
             State::Moving | State::Settling => {
-                rig.input(Input::LedSense(true));
+                rig.input(Input::LedSense(Projector::First, true));
                 assert_eq!(rig.sequence.fault(), Some(Fault::LedStuckOn));
                 provoked.1 += 1;
             }
@@ -704,11 +742,11 @@ fn an_led_that_goes_its_own_way_is_a_fault() {
 fn a_current_that_flows_after_a_reset_has_its_time_to_be_gone() {
     for (gone_ms, fault) in [(0, None), (49, None), (51, Some(Fault::LedStuckOn))] {
         let mut rig = Rig::new(config());
-        rig.world.led_flips_at = Timestamp(gone_ms * 1_000);
+        rig.world.leds[0].flips_at = Timestamp(gone_ms * 1_000);
         rig.run();
         assert_eq!(rig.sequence.fault(), fault, "gone after {gone_ms} ms");
         // Once it is gone it stays so.
-        rig.input(Input::LedSense(true));
+        rig.input(Input::LedSense(Projector::First, true));
         assert_eq!(rig.sequence.fault(), Some(Fault::LedStuckOn));
     }
 }
@@ -759,7 +797,14 @@ fn a_hot_led_cools_before_the_next_view_and_never_exceeds_its_budget() {
     };
     let mut rig = Rig::started(Config { limits, ..config() }, plan());
     while rig.advance() {
-        assert!(rig.sequence.lamp.budget().used_us(rig.now) <= 900_000);
+        assert!(
+            rig.sequence
+                .lamps
+                .of(Projector::First)
+                .budget()
+                .used_us(rig.now)
+                <= 900_000
+        );
     }
     assert_eq!(rig.faults(), [Fault::LedCooling, Fault::LedCooling]);
     assert_eq!(rig.triggers().len(), 75);
@@ -834,7 +879,7 @@ fn an_unsafe_press_darkens_and_retracts_in_the_same_step_at_every_step() {
         rig.log.clear();
         let at = rig.now;
         rig.input(Input::Unsafe(Fault::PressNotOpen));
-        assert!(!rig.sequence.lamp.enabled());
+        assert_eq!(rig.sequence.lamps.enabled(), None);
         let retract = rig
             .log
             .iter()
@@ -858,9 +903,14 @@ fn every_change() -> diagrams::Changes {
         ..Limits::DEFAULT
     };
     let mut rigs = Vec::new();
-    for limits in [Limits::DEFAULT, hot] {
+    let captures = [
+        (Limits::DEFAULT, plan()),
+        (hot, plan()),
+        (Limits::DEFAULT, two_projectors::plan()),
+    ];
+    for (limits, plan) in captures {
         let mut rig = Rig::new(Config { limits, ..config() });
-        rig.sequence.store(plan());
+        rig.sequence.store(plan);
         rigs.push(rig.clone());
         rig.order(|sequence, now, out| sequence.home(now, out));
         rigs.push(rig.clone());

@@ -1,10 +1,10 @@
-//! One view: move, settle, light, every frame, darken.
+//! One view: move, settle, and for each projector light, its frames, darken.
 
 use super::signals::{Action, Actions, push};
-use super::{Sequence, Step, Then};
+use super::{Dark, Sequence, Step, Then};
 use crate::lens::LensFault;
 use flankscope_protocol::{
-    Event, Fault, Focus, FrameSpec, Microseconds, Timestamp, Trigger, View, Why,
+    Event, Fault, Focus, FrameSpec, Microseconds, Projector, Timestamp, Trigger, View, Why,
 };
 
 impl Sequence {
@@ -68,16 +68,12 @@ impl Sequence {
         self.plan.as_ref()?.focus
     }
 
-    /// Light the LED, once it has cooled enough to last the whole view.
+    /// Light the LED, once all have cooled enough to last the whole view.
     pub(super) fn light(&mut self, now: Timestamp, out: &mut Actions) {
-        let Some((need, led, timeout)) = self
-            .plan
-            .as_ref()
-            .map(|plan| (plan.led_on_per_view(), plan.led, plan.timeouts.led))
-        else {
+        let Some(need) = self.plan.as_ref().map(|plan| plan.led_on_per_view()) else {
             return self.fail(now, Fault::OutOfStep, 0, out);
         };
-        match self.lamp.budget().ready_at(now, need) {
+        match self.lamps.ready_at(now, need) {
             None => self.fail(now, Fault::LedBudget, 0, out),
             Some(until) if until > now => {
                 let fault = Fault::LedCooling.code();
@@ -94,12 +90,32 @@ impl Sequence {
             }
             Some(_) => {
                 self.frame = 0;
-                self.lamp.switch_on(now, timeout);
-                push(out, Action::LedOn(led));
-                push(out, Action::Report(Event::Led { on: true, at: now }));
-                self.enter(Step::Lighting, Why::Sequence, now, out);
+                self.switch_on(now, out);
             }
         }
+    }
+
+    /// Enables the LED of the projector whose frame is next, once no other shines.
+    fn switch_on(&mut self, now: Timestamp, out: &mut Actions) {
+        let projector = self.shows();
+        let Some((led, timeout)) = self.plan.as_ref().map(|plan| (plan.led, plan.timeouts.led))
+        else {
+            return self.fail(now, Fault::OutOfStep, 0, out);
+        };
+        if !self.lamps.switch_on(projector, now, timeout) {
+            let then = Dark::NextProjector;
+            return self.enter(Step::Darkening { then }, Why::Sequence, now, out);
+        }
+        push(out, Action::LedOn(projector, led));
+        push(
+            out,
+            Action::Report(Event::Led {
+                projector,
+                on: true,
+                at: now,
+            }),
+        );
+        self.enter(Step::Lighting, Why::Sequence, now, out);
     }
 
     pub(super) fn select(&mut self, now: Timestamp, out: &mut Actions) {
@@ -109,7 +125,7 @@ impl Sequence {
         else {
             return self.fail(now, Fault::OutOfStep, 0, out);
         };
-        push(out, Action::SelectPattern(frame.pattern));
+        push(out, Action::SelectPattern(frame.projector, frame.pattern));
         self.enter(
             Step::Selecting {
                 until: now.after(timeout),
@@ -127,12 +143,12 @@ impl Sequence {
         match self.plan.as_ref().map(|plan| plan.timeouts.dmd) {
             Some(timeout) if taken => {
                 self.dmd_at = now;
-                push(out, Action::DmdTrigger(true));
+                push(out, Action::DmdTrigger(Some(self.shows())));
                 self.step = Step::Switching {
                     until: now.after(timeout),
                 };
             }
-            _ => self.fail(now, Fault::DmdSelect, 0, out),
+            _ => self.fail(now, Fault::DmdSelect, self.shows().detail(), out),
         }
     }
 
@@ -140,7 +156,7 @@ impl Sequence {
         let Step::Switching { .. } = self.step else {
             return;
         };
-        push(out, Action::DmdTrigger(false));
+        push(out, Action::DmdTrigger(None));
         let settle = self
             .plan
             .as_ref()
@@ -209,14 +225,16 @@ impl Sequence {
     /// The exposure's time is over: release the trigger, report the frame.
     pub(super) fn close(&mut self, now: Timestamp, end: Timestamp, out: &mut Actions) {
         push(out, Action::CameraTrigger(false));
-        let Some((plan, frame)) = self.plan.as_ref().zip(self.frame_spec()) else {
+        let plan = self.plan.as_ref();
+        let shown = plan.and_then(|plan| plan.order().place(self.frame));
+        let Some(((plan, shown), frame)) = plan.zip(shown).zip(self.frame_spec()) else {
             return self.fail(now, Fault::OutOfStep, 0, out);
         };
         let trigger = Trigger {
             session: plan.session,
             view: self.view,
             frame: self.frame,
-            pattern: frame.pattern,
+            pattern: shown.pattern,
             exposure: frame.exposure,
             dmd_at: self.dmd_at,
             camera_at: self.camera_at,
@@ -251,12 +269,14 @@ impl Sequence {
         };
         self.frames_total = self.frames_total.saturating_add(1);
         self.frame = self.frame.saturating_add(1);
-        if self.frame < frames {
+        if self.frame < frames && self.lamps.enabled() == Some(self.shows()) {
             return self.select(now, out);
         }
-        self.lamp.switch_off(now, led_timeout);
-        push(out, Action::LedOff);
-        push(out, Action::Report(Event::Led { on: false, at: now }));
+        self.put_out(now, led_timeout, out);
+        if self.frame < frames {
+            let then = Dark::NextProjector;
+            return self.enter(Step::Darkening { then }, Why::Sequence, now, out);
+        }
         push(
             out,
             Action::Report(Event::ViewDone {
@@ -266,18 +286,30 @@ impl Sequence {
                 at: now,
             }),
         );
-        let after_last = usize::from(self.view).saturating_add(1) >= views;
-        self.enter(Step::Darkening { after_last }, Why::Sequence, now, out);
+        let then = match usize::from(self.view).saturating_add(1) < views {
+            true => Dark::NextView,
+            false => Dark::Leave,
+        };
+        self.enter(Step::Darkening { then }, Why::Sequence, now, out);
     }
 
-    pub(super) fn leave_view(&mut self, now: Timestamp, after_last: bool, out: &mut Actions) {
-        if after_last {
-            self.withdraw(now, false, Then::Complete, Why::Complete, out);
-        } else {
-            self.view = self.view.saturating_add(1);
-            self.frame = 0;
-            self.move_to_view(now, Why::Sequence, out);
+    /// No LED shines any more.
+    pub(super) fn darkened(&mut self, now: Timestamp, then: Dark, out: &mut Actions) {
+        match then {
+            Dark::NextProjector => self.switch_on(now, out),
+            Dark::NextView => {
+                self.view = self.view.saturating_add(1);
+                self.frame = 0;
+                self.move_to_view(now, Why::Sequence, out);
+            }
+            Dark::Leave => self.withdraw(now, false, Then::Complete, Why::Complete, out),
         }
+    }
+
+    /// The projector whose frame this is.
+    pub(super) fn shows(&self) -> Projector {
+        let frame = self.frame_spec();
+        frame.map_or(Projector::First, |frame| frame.projector)
     }
 
     pub(super) fn frame_spec(&self) -> Option<FrameSpec> {

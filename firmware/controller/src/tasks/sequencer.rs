@@ -49,6 +49,8 @@ pub async fn press_sequencer<L: Led, D: Dmd, C: Camera, N: Lens, P: Press>(
         // What was set off before the reset may still be under way.
         let _hanging = mail.stage_requests.try_send(StageRequest::Stop);
     }
+    handler.sequence.begin(now());
+    handler.projectors_fitted = optics.projectors();
     // Off, too, is a lens that kept its voltage over a reset.
     let lens_off = with_timeout(LENS_TIMEOUT, optics.lens.off());
     handler.lens_fitted = matches!(
@@ -123,7 +125,7 @@ async fn watch_press<L: Led, D: Dmd, C: Camera, N: Lens, P: Press>(
     let says = handler.interlock.outputs();
     if !says.may_enter {
         // Whatever the sequence still believes.
-        optics.led.off();
+        optics.dark();
     }
     press.drive(says.head_clear, handler.verdict.lines(at));
     let mut actions = Actions::new();
@@ -157,16 +159,17 @@ async fn perform<L: Led, D: Dmd, C: Camera, N: Lens>(
         let mut follow_up = None;
         for action in actions.iter() {
             match *action {
-                Action::LedOn(current) if handler.interlock.outputs().may_enter => {
-                    optics.led.on(current);
+                Action::LedOn(projector, current) if handler.interlock.outputs().may_enter => {
+                    optics.light(projector, current);
                 }
                 // Its current will be missed, which is a fault.
-                Action::LedOn(_) => {}
-                Action::LedOff => optics.led.off(),
+                Action::LedOn(..) => {}
+                Action::LedOff => optics.dark(),
                 Action::CameraTrigger(level) => optics.camera.trigger(level),
-                Action::DmdTrigger(level) => optics.dmd.trigger(level),
-                Action::SelectPattern(pattern) => {
-                    let taken = with_timeout(SELECT_TIMEOUT, optics.dmd.select(pattern)).await;
+                Action::DmdTrigger(whose) => optics.show(whose),
+                Action::SelectPattern(projector, pattern) => {
+                    let selection = optics.select(projector, pattern);
+                    let taken = with_timeout(SELECT_TIMEOUT, selection).await;
                     follow_up = Some(Input::PatternSelected(matches!(taken, Ok(Ok(())))));
                 }
                 Action::SetLens(counts) => {

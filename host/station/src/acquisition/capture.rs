@@ -33,6 +33,10 @@ impl<O: Send + 'static> Acquisition<O> {
         if self.program.lens.is_some() && !client.identity().lens {
             return Err(AcquisitionError::NoLens);
         }
+        let (needed, fitted) = (self.program.projectors, client.identity().projectors);
+        if needed > usize::from(fitted) {
+            return Err(AcquisitionError::TooFewProjectors { needed, fitted });
+        }
         client.configure(&self.program.stage).await?;
         if client.status().await?.homed {
             return Ok(());

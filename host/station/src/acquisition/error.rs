@@ -40,6 +40,16 @@ pub enum AcquisitionError {
         "the head's file has a [lens], and the controller found no lens driver when it started: is the driver powered, wired as in firmware/README.md, and the controller reset since?"
     )]
     NoLens,
+    /// The head has a projector that nobody switches.
+    #[error(
+        "the head's file has {needed} projectors, and the controller found {fitted} when it started: is the second one plugged in, wired as in firmware/README.md, and the controller reset since?"
+    )]
+    TooFewProjectors {
+        /// Of the head.
+        needed: usize,
+        /// Of the controller.
+        fitted: u8,
+    },
     /// The controller waits for somebody.
     #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
     Faulted {

@@ -64,6 +64,8 @@ pub struct Program {
     pub stage: StageConfig,
     /// The head's liquid lens, if it has one.
     pub lens: Option<LensDrive>,
+    /// How many projectors share the passes, one after the other.
+    pub projectors: usize,
 }
 
 /// What a capture plan cannot say.
@@ -161,6 +163,7 @@ impl Program {
                 counts: LensCounts(lens.counts),
                 settle: Microseconds::from_millis(lens.settle_ms),
             }),
+            projectors: u8::try_from(self.projectors).unwrap_or(u8::MAX),
         };
         let too_many = |what, got, limit| ProgramError::TooMany { what, got, limit };
         let limit = plan.views.capacity();
@@ -175,14 +178,16 @@ impl Program {
         }
         let limit = plan.fringes.capacity();
         let sets = &self.patterns.sets;
-        let shown = std::iter::repeat_n(sets, self.passes()).flatten();
+        // The controller lets each projector show them all.
+        let times = self.passes() / self.projectors.max(1);
+        let shown = std::iter::repeat_n(sets, times).flatten();
         for set in shown {
             let set = FringeSet {
                 periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
                 steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
             };
             let pushed = plan.fringes.push(set);
-            pushed.map_err(|_| too_many("fringe sets", self.passes() * sets.len(), limit))?;
+            pushed.map_err(|_| too_many("fringe sets", times * sets.len(), limit))?;
         }
         Ok(plan)
     }
@@ -209,7 +214,28 @@ mod tests {
             light: Light::default(),
             stage: StageConfig::DEFAULT,
             lens: None,
+            projectors: 1,
         }
+    }
+
+    #[test]
+    fn a_second_projector_is_commanded_and_its_patterns_are_told_once() {
+        let one = program(1);
+        let two = Program {
+            lit_ratios: vec![1.0; 2],
+            projectors: 2,
+            ..program(1)
+        };
+        let plan = |program: &Program| program.capture_plan(&[0], &Limits::DEFAULT).unwrap();
+        let (one, by_two) = (plan(&one), plan(&two));
+        assert_eq!((one.projectors, by_two.projectors), (1, 2));
+        assert_eq!(by_two.fringes, one.fringes);
+        // As many frames as the host adds up, pass by pass.
+        assert_eq!(
+            by_two.frames_per_view(),
+            1 + 2 * (one.frames_per_view() - 1)
+        );
+        assert_eq!(two.passes(), 2);
     }
 
     #[test]

@@ -74,8 +74,8 @@ impl Timeline {
                 self.state_since = at;
                 self.latest = at;
             }
-            Event::Led { on: true, at } => self.led_since = Some(at),
-            Event::Led { on: false, at } => {
+            Event::Led { on: true, at, .. } => self.led_since = Some(at),
+            Event::Led { on: false, at, .. } => {
                 if let Some(since) = self.led_since.take() {
                     let span = self.span(since, at);
                     self.led.push(span);

@@ -96,6 +96,7 @@ impl<O: Send + 'static> Surveyor<O> {
             light: station.light.clone(),
             stage: station.stages.config(),
             lens: head.lens,
+            projectors: head.projectors(),
         };
         let views = program.positions.len();
         let own = Arc::clone(&decoder);

@@ -147,6 +147,7 @@ impl Client {
                 verdict_life: flankscope_protocol::Microseconds(0),
                 boot: flankscope_protocol::message::Boot::PowerUp,
                 lens: false,
+                projectors: 1,
             },
             session,
             sequence: 0,

@@ -91,12 +91,17 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
         "answer_ms": answer_ms as u64,
         "boot": boot,
         "lens": identity.lens,
+        "projectors": identity.projectors,
         "frames_dropped": status.frames_dropped,
         "events_lost": status.events_lost,
     });
     let lens = if identity.lens { ", drives a lens" } else { "" };
+    let projectors = match identity.projectors {
+        1 => String::new(),
+        several => format!(", switches {several} projectors"),
+    };
     let seen = format!(
-        "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}{lens}",
+        "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}{lens}{projectors}",
         Line::HOST
     );
     let finding = match (status.fault, identity.boot) {

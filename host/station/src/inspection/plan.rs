@@ -81,6 +81,8 @@ pub struct ViewPlan {
     pub exposures_us: Vec<u32>,
     /// The head's liquid lens, where frames are captured through it.
     pub lens: Option<LensDrive>,
+    /// The head's projectors, which show the patterns one after the other.
+    pub projectors: usize,
     /// Whether a dark frame precedes each view.
     pub dark_frame: bool,
     /// The sensor that counted, where it is not the one of the head's file.
@@ -226,6 +228,7 @@ impl ViewPlan {
             lit_ratios: Light::of(head).lit_ratios,
             exposures_us: head.exposures_us.clone(),
             lens: head.lens,
+            projectors: head.projectors(),
             dark_frame: true,
             sensor: None,
             top_mm: tool.top_mm(),
@@ -318,6 +321,7 @@ impl ViewPlan {
             lit_ratios: recording.index.lit_ratios.clone(),
             exposures_us: plan.exposures_us.clone(),
             lens: None,
+            projectors: head.projectors(),
             dark_frame: plan.dark_frame,
             sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),
             top_mm: gear.height_mm[1],
@@ -355,6 +359,7 @@ impl ViewPlan {
             lit_ratios: recipe.lit_ratios.clone(),
             exposures_us: recipe.exposures_us.clone(),
             lens: None,
+            projectors: head.projectors(),
             dark_frame,
             sensor,
             top_mm: gear.height_mm[1],
@@ -493,6 +498,7 @@ impl ViewPlan {
             light: settings.light.clone(),
             stage: settings.stages.config(),
             lens: self.lens,
+            projectors: self.projectors,
         }
     }
 }

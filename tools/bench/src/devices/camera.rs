@@ -4,6 +4,7 @@ use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_hal_async::digital::Wait;
+use flankscope_protocol::Projector;
 use flankscope_sim::Board;
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -40,10 +41,8 @@ pub struct Exposure {
     pub start_us: u64,
     /// End of the exposure, by the same clock: whole lines after its start.
     pub end_us: u64,
-    /// DMD index on the mirrors: 0 is black.
-    pub pattern: u16,
-    /// Light came out of the LED from start to end.
-    pub led_on: bool,
+    /// DMD index on each projector's mirrors, 0 is black; none where no light came out of its LED from start to end.
+    pub shown: [Option<u16>; 2],
     /// True angle of the rotary stage, its error included.
     pub rotation_rad: f64,
     /// True position of the vertical stage, its error included.
@@ -117,7 +116,7 @@ pub(super) async fn run<S: ExposureSink>(
         Timer::after(latency).await;
         exposing.set(true);
         let start_us = trigger.changed_us() + timing.latency_us;
-        let (pattern, lit) = (world.displayed.get(), world.lit.get());
+        let begun = world.shown();
         until(&mut trigger, false, &mut reading, &sink).await;
         Timer::after(latency).await;
         if world.faults.spoils(DeviceFault::CameraStuck) {
@@ -142,8 +141,7 @@ pub(super) async fn run<S: ExposureSink>(
                 counter,
                 start_us,
                 end_us,
-                pattern,
-                led_on: lit && world.lit.get(),
+                shown: world.still_shown(begun),
                 rotation_rad: pose.rotation_rad,
                 vertical_mm: pose.vertical_mm,
                 readout_done_us,
@@ -166,8 +164,7 @@ pub(super) async fn run<S: ExposureSink>(
                 counter,
                 start_us: closed_us,
                 end_us: closed_us + timing.readout_us,
-                pattern,
-                led_on: lit && world.lit.get(),
+                shown: world.still_shown(begun),
                 rotation_rad: pose.rotation_rad,
                 vertical_mm: pose.vertical_mm,
                 readout_done_us: now_us() + timing.readout_us,
@@ -179,6 +176,23 @@ pub(super) async fn run<S: ExposureSink>(
             return core::future::pending().await;
         }
         ready.set(true);
+    }
+}
+
+impl World {
+    /// What each projector shows now.
+    fn shown(&self) -> [Option<u16>; 2] {
+        Projector::ALL.map(|of| {
+            let is_lit = self.lit[of as usize].get();
+            is_lit.then(|| self.displayed[of as usize].get())
+        })
+    }
+
+    /// What was shown when an exposure began, where it is lit still.
+    fn still_shown(&self, begun: [Option<u16>; 2]) -> [Option<u16>; 2] {
+        let [first, second] = &self.lit;
+        let [one, two] = begun;
+        [one.filter(|_| first.get()), two.filter(|_| second.get())]
     }
 }
 

@@ -4,7 +4,8 @@ use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::digital::Wait;
-use flankscope_sim::Board;
+use flankscope_protocol::Projector;
+use flankscope_sim::ProjectorLines;
 use std::rc::Rc;
 
 /// Times of the DMD controller.
@@ -32,8 +33,9 @@ impl Default for DmdTiming {
     }
 }
 
-pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
-    let (mut trigger, ready, bus) = (board.dmd_trigger, board.dmd_ready, board.pattern_bus);
+pub(super) async fn run(lines: ProjectorLines, of: Projector, timing: DmdTiming, world: Rc<World>) {
+    let (mut trigger, ready, bus) = (lines.dmd_trigger, lines.dmd_ready, lines.pattern_bus);
+    let displayed = &world.displayed[of as usize];
     let mut selected = 0;
     let mut triggers = 0;
     loop {
@@ -59,13 +61,13 @@ pub(super) async fn run(board: Board, timing: DmdTiming, world: Rc<World>) {
                 triggers += 1;
                 Timer::after(Duration::from_micros(timing.switch_us)).await;
                 if !dead && !world.faults.spoils(DeviceFault::DmdNotReady) {
-                    world.displayed.set(selected);
+                    displayed.set(selected);
                     ready.set(true);
                 }
                 if world.faults.spoils(DeviceFault::DmdExtraTrigger) {
                     // The same once more: a sequence of one shows what it shows.
                     Timer::after(Duration::from_micros(timing.switch_us)).await;
-                    world.displayed.set(selected);
+                    displayed.set(selected);
                     ready.set(true);
                 }
             }

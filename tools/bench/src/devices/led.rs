@@ -4,7 +4,8 @@ use super::{DeviceFault, World};
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::digital::Wait;
-use flankscope_sim::Board;
+use flankscope_protocol::Projector;
+use flankscope_sim::ProjectorLines;
 use std::rc::Rc;
 
 /// Times of the LED driver, those of a current regulator for a high-power LED (assumed, order of its soft start).
@@ -31,8 +32,9 @@ impl Default for LedTiming {
     }
 }
 
-pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
-    let (mut enable, sense) = (board.led_enable, board.led_sense);
+pub(super) async fn run(lines: ProjectorLines, of: Projector, timing: LedTiming, world: Rc<World>) {
+    let (mut enable, sense) = (lines.led_enable, lines.led_sense);
+    let lit = &world.lit[of as usize];
     let mut hot = false;
     loop {
         let Ok(()) = enable.wait_for_high().await;
@@ -44,14 +46,14 @@ pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
         )
         .await;
         if enable.level() && !timing.open && !hot && !world.faults.spoils(DeviceFault::LedOpen) {
-            world.lit.set(true);
+            lit.set(true);
             sense.set(true);
             let warming = Timer::after(Duration::from_micros(OVERHEATS_US));
             let lit_on = select(warming, abandoned.wait_for_low()).await;
             if matches!(lit_on, Either::First(())) && world.faults.spoils(DeviceFault::LedOverheats)
             {
                 hot = true;
-                world.lit.set(false);
+                lit.set(false);
                 sense.set(false);
             }
         }
@@ -60,7 +62,7 @@ pub(super) async fn run(board: Board, timing: LedTiming, world: Rc<World>) {
         if sense.level() && world.faults.spoils(DeviceFault::LedStuckOn) {
             continue;
         }
-        world.lit.set(false);
+        lit.set(false);
         sense.set(false);
     }
 }

@@ -1,7 +1,7 @@
 //! The devices around the controller, each a task in virtual time on the simulator's executor.
 //!
 //! ```text
-//!  controller ──led_enable──► led ──led_sense──►            host
+//!  controller ──led_enable──► led ──led_sense──►            host     an LED and a DMD for each projector
 //!             ──pattern bus, dmd_trigger──► dmd ──ready──►   │ pseudo-terminal
 //!             ──camera_trigger──► camera ──ready, exposing──►│
 //!             ──I2C──► lens driver                           │
@@ -34,16 +34,17 @@ pub use stage::{StageModel, TruePose};
 
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_sync::signal::Signal;
+use flankscope_protocol::Projector;
 use flankscope_sim::{Sim, Wiring};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
 /// What light and mechanics carry between the devices.
 pub struct World {
-    /// DMD index standing on the mirrors: 0 is black.
-    pub displayed: Cell<u16>,
-    /// Light comes out of the LED.
-    pub lit: Cell<bool>,
+    /// DMD index standing on each projector's mirrors: 0 is black.
+    pub displayed: [Cell<u16>; 2],
+    /// Light comes out of each projector's LED.
+    pub lit: [Cell<bool>; 2],
     /// Both axes as they really are.
     pub stage: RefCell<StageModel>,
     /// Faults given while it runs.
@@ -69,6 +70,8 @@ pub struct DeviceConfig {
     pub press: PressModel,
     /// The head has a liquid lens, and the controller a driver for it.
     pub lens: bool,
+    /// The head has a second projector, and the controller its light engine.
+    pub second_projector: bool,
     /// Seed of the stage errors.
     pub seed: u64,
 }
@@ -81,8 +84,8 @@ pub fn spawn_all(
     sink: impl ExposureSink + 'static,
 ) -> Rc<World> {
     let world = Rc::new(World {
-        displayed: Cell::new(0),
-        lit: Cell::new(false),
+        displayed: Default::default(),
+        lit: Default::default(),
         stage: RefCell::new(StageModel::new(config.axes, config.seed)),
         faults: Faults::default(),
         switch_stuck: Cell::new(None),
@@ -98,8 +101,17 @@ pub fn spawn_all(
         );
         wiring.board.lens_bus.attach(max14574::ADDRESS, chip);
     }
-    sim.spawn(led::run(board(), config.led, Rc::clone(&world)));
-    sim.spawn(dmd::run(board(), config.dmd, Rc::clone(&world)));
+    wiring.board.second_fitted.set(config.second_projector);
+    let fitted = 1 + usize::from(config.second_projector);
+    for (of, lines) in Projector::ALL
+        .into_iter()
+        .zip(board().projectors)
+        .take(fitted)
+    {
+        let world = || Rc::clone(&world);
+        sim.spawn(led::run(lines.clone(), of, config.led, world()));
+        sim.spawn(dmd::run(lines, of, config.dmd, world()));
+    }
     sim.spawn(camera::run(
         board(),
         config.camera,

@@ -82,9 +82,11 @@ pub fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Emulate
     sim.follow(machine.brake()?);
 
     let board = wiring.board.clone();
+    // The image has no second projector.
+    let [projector, _] = &board.projectors;
     let inputs = [
-        (Subject::LedSense, board.led_sense.clone()),
-        (Subject::DmdReady, board.dmd_ready.clone()),
+        (Subject::LedSense, projector.led_sense.clone()),
+        (Subject::DmdReady, projector.dmd_ready.clone()),
         (Subject::CameraReady, board.camera_ready.clone()),
         (Subject::CameraExposing, board.camera_exposing.clone()),
         (Subject::PressOpenA, board.press.press_open_a.clone()),
@@ -101,10 +103,10 @@ pub fn join(sim: &Sim, wiring: &Wiring, machine: &Machine) -> io::Result<Emulate
     sim.spawn({
         let (selections, mut bus, pins) = (
             Rc::clone(&selections),
-            board.pattern_bus.clone(),
+            projector.pattern_bus.clone(),
             pins.clone(),
         );
-        let ready = board.dmd_ready.clone();
+        let ready = projector.dmd_ready.clone();
         async move {
             loop {
                 let taken = bus.select(selections.receive().await).await.is_ok();
@@ -151,17 +153,18 @@ fn hear(board: &Board, inputs: &[(Subject, Line)], pins: &Port, message: PinMess
         at_us,
     } = message;
     let level = value != 0;
+    let [projector, _] = &board.projectors;
     match subject {
         Subject::LedEnable => {
-            board.led_enable.set_at(level, at_us);
+            projector.led_enable.set_at(level, at_us);
             if !level {
                 // A view is over: a good time to ask how it went.
                 pins.send(&input_bytes(Subject::StackUsed, 0));
                 pins.send(&input_bytes(Subject::AlarmLatency, 0));
             }
         }
-        Subject::LedCurrent => board.led_current.clone().set(Milliamps(value)),
-        Subject::DmdTrigger => board.dmd_trigger.set_at(level, at_us),
+        Subject::LedCurrent => projector.led_current.clone().set(Milliamps(value)),
+        Subject::DmdTrigger => projector.dmd_trigger.set_at(level, at_us),
         Subject::CameraTrigger => board.camera_trigger.set_at(level, at_us),
         Subject::HeadClear1 => board.press.head_clear_1.set_at(level, at_us),
         Subject::HeadClear2 => board.press.head_clear_2.set_at(level, at_us),

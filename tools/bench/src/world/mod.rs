@@ -716,6 +716,44 @@ impl World {
         Ok(())
     }
 
+    /// Takes one frame by what each projector shows meanwhile, an index in its own DMD; none where it is dark.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn expose(
+        &self,
+        view: &ViewState,
+        shown: [Option<u16>; 2],
+        exposure_us: u32,
+        frame_counter: u32,
+        out: &mut [u16],
+    ) -> Result<(), WorldError> {
+        let projectors = 1 + usize::from(self.second.is_some());
+        let last = (view.rates.patterns() - 1) / projectors;
+        let mut lit = Vec::new();
+        for (before, got) in shown.into_iter().take(projectors).enumerate() {
+            match got {
+                Some(got) if usize::from(got) > last => {
+                    return Err(WorldError::Pattern { got, last });
+                }
+                Some(0) => lit.push(0),
+                Some(got) => lit.push(before * last + usize::from(got)),
+                None => {}
+            }
+        }
+        match lit[..] {
+            [] => self.render(view, 0, exposure_us, false, frame_counter, out),
+            [one] => self.render(view, one as u16, exposure_us, true, frame_counter, out),
+            _ => {
+                let both = ViewState {
+                    rates: self.sensor.together(&view.rates, &lit),
+                    truth: Vec::new(),
+                };
+                self.render(&both, 0, exposure_us, true, frame_counter, out)
+            }
+        }
+    }
+
     /// The truth of a view: one entry per camera core that sees the die.
     pub fn truth<'a>(&self, view: &'a ViewState) -> &'a [CoreTruth] {
         &view.truth

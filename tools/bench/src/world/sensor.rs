@@ -195,6 +195,22 @@ impl Sensor {
         Rates { values, patterns }
     }
 
+    /// The light of these patterns at once, as the only one.
+    pub(crate) fn together(&self, rates: &Rates, lit: &[usize]) -> Rates {
+        let of_span = |span: &Span| {
+            let length = span.columns.len();
+            let first = span.first * rates.patterns;
+            (0..length).map(move |pixel| {
+                let at = |pattern: &usize| rates.values[first + pattern * length + pixel];
+                lit.iter().map(at).sum()
+            })
+        };
+        Rates {
+            values: self.spans.iter().flat_map(of_span).collect(),
+            patterns: 1,
+        }
+    }
+
     /// One frame. `out` has one count per pixel, row by row.
     pub(crate) fn read_out(
         &self,

@@ -49,6 +49,7 @@ pub fn plan() -> CapturePlan {
         retract: Micrometres(100_000),
         timeouts: Timeouts::default(),
         focus: None,
+        projectors: 1,
     }
 }
 

@@ -105,7 +105,7 @@ fn sent(arm: &Arm, nth: u32, exposure: &Exposure) -> Sent {
             exposure_end_us: exposure.end_us,
             ..FrameHeader::default()
         },
-        shown: exposure.pattern,
+        shown: exposure.shown[0].unwrap_or(u16::MAX),
     }
 }
 

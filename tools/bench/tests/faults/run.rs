@@ -170,16 +170,21 @@ async fn script(
         if injected && fired.get().is_none() {
             let board = &wiring.board;
             match injection {
-                Injection::LedLost if board.led_sense.level() && board.led_enable.level() => {
-                    fire();
-                    world.lit.set(false);
-                    board.led_sense.set(false);
-                }
-                Injection::LedGhost
-                    if !board.led_sense.level() && !board.led_enable.level() && capturing =>
+                Injection::LedLost
+                    if board.projectors[0].led_sense.level()
+                        && board.projectors[0].led_enable.level() =>
                 {
                     fire();
-                    board.led_sense.set(true);
+                    world.lit[0].set(false);
+                    board.projectors[0].led_sense.set(false);
+                }
+                Injection::LedGhost
+                    if !board.projectors[0].led_sense.level()
+                        && !board.projectors[0].led_enable.level()
+                        && capturing =>
+                {
+                    fire();
+                    board.projectors[0].led_sense.set(true);
                 }
                 Injection::Press(which, level) if capturing => {
                     fire();

@@ -31,7 +31,7 @@ fn the_lens_has_its_voltage_from_before_the_first_move_and_rests_before_the_firs
     };
     let set = step(|action| *action == Action::SetLens(FOCUS.counts));
     assert!(set < step(|action| matches!(action, Action::Move { .. })));
-    let lit = step(|action| matches!(action, Action::LedOn(_)));
+    let lit = step(|action| matches!(action, Action::LedOn(..)));
     let [(set, _), (lit, _)] = [rig.log[set], rig.log[lit]];
     assert!(lit >= set.after(FOCUS.settle), "{set} {lit}");
     let checks = |(_, action): &&(Timestamp, Action)| *action == Action::CheckLens(FOCUS.counts);
