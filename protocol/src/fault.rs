@@ -113,6 +113,9 @@ pub enum Fault {
     /// The lens driver does not reach the voltage that it was told.
     #[error("the lens driver does not reach its voltage")]
     LensVoltage = 63,
+    /// A stage answered as another model than the station's. Nothing moves; the detail is the number of its axis.
+    #[error("a stage answers as another model than the station's")]
+    OtherStage = 64,
 
     /// The LED must cool before the next view; the capture goes on by itself.
     #[error("the LED must cool before the next view")]
@@ -135,7 +138,7 @@ pub enum FaultClass {
 
 impl Fault {
     /// Every fault known to this version, by rising number.
-    pub const ALL: [Self; 36] = [
+    pub const ALL: [Self; 37] = [
         Self::HostSilent,
         Self::EventOverflow,
         Self::MotionTimeout,
@@ -170,6 +173,7 @@ impl Fault {
         Self::LensShort,
         Self::LensHot,
         Self::LensVoltage,
+        Self::OtherStage,
         Self::LedCooling,
         Self::LinkNoise,
     ];

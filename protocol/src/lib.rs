@@ -9,6 +9,7 @@
 //! | [`units`]   | integer newtypes with the unit in their name                              |
 //! | [`plan`]    | the declarative [`CapturePlan`], its [`Limits`] and the refusal [`PlanError`] |
 //! | [`stage`](mod@stage) | [`StageConfig`]: axes, travel, dynamics, homing and line of the stages           |
+//! | [`stage_name`] | what a stage says it is                                                |
 //! | [`message`] | [`Command`] host -> controller, [`Reply`] and [`Event`] controller -> host |
 //! | [`fault`]   | stable fault numbers                                                      |
 //! | [`line`](mod@line) | how the serial line between them is set                                   |
@@ -53,6 +54,7 @@ pub mod message;
 pub mod pattern_memory;
 pub mod plan;
 pub mod stage;
+pub mod stage_name;
 pub mod units;
 
 pub use fault::{Fault, FaultClass, FaultCode};
@@ -68,6 +70,7 @@ pub use plan::{
     Timeouts, View,
 };
 pub use stage::{HomeAt, LinearAxis, RotaryAxis, StageConfig, StageError, StageValue};
+pub use stage_name::StageName;
 pub use units::{
     LensCounts, Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians,
     Microseconds, Milliamps, MillidegreesPerSecond, MillidegreesPerSecondSquared, Timestamp,
@@ -80,4 +83,4 @@ pub const PROTOCOL_VERSION: u32 = 5;
 ///
 /// Two builds whose messages are laid out differently have different hashes and refuse each other in the hello,
 /// even when somebody forgot to raise [`PROTOCOL_VERSION`].
-pub const SCHEMA_HASH: u32 = 0x53e2_c68b;
+pub const SCHEMA_HASH: u32 = 0x163c_6a9b;

@@ -11,6 +11,7 @@
 use crate::fault::FaultCode;
 use crate::plan::{CapturePlan, Limits, PlanError, Projector};
 use crate::stage::{StageConfig, StageError};
+use crate::stage_name::StageName;
 use crate::units::{Micrometres, Microradians, Microseconds, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +59,8 @@ pub enum Command {
         /// The stages.
         stage: StageConfig,
     },
+    /// Asks the stages what they are; nothing moves. Answered by one [`Event::StageIdentity`] for each axis.
+    IdentifyStages,
 }
 
 /// The answer to one command.
@@ -401,6 +404,15 @@ pub enum Event {
     PressOpen {
         /// Both channels say that it is open.
         open: bool,
+        /// When.
+        at: Timestamp,
+    },
+    /// What the stage of an axis says it is. Told when somebody asked, and before stages move that the station names.
+    StageIdentity {
+        /// Number of the axis at the stage controller.
+        axis: u8,
+        /// Model and serial number, or why there is no answer.
+        answer: Result<StageName, FaultCode>,
         /// When.
         at: Timestamp,
     },

@@ -5,6 +5,7 @@
 
 use crate::line::{FlowControl, Line, Parity};
 use crate::plan::Limits;
+use crate::stage_name::StageName;
 use crate::units::{
     Micrometres, MicrometresPerSecond, MicrometresPerSecondSquared, Microradians, Microseconds,
     MillidegreesPerSecond, MillidegreesPerSecondSquared,
@@ -13,7 +14,7 @@ use core::fmt;
 use serde::{Deserialize, Serialize};
 
 /// Version of what a [`StageConfig`] means; sent beside it.
-pub const STAGE_CONFIG_VERSION: u16 = 1;
+pub const STAGE_CONFIG_VERSION: u16 = 2;
 
 /// What an axis looks for when it is referenced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,6 +34,8 @@ pub enum HomeAt {
 pub struct RotaryAxis {
     /// Its number at the stage controller.
     pub number: u8,
+    /// The model that the stage must answer as; `None`: nobody asks.
+    pub model: Option<StageName>,
     /// Speed of a move.
     pub speed: MillidegreesPerSecond,
     /// Acceleration and deceleration of a move.
@@ -54,6 +57,8 @@ pub struct RotaryAxis {
 pub struct LinearAxis {
     /// Its number at the stage controller.
     pub number: u8,
+    /// The model that the stage must answer as; `None`: nobody asks.
+    pub model: Option<StageName>,
     /// Speed of a move.
     pub speed: MicrometresPerSecond,
     /// Acceleration and deceleration of a move.
@@ -196,6 +201,17 @@ pub enum StageError {
         /// Longest timeout for a motion.
         limit: Microseconds,
     },
+    /// A model that no stage answers as.
+    #[error(
+        "model {got:?} of axis {axis}: 1 to {} printable ASCII characters without a comma",
+        StageName::LONGEST_MODEL
+    )]
+    Model {
+        /// Number of the axis.
+        axis: u8,
+        /// Offending value.
+        got: StageName,
+    },
     /// A form of characters that the controller's port does not have.
     #[error("line {got}: the controller's port to the stages has 8N1, no flow control, only")]
     LineForm {
@@ -214,6 +230,7 @@ impl StageConfig {
         },
         rotation: RotaryAxis {
             number: 1,
+            model: None,
             speed: MillidegreesPerSecond(80_000),
             acceleration: MillidegreesPerSecondSquared(320_000),
             from: Microradians(-6_283_185),
@@ -224,6 +241,7 @@ impl StageConfig {
         },
         vertical: LinearAxis {
             number: 2,
+            model: None,
             speed: MicrometresPerSecond(100_000),
             acceleration: MicrometresPerSecondSquared(800_000),
             from: Micrometres(-150_000),
@@ -249,6 +267,13 @@ impl StageConfig {
         }
         if turn.number == lift.number {
             return Err(StageError::SameNumber { got: turn.number });
+        }
+        for (axis, model) in self.models() {
+            if let Some(got) = model
+                && !got.is_model()
+            {
+                return Err(StageError::Model { axis, got });
+            }
         }
         for (what, got, max) in [
             (
@@ -357,6 +382,31 @@ impl StageConfig {
             }
         }
         Ok(())
+    }
+
+    /// Number and model of each axis: rotation, vertical.
+    #[must_use]
+    pub fn models(&self) -> [(u8, Option<StageName>); 2] {
+        [
+            (self.rotation.number, self.rotation.model),
+            (self.vertical.number, self.vertical.model),
+        ]
+    }
+
+    /// Whether the stages must be asked what they are.
+    #[must_use]
+    pub fn names_a_model(&self) -> bool {
+        self.models().iter().any(|(_, model)| model.is_some())
+    }
+
+    /// Number of the first axis whose stage answers as another model than that of this configuration; `answers` in its order.
+    #[must_use]
+    pub fn other_model(&self, answers: &[StageName; 2]) -> Option<u8> {
+        let mut axes = self.models().into_iter().zip(answers);
+        let other = axes.find(|((_, model), answer)| {
+            model.is_some_and(|model| model.model() != answer.model())
+        })?;
+        Some(other.0.0)
     }
 
     /// Time after which a move from anywhere to anywhere has failed: that of the whole travel, and a quarter of it.

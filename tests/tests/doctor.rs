@@ -51,7 +51,6 @@ fn the_bench_is_healthy_and_says_what_it_is() {
         "key",
         "tool",
         "controller",
-        "stages",
         "press",
         "camera",
         "history",
@@ -69,6 +68,9 @@ fn the_bench_is_healthy_and_says_what_it_is() {
         "not calibrated",
         "flankscope calibrate",
     );
+    // No station's file says which stages these should be.
+    let answers = "axis 1 answers as \"URS150BCC, SN0001\"; axis 2 answers as \"IMS300V, SN0001\"";
+    expect(&healthy, "stages", "attention", answers, "station.toml");
     let camera = &finding(&healthy, "camera")["figures"];
     assert_eq!(
         (&camera["model"], &camera["bits"]),
@@ -147,4 +149,38 @@ fn what_has_failed_says_what_would_be_right() {
     assert_eq!(bad.code, 3);
     expect(&bad, "tool", "failed", "tool.toml", "docs/formats.md");
     expect(&bad, "controller", "not_asked", "", "");
+}
+
+/// The stages say what they are; others than the station's are a failure, and so are ones that cannot say it.
+#[test]
+fn the_stages_say_what_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = folder.path().join("station.toml");
+    let text = "[stages.vertical]\naxis = 2\nmodel = \"IMS300V\"\nspeed_mm_s = 100\nacceleration_mm_s2 = 800\n\
+        travel_mm = [-150, 150]\nhome_mm = 100\nhome_speed_mm_s = 100\nhome_at = \"switch\"\n";
+    let rotation = "[stages.rotation]\naxis = 1\nmodel = \"URS150BCC\"\nspeed_deg_s = 80\nacceleration_deg_s2 = 320\n\
+        travel_deg = [-360, 360]\nhome_deg = 0\nhome_speed_deg_s = 80\nhome_at = \"switch\"\n";
+    std::fs::write(&station, format!("{text}{rotation}")).unwrap();
+    let station = station.to_str().unwrap();
+    let right = doctor(&["--link", "sim", "--station", station]);
+    expect(&right, "stages", "ok", "URS150BCC, SN0001", "");
+    let figures = &finding(&right, "stages")["figures"];
+    assert_eq!(figures["rotation"]["model"], "URS150BCC");
+    assert_eq!(figures["vertical"]["answers_as"], "IMS300V, SN0001");
+    assert_eq!(figures["homed"], false, "nothing moves");
+    for (trouble, seen) in [
+        ("other-model", "axis 1 answers as \"URS100BPP, SN0001\""),
+        ("no-model", "axis 2 answers as \"Unknown\""),
+    ] {
+        let other = doctor(&[
+            "--link",
+            "sim",
+            "--station",
+            station,
+            "--stage-trouble",
+            trouble,
+        ]);
+        assert_eq!(other.code, 3);
+        expect(&other, "stages", "failed", seen, "correct its model");
+    }
 }

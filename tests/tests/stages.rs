@@ -131,7 +131,7 @@ fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
     assert_eq!(sound.code, 0, "{} {}", sound.json["reason"], sound.stderr);
     let worn = at(&honest, &["--wear", "40:left:80"]);
     assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
-    for (spoil, limit_s, words) in [
+    let spoiled = [
         (
             "[ $view = 2 ] && sleep 3",
             1.0,
@@ -153,7 +153,8 @@ fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
             20.0,
             "ended before it answered for view 2",
         ),
-    ] {
+    ];
+    for &(spoil, limit_s, words) in flankscope_test_requisites::at_least(2, &spoiled) {
         let run = at(&arm(folder.path(), spoil, limit_s), &[]);
         assert_eq!(run.code, 2, "{spoil}: {}", run.json["reason"]);
         let features = run.json["features"].as_array().unwrap();
@@ -172,6 +173,137 @@ fn a_program_says_where_the_camera_stands_or_nothing_is_go() {
             2,
             "{spoil}"
         );
+    }
+}
+
+/// The same arm where it carries the head: before it answers it puts the head where it was asked to, or where `astray` puts `$pose`.
+fn carrying(folder: &std::path::Path, astray: &str, spoil: &str, limit_s: f64) -> String {
+    let held = folder.join("held.json");
+    let moved = format!(
+        "held=\"$pose\"\n{astray}\necho \"$held\" > {0}.next; mv {0}.next {0}\n{spoil}",
+        held.display()
+    );
+    format!(
+        "[stages]\nmoves = \"outside\"\n{}",
+        arm(folder, &moved, limit_s)
+    )
+}
+
+/// A check with an arm of this station's that holds the head on the bench.
+fn by_arm(folder: &std::path::Path, station: &str, args: &[&str]) -> Run {
+    let held = folder.join("held.json");
+    let _ = fs::remove_file(&held);
+    at(
+        station,
+        &[&["--arm", held.to_str().unwrap()], args].concat(),
+    )
+}
+
+/// An arm carries the head, the stages stay at home: the right verdict where it was, and never a go where it was not.
+#[test]
+fn an_arm_carries_the_head_or_nothing_is_go() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let honest = carrying(folder, "", "", 20.0);
+    let sound = by_arm(folder, &honest, &[]);
+    assert_eq!(sound.code, 0, "{} {}", sound.json["reason"], sound.stderr);
+    // The stages were told to stay at home, and went nowhere.
+    let poses = sound.json["truth"]["poses"].as_array().unwrap();
+    assert_eq!(poses.len(), 3, "{poses:?}");
+    let worn = by_arm(folder, &honest, &["--wear", "40:left:80"]);
+    assert_eq!(worn.code, 1, "{} {}", worn.json["reason"], worn.stderr);
+    assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
+    let spoiled = [
+        (
+            "[ $view = 2 ] && sleep 3",
+            1.0,
+            "did not answer for view 2 within 1 s",
+        ),
+        ("[ $view = 2 ] && pose='[[NaN]]'", 20.0, "what is no answer"),
+        (
+            "[ $view = 2 ] && view=3",
+            20.0,
+            "answered for view 3 when it was asked for view 2",
+        ),
+    ];
+    for &(spoil, limit_s, words) in flankscope_test_requisites::at_least(1, &spoiled) {
+        let run = by_arm(folder, &carrying(folder, "", spoil, limit_s), &[]);
+        assert_eq!(run.code, 2, "{spoil}: {}", run.json["reason"]);
+        let reasons = run.json["features"].as_array().unwrap().iter();
+        let reasons: Vec<_> = reasons.map(|of| of["reason"].to_string()).collect();
+        assert!(
+            reasons.iter().any(|of| of.contains(words)),
+            "{spoil}: {reasons:?}"
+        );
+        let open = run.not_go();
+        let open = open.iter().filter(|of| of.starts_with("40:"));
+        assert_eq!(open.count(), 2, "{spoil}");
+    }
+}
+
+/// It says that it stands where it was asked to, by 0.02 mm, and holds the head 0.6 mm beside at view 2: what is seen contradicts it.
+#[test]
+fn an_arm_that_is_elsewhere_than_it_says_is_contradicted_by_what_is_seen() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    // The fourth number of the first row.
+    let astray = "[ $view = 2 ] && held=$(echo \"$pose\" | awk -F, '{ sub(/]/, \"\", $4); printf \"%s,%s,%s,%.9f]\", $1, $2, $3, $4 + 0.6; \
+        for (i = 5; i <= NF; i++) printf \",%s\", $i; print \"\" }')";
+    let run = by_arm(folder, &carrying(folder, astray, "", 20.0), &[]);
+    assert_eq!(run.code, 2, "{} {}", run.json["reason"], run.stderr);
+    let open = run.not_go();
+    assert!(open.iter().all(|of| of.starts_with("40:")), "{open:?}");
+    assert_eq!(open.len(), 2, "{open:?}");
+}
+
+/// What the bench's stages are is what the station says they are, or nothing moves.
+#[test]
+fn a_stage_that_answers_as_another_model_moves_nothing() {
+    let named = |turns: &str, raises: &str| {
+        format!(
+            "[stages.rotation]\naxis = 1\n{turns}speed_deg_s = 80\nacceleration_deg_s2 = 320\ntravel_deg = [-360, 360]\n\
+             home_deg = 0\nhome_speed_deg_s = 80\nhome_at = \"switch-and-index\"\n\
+             [stages.vertical]\naxis = 2\n{raises}speed_mm_s = 100\nacceleration_mm_s2 = 800\ntravel_mm = [-150, 150]\n\
+             home_mm = 100\nhome_speed_mm_s = 100\nhome_at = \"switch-and-index\"\n"
+        )
+    };
+    let ours = named("model = \"URS150BCC\"\n", "model = \"IMS300V\"\n");
+    let right = at(&ours, &["--teeth", "40"]);
+    assert_eq!(right.code, 0, "{} {}", right.json["reason"], right.stderr);
+    for (station, trouble, words) in [
+        (
+            &ours,
+            "other-model",
+            "axis 1 of the stages answers as \"URS100BPP, SN0001\", station.toml names \"URS150BCC\"",
+        ),
+        (
+            &ours,
+            "no-model",
+            "axis 2 of the stages answers as \"Unknown\", station.toml names \"IMS300V\"",
+        ),
+    ] {
+        let args = ["--teeth", "40", "--stage-trouble", trouble];
+        let run = at(station, &args);
+        assert_eq!(run.code, 3, "{}", run.stderr);
+        assert!(run.stderr.contains(words), "{}", run.stderr);
+    }
+    // A station that names none works as before.
+    let unnamed = at(
+        &named("", ""),
+        &["--teeth", "40", "--stage-trouble", "other-model"],
+    );
+    assert_eq!(unnamed.code, 0, "{}", unnamed.stderr);
+    for (model, words) in [
+        ("", "1 to 20 printable ASCII characters without a comma"),
+        ("URS150BCC, SN0001", "stages.rotation.model"),
+        ("A MODEL OF 21 LETTERS", "stages.rotation.model"),
+    ] {
+        let bad = at(&named(&format!("model = \"{model}\"\n"), ""), &[]);
+        assert_eq!(bad.code, 3);
+        assert!(bad.stderr.contains(words), "{}", bad.stderr);
     }
 }
 
@@ -231,6 +363,15 @@ fn a_table_says_where_the_camera_stands_or_the_check_does_not_begin() {
         assert_eq!(refused.code, 3, "{}", refused.stderr);
         assert!(refused.stderr.contains(words), "{}", refused.stderr);
     }
+    let carried = format!("[stages]\nmoves = \"outside\"\n{}", table(0.0, 3));
+    let held = folder.path().join("held.json");
+    let refused = at(&carried, &["--arm", held.to_str().unwrap()]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("the next of 3 views"),
+        "{}",
+        refused.stderr
+    );
     let nobody = at("[stages]\nmoves = \"outside\"\n", &[]);
     assert_eq!(nobody.code, 3);
     assert!(

@@ -201,9 +201,13 @@ impl CommandHandler {
                 }
                 sequence.store(plan.clone());
             }
-            Command::Start { .. } | Command::Home if !self.configured => {
+            Command::Start { .. } | Command::Home | Command::IdentifyStages if !self.configured => {
                 return Err(Refusal::NotConfigured);
             }
+            Command::IdentifyStages => match sequence.state() {
+                State::Unhomed | State::Ready | State::Faulted => sequence.identify(out),
+                state => return Err(Refusal::Busy { state }),
+            },
             Command::Start { session } => {
                 let got = *session;
                 match sequence.state() {

@@ -41,6 +41,7 @@ pub mod press;
 pub mod sequence;
 pub mod session;
 pub mod stage;
+mod stage_fault;
 pub mod tasks;
 
 pub use command_handler::CommandHandler;

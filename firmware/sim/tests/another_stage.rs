@@ -1,9 +1,9 @@
 //! A stage of somebody else's: one `impl Stage`, handed to `serve_stage`, and the sequence's requests are served by it.
 
 use embassy_time::{Duration, Instant, Timer};
-use flankscope_controller::stage::{Pose, Stage, StageFault, StageRequest};
+use flankscope_controller::stage::{Pose, Stage, StageFault, StageReport, StageRequest};
 use flankscope_controller::{Mailboxes, serve_stage};
-use flankscope_protocol::{Fault, Micrometres, Microradians, StageConfig, View};
+use flankscope_protocol::{Fault, Micrometres, Microradians, StageConfig, StageName, View};
 use flankscope_sim::{Clock, Sim, now_us};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -31,7 +31,7 @@ impl Stage for Slide {
                 vertical,
                 ..self.going_to
             },
-            StageRequest::Stop => {
+            StageRequest::Stop | StageRequest::Identify { .. } => {
                 return Err(StageFault {
                     fault: Fault::StageError,
                     detail: 1,
@@ -44,6 +44,14 @@ impl Stage for Slide {
 
     async fn standing(&mut self) -> Result<Option<Pose>, StageFault> {
         Ok((Instant::now() >= self.there_at).then_some(self.going_to))
+    }
+
+    async fn identity(&mut self, _: &StageConfig) -> Result<[StageName; 2], StageFault> {
+        let name = StageName::of(b"SLIDE, 7").ok_or(StageFault {
+            fault: Fault::StageReply,
+            detail: 0,
+        })?;
+        Ok([name; 2])
     }
 }
 
@@ -71,6 +79,10 @@ fn a_driver_of_your_own_serves_the_sequence() {
                 stage: StageConfig::DEFAULT,
             },
             StageRequest::Move { ticket: 2, view },
+            StageRequest::Identify {
+                ticket: 4,
+                stage: StageConfig::DEFAULT,
+            },
             StageRequest::Retract {
                 ticket: 3,
                 vertical: Micrometres(-5_000),
@@ -83,11 +95,21 @@ fn a_driver_of_your_own_serves_the_sequence() {
         }
         Timer::after(Duration::from_millis(1)).await;
     });
-    sim.run_until(|| reports.borrow().len() == 3);
+    sim.run_until(|| reports.borrow().len() == 4);
     let poses: Vec<_> = reports
         .borrow()
         .iter()
-        .map(|(_, report)| (report.ticket, report.outcome))
+        .filter_map(|(_, report)| match *report {
+            StageReport::Motion { ticket, outcome } => Some((ticket, outcome)),
+            StageReport::Identity { ticket, outcome } => {
+                assert_eq!(ticket, 4);
+                assert!(
+                    outcome
+                        .is_ok_and(|names| names.map(|name| name.model() == b"SLIDE") == [true; 2])
+                );
+                None
+            }
+        })
         .collect();
     let there = Pose {
         rotation: view.rotation,

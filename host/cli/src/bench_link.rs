@@ -140,6 +140,8 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
         ("--frame-fault", args.frame_fault.is_some()),
         ("--camera", args.camera != CameraLink::default()),
         ("--gige-trouble", args.gige_trouble.is_some()),
+        ("--stage-trouble", args.stage_trouble.is_some()),
+        ("--arm", args.arm.is_some()),
         ("--surface", args.surface != SurfaceKind::default()),
         ("--sprayed-above-mm", args.sprayed_above_mm.is_some()),
         ("--bounces", args.bounces.is_some()),
@@ -258,6 +260,15 @@ impl Bench {
         stages: &Stages,
     ) -> anyhow::Result<Self> {
         has_camera(args)?;
+        match (stages.moves, &args.arm) {
+            (Moves::Outside, None) => bail!(
+                "stages.moves = \"outside\": on the bench nobody carries the head; add --arm FILE, which says where an arm holds it"
+            ),
+            (Moves::Die | Moves::Head, Some(_)) => bail!(
+                "--arm: the stages carry head and die; an arm needs a station.toml with stages.moves = \"outside\""
+            ),
+            _ => {}
+        }
         let folder = folder.to_path_buf();
         let config = BenchConfig {
             root: root.path().to_path_buf(),

@@ -108,6 +108,7 @@ pub fn commands() -> Vec<Command> {
         Command::ShowVerdict { .. } => Command::ShowVerdict { go: true },
         Command::ConfigureStage { .. } =>
             Command::ConfigureStage { version: stage::STAGE_CONFIG_VERSION, stage: StageConfig::DEFAULT },
+        Command::IdentifyStages => Command::IdentifyStages,
     );
     all.extend(
         stages()
@@ -247,6 +248,7 @@ fn stage_errors() -> Vec<StageError> {
             got: Microseconds(375_001_562),
             limit: Microseconds(60_000_000),
         },
+        StageError::Model { .. } => StageError::Model { axis: 2, got: name("IMS300V, 7") },
         StageError::LineForm { .. } =>
             StageError::LineForm { got: Line { parity: Parity::Odd, flow: FlowControl::RtsCts, ..Line::HOST } },
     );
@@ -259,7 +261,11 @@ fn stage_errors() -> Vec<StageError> {
     all
 }
 
-/// The stages with every way of homing.
+fn name(text: &str) -> StageName {
+    StageName::of(text.as_bytes()).expect("printable")
+}
+
+/// The stages with every way of homing, and with their models.
 fn stages() -> Vec<StageConfig> {
     let mut stage = StageConfig::DEFAULT;
     let ways = each!(HomeAt:
@@ -268,12 +274,17 @@ fn stages() -> Vec<StageConfig> {
         HomeAt::UpperLimit => HomeAt::UpperLimit,
         HomeAt::LowerLimit => HomeAt::LowerLimit,
     );
-    ways.into_iter()
+    let mut all: Vec<_> = ways
+        .into_iter()
         .map(|home_at| {
             (stage.rotation.home_at, stage.vertical.home_at) = (home_at, home_at);
             stage
         })
-        .collect()
+        .collect();
+    stage.rotation.model = Some(name("URS150BCC"));
+    stage.vertical.model = Some(name("IMS300V"));
+    all.push(stage);
+    all
 }
 
 fn refusals() -> Vec<Refusal> {
@@ -378,7 +389,17 @@ pub fn events() -> Vec<Event> {
         Event::EventsLost { .. } => Event::EventsLost { count: 4, at: AT },
         Event::Cycle { .. } => Event::Cycle { count: 1_000, at: AT },
         Event::PressOpen { .. } => Event::PressOpen { open: true, at: AT },
+        Event::StageIdentity { .. } => Event::StageIdentity {
+            axis: 1,
+            answer: Ok(name("URS150BCC, SN0001")),
+            at: AT,
+        },
     );
+    all.push(Event::StageIdentity {
+        axis: 2,
+        answer: Err(Fault::StageSilent.code()),
+        at: AT,
+    });
     let projectors = each!(Projector:
         Projector::First => Projector::First,
         Projector::Second => Projector::Second,

@@ -16,8 +16,10 @@ use flankscope_frames::{
     FrameHeader, FrameLabel, FrameSink, FrameSlot, Labels, Ready, SealedFrame, monotonic_ns,
 };
 use flankscope_sim::{Hold, Remote};
+use nalgebra::Isometry3;
 
 use crate::ageing::Ageing;
+use crate::arm::Arm;
 use crate::devices::{Exposure, ExposureSink, TruePose};
 use crate::truth::Truth;
 use crate::world::{PatternSpec, ViewState, World};
@@ -80,6 +82,14 @@ pub struct Troubles {
     pub core_drift_px: f64,
 }
 
+/// Where an arm has the head.
+#[derive(Debug)]
+struct Carried {
+    arm: Arm,
+    /// Where it had it last.
+    tool_from_camera: Option<Isometry3<f64>>,
+}
+
 /// Prepared views kept: the one being photographed and the next.
 const VIEWS_KEPT: usize = 2;
 /// How often an idle camera looks whether it was armed.
@@ -134,6 +144,7 @@ pub fn start<S: FrameSink>(
     patterns: Vec<PatternSpec>,
     ageing: Ageing,
     troubles: Troubles,
+    arm: Option<Arm>,
     open: impl FnOnce() -> anyhow::Result<S> + Send + 'static,
     gives_way: bool,
 ) -> anyhow::Result<(CameraThread, Camera)> {
@@ -149,7 +160,7 @@ pub fn start<S: FrameSink>(
             match open() {
                 Ok(sender) => {
                     let _ = opened_sender.send(Ok(()));
-                    FrameRenderer::new(world, patterns, ageing, troubles, sender).run(&queue);
+                    FrameRenderer::new(world, patterns, ageing, troubles, arm, sender).run(&queue);
                 }
                 Err(error) => drop(opened_sender.send(Err(error))),
             }
@@ -239,6 +250,8 @@ struct FrameRenderer<S: FrameSink> {
     /// What the liquid lens is given, and what the world shows.
     focus: [Option<u16>; 2],
     troubles: Troubles,
+    /// Who carries the head, if not the stages.
+    carried: Option<Carried>,
     /// Captures armed so far.
     captures: u32,
     /// Frames exposed without a trigger.
@@ -259,6 +272,7 @@ impl<S: FrameSink> FrameRenderer<S> {
         patterns: Vec<PatternSpec>,
         ageing: Ageing,
         troubles: Troubles,
+        arm: Option<Arm>,
         sender: S,
     ) -> Self {
         Self {
@@ -272,6 +286,10 @@ impl<S: FrameSink> FrameRenderer<S> {
             cycles: [0; 2],
             focus: [None; 2],
             troubles,
+            carried: arm.map(|arm| Carried {
+                arm,
+                tool_from_camera: None,
+            }),
             captures: 0,
             extra: 0,
             next: 0,
@@ -413,6 +431,25 @@ impl<S: FrameSink> FrameRenderer<S> {
         }
     }
 
+    /// The exposure where the arm has the head, if an arm carries it. Angle and height of the camera stand for those of the stages.
+    fn carried(&mut self, exposure: &Exposure) -> anyhow::Result<Exposure> {
+        let Some(carried) = &mut self.carried else {
+            return Ok(*exposure);
+        };
+        let pose = carried.arm.tool_from_camera()?;
+        if carried.tool_from_camera != Some(pose) {
+            carried.tool_from_camera = Some(pose);
+            self.views.clear();
+            self.world.carry(pose);
+        }
+        let place = pose.translation.vector;
+        Ok(Exposure {
+            rotation_rad: place.y.atan2(place.x),
+            vertical_mm: place.z,
+            ..*exposure
+        })
+    }
+
     /// Turns an exposure into frames: one, unless the camera misbehaves.
     fn develop(&mut self, exposure: &Exposure, ended_monotonic_ns: u64) {
         let struck = |fault: &FrameFault| {
@@ -448,6 +485,13 @@ impl<S: FrameSink> FrameRenderer<S> {
         (session, label): (u32, FrameLabel),
         ended_monotonic_ns: u64,
     ) -> Option<(u32, SealedFrame<S::Slot>)> {
+        let exposure = match self.carried(exposure) {
+            Ok(exposure) => exposure,
+            Err(error) => {
+                eprintln!("bench: {error:#}");
+                return None;
+            }
+        };
         let [width, height] = self.world.size_px();
         let frame = match self.sender.loan(width * height, exposure.counter) {
             Ok(frame) => frame,
@@ -470,7 +514,7 @@ impl<S: FrameSink> FrameRenderer<S> {
             ..FrameHeader::default()
         };
         self.prepare(exposure.rotation_rad, exposure.vertical_mm);
-        let frame = self.render(exposure, frame)?;
+        let frame = self.render(&exposure, frame)?;
         Some((exposure.counter, frame.seal(header)))
     }
 

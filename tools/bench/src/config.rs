@@ -11,6 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::camera::FrameFault;
 use crate::demo::OtherDie;
+use crate::devices::stage::{AxisModels, NO_MEMORY};
 use crate::link::{CameraLink, Trouble};
 use crate::world::{Carries, MAX_BOUNCES, Saw, SprayEdge, Surface, Wear};
 
@@ -126,6 +127,33 @@ pub struct BenchArgs {
     /// A GigE camera that misbehaves: free-runs, colour, smaller, shallow (8 bits), amplified (6 dB), unplugged:FRAME, or lost:SHARE of its packets
     #[arg(long, value_name = "KIND")]
     pub gige_trouble: Option<Given<Trouble>>,
+    /// Stages that are not the station's: other-model (the rotary one), no-model (the vertical one cannot say what it is)
+    #[arg(long, value_name = "KIND", value_enum)]
+    pub stage_trouble: Option<StageTrouble>,
+    /// An arm carries the head (stages.moves = "outside"): FILE has the camera's true pose in the die's frame, rows of a 4x4 matrix as
+    /// JSON, and whoever plays the arm replaces it
+    #[arg(long, value_name = "FILE")]
+    pub arm: Option<PathBuf>,
+}
+
+/// What is wrong with the stages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageTrouble {
+    /// The rotary stage is another model.
+    OtherModel,
+    /// The vertical stage has no memory that would say what it is.
+    NoModel,
+}
+
+impl StageTrouble {
+    /// Spoils the stages that stand on the bench.
+    pub fn spoil(self, axes: &mut AxisModels) {
+        match self {
+            Self::OtherModel => axes.rotation.name = "URS100BPP",
+            Self::NoModel => axes.vertical.name = NO_MEMORY,
+        }
+    }
 }
 
 /// What a die's surface is.

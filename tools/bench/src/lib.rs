@@ -22,6 +22,7 @@
 //! | [`process`] | all of it as a process of its own |
 
 pub mod ageing;
+pub mod arm;
 pub mod camera;
 pub mod config;
 pub mod damage;

@@ -16,6 +16,7 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use serde::{Deserialize, Serialize};
 
 use crate::ageing::Ageing;
+use crate::arm::Arm;
 use crate::camera::{self, Troubles};
 use crate::config::{BenchConfig, ControllerKind, Given, Speed, Stands, SurfaceKind};
 use crate::devices::{self, Controller, InstrumentConfig};
@@ -283,11 +284,12 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         fault: asked.bench.frame_fault.as_ref().map(|fault| fault.value),
         core_drift_px: asked.bench.core_drift_px,
     };
+    let arm = asked.bench.arm.clone().map(Arm::at);
     let (arguments, (camera_thread, camera)) = match asked.bench.camera {
         CameraLink::SharedMemory => {
             let root = SharedRoot::of_owner(&asked.root)?;
             let open = move || Ok(FrameSender::open(&root, overflow)?);
-            let started = camera::start(world, patterns, ageing, troubles, open, gives_way)?;
+            let started = camera::start(world, patterns, ageing, troubles, arm, open, gives_way)?;
             (None, started)
         }
         #[cfg(feature = "gige")]
@@ -296,7 +298,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
             let arguments = crate::gige::arguments(&sensor);
             let trouble = asked.bench.gige_trouble.as_ref().map(|given| given.value);
             let open = move || crate::gige::GigeCamera::open(size_px, &sensor, trouble);
-            let started = camera::start(world, patterns, ageing, troubles, open, gives_way)?;
+            let started = camera::start(world, patterns, ageing, troubles, arm, open, gives_way)?;
             (Some(arguments), started)
         }
         #[cfg(not(feature = "gige"))]
@@ -311,6 +313,9 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     config.devices.seed = seed;
     config.devices.axes.rotation.backlash = 1e-3 * asked.bench.backlash_mdeg;
     config.devices.axes.vertical.backlash = 1e-3 * asked.bench.backlash_um;
+    if let Some(trouble) = asked.bench.stage_trouble {
+        trouble.spoil(&mut config.devices.axes);
+    }
     if let Some(press) = &asked.press {
         config.devices.press.strokes_per_minute = press.strokes_per_minute;
         config.devices.press.open_share = press.open_share;

@@ -28,6 +28,7 @@ fn camera_process() {
         PatternSpec::insitu12(),
         Ageing::default(),
         Troubles::default(),
+        None,
         move || {
             let root = SharedRoot::of_owner(Path::new(&root))?;
             Ok(FrameSender::open(&root, Overflow::Drop)?)

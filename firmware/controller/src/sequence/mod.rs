@@ -23,6 +23,7 @@
 
 mod config;
 mod exit;
+mod identity;
 mod orders;
 mod signals;
 mod view;
@@ -39,6 +40,9 @@ use flankscope_protocol::{
     Projector, StageConfig, State, Status, Timestamp, Why,
 };
 use signals::push;
+
+/// Patience with the stages' answers to what they are: each is given up within 0.4 s.
+const IDENTITY_TIMEOUT: Microseconds = Microseconds::from_millis(1_500);
 
 /// Between two tries of a retract.
 const RETRACT_PAUSE: Microseconds = Microseconds::from_millis(50);
@@ -64,6 +68,10 @@ enum Dark {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
     Unhomed,
+    /// The stages are asked what they are, before they reference.
+    Identifying {
+        until: Timestamp,
+    },
     Homing {
         until: Timestamp,
     },
@@ -151,6 +159,10 @@ pub struct Sequence {
     dmd_at: Timestamp,
     camera_at: Timestamp,
     readout_end: Timestamp,
+    /// The interlock has let the head in.
+    may_enter: bool,
+    /// The stages answered as the station's, or need not be asked, since the start of the capture.
+    stages_known: bool,
     /// The lens has a voltage.
     lens_on: bool,
     /// It has come to rest by then.
@@ -183,6 +195,8 @@ impl Sequence {
             dmd_at: Timestamp(0),
             camera_at: Timestamp(0),
             readout_end: Timestamp(0),
+            may_enter: false,
+            stages_known: false,
             lens_on: false,
             lens_rests_at: Timestamp(0),
             retract_again: None,
@@ -208,11 +222,16 @@ impl Sequence {
         &self.stage
     }
 
+    /// The stages as they are from the next reference run on.
+    #[must_use]
+    pub fn stage_to_be(&self) -> &StageConfig {
+        self.next_stage.as_ref().unwrap_or(&self.stage)
+    }
+
     /// What plans are judged by: the compiled limits, and the travel of the stages.
     #[must_use]
     pub fn plan_limits(&self) -> Limits {
-        let stage = self.next_stage.as_ref().unwrap_or(&self.stage);
-        self.config.limits.within(stage)
+        self.config.limits.within(self.stage_to_be())
     }
 
     /// Other stages were configured since the last reference run.
@@ -244,7 +263,7 @@ impl Sequence {
     pub fn state(&self) -> State {
         match self.step {
             Step::Unhomed => State::Unhomed,
-            Step::Homing { .. } => State::Homing,
+            Step::Identifying { .. } | Step::Homing { .. } => State::Homing,
             Step::Ready => State::Ready,
             Step::Claiming { .. } => State::Claiming,
             Step::Moving { .. } => State::Moving,
@@ -339,7 +358,8 @@ impl Sequence {
             Step::Exposing { end, begin_by } => {
                 Some(begin_by.map_or(end, |begin_by| end.min(begin_by)))
             }
-            Step::Homing { until }
+            Step::Identifying { until }
+            | Step::Homing { until }
             | Step::Claiming { until }
             | Step::Moving { until }
             | Step::Settling { until }
@@ -386,8 +406,11 @@ impl Sequence {
             } if ticket == self.ticket => {
                 self.stage_failed(now, fault, detail, out);
             }
+            Input::StagesAre { ticket, outcome } if ticket == self.ticket => {
+                self.stages_are(now, outcome, out);
+            }
             // An answer to a request that was overtaken by another.
-            Input::InPosition { .. } | Input::StageFailed { .. } => {}
+            Input::InPosition { .. } | Input::StageFailed { .. } | Input::StagesAre { .. } => {}
             Input::LedSense(projector, level) => self.led_sense(now, projector, level, out),
             Input::PatternSelected(taken) => self.pattern_selected(now, taken, out),
             Input::DmdReady => self.dmd_ready(now, out),
@@ -396,9 +419,8 @@ impl Sequence {
             Input::Lens(outcome) => self.lens(now, outcome, out),
             Input::EventsLost => self.fail(now, Fault::EventOverflow, 0, out),
             Input::MayEnter => {
-                if let Step::Claiming { .. } = self.step {
-                    self.move_to_view(now, Why::Sequence, out);
-                }
+                self.may_enter = true;
+                self.enter_die(now, out);
             }
             Input::Unsafe(fault) => self.unsafe_press(now, fault, out),
             Input::Tick => {}
@@ -418,12 +440,19 @@ impl Sequence {
             self.retry_retract(out);
         }
         match self.step {
+            Step::Identifying { until } if now >= until => {
+                self.fail(now, Fault::StageSilent, 0, out);
+            }
             Step::Homing { until } if now >= until => {
                 self.homed = false;
                 self.fail(now, Fault::MotionTimeout, 0, out);
             }
             Step::Claiming { until } if now >= until => {
-                self.fail(now, Fault::InterlockLocked, 0, out)
+                let fault = match self.stages_known {
+                    true => Fault::InterlockLocked,
+                    false => Fault::StageSilent,
+                };
+                self.fail(now, fault, 0, out);
             }
             Step::Moving { until } if now >= until => self.fail(now, Fault::MotionTimeout, 0, out),
             Step::Settling { until } if now >= until => self.settled(now, out),

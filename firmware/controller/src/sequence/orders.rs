@@ -1,7 +1,7 @@
 //! The host's orders, already judged by the command handler.
 
 use super::signals::{Action, Actions, push};
-use super::{Sequence, Step, Then};
+use super::{IDENTITY_TIMEOUT, Sequence, Step, Then};
 use flankscope_protocol::{CapturePlan, StageConfig, Timestamp, Why};
 
 impl Sequence {
@@ -28,6 +28,11 @@ impl Sequence {
             self.lens_on = true;
             push(out, Action::SetLens(focus.counts));
         }
+        // Whoever changes a stage may leave the controller running: asked before every capture.
+        (self.may_enter, self.stages_known) = (false, !self.stage.names_a_model());
+        if !self.stages_known {
+            self.identify(out);
+        }
         self.enter(
             Step::Claiming {
                 until: now.after(self.config.claim_timeout),
@@ -41,24 +46,33 @@ impl Sequence {
     pub(crate) fn home(&mut self, now: Timestamp, out: &mut Actions) {
         (self.homed, self.parked) = (false, false);
         self.stage = self.next_stage.take().unwrap_or(self.stage);
+        if !self.stage.names_a_model() {
+            return self.search_home(now, Why::Home, out);
+        }
+        self.identify(out);
+        let until = now.after(IDENTITY_TIMEOUT);
+        self.enter(Step::Identifying { until }, Why::Home, now, out);
+    }
+
+    pub(super) fn search_home(&mut self, now: Timestamp, why: Why, out: &mut Actions) {
         let ticket = self.next_ticket();
         push(out, Action::Home { ticket });
         let patience = self.config.home_timeout.max(self.stage.home_timeout());
-        self.enter(
-            Step::Homing {
-                until: now.after(patience),
-            },
-            Why::Home,
-            now,
-            out,
-        );
+        let until = now.after(patience);
+        self.enter(Step::Homing { until }, why, now, out);
+    }
+
+    /// Asks the stages what they are.
+    pub(crate) fn identify(&mut self, out: &mut Actions) {
+        let ticket = self.next_ticket();
+        push(out, Action::Identify { ticket });
     }
 
     /// LED off, halt, retract. Halting a retract that is under way would be less safe, so that goes on.
     pub(crate) fn abort(&mut self, now: Timestamp, out: &mut Actions) {
         if self.capturing() {
             self.withdraw(now, true, Then::Ready(Why::Abort), Why::Abort, out);
-        } else if matches!(self.step, Step::Homing { .. }) {
+        } else if matches!(self.step, Step::Identifying { .. } | Step::Homing { .. }) {
             self.next_ticket();
             push(out, Action::StopStages);
             self.enter(Step::Unhomed, Why::Abort, now, out);

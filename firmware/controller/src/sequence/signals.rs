@@ -1,8 +1,9 @@
 //! What goes into the sequence and what comes out.
 
 use crate::lens::LensFault;
+use crate::stage_fault::StageFault;
 use flankscope_protocol::{
-    Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, Projector, View,
+    Event, Fault, LensCounts, Micrometres, Microradians, Milliamps, Projector, StageName, View,
 };
 
 /// Most actions of one step: the longest chain is a fault (event, LED, event, camera, DMD, stop, retract, event).
@@ -43,6 +44,13 @@ pub enum Input {
         /// The stage controller's own error number, 0 if none.
         detail: u32,
     },
+    /// What the stages answered to request `ticket`, rotation and vertical.
+    StagesAre {
+        /// Which request.
+        ticket: u16,
+        /// Their names, or why there are none.
+        outcome: Result<[StageName; 2], StageFault>,
+    },
     /// Level of the current sense of a projector's LED.
     LedSense(Projector, bool),
     /// The DMD took the pattern selection, or did not.
@@ -68,6 +76,11 @@ pub enum Input {
 /// Something to be done now.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
+    /// Ask what the stages are.
+    Identify {
+        /// To be repeated in the answer.
+        ticket: u16,
+    },
     /// Reference both axes, vertical first.
     Home {
         /// To be repeated in the answer.

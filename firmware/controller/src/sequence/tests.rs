@@ -2,6 +2,7 @@
 
 extern crate std;
 
+mod identity;
 mod lens;
 mod two_projectors;
 
@@ -10,7 +11,8 @@ use crate::diagrams;
 use flankscope_protocol::{Limits, Microseconds, Milliamps, Trigger, View};
 
 use crate::lens::LensFault;
-use flankscope_protocol::{FringeSet, LensCounts, Timeouts};
+use crate::stage_fault::StageFault;
+use flankscope_protocol::{FringeSet, LensCounts, StageName, Timeouts};
 use std::{vec, vec::Vec};
 
 const RETRACTED: Micrometres = Micrometres(90_000);
@@ -74,6 +76,9 @@ struct World {
     pose: View,
     lens: Option<LensCounts>,
     lens_says: Result<(), LensFault>,
+    stages_are: Result<[StageName; 2], StageFault>,
+    /// They are not asked, or do not answer.
+    stages_mute: bool,
     /// No device answers any more.
     frozen: bool,
     host_alive: bool,
@@ -116,6 +121,11 @@ impl Rig {
             pose: home,
             lens: None,
             lens_says: Ok(()),
+            stages_are: Err(StageFault {
+                fault: Fault::StageSilent,
+                detail: 0,
+            }),
+            stages_mute: false,
             frozen: false,
             host_alive: true,
             host_next: Timestamp(0),
@@ -164,7 +174,7 @@ impl Rig {
 
     fn perform(&mut self, actions: Actions) {
         assert!(actions.len() < MAX_ACTIONS, "no room left: {actions:?}");
-        let (mut selected, mut asked) = (false, false);
+        let (mut selected, mut asked, mut identified) = (false, false, None);
         for action in actions {
             self.log.push((self.now, action));
             let world = &mut self.world;
@@ -201,6 +211,7 @@ impl Rig {
                             (level, self.now.after(Microseconds(STROBE_US)));
                     }
                 }
+                Action::Identify { ticket } => identified = Some(ticket),
                 Action::Home { ticket } => {
                     let vertical = self.sequence.stage().vertical.home;
                     let view = View {
@@ -235,6 +246,13 @@ impl Rig {
         }
         if selected && !self.world.frozen {
             self.input(Input::PatternSelected(true));
+        }
+        if let Some(ticket) = identified
+            && !self.world.frozen
+            && !self.world.stages_mute
+        {
+            let outcome = self.world.stages_are;
+            self.input(Input::StagesAre { ticket, outcome });
         }
         if asked && !self.world.frozen {
             self.input(Input::Lens(self.world.lens_says));

@@ -18,11 +18,14 @@
 //! | `1ST`         | stop; without a number, every axis          |
 //! | `1MD?`        | 1 = motion done                             |
 //! | `1TP?`        | actual position                             |
+//! | `1ID?`        | model and serial number of the stage, such as `TS50DC.5, SN1263`; `Unknown` of one that has no memory |
 //! | `TB?`         | oldest error                                |
 
 use super::{Pose, Stage, StageFault, StagePort, StageRequest, decimal};
 use embassy_time::{Duration, with_timeout};
-use flankscope_protocol::{Fault, HomeAt, Line as Serial, Micrometres, Microradians, StageConfig};
+use flankscope_protocol::{
+    Fault, HomeAt, Line as Serial, Micrometres, Microradians, StageConfig, StageName,
+};
 
 /// What a stop is sent at before anybody has said how the line is set: after a reset something may still move.
 const USUAL_BAUDS: [u32; 7] = [9_600, 19_200, 38_400, 57_600, 115_200, 460_800, 921_600];
@@ -192,14 +195,29 @@ impl<P: StagePort> Esp301<P> {
         }
     }
 
-    async fn axis_question(&mut self, axis: char, question: &str) -> Result<i64, StageFault> {
+    async fn axis_line(
+        &mut self,
+        axis: char,
+        question: &str,
+        answer: &mut Line,
+    ) -> Result<(), StageFault> {
         let mut line = Line::new();
         if line.push(axis).is_err() || line.push_str(question).is_err() {
             return Err(nonsense());
         }
+        self.ask(&line, answer).await
+    }
+
+    async fn axis_question(&mut self, axis: char, question: &str) -> Result<i64, StageFault> {
         let mut answer = Line::new();
-        self.ask(&line, &mut answer).await?;
+        self.axis_line(axis, question, &mut answer).await?;
         decimal::read(answer.trim().as_bytes()).ok_or_else(nonsense)
+    }
+
+    async fn name(&mut self, axis: char) -> Result<StageName, StageFault> {
+        let mut answer = Line::new();
+        self.axis_line(axis, "ID?", &mut answer).await?;
+        StageName::of(answer.as_bytes()).ok_or_else(nonsense)
     }
 
     /// Empties the error buffer: what is left from before is not the error of what comes next.
@@ -304,6 +322,8 @@ impl<P: StagePort> Stage for Esp301<P> {
                 self.search(&axes.vertical).await
             }
             (StageRequest::Stop, _) => self.stop().await,
+            // A question, which [`Stage::identity`] answers: nothing to set off.
+            (StageRequest::Identify { .. }, _) => Ok(()),
             (StageRequest::Move { view, .. }, Some(axes)) => {
                 let mut line = Line::new();
                 let turn = Order::Set("PA", rotation_deg(view.rotation));
@@ -360,6 +380,16 @@ impl<P: StagePort> Stage for Esp301<P> {
         let pose = rotation_from_deg(rotation).zip(vertical_from_mm(vertical));
         let (rotation, vertical) = pose.ok_or_else(nonsense)?;
         Ok(Some(Pose { rotation, vertical }))
+    }
+
+    async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault> {
+        if !self.port.set_line(&stage.line) {
+            return Err(nonsense());
+        }
+        Ok([
+            self.name(digit(stage.rotation.number)).await?,
+            self.name(digit(stage.vertical.number)).await?,
+        ])
     }
 }
 

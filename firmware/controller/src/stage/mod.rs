@@ -6,8 +6,9 @@ pub mod decimal;
 pub mod esp301;
 
 use crate::sequence::Input;
+pub use crate::stage_fault::StageFault;
 use embedded_io_async::{Read, Write};
-use flankscope_protocol::{Fault, Line, Micrometres, Microradians, StageConfig, View};
+use flankscope_protocol::{Fault, Line, Micrometres, Microradians, StageConfig, StageName, View};
 
 /// An order to the stages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,6 +34,13 @@ pub enum StageRequest {
         /// Where to.
         vertical: Micrometres,
     },
+    /// Say what the stages are; nothing moves.
+    Identify {
+        /// Repeated in the report.
+        ticket: u16,
+        /// Their line and the numbers of their axes.
+        stage: StageConfig,
+    },
     /// Halt both axes; not reported.
     Stop,
 }
@@ -42,9 +50,26 @@ impl StageRequest {
         match self {
             Self::Home { ticket, .. }
             | Self::Move { ticket, .. }
-            | Self::Retract { ticket, .. } => Some(ticket),
+            | Self::Retract { ticket, .. }
+            | Self::Identify { ticket, .. } => Some(ticket),
             Self::Stop => None,
         }
+    }
+
+    /// The report that it came to nothing; none where none is expected.
+    pub(crate) fn failed(self, fault: Fault) -> Option<StageReport> {
+        let failed = StageFault { fault, detail: 0 };
+        let ticket = self.ticket()?;
+        Some(match self {
+            Self::Identify { .. } => StageReport::Identity {
+                ticket,
+                outcome: Err(failed),
+            },
+            _ => StageReport::Motion {
+                ticket,
+                outcome: Err(failed),
+            },
+        })
     }
 }
 
@@ -57,38 +82,45 @@ pub struct Pose {
     pub vertical: Micrometres,
 }
 
-/// Why the stages did not do what they were asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StageFault {
-    /// In the instrument's numbering.
-    pub fault: Fault,
-    /// In the stage controller's own numbering, 0 if none.
-    pub detail: u32,
-}
-
 /// What became of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StageReport {
-    /// Which request.
-    pub ticket: u16,
-    /// Standing there, or not.
-    pub outcome: Result<Pose, StageFault>,
+pub enum StageReport {
+    /// Of a motion.
+    Motion {
+        /// Which request.
+        ticket: u16,
+        /// Standing there, or not.
+        outcome: Result<Pose, StageFault>,
+    },
+    /// Of the question what the stages are.
+    Identity {
+        /// Which request.
+        ticket: u16,
+        /// Rotation, vertical.
+        outcome: Result<[StageName; 2], StageFault>,
+    },
 }
 
 impl From<StageReport> for Input {
     fn from(report: StageReport) -> Self {
-        let ticket = report.ticket;
-        match report.outcome {
-            Ok(Pose { rotation, vertical }) => Self::InPosition {
+        match report {
+            StageReport::Motion {
+                ticket,
+                outcome: Ok(Pose { rotation, vertical }),
+            } => Self::InPosition {
                 ticket,
                 rotation,
                 vertical,
             },
-            Err(StageFault { fault, detail }) => Self::StageFailed {
+            StageReport::Motion {
+                ticket,
+                outcome: Err(StageFault { fault, detail }),
+            } => Self::StageFailed {
                 ticket,
                 fault,
                 detail,
             },
+            StageReport::Identity { ticket, outcome } => Self::StagesAre { ticket, outcome },
         }
     }
 }
@@ -101,8 +133,10 @@ pub trait StagePort: Read + Write {
 
 /// A driver for both stages.
 pub trait Stage {
-    /// Starts a request; returning means accepted, not done.
+    /// Starts a motion or a stop; returning means accepted, not done. Never called with [`StageRequest::Identify`].
     async fn start(&mut self, request: StageRequest) -> Result<(), StageFault>;
     /// Where the stages stand, or `None` while they move.
     async fn standing(&mut self) -> Result<Option<Pose>, StageFault>;
+    /// What the stages of this line and these axes say they are, rotation and vertical; nothing moves.
+    async fn identity(&mut self, stage: &StageConfig) -> Result<[StageName; 2], StageFault>;
 }

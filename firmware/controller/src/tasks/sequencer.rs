@@ -182,6 +182,10 @@ async fn perform<L: Led, D: Dmd, C: Camera, N: Lens>(
                     // One that does not obey fails at its next setting.
                     let _obeyed = with_timeout(LENS_TIMEOUT, optics.lens.off()).await;
                 }
+                Action::Identify { ticket } => {
+                    let stage = *handler.sequence.stage_to_be();
+                    follow_up = ask(mail, StageRequest::Identify { ticket, stage }).or(follow_up);
+                }
                 Action::Home { ticket } => {
                     let stage = *handler.sequence.stage();
                     follow_up = ask(mail, StageRequest::Home { ticket, stage }).or(follow_up)
@@ -238,12 +242,7 @@ fn report(mail: &Mailboxes, event: Event, unreported: &mut u32) -> bool {
 /// Queues a request to the stages; the answer to it if that is not possible because they hang.
 fn ask(mail: &Mailboxes, request: StageRequest) -> Option<Input> {
     mail.stage_requests.try_send(request).err()?;
-    let ticket = request.ticket()?;
-    Some(Input::StageFailed {
-        ticket,
-        fault: flankscope_protocol::Fault::StageSilent,
-        detail: 0,
-    })
+    request.failed(Fault::StageSilent).map(Input::from)
 }
 
 async fn sleep_until(deadline: Option<Timestamp>) {

@@ -33,6 +33,20 @@ pub async fn serve_stage(mut stage: impl Stage, mail: &Mailboxes) -> ! {
             }
         };
         // Every question has a time limit of its own, so this ends.
+        if let StageRequest::Identify {
+            ticket,
+            stage: asked_of,
+        } = &request
+        {
+            let asked = stage.identity(asked_of);
+            let outcome = mail.liveness.alive(Task::Stage, asked).await;
+            let sent = mail.stage_reports.send(StageReport::Identity {
+                ticket: *ticket,
+                outcome,
+            });
+            mail.liveness.alive(Task::Stage, sent).await;
+            continue;
+        }
         let started = mail.liveness.alive(Task::Stage, stage.start(request)).await;
         let mut outcome = started.map(|()| None);
         let overtaken = loop {
@@ -55,7 +69,7 @@ pub async fn serve_stage(mut stage: impl Stage, mail: &Mailboxes) -> ! {
             }
         };
         if let (None, Some(ticket)) = (&next, request.ticket()) {
-            let report = StageReport {
+            let report = StageReport::Motion {
                 ticket,
                 outcome: overtaken,
             };
@@ -88,7 +102,7 @@ async fn next_request(
             Err(_) => fault(Fault::StageSilent),
         };
         if outcome != Ok(pose) {
-            let report = StageReport { ticket, outcome };
+            let report = StageReport::Motion { ticket, outcome };
             mail.stage_reports.send(report).await;
             at_view = outcome.ok().map(|pose| (ticket, pose));
         }

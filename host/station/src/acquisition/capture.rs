@@ -45,6 +45,7 @@ impl<O: Send + 'static> Acquisition<O> {
         client.order(&Command::Home).await?;
         let mut interrupt = client.interrupt();
         let silence = client.silence();
+        let mut other = None;
         loop {
             let event = tokio::select! {
                 event = client.event(silence) => event?,
@@ -57,8 +58,12 @@ impl<O: Send + 'static> Acquisition<O> {
                 Event::StateChanged {
                     next: State::Ready, ..
                 } => return Ok(()),
-                Event::Fault { fault, .. } => return Err(AcquisitionError::Faulted { fault }),
-                _ => {}
+                Event::Fault { fault, .. } => {
+                    return Err(other.unwrap_or(AcquisitionError::Faulted { fault }));
+                }
+                event => {
+                    other = other.or(AcquisitionError::other_stage(&event, &self.program.stage));
+                }
             }
         }
     }
@@ -169,6 +174,9 @@ impl<O: Send + 'static> Acquisition<O> {
                         Ok(event) => {
                             tracing::debug!(?event);
                             run.timeline.note(&event);
+                            if let Some(other) = AcquisitionError::other_stage(&event, &self.program.stage) {
+                                failure.get_or_insert(Stop::Broken(other));
+                            }
                             match event {
                                 Event::StateChanged { next: State::Moving, .. } => {
                                     let next = run.session.views.get(run.session.begun());

@@ -1,7 +1,7 @@
 //! What can go wrong on the way from a position to the sums of its frames, and how far it is.
 
 use flankscope_profilometry::FrameError;
-use flankscope_protocol::{FaultCode, PlanError};
+use flankscope_protocol::{Event, FaultCode, PlanError, StageConfig, StageName};
 
 use super::pairing::PairingError;
 use super::program::ProgramError;
@@ -50,12 +50,44 @@ pub enum AcquisitionError {
         /// Of the controller.
         fitted: u8,
     },
+    /// A stage is another one than the station's, and nothing has moved.
+    #[error(
+        "axis {axis} of the stages answers as {got:?}, station.toml names {named:?} ([stages], model): it is another stage, or plugged in elsewhere"
+    )]
+    OtherStage {
+        /// Number of the axis.
+        axis: u8,
+        /// By its own word.
+        got: StageName,
+        /// By the station's file.
+        named: StageName,
+    },
     /// The controller waits for somebody.
     #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
     Faulted {
         /// Its fault.
         fault: FaultCode,
     },
+}
+
+impl AcquisitionError {
+    /// The complaint, where an event says that a stage is another one than it should be.
+    pub(super) fn other_stage(event: &Event, stage: &StageConfig) -> Option<Self> {
+        let Event::StageIdentity {
+            axis,
+            answer: Ok(got),
+            ..
+        } = *event
+        else {
+            return None;
+        };
+        let (_, named) = stage
+            .models()
+            .into_iter()
+            .find(|(number, _)| *number == axis)?;
+        let named = named.filter(|named| named.model() != got.model())?;
+        Some(Self::OtherStage { axis, got, named })
+    }
 }
 
 /// Why a capture that had begun ended before its last view.

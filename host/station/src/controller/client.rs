@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use flankscope_protocol::stage::STAGE_CONFIG_VERSION;
 use flankscope_protocol::{
-    Command, Event, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH, StageConfig,
-    Status,
+    Command, Event, FaultCode, Header, Identity, PROTOCOL_VERSION, Refusal, Reply, SCHEMA_HASH,
+    StageConfig, StageName, Status,
 };
 use tokio::time::{Instant, timeout_at};
 
@@ -224,6 +224,27 @@ impl Client {
         self.order(&command).await?;
         self.identity.limits = self.identity.limits.within(stage);
         Ok(())
+    }
+
+    /// What the stages say they are, rotation and vertical; nothing moves. [`Client::configure`] comes before.
+    ///
+    /// # Errors
+    /// Refused, or no answer of the controller.
+    pub async fn identify_stages(
+        &mut self,
+    ) -> Result<[Result<StageName, FaultCode>; 2], ClientError> {
+        /// Longer than both axes may take.
+        const PATIENCE: Duration = Duration::from_secs(3);
+        self.order(&Command::IdentifyStages).await?;
+        let mut answers = Vec::new();
+        loop {
+            if let Event::StageIdentity { answer, .. } = self.event(PATIENCE).await? {
+                answers.push(answer);
+            }
+            if let [rotation, vertical] = answers[..] {
+                return Ok([rotation, vertical]);
+            }
+        }
     }
 
     /// What the controller is doing.

@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{
-    Identity, Line, Micrometres, Microradians, PROTOCOL_VERSION, StageConfig, State, Status,
+    FaultCode, Identity, Line, Micrometres, Microradians, PROTOCOL_VERSION, StageConfig, StageName,
+    State, Status,
 };
 use serde_json::json;
 
@@ -14,7 +15,10 @@ use crate::controller::{Client, ClientError, ClientSettings, LinkError};
 
 const CHECK: &str = "controller";
 
-/// Says hello and asks for the status; nothing moves. The second finding is of the stages, the third of the press.
+/// What the stages answered, rotation and vertical, or why they were not asked.
+type StageAnswers = Result<[Result<StageName, FaultCode>; 2], String>;
+
+/// Says hello, asks for the status and for what the stages are; nothing moves. The second finding is of the stages, the third of the press.
 #[must_use]
 pub fn controller(port: &Path, settings: ClientSettings, stage: &StageConfig) -> [Finding; 3] {
     let unasked = |why: &str| {
@@ -23,10 +27,10 @@ pub fn controller(port: &Path, settings: ClientSettings, stage: &StageConfig) ->
             Finding::not_asked("press", why),
         ]
     };
-    match ask(port, settings) {
-        Ok((identity, status, answer_ms)) => [
+    match ask(port, settings, stage) {
+        Ok((identity, status, answer_ms, answers)) => [
             answered(&identity, &status, answer_ms),
-            stages(&status, &identity, stage),
+            stages(&status, &identity, stage, &answers),
             press(&status),
         ],
         Err(error) => {
@@ -40,7 +44,11 @@ pub fn controller(port: &Path, settings: ClientSettings, stage: &StageConfig) ->
     }
 }
 
-fn ask(port: &Path, settings: ClientSettings) -> Result<(Identity, Status, u128), ClientError> {
+fn ask(
+    port: &Path,
+    settings: ClientSettings,
+    stage: &StageConfig,
+) -> Result<(Identity, Status, u128, StageAnswers), ClientError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build();
@@ -52,8 +60,24 @@ fn ask(port: &Path, settings: ClientSettings) -> Result<(Identity, Status, u128)
         let mut client = Client::connect(port, settings).await?;
         let answer_ms = begun.elapsed().as_millis();
         let status = client.status().await?;
-        Ok((*client.identity(), status, answer_ms))
+        // As it is without a station: the limits are narrowed by whom they are told.
+        let identity = *client.identity();
+        let answers = match asked(&mut client, stage).await {
+            Ok(answers) => Ok(answers),
+            Err(ClientError::Refused(refusal)) => Err(refusal.to_string()),
+            Err(error) => return Err(error),
+        };
+        Ok((identity, status, answer_ms, answers))
     })
+}
+
+/// What the stages are that have this line and these axes. Who measures says them anew.
+async fn asked(
+    client: &mut Client,
+    stage: &StageConfig,
+) -> Result<[Result<StageName, FaultCode>; 2], ClientError> {
+    client.configure(stage).await?;
+    client.identify_stages().await
 }
 
 fn remedy(error: &ClientError) -> String {
@@ -120,8 +144,13 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
     finding.with(figures)
 }
 
-/// The stages as the station's file has them; the controller is told of them only by who measures.
-fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding {
+/// The stages as the station's file has them, and what they say they are.
+fn stages(
+    status: &Status,
+    identity: &Identity,
+    stage: &StageConfig,
+    answers: &StageAnswers,
+) -> Finding {
     let [rotation_deg, vertical_mm] = [
         f64::from(status.rotation.get()).to_degrees() / 1e6,
         f64::from(status.vertical.get()) / 1e3,
@@ -130,6 +159,10 @@ fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding 
     let deg = |angle: Microradians| (f64::from(angle.get()).to_degrees() / 1e3).round() / 1e3;
     let mm = |place: Micrometres| f64::from(place.get()) / 1e3;
     let per_s = |thousandths: u32| f64::from(thousandths) / 1e3;
+    let [turns_as, raises_as] = match answers {
+        Ok(answers) => answers.map(|answer| answer.ok().map(|name| name.to_string())),
+        Err(_) => [None, None],
+    };
     let figures = json!({
         "homed": status.homed,
         "rotation_deg": rotation_deg,
@@ -137,6 +170,8 @@ fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding 
         "line": stage.line.to_string(),
         "rotation": {
             "axis": turn.number,
+            "model": turn.model.map(|model| model.to_string()),
+            "answers_as": turns_as,
             "travel_deg": [deg(turn.from), deg(turn.to)],
             "speed_deg_s": per_s(turn.speed.get()),
             "acceleration_deg_s2": per_s(turn.acceleration.get()),
@@ -144,6 +179,8 @@ fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding 
         },
         "vertical": {
             "axis": lift.number,
+            "model": lift.model.map(|model| model.to_string()),
+            "answers_as": raises_as,
             "travel_mm": [mm(lift.from), mm(lift.to)],
             "speed_mm_s": per_s(lift.speed.get()),
             "acceleration_mm_s2": per_s(lift.acceleration.get()),
@@ -169,7 +206,7 @@ fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding 
         stage.line,
     );
     let finding = match stage.validate(&identity.limits) {
-        Ok(()) => Finding::ok("stages", seen),
+        Ok(()) => identified(seen, stage, answers),
         Err(error) => Finding::failed(
             "stages",
             format!("{seen}; the controller would refuse them: {error}"),
@@ -177,6 +214,56 @@ fn stages(status: &Status, identity: &Identity, stage: &StageConfig) -> Finding 
         ),
     };
     finding.with(figures)
+}
+
+/// `seen`, and whether the stages are those that the station names.
+fn identified(seen: String, stage: &StageConfig, answers: &StageAnswers) -> Finding {
+    const STAGES: &str = "stages";
+    let answers = match answers {
+        Ok(answers) => answers,
+        Err(why) => {
+            let seen = format!("{seen}; what they are was not asked: {why}");
+            return Finding::attention(STAGES, seen, "let what runs end, then ask again");
+        }
+    };
+    let mut said = seen;
+    let (mut other, mut silent, mut unnamed) = (None, false, false);
+    for ((axis, model), answer) in stage.models().into_iter().zip(answers) {
+        match answer {
+            Ok(name) => said += &format!("; axis {axis} answers as {name:?}"),
+            Err(fault) => said += &format!("; axis {axis} does not say what it is: {fault}"),
+        }
+        match (model, answer) {
+            (Some(model), Ok(name)) if model.model() != name.model() => {
+                other.get_or_insert((axis, model));
+            }
+            (Some(_), Err(_)) => silent = true,
+            (Some(_), Ok(_)) => {}
+            (None, _) => unnamed = true,
+        }
+    }
+    if let Some((axis, model)) = other {
+        return Finding::failed(
+            STAGES,
+            format!("{said}; the station names {model:?} for axis {axis}: nothing will move"),
+            "connect that stage there, or correct its model in station.toml",
+        );
+    }
+    if silent {
+        return Finding::failed(
+            STAGES,
+            said,
+            "see the stage controller's power, cable and [stages.line]; one that cannot say what its stages are needs a station.toml without models",
+        );
+    }
+    if unnamed {
+        return Finding::attention(
+            STAGES,
+            format!("{said}; the station does not name every model: others would be moved as well"),
+            "name each in station.toml: model in [stages.rotation] and [stages.vertical]",
+        );
+    }
+    Finding::ok(STAGES, said)
 }
 
 fn press(status: &Status) -> Finding {

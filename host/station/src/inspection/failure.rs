@@ -38,7 +38,9 @@ impl From<&Stop> for Reason {
                 ClientError::EventsMissing { .. } | ClientError::EventRepeated { .. },
             )) => Code::EventsLost,
             Stop::Broken(AcquisitionError::Client(_)) => Code::LinkLost,
-            Stop::Broken(AcquisitionError::Faulted { .. }) => Code::ControllerFault,
+            Stop::Broken(
+                AcquisitionError::Faulted { .. } | AcquisitionError::OtherStage { .. },
+            ) => Code::ControllerFault,
             Stop::Interrupted | Stop::Broken(AcquisitionError::Interrupted) => Code::Interrupted,
             Stop::Broken(_) | Stop::Stalled => Code::CaptureStalled,
             Stop::Camera(_) => Code::CameraUnusable,

@@ -143,6 +143,7 @@ impl Station {
         plan.check_way(&subject.tool, &subject.head, &subject.station)?;
         let poses = match subject.station.stages.poses.open()? {
             Some(PoseSource::Table(table)) => {
+                table.fits(subject.station.stages.moves, plan.views.len())?;
                 plan.take_poses(&table, hand_eye(&subject)?)?;
                 None
             }

@@ -182,6 +182,16 @@ pub enum PoseError {
         /// Angle, mrad.
         off_mrad: f64,
     },
+    /// A table, and an arm that would have to go from view to view meanwhile.
+    #[error(
+        "{}: with stages.moves = \"outside\" a table says nothing of when the arm has come to the next of {views} views; give [stages.poses] a command, or check one view at a time", path.display()
+    )]
+    NobodyMoves {
+        /// The table.
+        path: PathBuf,
+        /// Views of the check.
+        views: usize,
+    },
     /// The table lacks a tooth.
     #[error("{} has no pose of tooth {tooth}", path.display())]
     NotListed {

@@ -7,6 +7,7 @@ use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
 use super::{PoseError, StatedPose, Wanted};
+use crate::kinematics::Moves;
 
 /// How far a quaternion's length may be from 1: what printing rounds.
 const UNIT: f64 = 1e-3;
@@ -49,6 +50,18 @@ impl PoseTable {
             path: path.to_owned(),
             poses,
         })
+    }
+
+    /// Whether a check of so many views can go by it: it cannot say when an arm has come from one to the next, and teeth look alike.
+    ///
+    /// # Errors
+    /// [`PoseError::NobodyMoves`].
+    pub fn fits(&self, moves: Moves, views: usize) -> Result<(), PoseError> {
+        if moves == Moves::Outside && views > 1 {
+            let path = self.path.clone();
+            return Err(PoseError::NobodyMoves { path, views });
+        }
+        Ok(())
     }
 
     /// The pose of a view.

@@ -4,7 +4,7 @@ use flankscope_foundation::textfile::BadValue;
 use flankscope_protocol::{
     FlowControl, HomeAt, Limits, Line, LinearAxis, Micrometres, MicrometresPerSecond,
     MicrometresPerSecondSquared, Microradians, MillidegreesPerSecond, MillidegreesPerSecondSquared,
-    Parity, RotaryAxis, StageConfig, StageError, StageValue,
+    Parity, RotaryAxis, StageConfig, StageError, StageName, StageValue,
 };
 use serde::{Deserialize, Serialize};
 
@@ -60,6 +60,9 @@ pub enum Home {
 pub struct Rotation {
     /// Its number at the stage controller.
     pub axis: u8,
+    /// The model that the stage must answer as; none: nobody asks.
+    #[serde(default)]
+    pub model: Option<String>,
     /// Speed of a move.
     pub speed_deg_s: f64,
     /// Acceleration and deceleration.
@@ -80,6 +83,9 @@ pub struct Rotation {
 pub struct Vertical {
     /// Its number at the stage controller.
     pub axis: u8,
+    /// The model that the stage must answer as; none: nobody asks.
+    #[serde(default)]
+    pub model: Option<String>,
     /// Speed of a move.
     pub speed_mm_s: f64,
     /// Acceleration and deceleration.
@@ -111,6 +117,7 @@ impl Default for Rotation {
     fn default() -> Self {
         Self {
             axis: 1,
+            model: None,
             speed_deg_s: 80.0,
             acceleration_deg_s2: 320.0,
             travel_deg: [-360.0, 360.0],
@@ -126,6 +133,7 @@ impl Default for Vertical {
     fn default() -> Self {
         Self {
             axis: 2,
+            model: None,
             speed_mm_s: 100.0,
             acceleration_mm_s2: 800.0,
             travel_mm: [-150.0, 150.0],
@@ -179,12 +187,18 @@ fn micrometres(place_mm: f64) -> Micrometres {
     Micrometres((place_mm * 1e3).round() as i32)
 }
 
+/// As the controller is told; [`check`] has seen that nothing of it is lost.
+fn model(of: &Option<String>) -> Option<StageName> {
+    StageName::of(of.as_ref()?.as_bytes())
+}
+
 /// What the controller is told.
 pub(super) fn config(line: &StageLine, turn: &Rotation, lift: &Vertical) -> StageConfig {
     StageConfig {
         line: line.config(),
         rotation: RotaryAxis {
             number: turn.axis,
+            model: model(&turn.model),
             speed: MillidegreesPerSecond(thousandths(turn.speed_deg_s)),
             acceleration: MillidegreesPerSecondSquared(thousandths(turn.acceleration_deg_s2)),
             from: microradians(turn.travel_deg[0]),
@@ -195,6 +209,7 @@ pub(super) fn config(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Stag
         },
         vertical: LinearAxis {
             number: lift.axis,
+            model: model(&lift.model),
             speed: MicrometresPerSecond(thousandths(lift.speed_mm_s)),
             acceleration: MicrometresPerSecondSquared(thousandths(lift.acceleration_mm_s2)),
             from: micrometres(lift.travel_mm[0]),
@@ -234,6 +249,20 @@ pub(super) fn check(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Resul
             ));
         }
     }
+    for (key, written) in [
+        ("stages.rotation.model", &turn.model),
+        ("stages.vertical.model", &lift.model),
+    ] {
+        let Some(written) = written else { continue };
+        let name = StageName::of(written.as_bytes());
+        if !name.is_some_and(|name| name.is_model() && name.text() == written.as_bytes()) {
+            let right = format!(
+                "1 to {} printable ASCII characters without a comma, as the stage answers to ID?",
+                StageName::LONGEST_MODEL
+            );
+            return Err(BadValue::new(key, written, right));
+        }
+    }
     let Err(error) = config(line, turn, lift).validate(&Limits::DEFAULT) else {
         return Ok(());
     };
@@ -264,6 +293,7 @@ pub(super) fn check(line: &StageLine, turn: &Rotation, lift: &Vertical) -> Resul
             let right = "another number than that of the rotary axis";
             BadValue::new("stages.vertical.axis", got, right)
         }
+        StageError::Model { .. } => BadValue::new("stages", error.to_string(), "another model"),
         StageError::LineForm { got } => {
             let right = "8 data bits, no parity, 1 stop bit, no flow control: the controller's port has nothing else";
             BadValue::new("stages.line.baud", got.to_string(), right)

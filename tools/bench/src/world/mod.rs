@@ -61,7 +61,7 @@ pub use wear::{
 };
 
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use random::{Normals, Purpose, stream};
 use rayon::prelude::*;
 use scene::{CoreView, Moved, Sight, Stage};
@@ -297,6 +297,8 @@ pub struct World {
     driven_head: Option<Box<DrivenHead>>,
     head_seed: u64,
     mount: Mount,
+    /// Where an arm holds the camera in the die's frame, if one carries the head.
+    carried: Option<Isometry3<f64>>,
     vibration_um: f64,
     shiver_um: f64,
     form: Form,
@@ -383,6 +385,7 @@ impl World {
             driven_head: config.driven_head.clone(),
             head_seed: config.head_seed,
             mount: config.mount.clone(),
+            carried: None,
             vibration_um: config.vibration_um,
             shiver_um: config.shiver_um,
             form: config.form,
@@ -464,6 +467,11 @@ impl World {
             self.optics = optics;
         }
         Ok(())
+    }
+
+    /// An arm holds the camera there in the die's frame, wherever the stages stand. Views prepared before show it as it was.
+    pub fn carry(&mut self, tool_from_camera: Isometry3<f64>) {
+        self.carried = Some(tool_from_camera);
     }
 
     /// Columns and rows of a frame.
@@ -567,9 +575,10 @@ impl World {
                 max: scene::MAX_FREQUENCIES,
             });
         }
-        let tool_from_camera = self
-            .mount
-            .tool_from_camera(&self.optics, rotation_rad, vertical_mm);
+        let tool_from_camera = self.carried.unwrap_or_else(|| {
+            let mount = &self.mount;
+            mount.tool_from_camera(&self.optics, rotation_rad, vertical_mm)
+        });
         let stage = self.stage((rotation_rad, vertical_mm));
         // Every mirror leaks, lit or not; over other places of the die that is too little to follow.
         let all = match self.passes.is_empty() {

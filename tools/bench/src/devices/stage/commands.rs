@@ -352,6 +352,9 @@ impl StageModel {
     }
 }
 
+/// What is answered to `ID?` for a stage that has no memory to say what it is.
+pub const NO_MEMORY: &str = "Unknown";
+
 /// What an axis knows beside its settings.
 const AXIS_COMMANDS: &[&str] = &[
     "DH", "DP", "DV", "ID", "MD", "MF", "MO", "MT", "MV", "MZ", "OR", "PA", "PR", "QD", "QR", "ST",
@@ -411,7 +414,10 @@ fn of_status(
 ) -> Option<Result<Answer, Refusal>> {
     let speed = |axis: &Axis| format!("{:.6}", axis.profile.speed(now_s));
     Some(match (name, behind) {
-        ("ID", "?" | "") => Ok(Answer::Text(format!("{}, SN0001", axis.model.name))),
+        ("ID", "?" | "") => Ok(Answer::Text(match axis.model.name {
+            NO_MEMORY => NO_MEMORY.into(),
+            name => format!("{name}, SN0001"),
+        })),
         ("ID", _) => Err(NOT_ALLOWED),
         ("MD", "" | "?") => Ok(yes_or_no(axis.done(now_s))),
         ("TP", "" | "?") => {

@@ -9,6 +9,7 @@ pub(crate) mod errors;
 mod serve;
 pub(crate) mod settings;
 
+pub(crate) use commands::NO_MEMORY;
 pub(super) use serve::{run, serve};
 
 use super::axis::{Axis, AxisModel};
