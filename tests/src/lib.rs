@@ -126,6 +126,7 @@ pub fn press_tool(folder: &Path) -> String {
         hold_out: None,
         without_field: None,
         board: None,
+        second_projector: None,
         focus: None,
     });
     std::fs::write(&file, head.to_toml().expect("TOML")).expect("written");

@@ -186,7 +186,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             can_write(output)?;
             let path = folder.join("head.toml");
             let mut head = HeadModel::load(&path).context("head to start from")?;
-            has_one_projector(&head)?;
+            if args.images.is_some() {
+                has_one_projector(&head, "--images")?;
+            }
             if let Some(setting_dpt) = args.focus.focus {
                 let lens = head.lens.with_context(|| {
                     format!(
@@ -232,7 +234,7 @@ fn autofocus(
         can_write(output)?;
     }
     let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
-    has_one_projector(&head)?;
+    has_one_projector(&head, "--autofocus")?;
     let site = args.place.site(&[of_target])?;
     let site = site.with_own_stages("a calibration")?;
     begin(args, &site, target, &head)?;
@@ -258,11 +260,11 @@ fn autofocus(
     calibrate_autofocus::conclude(&focused, made, written, truth, &args.common)
 }
 
-/// A second projector is calibrated by nobody yet.
-fn has_one_projector(head: &HeadModel) -> anyhow::Result<()> {
+/// What knows the frames of one projector only.
+fn has_one_projector(head: &HeadModel, option: &str) -> anyhow::Result<()> {
     ensure!(
         head.second_projector.is_none(),
-        "the head to start from has a [second_projector], which is not calibrated yet: take it out for a head with one projector"
+        "{option}: the head to start from has a [second_projector], whose frames are not told apart here: take it out for a head with one projector, or calibrate through --link"
     );
     Ok(())
 }
@@ -558,8 +560,11 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
         "a point's standard uncertainty by the calibration: {:.1} µm in depth, {:.1} µm across",
         record.depth_sigma_um, record.lateral_sigma_um
     )?;
+    let apart = record.second_projector.as_ref();
+    let by_second = apart.and_then(|apart| apart.hold_out);
     let plates = [
         ("", &record.hold_out),
+        (", by the second projector", &by_second),
         (", without residual fields", &record.without_field),
     ];
     for (with, aside) in plates {
@@ -568,6 +573,13 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
             out,
             "{} plates kept aside{with}: flat to {:.1} µm rms ({:.0} µm from peak to valley), dots in place to {:.1} µm rms",
             aside.views, aside.flatness_rms_um, aside.flatness_um, aside.dots_rms_um
+        )?;
+    }
+    if let Some(apart) = apart {
+        let allowed_um = apart.allowed_um();
+        writeln!(
+            out,
+            "both projectors see 95 % of all points within {allowed_um:.1} µm of each other"
         )?;
     }
     if record.simulated == Some(true) {

@@ -4,7 +4,9 @@ use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{
     CalibrateError, Dots, Mark, Plate, Sighting, StagePose, Target, adjust,
 };
-use flankscope_profilometry::head::{DepthRange, ImageCircle, Pinhole, RigidTransform};
+use flankscope_profilometry::head::{
+    DepthRange, ImageCircle, Pinhole, RigidTransform, SecondProjector,
+};
 use flankscope_profilometry::pattern::Axis;
 use flankscope_profilometry::triangulate::Triangulator;
 
@@ -217,7 +219,7 @@ fn sightings(
                 let away: [f64; 3] = std::array::from_fn(|k| p[k] - hand_eye.translation_mm[k]);
                 std::array::from_fn(|j| (0..3).map(|i| hand_eye.rotation[i][j] * away[i]).sum())
             };
-            let mut marks = Vec::new();
+            let (mut marks, mut by_second) = (Vec::new(), Vec::new());
             for column in -9..=9 {
                 for row in -6..=6 {
                     let place = [column, row];
@@ -234,20 +236,27 @@ fn sightings(
                         into_camera(pose.point([x - back * slope[0], y - back * slope[1], 0.0]));
                     let pixel = head.camera.pixel([p[0] / p[2], p[1] / p[2]]);
                     let pixel = bent(&head.camera, waves_px, pixel);
-                    let q = head.projector_from_camera.point(p);
-                    let light = head.projector.pixel([q[0] / q[2], q[1] / q[2]]);
-                    let light = bent(&head.projector, waves_px, light);
-                    marks.push(Mark {
-                        place,
-                        pixel: pixel.map(|x| x + 0.2 * noise * random.normal()),
-                        column_px: light[0] + 0.2 * noise * random.normal(),
-                    });
+                    let mut lit = |lens: &Pinhole, at: &RigidTransform| {
+                        let q = at.point(p);
+                        let light = lens.pixel([q[0] / q[2], q[1] / q[2]]);
+                        let light = bent(lens, waves_px, light);
+                        Mark {
+                            place,
+                            pixel: pixel.map(|x| x + 0.2 * noise * random.normal()),
+                            column_px: light[0] + 0.2 * noise * random.normal(),
+                        }
+                    };
+                    marks.push(lit(&head.projector, &head.projector_from_camera));
+                    if let Some(second) = &head.second_projector {
+                        by_second.push(lit(&second.projector, &second.projector_from_camera));
+                    }
                 }
             }
             views.push(Sighting {
                 plate,
                 stage,
                 marks,
+                by_second,
             });
         }
     }
@@ -332,6 +341,93 @@ fn the_stated_uncertainty_is_the_scatter() {
     // Each run counts for about three independent errors: 30 give a ratio known to 13 %; three of these.
     for ratio in ratios {
         assert!((0.6..1.4).contains(&ratio), "{ratio}");
+    }
+}
+
+/// The same heads with a second projector on the other side: its angle, beside the focus by so much.
+fn with_second(head: HeadModel, angle_deg: f64, aside_mm: f64, projector: Pinhole) -> HeadModel {
+    let rotation = turn(1, angle_deg.to_radians());
+    let turned: [f64; 3] = rotation.map(|row| row[2] * 22.0);
+    let second = SecondProjector {
+        projector,
+        mirrors: None,
+        projector_from_camera: RigidTransform {
+            rotation,
+            translation_mm: [aside_mm - turned[0], -turned[1], 22.0 - turned[2]],
+        },
+    };
+    HeadModel {
+        second_projector: Some(second),
+        ..head
+    }
+}
+
+fn two() -> [HeadModel; 2] {
+    let k = [-0.05, 0.03, 2e-4, 3e-4, 0.0];
+    let is = lens(1024, 768, 2240.0, [508.0, 383.5], k);
+    let drawn = lens(1024, 768, 2270.0, [511.5, 383.5], [0.0; 5]);
+    [
+        with_second(truth(), 30.0, 0.0, is),
+        with_second(start(), 30.3, -0.05, drawn),
+    ]
+}
+
+#[test]
+fn perfect_marks_give_both_projectors_against_one_camera() {
+    let target = target(&TILTS);
+    let [is, drawn] = two();
+    let marks = sightings(&is, &target, SWING, &mut Random(1), [0.0; 2]);
+    let adjusted = adjust(&drawn, &target, &marks, STAGE_SIGMA).unwrap();
+    for number in [1, 2] {
+        let [is, said] = [&is, &adjusted.head].map(|head| head.with_projector(number).unwrap());
+        for error in point_errors(&is, 0.0, &said) {
+            assert!(error.iter().all(|e| e.abs() < 1e-4), "{number}: {error:?}");
+        }
+    }
+    assert_eq!(adjusted.dropped, 0);
+    // What only the second one was off by is not put into the first.
+    let one = sightings(&truth(), &target, SWING, &mut Random(1), [0.0; 2]);
+    let alone = adjust(&start(), &target, &one, STAGE_SIGMA).unwrap();
+    assert_eq!(
+        (alone.apart_sigma_mm, alone.head.second_projector),
+        (None, None)
+    );
+    assert!(adjusted.depth_sigma_mm < 1.1 * alone.depth_sigma_mm);
+}
+
+/// Calibrations of one head: how far its projectors put a point apart is as much as each said of itself.
+#[test]
+fn projectors_are_apart_by_what_the_calibration_states() {
+    let target = target(&TILTS);
+    let [is, drawn] = two();
+    let mut random = Random(17);
+    let (mut apart, mut second, mut stated) = (Vec::new(), Vec::new(), [0.0; 2]);
+    let runs = 3;
+    for _ in 0..runs {
+        let marks = sightings(&is, &target, SWING, &mut random, [1.0, 0.0]);
+        let adjusted = adjust(&drawn, &target, &marks, STAGE_SIGMA).unwrap();
+        let errors = [1, 2].map(|number| {
+            let [is, said] = [&is, &adjusted.head].map(|head| head.with_projector(number).unwrap());
+            point_errors(&is, 0.0, &said)
+        });
+        for ([near, ..], [far, ..]) in errors[0].iter().zip(&errors[1]) {
+            apart.push(far - near);
+            second.push(*far);
+        }
+        stated[0] += adjusted.apart_sigma_mm.unwrap() / f64::from(runs);
+        stated[1] += adjusted.depth_sigma_mm / f64::from(runs);
+    }
+    let ratios = [
+        rms(apart.into_iter()) / stated[0],
+        rms(second.into_iter()) / stated[1],
+    ];
+    eprintln!(
+        "scatter over stated: apart {:.2}, depth {:.2}; stated {stated:?}",
+        ratios[0], ratios[1]
+    );
+    // Nine independent errors give a ratio known to 24 %; three of these.
+    for ratio in ratios {
+        assert!((0.3..1.7).contains(&ratio), "{ratio}");
     }
 }
 

@@ -80,21 +80,22 @@ fn capture(seed: u64, lens_error_um: f64) -> Captures {
         )
     };
     let (_, blank) = shoot(6, [0.0; 2]);
-    let flat: Vec<f64> = blank.iter().map(|cell| cell.mean_e).collect();
+    let flat = [blank.iter().map(|cell| cell.mean_e).collect()];
     let mut sightings = Vec::new();
     let mut kept_aside = Vec::new();
     for plate in 0..target.plate.len() {
         for offset in OFFSETS {
             let (stage, cells) = shoot(plate, offset);
             let view = sightings.len();
-            let sighting = Sighting::new(view, plate, stage, &cells, &flat, &target, &start);
+            let sighting = Sighting::new(view, plate, stage, &[cells], &flat, &target, &start);
             sightings.push(sighting.expect("dots"));
         }
     }
     for plate in [0, 3, 4] {
         for offset in ASIDE {
             let (stage, cells) = shoot(plate, offset);
-            let sighting = Sighting::new(99, plate, stage, &cells, &flat, &target, &start);
+            let lit = std::slice::from_ref(&cells);
+            let sighting = Sighting::new(99, plate, stage, lit, &flat, &target, &start);
             kept_aside.push((sighting.expect("dots"), cells));
         }
     }
@@ -271,13 +272,21 @@ fn the_target_gives_the_head() {
     // The record belongs to its head and to its time.
     let today: Date = "2026-05-04".parse().expect("a day");
     let mut head = adjusted.head.clone();
-    let record =
-        CalibrationRecord::new(&adjusted, &head, &target.name, [Some(got), None], today, 90);
+    let record = CalibrationRecord::new(
+        &adjusted,
+        &head,
+        &target.name,
+        [Some(got), None],
+        None,
+        today,
+        90,
+    );
     head.calibration = Some(record.clone());
     assert_eq!(head.fit_on(today), Err(Unfit::Untested));
 
     // Plane and sphere of a fit head, and of one whose lens has been knocked out of place since.
-    let planes = [blank];
+    let planes = [vec![blank]];
+    let spheres: Vec<_> = spheres.into_iter().map(|cells| vec![cells]).collect();
     let test = SelfTest::of(&head, &target, &planes, &spheres, today).expect("a self-test");
     eprintln!("{test:?}");
     let limits = test.limits;
@@ -502,14 +511,14 @@ fn captures_in_a_folder_give_the_same_head() {
     start.core_map = Some(Arc::new(cores::find(&flat).expect("cores")));
     let by_core = decoder(&start, DecodeOptions::for_head(&start));
     let columns = |view: &TargetView| by_core.columns(&frames(&by_core, view)).expect("a view");
-    let flat_e: Vec<f64> = columns(&views[0]).iter().map(|cell| cell.mean_e).collect();
+    let flat_e = [columns(&views[0]).iter().map(|cell| cell.mean_e).collect()];
     let sightings: Vec<Sighting> = views[1..]
         .iter()
         .enumerate()
         .map(|(number, view)| {
             let plate = view.plate.expect("a printed plate");
-            let cells = columns(view);
-            Sighting::new(number, plate, view.told, &cells, &flat_e, &target, &start).expect("dots")
+            let lit = [columns(view)];
+            Sighting::new(number, plate, view.told, &lit, &flat_e, &target, &start).expect("dots")
         })
         .collect();
     let stage_sigma = [15e-3 * PI / 180.0, 5e-3].map(|half| half / 1.732_050_807_568_877_2);

@@ -6,12 +6,12 @@ use anyhow::Context;
 use flankscope_foundation::date::Date;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::calibrate::{Sighting, adjust};
+use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::head::CalibrationRecord;
-use flankscope_profilometry::{
-    Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
-};
+use flankscope_profilometry::head::{ApartRecord, CalibrationRecord};
+use flankscope_profilometry::{Accumulator, DecodeOptions, Decoder, HeadModel, PatternSet};
 
+use super::capture::add_all;
 use flankscope_bench::world::{HeadDesign, HeadOptics, PatternSpec, World};
 use flankscope_demo::{self as demo, TargetView};
 
@@ -91,6 +91,7 @@ impl Rig {
             false => &self.made.pattern_set,
         };
         let patterns = PatternSet::named(name)?;
+        let sets: Vec<(f64, u32)> = patterns.sets.iter().map(|s| (s.periods, s.steps)).collect();
         let shown = PatternSpec::named(name).context("patterns of the bench")?;
         let exposures_us = [target.exposure_us];
         let decoder = |head: &HeadModel, options| {
@@ -99,21 +100,11 @@ impl Rig {
         let sums = |decoder: &Decoder, view: &TargetView| -> anyhow::Result<Accumulator> {
             let [rotation, vertical] = view.true_pose;
             let state = world.prepare(rotation, vertical, &shown)?;
-            let [width, height] = world.size_px();
-            let mut pixels = vec![0; width * height];
             let mut sums = decoder.begin();
-            for (number, kind) in (view.first_frame..).zip(decoder.capture_order()) {
-                let index = match kind {
-                    FrameKind::Dark => 0,
-                    FrameKind::Fringe { set, step, .. } => {
-                        let before: u32 = patterns.sets[..set].iter().map(|s| s.steps).sum();
-                        u16::try_from(1 + before + step)?
-                    }
-                    FrameKind::Code { .. } => anyhow::bail!("the bench shows no code"),
-                };
-                world.render(&state, index, target.exposure_us, true, number, &mut pixels)?;
-                sums.add(FrameView::packed(&pixels, width, height), kind)?;
-            }
+            add_all(&mut sums, decoder, &sets, |light, _, i, pixels| {
+                let number = view.first_frame + i;
+                Ok(world.expose(&state, light, target.exposure_us, number, pixels)?)
+            })?;
             Ok(sums)
         };
 
@@ -122,6 +113,7 @@ impl Rig {
         let mut start = demo::drawn_head_of(&self.made);
         let without_circle = HeadModel {
             image_circle: None,
+            second_projector: None,
             ..start.clone()
         };
         let by_pixel = DecodeOptions {
@@ -136,16 +128,14 @@ impl Rig {
         )?)?));
 
         let by_core = decoder(&start, DecodeOptions::for_head(&start))?;
-        let flat: Vec<f64> = by_core
-            .columns(&sums(&by_core, blank)?)?
-            .iter()
-            .map(|cell| cell.mean_e)
-            .collect();
+        let blank = by_core.columns_of_each(&sums(&by_core, blank)?)?;
+        let flat = |cells: &Vec<CellColumn>| cells.iter().map(|cell| cell.mean_e).collect();
+        let flat: Vec<Vec<f64>> = blank.iter().map(flat).collect();
         let mut sightings = Vec::new();
         for (number, view) in views.iter().enumerate() {
             let Some(plate) = view.plate else { continue };
-            let cells = by_core.columns(&sums(&by_core, view)?)?;
-            let sighting = Sighting::new(number, plate, view.told, &cells, &flat, &target, &start)?;
+            let lit = by_core.columns_of_each(&sums(&by_core, view)?)?;
+            let sighting = Sighting::new(number, plate, view.told, &lit, &flat, &target, &start)?;
             sightings.push(sighting);
         }
         let adjusted = adjust(&start, &target, &sightings, STAGE_SIGMA)?;
@@ -156,6 +146,7 @@ impl Rig {
             &head,
             &target.name,
             [None, None],
+            ApartRecord::of(&adjusted, &target, &[]),
             day,
             90,
         ));

@@ -6,7 +6,9 @@ use anyhow::Context;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_profilometry::{DecodeOptions, Decoder, FrameKind, FrameView, HeadModel};
+use flankscope_profilometry::{
+    Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel,
+};
 use flankscope_station::baseline::Baseline;
 use flankscope_station::inspection::{Evaluator, Feature, Subject, ViewOutcome, ViewPlan};
 
@@ -37,6 +39,47 @@ pub(super) fn shown(kind: FrameKind, sets: &[(f64, u32)]) -> (u32, usize) {
         }
         FrameKind::Code { .. } => unreachable!("the bench shows no code"),
     }
+}
+
+/// Adds all frames of a view to its sums: the dark one and all patterns by the first projector, then all by the second, if there is
+/// one. `photograph` takes one: what each projector shows, number of the exposure, number of the frame.
+pub(super) fn add_all(
+    sums: &mut Accumulator,
+    decoder: &Decoder,
+    sets: &[(f64, u32)],
+    mut photograph: impl FnMut([Option<u16>; 2], usize, u32, &mut [u16]) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let [width, height] = decoder.size_px().map(|px| px as usize);
+    let mut pixels = vec![0; width * height];
+    let mut second = sums.take_second();
+    let mut numbers = 0..;
+    let mut photograph = |by_second: bool, kind: FrameKind, pixels: &mut [u16]| {
+        let (pattern, exposure) = shown(kind, sets);
+        let pattern = Some(u16::try_from(pattern)?);
+        let light = match by_second {
+            false => [pattern, None],
+            true => [None, pattern],
+        };
+        photograph(light, exposure, numbers.next().unwrap_or_default(), pixels)
+    };
+    for kind in decoder.capture_order() {
+        photograph(false, kind, &mut pixels)?;
+        let frame = FrameView::packed(&pixels, width, height);
+        sums.add(frame, kind).context("a rendered frame")?;
+        if let (FrameKind::Dark, Some(second)) = (kind, &mut second) {
+            second.add(frame, kind).context("a rendered frame")?;
+        }
+    }
+    if let Some(mut second) = second {
+        let lit = |kind: &FrameKind| *kind != FrameKind::Dark;
+        for kind in decoder.capture_order().filter(lit) {
+            photograph(true, kind, &mut pixels)?;
+            let frame = FrameView::packed(&pixels, width, height);
+            second.add(frame, kind).context("a rendered frame")?;
+        }
+        sums.put_second(second);
+    }
+    Ok(())
 }
 
 /// What is wrong with one capture, beside the stages' own errors.
@@ -109,26 +152,13 @@ impl Instrument {
         number: u32,
         trouble: Trouble,
     ) -> anyhow::Result<ViewOutcome> {
-        let sets = self.sets();
-        let [width, height] = world.size_px();
-        let mut pixels = vec![0_u16; width * height];
         let mut accumulator = self.decoder.begin();
-        for (i, kind) in self.decoder.capture_order().enumerate() {
-            let (pattern, exposure) = shown(kind, &sets);
+        let photograph = |light: [Option<u16>; 2], exposure: usize, i: u32, pixels: &mut [u16]| {
             let lit_us = f64::from(self.plan.exposures_us[exposure]) * (1.0 - trouble.dimmed);
-            let counter = number.wrapping_mul(64).wrapping_add(i as u32);
-            world.render(
-                state,
-                pattern as u16,
-                lit_us as u32,
-                true,
-                counter,
-                &mut pixels,
-            )?;
-            accumulator
-                .add(FrameView::packed(&pixels, width, height), kind)
-                .context("a rendered frame was refused")?;
-        }
+            let counter = number.wrapping_mul(64).wrapping_add(i);
+            Ok(world.expose(state, light, lit_us as u32, counter, pixels)?)
+        };
+        add_all(&mut accumulator, &self.decoder, &self.sets(), photograph)?;
         Ok(self.evaluator.evaluate(0, &accumulator))
     }
 

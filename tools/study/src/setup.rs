@@ -58,11 +58,6 @@ impl Setup {
         // The bench makes the die of the very facets of its CAD: no chord is off here.
         tool.cad.chord_error_um = 0.0;
         let head = HeadModel::load(&folder.path().join("head.toml"))?;
-        anyhow::ensure!(
-            head.projectors() == 1,
-            "{}: the study calibrates every head anew, and a second projector is not calibrated yet",
-            head.name
-        );
         let die = Specimen::tool(folder.path(), None)?.config;
         let patterns = head
             .pattern_set

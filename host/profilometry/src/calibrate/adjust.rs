@@ -10,7 +10,7 @@ use super::least_squares::{NoMinimum, SETTLED, minimise};
 use super::model::{CAMERA_FOCAL, CAMERA_PRINCIPAL, PROJECTOR_FOCAL, SHARED, Scene, certified};
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
-use super::uncertainty::volume_sigma_mm;
+use super::uncertainty::{Lit, apart_sigma_mm, volume_sigma_mm};
 use crate::head::HeadModel;
 
 /// A head that explains its marks.
@@ -35,6 +35,8 @@ pub struct Adjusted {
     pub depth_sigma_mm: f64,
     /// The same across the view.
     pub lateral_sigma_mm: f64,
+    /// Standard uncertainty, by the calibration alone, of how far the depths by both projectors are apart; of a head with two.
+    pub apart_sigma_mm: Option<f64>,
 }
 
 /// Fewer views than this leave no redundancy worth the name.
@@ -93,17 +95,23 @@ pub fn adjust(
             });
         }
     }
+    let by_second = start.with_projector(2);
     let setting = Setting {
         target,
         sightings,
         certified: plates.clone(),
         start: Scene::new(start, &hand_eye),
+        start_of_second: by_second.map(|head| Scene::new(&head, &hand_eye)),
         stage_sigma,
     };
     let mut kept: Vec<Vec<Mark>> = sightings.iter().map(|s| s.marks.clone()).collect();
+    if setting.start_of_second.is_some() {
+        kept.extend(sightings.iter().map(|s| s.by_second.clone()));
+    }
     let all: usize = kept.iter().map(Vec::len).sum();
     let first = State {
         shared: setting.start.clone(),
+        second: setting.start_of_second.clone(),
         plates,
         stage_errors: vec![[0.0; 2]; sightings.len()],
     };
@@ -112,9 +120,11 @@ pub fn adjust(
         field_sigma_px: FIRST_FIELD_SIGMA_PX,
     };
     let plain = settle(&setting, first, weights, &mut kept, ROUNDS)?;
-    let without_field = plain.state.shared.head(start);
+    let without_field = plain.state.head(start);
+    let with_fields = |scene: Scene| scene.with_fields(&without_field);
     let with_fields = State {
-        shared: plain.state.shared.with_fields(&without_field),
+        shared: with_fields(plain.state.shared),
+        second: plain.state.second.map(with_fields),
         ..plain.state
     };
     let Settled {
@@ -131,10 +141,34 @@ pub fn adjust(
     )?;
     let marks = kept.iter().map(Vec::len).sum();
     check_fit(all - marks, all, rms_px)?;
-    check_determined(&state.shared, &covariance)?;
-    let head = state.shared.head(start);
+    let head = state.head(start);
     head.check()?;
-    let [depth_sigma_mm, lateral_sigma_mm] = volume_sigma_mm(&head, &state.shared, &covariance);
+    let mut sigmas_mm = Vec::new();
+    let mut by_each = Vec::new();
+    for (number, scene) in [Some(state.shared.clone()), state.scene_of_second()]
+        .into_iter()
+        .flatten()
+        .enumerate()
+    {
+        let places = state.head_places(number == 1);
+        let of_scene = covariance.select_rows(&places).select_columns(&places);
+        check_determined(&scene, &of_scene)?;
+        let projector = Lit::new(&scene.head(start), &scene, places);
+        sigmas_mm.push(volume_sigma_mm(&head, &projector, &covariance));
+        by_each.push(projector);
+    }
+    // A point may be either's alone.
+    let worst = |along: usize| {
+        sigmas_mm
+            .iter()
+            .map(|sigma| sigma[along])
+            .fold(f64::NAN, f64::max)
+    };
+    let (depth_sigma_mm, lateral_sigma_mm) = (worst(0), worst(1));
+    let apart_sigma_mm = match &by_each[..] {
+        [first, second] => Some(apart_sigma_mm(&head, [first, second], &covariance)),
+        _ => None,
+    };
     Ok(Adjusted {
         head,
         without_field,
@@ -145,7 +179,19 @@ pub fn adjust(
         projector_rms_px: rms_px[1],
         depth_sigma_mm,
         lateral_sigma_mm,
+        apart_sigma_mm,
     })
+}
+
+impl State {
+    /// The head of these values.
+    fn head(&self, start: &HeadModel) -> HeadModel {
+        let second = self.second.as_ref().zip(start.second_projector.as_ref());
+        HeadModel {
+            second_projector: second.map(|(scene, start)| scene.second_projector(start)),
+            ..self.shared.head(start)
+        }
+    }
 }
 
 /// A minimum, with weights that agree with what is left over there.
@@ -179,7 +225,7 @@ fn settle(
             NoMinimum::NotSettled(limit) => CalibrateError::NotSettled { limit },
         })?;
         let bundle = minimum.state;
-        let of_head = bundle.of_head();
+        let of_head = bundle.state.of_head();
         let covariance = minimum.covariance.view((0, 0), (of_head, of_head));
         if settled == SETTLED {
             return Ok(Settled {
@@ -191,7 +237,7 @@ fn settle(
         }
         let next = Weights {
             sigma_px: bundle.scatter(),
-            field_sigma_px: believed_fields_px(&bundle.state.shared, &covariance, weights),
+            field_sigma_px: believed_fields_px(&bundle.state, &covariance, weights),
         };
         if round == rounds || next.agrees_with(&weights) {
             settled = SETTLED;
@@ -221,18 +267,25 @@ impl Weights {
 /// How large the coefficients of the fields are, from the coefficients found: sum of squares over the number of them that the
 /// marks determine rather than the prior (MacKay 1992, Bayesian interpolation). Lenses without irregularities end near zero.
 fn believed_fields_px(
-    scene: &Scene,
+    state: &State,
     covariance: &DMatrixView<'_, f64>,
     weights: Weights,
 ) -> [f64; 2] {
-    let mut place = SHARED;
+    let [camera, first] = state.shared.field_px();
+    let mut places = SHARED..;
+    let mut lenses = [camera, first]
+        .map(|px| -> Vec<(f64, usize)> { px.into_iter().zip(places.by_ref()).collect() });
+    if let Some(scene) = &state.second {
+        let [_, second] = scene.field_px();
+        let first_of_field = state.of_head() - second.len();
+        lenses[1].extend(second.into_iter().zip(first_of_field..));
+    }
     let mut believed_px = weights.field_sigma_px;
-    for (sigma_px, coefficients_px) in believed_px.iter_mut().zip(scene.field_px()) {
+    for (sigma_px, coefficients) in believed_px.iter_mut().zip(lenses) {
         let (mut squares, mut determined) = (0.0, 0.0);
-        for px in coefficients_px {
+        for (px, place) in coefficients {
             squares += px * px;
             determined += 1.0 - covariance[(place, place)] / (*sigma_px * *sigma_px);
-            place += 1;
         }
         if determined > 0.0 {
             *sigma_px = f64::sqrt(squares / determined)
@@ -282,7 +335,7 @@ fn check_determined(scene: &Scene, covariance: &DMatrix<f64>) -> Result<(), Cali
             PRINCIPAL_LIMIT_PX,
         ),
         (
-            "the projector's focal length (relative)",
+            "a projector's focal length (relative)",
             sigma(PROJECTOR_FOCAL) / scene.projector.focal_px[0],
             FOCAL_LIMIT,
         ),

@@ -1,5 +1,8 @@
 //! The equations of an adjustment: every unknown from every mark.
 //!
+//! A view in the light of a second projector counts as a view of its own, of the same plate with the stages where they were: first
+//! all views by the first projector, then all by the second.
+//!
 //! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark depends on
 //! a few of them, and only those are summed.
 
@@ -7,8 +10,10 @@ use nalgebra::{DVector, Isometry3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
 use super::least_squares::{Normal, Problem};
-use super::model::{FIELD, OF_PLATE, OF_VIEW, Observation, SHARED, Scene, head_unknowns};
-use super::sighting::{Mark, Sighting};
+use super::model::{
+    FIELD, OF_PLATE, OF_VIEW, Observation, SHARED, Scene, head_unknowns, projector_places,
+};
+use super::sighting::{Mark, Sighting, StagePose};
 use super::target::Target;
 use flankscope_foundation::order::{SIGMA_PER_MAD, quantile};
 
@@ -19,6 +24,8 @@ pub(crate) struct Setting<'a> {
     /// Places of the plates by their certificate.
     pub certified: Vec<Isometry3<f64>>,
     pub start: Scene,
+    /// Its second projector's lens and place.
+    pub start_of_second: Option<Scene>,
     /// Standard uncertainty of the stages: rad, mm.
     pub stage_sigma: [f64; 2],
 }
@@ -27,6 +34,8 @@ pub(crate) struct Setting<'a> {
 #[derive(Clone)]
 pub(crate) struct State {
     pub shared: Scene,
+    /// A second projector's lens and place.
+    pub second: Option<Scene>,
     pub plates: Vec<Isometry3<f64>>,
     pub stage_errors: Vec<[f64; 2]>,
 }
@@ -45,9 +54,35 @@ pub(crate) struct Weights {
 pub(crate) struct Bundle<'a> {
     pub setting: &'a Setting<'a>,
     pub state: State,
-    /// Marks that take part, view by view.
+    /// Marks that take part, view by view; those by a second projector behind all others.
     pub kept: &'a [Vec<Mark>],
     pub weights: Weights,
+}
+
+impl State {
+    /// The scene in the light of the second projector.
+    pub fn scene_of_second(&self) -> Option<Scene> {
+        Some(self.shared.lit_by(self.second.as_ref()?))
+    }
+
+    /// Where the head's unknowns of a scene stand among all, first and second projector's; nothing without such a projector.
+    pub fn head_places(&self, by_second: bool) -> Vec<usize> {
+        let mut places: Vec<usize> = (0..head_unknowns(&self.shared).count()).collect();
+        if by_second {
+            let first = places.len();
+            for (number, place) in projector_places(&self.shared).enumerate() {
+                places[place] = first + number;
+            }
+        }
+        places
+    }
+
+    /// Unknowns of the head; they stand first.
+    pub fn of_head(&self) -> usize {
+        let own = self.second.as_ref();
+        head_unknowns(&self.shared).count()
+            + own.map_or(0, |_| projector_places(&self.shared).count())
+    }
 }
 
 impl Bundle<'_> {
@@ -57,9 +92,14 @@ impl Bundle<'_> {
             + OF_VIEW * self.state.stage_errors.len()
     }
 
-    /// Unknowns of the head; they stand first.
     pub fn of_head(&self) -> usize {
-        SHARED + self.of_fields()
+        self.state.of_head()
+    }
+
+    /// Number of a view's sighting, and whether it is by the second projector.
+    fn sighting(&self, view: usize) -> (usize, bool) {
+        let sightings = self.setting.sightings.len();
+        (view % sightings, view >= sightings)
     }
 
     fn of_fields(&self) -> usize {
@@ -72,27 +112,39 @@ impl Bundle<'_> {
 
     /// Where the unknowns that a view depends on, in the order of [`Scene::step`], stand among all.
     fn places(&self, view: usize) -> Vec<usize> {
+        let (view, by_second) = self.sighting(view);
         let plate = self.of_head() + OF_PLATE * self.setting.sightings[view].plate;
         let stages = self.of_head() + OF_PLATE * self.state.plates.len() + OF_VIEW * view;
         let own = (plate..plate + OF_PLATE).chain(stages..stages + OF_VIEW);
-        (0..SHARED)
-            .chain(own)
-            .chain(SHARED..self.of_head())
-            .collect()
+        let head = self.state.head_places(by_second);
+        let (shared, fields) = head.split_at(SHARED);
+        let (shared, fields) = (shared.iter().copied(), fields.iter().copied());
+        shared.chain(own).chain(fields).collect()
     }
 
     fn scene(&self, view: usize) -> Scene {
+        let (view, by_second) = self.sighting(view);
+        let shared = &self.state.shared;
+        let lit = match &self.state.second {
+            Some(second) if by_second => shared.lit_by(second),
+            _ => shared.clone(),
+        };
         Scene {
             tool_from_plate: self.state.plates[self.setting.sightings[view].plate],
             stage_error: self.state.stage_errors[view],
-            ..self.state.shared.clone()
+            ..lit
         }
+    }
+
+    /// Where the stages were told to stand.
+    fn stage(&self, view: usize) -> StagePose {
+        self.setting.sightings[self.sighting(view).0].stage
     }
 
     /// Where a scene puts the kept marks of a view.
     fn predicted(&self, view: usize, scene: &Scene) -> Option<Vec<Observation>> {
         let dots = &self.setting.target.dots;
-        let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
+        let pose = scene.camera_from_plate(self.stage(view));
         self.kept[view]
             .iter()
             .map(|mark| {
@@ -132,10 +184,19 @@ impl Bundle<'_> {
             target,
             certified,
             start,
+            start_of_second,
             stage_sigma,
             ..
         } = self.setting;
         let mut priors = self.state.shared.priors(start, self.weights.field_sigma_px);
+        let second = self.state.scene_of_second();
+        if let Some((now, then)) = second.zip(start_of_second.as_ref()) {
+            // What it shares with the first projector is believed once.
+            let places = self.state.head_places(true);
+            let its_own = now.priors(then, self.weights.field_sigma_px).into_iter();
+            let its_own = its_own.filter(|(place, ..)| places[*place] != *place);
+            priors.extend(its_own.map(|(place, off, sigma)| (places[place], off, sigma)));
+        }
         for (plate, (now, then)) in self.state.plates.iter().zip(certified).enumerate() {
             let turn = (now.rotation * then.rotation.inverse()).scaled_axis();
             let shift = now.translation.vector - then.translation.vector;
@@ -231,7 +292,7 @@ impl Bundle<'_> {
             return share;
         };
         let dots = &self.setting.target.dots;
-        let pose = scene.camera_from_plate(self.setting.sightings[view].stage);
+        let pose = scene.camera_from_plate(self.stage(view));
         let mut slopes: Vec<(usize, f64)> = Vec::with_capacity(unknowns);
         for (number, (mark, off)) in self.kept[view].iter().zip(&residuals).enumerate() {
             let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
@@ -278,8 +339,14 @@ impl Problem for Bundle<'_> {
 
     fn stepped(&self, step: &DVector<f64>) -> (Self, f64) {
         let mut next = self.clone();
+        let places = self.state.head_places(true);
         for (place, unknown) in head_unknowns(&self.state.shared).enumerate() {
             next.state.shared.step(unknown, step[place]);
+            if let Some(second) = &mut next.state.second
+                && places[place] != place
+            {
+                second.step(unknown, step[places[place]]);
+            }
         }
         for (plate, pose) in next.state.plates.iter_mut().enumerate() {
             let at = self.of_head() + OF_PLATE * plate;

@@ -274,6 +274,11 @@ impl FocusedHeads {
             if head.volume.is_none() || head.stage_from_camera.is_none() {
                 return Err(unfit("must have [volume] and [stage_from_camera]"));
             }
+            if head.second_projector.is_some() {
+                return Err(unfit(
+                    "has a [second_projector], which is not followed from setting to setting: calibrate at the setting itself",
+                ));
+            }
             if nodes
                 .first()
                 .is_some_and(|first| !is_same(&first.head, &head))

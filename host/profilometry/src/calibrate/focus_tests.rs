@@ -70,6 +70,7 @@ fn record(head: &HeadModel) -> CalibrationRecord {
         hold_out: None,
         without_field: None,
         board: None,
+        second_projector: None,
         focus: None,
     }
 }

@@ -1,11 +1,13 @@
-//! Plates that took no part in the adjustment, measured with its result.
+//! Plates that took no part in the adjustment, measured with its result: by each projector alone, and one against the other.
 
+use super::adjust::Adjusted;
 use super::form;
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
 use crate::cloud::CellColumn;
-use crate::head::{HeadModel, HoldOut};
+use crate::head::{ApartRecord, HeadModel, HoldOut};
 use crate::triangulate::HeadTriangulator;
+use flankscope_foundation::order::quantile;
 
 /// Measures the plates of some views with a head. `None` if there is none, or one cannot be measured at all.
 pub fn hold_out(
@@ -36,4 +38,37 @@ pub fn hold_out(
         flatness_um: 1e3 * worst,
         dots_rms_um: 1e3 * f64::sqrt(dot_squares / dots),
     })
+}
+
+impl ApartRecord {
+    /// How well the two projectors of an adjusted head go together; none of a head with one. Each view kept aside is seen by both.
+    #[must_use]
+    pub fn of(
+        adjusted: &Adjusted,
+        target: &Target,
+        views: &[(Sighting, Vec<Vec<CellColumn>>)],
+    ) -> Option<Self> {
+        let second = adjusted.head.with_projector(2)?;
+        let by_second: Vec<_> = views
+            .iter()
+            .filter_map(|(sighting, cells)| Some((sighting.of_second(), cells.get(1)?.clone())))
+            .collect();
+        let [one, two] = [&adjusted.head, &second].map(HeadTriangulator::new);
+        let apart_um = |[first, second]: [&CellColumn; 2]| {
+            let [_, _, near] = one.point(first.pixel, first.column_px?)?;
+            let [_, _, far] = two.point(second.pixel, second.column_px?)?;
+            Some(1e3 * (far - near).abs())
+        };
+        let mut seen_um: Vec<f64> = views
+            .iter()
+            .filter_map(|(_, cells)| Some([cells.first()?, cells.get(1)?]))
+            .flat_map(|[first, second]| first.iter().zip(second).map(|(a, b)| [a, b]))
+            .filter_map(apart_um)
+            .collect();
+        Some(Self {
+            apart_sigma_um: 1e3 * adjusted.apart_sigma_mm?,
+            apart_um: quantile(&mut seen_um, 0.95),
+            hold_out: hold_out(&second, target, &by_second),
+        })
+    }
 }

@@ -4,6 +4,8 @@
 //! k1 k2 p1 p2), projector from camera, stage from camera; in a second step, what both lenses do beyond that. Beside them the place of every plate, which its certificate
 //! gives nearly, and the error of the stages in every view, which their data sheet bounds.
 //!
+//! A second projector has the unknowns of the first once more; its scene is that of the first but for them.
+//!
 //! Fringes vary along the projector's columns only, so they say nothing of its rows: its focal length there keeps the ratio
 //! of the starting values, its principal row stays, and its shift along the rows shows through distortion alone, hence the
 //! starting value as a weak prior.
@@ -15,7 +17,7 @@ use super::sighting::StagePose;
 use super::target::Target;
 use crate::head::Pinhole;
 use crate::head::residual::{ResidualField, SIDE};
-use crate::head::{HeadModel, RigidTransform};
+use crate::head::{HeadModel, RigidTransform, SecondProjector};
 
 /// Unknowns shared by all views.
 pub(crate) const SHARED: usize = 26;
@@ -25,6 +27,10 @@ pub(crate) const OF_PLATE: usize = 6;
 pub(crate) const OF_VIEW: usize = 2;
 /// Unknowns of the residual fields, where a scene has them: columns and rows of the camera, columns of the projector.
 pub(crate) const FIELD: usize = 3 * SIDE * SIDE;
+
+/// Unknowns of a second projector: lens and place, and what its field adds where a scene has fields.
+const OF_PROJECTOR: std::ops::Range<usize> = PROJECTOR_FOCAL..HAND_EYE_TURN;
+const OF_PROJECTOR_FIELD: std::ops::Range<usize> = 2 * SIDE * SIDE..FIELD;
 
 /// Where the coefficients of the fields stand among the unknowns that a view depends on.
 const FIRST_OF_FIELD: usize = SHARED + OF_PLATE + OF_VIEW;
@@ -108,6 +114,15 @@ impl Scene {
         let middle_px = size.map(|px| 0.5 * (px - 1.0));
         self.projector.residual = over(&self.projector, middle_px, 0.5 * size[0], false);
         self
+    }
+
+    /// The scene in the light of a second projector, whose lens and place are those of `second`.
+    pub fn lit_by(&self, second: &Self) -> Self {
+        Self {
+            projector: second.projector.clone(),
+            projector_from_camera: second.projector_from_camera,
+            ..self.clone()
+        }
     }
 
     /// Whether the lenses have residual fields.
@@ -286,6 +301,15 @@ impl Scene {
         priors
     }
 
+    /// The second projector of these values.
+    pub fn second_projector(&self, start: &SecondProjector) -> SecondProjector {
+        SecondProjector {
+            projector: self.projector.clone(),
+            projector_from_camera: transform(&self.projector_from_camera),
+            ..start.clone()
+        }
+    }
+
     /// The head of these values; what the adjustment does not touch stays as in `start`.
     pub fn head(&self, start: &HeadModel) -> HeadModel {
         HeadModel {
@@ -303,6 +327,15 @@ impl Scene {
 pub(crate) fn head_unknowns(scene: &Scene) -> impl Iterator<Item = usize> {
     let fields = if scene.has_fields() { FIELD } else { 0 };
     (0..SHARED).chain(FIRST_OF_FIELD..FIRST_OF_FIELD + fields)
+}
+
+/// Which of the places of [`head_unknowns`] are a projector's own, in the order in which a second one's stand behind them.
+pub(crate) fn projector_places(scene: &Scene) -> impl Iterator<Item = usize> {
+    let fields = match scene.has_fields() {
+        true => OF_PROJECTOR_FIELD,
+        false => 0..0,
+    };
+    OF_PROJECTOR.chain(fields.map(|coefficient| SHARED + coefficient))
 }
 
 /// Where, in the camera frame, the middle of a circle's elliptic image lies on its plate: see [`Scene::observation`].

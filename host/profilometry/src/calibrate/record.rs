@@ -2,16 +2,20 @@
 
 use super::adjust::Adjusted;
 use super::board::{Board, BoardAdjusted};
-use crate::head::{BoardRecord, CalibrationRecord, FRAMES, HeadModel, HoldOut, geometry_blake3};
+use crate::head::{
+    ApartRecord, BoardRecord, CalibrationRecord, FRAMES, HeadModel, HoldOut, geometry_blake3,
+};
 use flankscope_foundation::date::Date;
 
 impl CalibrationRecord {
-    /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields.
+    /// The record of an adjusted head. `hold_out` is that of the head and of the one without residual fields, `apart` how well two
+    /// projectors go together.
     pub fn new(
         adjusted: &Adjusted,
         head: &HeadModel,
         target: &str,
         hold_out: [Option<HoldOut>; 2],
+        apart: Option<ApartRecord>,
         date: Date,
         valid_days: u32,
     ) -> Self {
@@ -35,6 +39,7 @@ impl CalibrationRecord {
             hold_out,
             without_field,
             board: None,
+            second_projector: apart,
             focus: None,
         }
     }
@@ -79,6 +84,7 @@ impl CalibrationRecord {
                 depth_mm: adjusted.depth_mm,
                 unknown: unknown.map(str::to_owned).collect(),
             }),
+            second_projector: None,
             focus: None,
         }
     }

@@ -63,15 +63,15 @@ const EXPECTED_MM: f64 = 0.4;
 
 impl SelfTest {
     /// Measures the blank plate and the spheres of a target with a calibrated head: at every place that the target names, or the
-    /// plate alone facing the head.
+    /// plate alone facing the head. Each place is seen by every projector; a point is what a check makes of both.
     ///
     /// # Errors
     /// [`SelfTestError`].
     pub fn of(
         head: &HeadModel,
         target: &Target,
-        planes: &[Vec<CellColumn>],
-        spheres: &[Vec<CellColumn>],
+        planes: &[Vec<Vec<CellColumn>>],
+        spheres: &[Vec<Vec<CellColumn>>],
         date: Date,
     ) -> Result<Self, SelfTestError> {
         let lacks = |what| SelfTestError::Lacks { what };
@@ -98,12 +98,13 @@ impl SelfTest {
         let triangulator = HeadTriangulator::new(head);
         let mut worst = Worst::default();
         for plane in planes {
-            worst.take_plane(&triangulator.points(plane))?;
+            worst.take_plane(&triangulator.points_of_each(plane))?;
         }
         for (sphere, &place) in spheres.iter().zip(&places) {
             let stood = StagePose::before(artefact.middle_mm()).beside(place);
             let camera_from_tool = camera_from_stage * stood.stage_from_tool();
-            worst.take_spheres(&triangulator.points(sphere), &artefact, camera_from_tool)?;
+            let points = triangulator.points_of_each(sphere);
+            worst.take_spheres(&points, &artefact, camera_from_tool)?;
         }
         Ok(Self {
             date,

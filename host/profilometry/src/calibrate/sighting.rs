@@ -65,14 +65,16 @@ pub struct Sighting {
     pub stage: StagePose,
     /// The dots.
     pub marks: Vec<Mark>,
+    /// The dots in the light of a second projector; none of a head with one.
+    pub by_second: Vec<Mark>,
 }
 
 /// With fewer dots a view says too little.
 const LEAST_DOTS: usize = 30;
 
 impl Sighting {
-    /// Finds and labels the dots in a view's cells; `view` is its number in messages. `flat_e` is the light that each
-    /// cell gets from the blank plate.
+    /// Finds and labels the dots in a view's cells, by each projector's light; `view` is its number in messages. `flat_e` is the
+    /// light that each cell gets from the blank plate, by each projector.
     ///
     /// # Errors
     /// The plate or its middle is not there.
@@ -80,8 +82,8 @@ impl Sighting {
         view: usize,
         plate: usize,
         stage: StagePose,
-        cells: &[CellColumn],
-        flat_e: &[f64],
+        cells: &[Vec<CellColumn>],
+        flat_e: &[Vec<f64>],
         target: &Target,
         head: &HeadModel,
     ) -> Result<Self, CalibrateError> {
@@ -100,31 +102,54 @@ impl Sighting {
             pitch_px: px_per_mm * target.dots.pitch_mm,
             radius_px: 0.5 * px_per_mm * target.dots.diameter_mm,
         };
-        let dots = dots::find(cells, flat_e, scale);
-        let few = |got| CalibrateError::FewDots {
-            view,
-            got,
-            limit: LEAST_DOTS,
+        let mut lit = cells.iter().zip(flat_e);
+        let mut marks = || match lit.next() {
+            Some((cells, flat_e)) => marks(view, cells, flat_e, scale),
+            None => Ok(Vec::new()),
         };
-        if dots.len() < LEAST_DOTS {
-            return Err(few(dots.len()));
-        }
-        let labelled = label(&dots, view)?;
-        if labelled.len() < LEAST_DOTS {
-            return Err(few(labelled.len()));
-        }
-        let marks = labelled
-            .into_iter()
-            .map(|(place, dot)| Mark {
-                place,
-                pixel: dots[dot].centre_px,
-                column_px: dots[dot].column_px,
-            })
-            .collect();
         Ok(Self {
             plate,
             stage,
-            marks,
+            marks: marks()?,
+            by_second: marks()?,
         })
     }
+
+    /// The same view, by the second projector alone.
+    #[must_use]
+    pub fn of_second(&self) -> Self {
+        Self {
+            marks: self.by_second.clone(),
+            by_second: Vec::new(),
+            ..self.clone()
+        }
+    }
+}
+
+/// The dots in one projector's light.
+fn marks(
+    view: usize,
+    cells: &[CellColumn],
+    flat_e: &[f64],
+    scale: Scale,
+) -> Result<Vec<Mark>, CalibrateError> {
+    let dots = dots::find(cells, flat_e, scale);
+    let few = |got| CalibrateError::FewDots {
+        view,
+        got,
+        limit: LEAST_DOTS,
+    };
+    if dots.len() < LEAST_DOTS {
+        return Err(few(dots.len()));
+    }
+    let labelled = label(&dots, view)?;
+    if labelled.len() < LEAST_DOTS {
+        return Err(few(labelled.len()));
+    }
+    let marks = labelled.into_iter().map(|(place, dot)| Mark {
+        place,
+        pixel: dots[dot].centre_px,
+        column_px: dots[dot].column_px,
+    });
+    Ok(marks.collect())
 }

@@ -10,18 +10,19 @@ use crate::triangulate::Triangulator;
 /// Where in the field, in parts of 0.7 of its radius.
 const SAMPLES: [[f64; 2]; 5] = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.7], [0.0, -0.7]];
 
-/// Standard uncertainty of a point by the calibration alone, root mean square over the measuring volume in the stage frame:
-/// along the view and across, mm. `covariance` is that of the head's unknowns, `scene` the head's.
-pub(crate) fn volume_sigma_mm(
-    head: &HeadModel,
-    scene: &Scene,
-    covariance: &DMatrix<f64>,
-) -> [f64; 2] {
-    let Some(samples) = samples(head) else {
-        return [f64::NAN; 2];
-    };
-    let neighbours: Vec<Neighbours> = head_unknowns(scene)
-        .map(|unknown| {
+/// A head in the light of one of its projectors, and how it follows its unknowns.
+pub(crate) struct Lit {
+    head: HeadModel,
+    view: Vector3<f64>,
+    neighbours: Vec<Neighbours>,
+    /// Where its unknowns stand among those of the head.
+    places: Vec<usize>,
+}
+
+impl Lit {
+    /// `scene` is the head's in that light.
+    pub fn new(head: &HeadModel, scene: &Scene, places: Vec<usize>) -> Self {
+        let neighbours = head_unknowns(scene).map(|unknown| {
             let step = Scene::small_step(unknown);
             let heads = [step, -step].map(|by| {
                 let mut scene = scene.clone();
@@ -29,13 +30,62 @@ pub(crate) fn volume_sigma_mm(
                 scene.head(head)
             });
             Neighbours { heads, step }
-        })
-        .collect();
-    let view = scene.stage_from_camera.rotation * Vector3::z();
+        });
+        Self {
+            neighbours: neighbours.collect(),
+            head: head.clone(),
+            view: scene.stage_from_camera.rotation * Vector3::z(),
+            places,
+        }
+    }
+
+    /// How the point that a pixel sees at a depth follows the head's unknowns, `of` of them, in the stage frame.
+    fn jacobian(&self, pixel: [f64; 2], depth_mm: f64, of: usize) -> Option<DMatrix<f64>> {
+        let ray = self.head.camera.undistort(pixel)?;
+        let (column_px, _) = Triangulator::new(&self.head, Axis::Columns).column(ray, depth_mm)?;
+        let point = |head: &HeadModel| seen_point(head, pixel, column_px);
+        let mut jacobian = DMatrix::zeros(3, of);
+        for (&place, Neighbours { heads, step }) in self.places.iter().zip(&self.neighbours) {
+            let change = (point(&heads[0])? - point(&heads[1])?) / (2.0 * step);
+            jacobian.set_column(place, &change);
+        }
+        Some(jacobian)
+    }
+}
+
+/// Standard uncertainty, by the calibration alone, of how far apart two projectors see a point along the view, root mean square
+/// over the measuring volume, mm. `covariance` is that of the head's unknowns.
+pub(crate) fn apart_sigma_mm(
+    head: &HeadModel,
+    [first, second]: [&Lit; 2],
+    covariance: &DMatrix<f64>,
+) -> f64 {
+    let (mut count, mut squares) = (0.0, 0.0);
+    for (pixel, depth_mm) in samples(head).into_iter().flatten() {
+        let jacobian = |lit: &Lit| lit.jacobian(pixel, depth_mm, covariance.nrows());
+        let Some((one, two)) = jacobian(first).zip(jacobian(second)) else {
+            continue;
+        };
+        let along = first.view.transpose() * (two - one);
+        count += 1.0;
+        squares += (&along * covariance * along.transpose())[(0, 0)];
+    }
+    f64::sqrt(squares / count)
+}
+
+/// Standard uncertainty of a point by the calibration alone, root mean square over the measuring volume in the stage frame:
+/// along the view and across, mm. `covariance` is that of the head's unknowns.
+pub(crate) fn volume_sigma_mm(head: &HeadModel, lit: &Lit, covariance: &DMatrix<f64>) -> [f64; 2] {
+    let Some(samples) = samples(head) else {
+        return [f64::NAN; 2];
+    };
+    let view = lit.view;
     let (mut count, mut squares) = (0.0, [0.0; 2]);
     for (pixel, depth_mm) in samples {
-        let of_point = point_covariance(head, &neighbours, covariance, pixel, depth_mm);
-        let Some(of_point) = of_point else { continue };
+        let jacobian = lit.jacobian(pixel, depth_mm, covariance.nrows());
+        let Some(jacobian) = jacobian else { continue };
+        let of_point = &jacobian * covariance * jacobian.transpose();
+        let of_point = Matrix3::from_fn(|row, column| of_point[(row, column)]);
         let along = view.dot(&(of_point * view));
         count += 1.0;
         squares[0] += along;
@@ -92,24 +142,4 @@ pub(crate) fn seen_point(
 struct Neighbours {
     heads: [HeadModel; 2],
     step: f64,
-}
-
-/// Covariance of the point that a pixel sees at a depth, in the stage frame.
-fn point_covariance(
-    head: &HeadModel,
-    neighbours: &[Neighbours],
-    covariance: &DMatrix<f64>,
-    pixel: [f64; 2],
-    depth_mm: f64,
-) -> Option<Matrix3<f64>> {
-    let ray = head.camera.undistort(pixel)?;
-    let (column_px, _) = Triangulator::new(head, Axis::Columns).column(ray, depth_mm)?;
-    let point = |head: &HeadModel| seen_point(head, pixel, column_px);
-    let mut jacobian = DMatrix::zeros(3, neighbours.len());
-    for (unknown, Neighbours { heads, step }) in neighbours.iter().enumerate() {
-        let change = (point(&heads[0])? - point(&heads[1])?) / (2.0 * step);
-        jacobian.set_column(unknown, &change);
-    }
-    let covariance = &jacobian * covariance * jacobian.transpose();
-    Some(Matrix3::from_fn(|row, column| covariance[(row, column)]))
 }

@@ -12,7 +12,7 @@ mod passes;
 mod rays;
 mod two_projectors;
 
-use std::f64::consts::{SQRT_2, TAU};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -27,7 +27,6 @@ use crate::pattern::{FringeSet, PatternSet};
 use crate::phase::mask;
 use crate::triangulate::Triangulator;
 use crate::unwrap;
-use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::order::median;
 
 pub use crate::accumulate::consistency::ConsistencyOptions;
@@ -185,9 +184,10 @@ impl Decoder {
             .map(|head| Self::new(&head, patterns, exposures_us, options.clone()))
             .transpose()?
             .map(Box::new);
-        let calibration = head.calibration.as_ref();
-        let allowed_apart_mm = calibration.map_or(two_projectors::UNCALIBRATED_MM, |record| {
-            COVERAGE_95 * SQRT_2 * 1e-3 * record.depth_sigma_um
+        let apart = head.calibration.as_ref();
+        let apart = apart.and_then(|record| record.second_projector);
+        let allowed_apart_mm = apart.map_or(two_projectors::UNCALIBRATED_MM, |apart| {
+            1e-3 * apart.allowed_um()
         });
         Ok(Self {
             layout: Arc::new(layout),
@@ -463,6 +463,21 @@ impl Decoder {
     pub fn columns(&self, accumulator: &Accumulator) -> Result<Vec<CellColumn>, DecodeError> {
         self.admit(accumulator)?;
         Ok(self.shown(accumulator, &self.plain(accumulator)))
+    }
+
+    /// The same by each of the head's projectors.
+    ///
+    /// # Errors
+    /// As [`Self::finish`].
+    pub fn columns_of_each(
+        &self,
+        accumulator: &Accumulator,
+    ) -> Result<Vec<Vec<CellColumn>>, DecodeError> {
+        let mut each = vec![self.columns(accumulator)?];
+        if let Some((second, sums)) = self.second.as_ref().zip(accumulator.second.as_deref()) {
+            each.push(second.columns(sums)?);
+        }
+        Ok(each)
     }
 
     /// The same with phasors smoothed as the options say.

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::HeadModel;
 use flankscope_foundation::date::Date;
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::textfile::BadValue;
 
 /// Where a head's geometry comes from, how good it is, and until when it counts.
@@ -51,9 +52,49 @@ pub struct CalibrationRecord {
     /// Of an ordinary board, whose poses nobody certified: what it was, and what it cannot tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardRecord>,
+    /// Of a head with two projectors: how well they go together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub second_projector: Option<ApartRecord>,
     /// Of a head whose focus is driven, computed between settings: which, and what that leaves uncertain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<FocusRecord>,
+}
+
+/// How far apart two projectors see the same point, depth by the second minus depth by the first.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ApartRecord {
+    /// Standard uncertainty by the calibration alone, over the measuring volume.
+    pub apart_sigma_um: f64,
+    /// On plates that took no part: 95 % of the cells are nearer together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apart_um: Option<f64>,
+    /// Those plates by the second projector alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hold_out: Option<HoldOut>,
+}
+
+impl ApartRecord {
+    /// What the calibrations may leave between both, 95 %.
+    #[must_use]
+    pub fn allowed_um(&self) -> f64 {
+        let seen_um = self.apart_um.unwrap_or(0.0);
+        seen_um.max(COVERAGE_95 * self.apart_sigma_um)
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        let of = [
+            ("apart_sigma_um", Some(self.apart_sigma_um)),
+            ("apart_um", self.apart_um),
+        ];
+        for (name, um) in of {
+            if um.is_some_and(|um| !(0.0..=1000.0).contains(&um)) {
+                let key = format!("calibration.second_projector.{name}");
+                return Err(BadValue::new(key, um, "must be 0 to 1000 um"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// At which focus a head is one that was computed between calibrated settings. Its parts of the uncertainty are root mean squares
@@ -184,6 +225,16 @@ impl CalibrationRecord {
                 self.expires.to_string(),
                 "must not lie before calibration.date",
             ));
+        }
+        if self.second_projector.is_some() != head.second_projector.is_some() {
+            return Err(BadValue::new(
+                "calibration.second_projector",
+                self.second_projector.is_some(),
+                "must be there with a [second_projector], and only with one: calibrate again, or remove [calibration]",
+            ));
+        }
+        if let Some(apart) = &self.second_projector {
+            apart.check()?;
         }
         if self.blake3 != geometry_blake3(head) {
             return Err(BadValue::new(

@@ -25,7 +25,9 @@ use flankscope_foundation::date::Date;
 use flankscope_foundation::seal::Seal;
 use flankscope_foundation::textfile::{self, BadValue};
 
-pub use calibration::{BoardRecord, CalibrationRecord, FocusRecord, HoldOut, RecordError};
+pub use calibration::{
+    ApartRecord, BoardRecord, CalibrationRecord, FocusRecord, HoldOut, RecordError,
+};
 pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};

@@ -20,7 +20,7 @@ use flankscope_frames::SharedRoot;
 /// The captures of plane and spheres, and what follows from it.
 #[derive(Debug)]
 pub struct FitnessSurvey {
-    surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
+    surveyor: Surveyor<Result<Vec<Vec<CellColumn>>, DecodeError>>,
     head: HeadModel,
     target: Target,
 }
@@ -48,7 +48,7 @@ impl FitnessSurvey {
         let at = |artefact: StagePose| places.iter().map(move |&place| artefact.beside(place));
         let at: Vec<StagePose> = artefacts.into_iter().flat_map(at).collect();
         let options = DecodeOptions::for_head(&head);
-        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns_of_each(sums);
         Ok(Self {
             surveyor: Surveyor::open(&head, options, &target, &at, (station, root), to_cells)?,
             head,
@@ -68,7 +68,7 @@ impl FitnessSurvey {
         watch: impl FnMut(Progress),
     ) -> Result<SelfTest, CalibrationError> {
         let captured = self.surveyor.survey(port, settings, watch)?.into_iter();
-        let captured: Vec<Vec<CellColumn>> = captured.collect::<Result<_, _>>()?;
+        let captured: Vec<Vec<Vec<CellColumn>>> = captured.collect::<Result<_, _>>()?;
         let (planes, spheres) = captured.split_at(captured.len() / 2);
         let test = SelfTest::of(&self.head, &self.target, planes, spheres, date);
         Ok(test?)

@@ -83,9 +83,9 @@ impl CaptureFolder {
                 },
                 kept_aside: view.kept_aside,
             };
-            Ok((place, columns(&view.folder)?))
+            Ok((place, vec![columns(&view.folder)?]))
         });
-        Calibrated::of_views(&self.start, &self.target, &self.stages, &blank, views)
+        Calibrated::of_views(&self.start, &self.target, &self.stages, &[blank], views)
     }
 
     /// Plane and sphere measured with a head calibrated by these captures; `None` without a sphere in them.
@@ -101,10 +101,11 @@ impl CaptureFolder {
             return Ok(None);
         }
         let decoder = self.decoder(head, DecodeOptions::for_head(head))?;
-        let plane = self.columns(&decoder, &self.captures.blank)?;
-        let spheres = self.captures.sphere.iter();
-        let spheres = spheres.map(|folder| self.columns(&decoder, folder));
-        let spheres: Vec<Vec<CellColumn>> = spheres.collect::<Result<_, _>>()?;
+        let by_each = |folder: &Path| Ok(vec![self.columns(&decoder, folder)?]);
+        let plane = by_each(&self.captures.blank)?;
+        let spheres = self.captures.sphere.iter().map(|folder| by_each(folder));
+        let spheres: Vec<Vec<Vec<CellColumn>>> =
+            spheres.collect::<Result<_, CalibrationError>>()?;
         let test = SelfTest::of(head, &self.target, &[plane], &spheres, date);
         Ok(Some(test?))
     }

@@ -13,7 +13,7 @@ use flankscope_profilometry::calibrate::{
 use flankscope_profilometry::cloud::CellColumn;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::CoreMap;
-use flankscope_profilometry::head::{CalibrationRecord, HoldOut};
+use flankscope_profilometry::head::{ApartRecord, CalibrationRecord, HoldOut};
 use flankscope_profilometry::io::images::ImageError;
 use flankscope_profilometry::{
     Accumulator, DecodeError, DecodeOptions, Decoder, FrameError, HeadModel,
@@ -138,9 +138,10 @@ impl CoreSearch {
 
 /// How a view is summed to show the cores.
 pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
-    // Cores lie up to the bundle's rim, wherever the drawing puts it.
+    // Cores lie up to the bundle's rim, wherever the drawing puts it, and shine in anybody's light.
     let head = HeadModel {
         image_circle: None,
+        second_projector: None,
         ..start.clone()
     };
     let options = DecodeOptions {
@@ -154,7 +155,7 @@ pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
 /// The capture of all plates, and the head that follows from it.
 #[derive(Debug)]
 pub struct PlateSurvey {
-    surveyor: Surveyor<Result<Vec<CellColumn>, DecodeError>>,
+    surveyor: Surveyor<Result<Vec<Vec<CellColumn>>, DecodeError>>,
     start: HeadModel,
     target: Target,
     views: Vec<PlateView>,
@@ -179,7 +180,7 @@ impl PlateSurvey {
             .chain(views.iter().map(|view| view.at))
             .collect();
         let options = DecodeOptions::for_head(&start);
-        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns(sums);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns_of_each(sums);
         Ok(Self {
             surveyor: Surveyor::open(&start, options, &target, &at, (station, root), to_cells)?,
             stages: station.stages.clone(),
@@ -238,20 +239,23 @@ pub struct Calibrated {
     pub hold_out: [Option<HoldOut>; 2],
     /// Name of the target.
     pub target: String,
+    /// How well two projectors go together.
+    pub apart: Option<ApartRecord>,
     /// What was seen in each view.
     pub views: Vec<ViewReport>,
 }
 
 impl Calibrated {
-    /// Adjusts a head to views of printed plates. `blank` shows how much light each cell gets.
+    /// Adjusts a head to views of printed plates, each by every projector. `blank` shows how much light each cell gets.
     pub(super) fn of_views(
         start: &HeadModel,
         target: &Target,
         stages: &Stages,
-        blank: &[CellColumn],
-        views: impl Iterator<Item = Result<(PlateView, Vec<CellColumn>), CalibrationError>>,
+        blank: &[Vec<CellColumn>],
+        views: impl Iterator<Item = Result<(PlateView, Vec<Vec<CellColumn>>), CalibrationError>>,
     ) -> Result<Self, CalibrationError> {
-        let flat_e: Vec<f64> = blank.iter().map(|cell| cell.mean_e).collect();
+        let flat = |cells: &Vec<CellColumn>| cells.iter().map(|cell| cell.mean_e).collect();
+        let flat_e: Vec<Vec<f64>> = blank.iter().map(flat).collect();
         let (mut sightings, mut kept_aside, mut reports) = (Vec::new(), Vec::new(), Vec::new());
         for (number, view) in views.enumerate() {
             let (view, cells) = view?;
@@ -272,9 +276,14 @@ impl Calibrated {
         }
         let stage_sigma = [stages.rotation_sigma_rad(), stages.vertical_sigma_mm()];
         let adjusted = adjust(start, target, &sightings, stage_sigma)?;
+        let by_first: Vec<_> = kept_aside
+            .iter()
+            .filter_map(|(sighting, cells)| Some((sighting.clone(), cells.first()?.clone())))
+            .collect();
         Ok(Self {
             hold_out: [&adjusted.head, &adjusted.without_field]
-                .map(|head| hold_out(head, target, &kept_aside)),
+                .map(|head| hold_out(head, target, &by_first)),
+            apart: ApartRecord::of(&adjusted, target, &kept_aside),
             adjusted,
             target: target.name.clone(),
             views: reports,
@@ -309,6 +318,7 @@ impl Calibrated {
                     head,
                     &self.target,
                     self.hold_out,
+                    self.apart,
                     date,
                     valid_days,
                 )
