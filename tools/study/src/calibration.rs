@@ -26,6 +26,9 @@ const STAGE_SIGMA: [f64; 2] = [
 /// demands.
 const PATTERNS: &str = "insitu12";
 
+/// Views by which two projectors are compared.
+const APART_VIEWS: usize = 4;
+
 /// Heads that are tried in place of one whose calibration is refused.
 const ATTEMPTS: u64 = 8;
 
@@ -131,11 +134,15 @@ impl Rig {
         let blank = by_core.columns_of_each(&sums(&by_core, blank)?)?;
         let flat = |cells: &Vec<CellColumn>| cells.iter().map(|cell| cell.mean_e).collect();
         let flat: Vec<Vec<f64>> = blank.iter().map(flat).collect();
-        let mut sightings = Vec::new();
+        let (mut sightings, mut seen) = (Vec::new(), Vec::new());
         for (number, view) in views.iter().enumerate() {
             let Some(plate) = view.plate else { continue };
             let lit = by_core.columns_of_each(&sums(&by_core, view)?)?;
             let sighting = Sighting::new(number, plate, view.told, &lit, &flat, &target, &start)?;
+            // No plate is kept aside here; tens of thousands of cells are not what some dozen unknowns were fitted to.
+            if seen.len() < APART_VIEWS {
+                seen.push((sighting.clone(), lit));
+            }
             sightings.push(sighting);
         }
         let adjusted = adjust(&start, &target, &sightings, STAGE_SIGMA)?;
@@ -146,7 +153,7 @@ impl Rig {
             &head,
             &target.name,
             [None, None],
-            ApartRecord::of(&adjusted, &target, &[]),
+            ApartRecord::of(&adjusted, &target, &seen),
             day,
             90,
         ));

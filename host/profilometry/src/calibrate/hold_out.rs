@@ -41,7 +41,7 @@ pub fn hold_out(
 }
 
 impl ApartRecord {
-    /// How well the two projectors of an adjusted head go together; none of a head with one. Each view kept aside is seen by both.
+    /// How well the two projectors of an adjusted head go together, by views that both see; none of a head with one, or without views.
     #[must_use]
     pub fn of(
         adjusted: &Adjusted,
@@ -67,7 +67,7 @@ impl ApartRecord {
             .collect();
         Some(Self {
             apart_sigma_um: 1e3 * adjusted.apart_sigma_mm?,
-            apart_um: quantile(&mut seen_um, 0.95),
+            apart_um: quantile(&mut seen_um, 0.95)?,
             hold_out: hold_out(&second, target, &by_second),
         })
     }

@@ -66,9 +66,8 @@ pub struct CalibrationRecord {
 pub struct ApartRecord {
     /// Standard uncertainty by the calibration alone, over the measuring volume.
     pub apart_sigma_um: f64,
-    /// On plates that took no part: 95 % of the cells are nearer together.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub apart_um: Option<f64>,
+    /// On plates that took no part: 95 % of the cells are nearer together. What lenses and bundles do beyond the model is in it.
+    pub apart_um: f64,
     /// Those plates by the second projector alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
@@ -78,17 +77,16 @@ impl ApartRecord {
     /// What the calibrations may leave between both, 95 %.
     #[must_use]
     pub fn allowed_um(&self) -> f64 {
-        let seen_um = self.apart_um.unwrap_or(0.0);
-        seen_um.max(COVERAGE_95 * self.apart_sigma_um)
+        self.apart_um.max(COVERAGE_95 * self.apart_sigma_um)
     }
 
     fn check(&self) -> Result<(), BadValue> {
         let of = [
-            ("apart_sigma_um", Some(self.apart_sigma_um)),
+            ("apart_sigma_um", self.apart_sigma_um),
             ("apart_um", self.apart_um),
         ];
         for (name, um) in of {
-            if um.is_some_and(|um| !(0.0..=1000.0).contains(&um)) {
+            if !(0.0..=1000.0).contains(&um) {
                 let key = format!("calibration.second_projector.{name}");
                 return Err(BadValue::new(key, um, "must be 0 to 1000 um"));
             }
