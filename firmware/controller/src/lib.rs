@@ -30,6 +30,7 @@ pub mod devices;
 #[cfg(test)]
 mod diagrams;
 pub mod dlpc350;
+pub mod dlpc900;
 pub mod interlock;
 pub mod lamp;
 pub mod lamps;

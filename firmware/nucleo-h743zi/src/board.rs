@@ -16,7 +16,10 @@ use embassy_stm32::{Config, bind_interrupts, dma, interrupt, rcc};
 use embassy_time::Duration;
 use embedded_io_async::{ErrorType, Read, Write};
 use flankscope_controller::devices::{CurrentSetting, PinCamera, PinDmd, PinLed};
-use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Settings};
+#[cfg(not(feature = "dlp5500"))]
+use flankscope_controller::dlpc350::{BitDepth, Dlpc350 as DmdController, Settings};
+#[cfg(feature = "dlp5500")]
+use flankscope_controller::dlpc900::{Dlpc900 as DmdController, Mirrors, Settings};
 use flankscope_controller::max14574::Max14574;
 use flankscope_controller::press::PinPress;
 use flankscope_controller::stage::StagePort;
@@ -64,7 +67,10 @@ const LENS_OUTPUTS: u8 = 0b0011;
 
 /// The patterns in a DMD controller's flash. One stands for as long as any camera exposure, and as long again.
 const PATTERNS: Settings = Settings {
+    #[cfg(not(feature = "dlp5500"))]
     depth: BitDepth::Eight,
+    #[cfg(feature = "dlp5500")]
+    mirrors: Mirrors::Dlp5500,
     exposure: Microseconds(2 * Limits::DEFAULT.exposure_max.get()),
     patterns: Limits::DEFAULT.patterns_max,
 };
@@ -83,7 +89,7 @@ pub type BoardOptics = Optics<
 >;
 type Bus = I2c<'static, Async, Master>;
 /// The DMD controller.
-type PatternBus = Dlpc350<Bus>;
+type PatternBus = DmdController<Bus>;
 
 /// The press's signals.
 pub type BoardPress = PinPress<In, Out>;
@@ -125,7 +131,7 @@ impl Board {
             dmd: PinDmd {
                 trigger: Output::new(p.PE9, Level::Low, Speed::Low),
                 ready: ExtiInput::new(p.PE11, p.EXTI11, Pull::Down, Irqs),
-                port: Dlpc350::new(second_patterns, PATTERNS),
+                port: DmdController::new(second_patterns, PATTERNS),
             },
         };
         let lens = I2c::new(p.I2C2, p.PB10, p.PB11, p.DMA1_CH2, p.DMA1_CH3, Irqs, bus);
@@ -139,7 +145,7 @@ impl Board {
                 dmd: PinDmd {
                     trigger: Output::new(p.PE6, Level::Low, Speed::Low),
                     ready: ExtiInput::new(p.PE4, p.EXTI4, Pull::Down, Irqs),
-                    port: Dlpc350::new(patterns, PATTERNS),
+                    port: DmdController::new(patterns, PATTERNS),
                 },
             },
             second: fitted.then_some(second),

@@ -26,6 +26,8 @@ enum Stored {
     Grey,
     /// Three patterns to a 24 bit BMP, as the flash of a DLPC350 takes them
     Dlpc350,
+    /// A grey 24 bit BMP for each pattern behind a black one, as the flash of a DLPC900 takes them
+    Dlpc900,
 }
 
 impl From<Stored> for Packing {
@@ -33,6 +35,7 @@ impl From<Stored> for Packing {
         match stored {
             Stored::Grey => Self::Grey,
             Stored::Dlpc350 => Self::Dlpc350,
+            Stored::Dlpc900 => Self::Dlpc900,
         }
     }
 }

@@ -26,21 +26,37 @@ const PACKAGES: &str = "rustc-web cargo-web rust-web-src lld";
 /// An image: its folder below `firmware`, which is also its name behind `flankscope-`.
 struct Board {
     folder: &'static str,
-    /// Also built so that the bench can make it go wrong.
-    fault_injection: bool,
+    /// Its other image.
+    also: Variant,
     /// Its hardware library has panicking paths of its own: where `core` is compiled anyway, they become traps.
     traps: bool,
+}
+
+/// An image with a feature, kept under a name of its own.
+struct Variant {
+    feature: &'static str,
+    name: &'static str,
+    /// It goes onto boards, so the budgets are its own, too; else it is made to go wrong.
+    flashed: bool,
 }
 
 const BOARDS: [Board; 2] = [
     Board {
         folder: "mps2-an386",
-        fault_injection: true,
+        also: Variant {
+            feature: "fault-injection",
+            name: FAULT_INJECTION_IMAGE,
+            flashed: false,
+        },
         traps: false,
     },
     Board {
         folder: "nucleo-h743zi",
-        fault_injection: false,
+        also: Variant {
+            feature: "dlp5500",
+            name: "flankscope-nucleo-h743zi-dlp5500",
+            flashed: true,
+        },
         traps: true,
     },
 ];
@@ -57,14 +73,20 @@ pub fn build(root: &Path) -> Result<(), String> {
     let toolchain = toolchain()?;
     let mut broken = Vec::new();
     for board in &BOARDS {
-        if board.fault_injection {
-            let path = compile(root, board, &toolchain, &["--features", "fault-injection"])?;
-            let kept = path.with_file_name(FAULT_INJECTION_IMAGE);
-            std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+        let strict = !board.traps || matches!(toolchain, Toolchain::Debian);
+        let Variant {
+            feature,
+            name,
+            flashed,
+        } = board.also;
+        let path = compile(root, board, &toolchain, &["--features", feature])?;
+        let kept = path.with_file_name(name);
+        std::fs::copy(&path, &kept).map_err(|error| format!("{}: {error}", kept.display()))?;
+        if flashed {
+            broken.extend(judge(name, &kept, strict)?);
         }
         let path = compile(root, board, &toolchain, &[])?;
-        let strict = !board.traps || matches!(toolchain, Toolchain::Debian);
-        broken.extend(judge(board, &path, strict)?);
+        broken.extend(judge(board.folder, &path, strict)?);
     }
     if broken.is_empty() {
         Ok(())
@@ -301,7 +323,7 @@ fn static_ram(image: &Image) -> u32 {
 }
 
 /// Prints an image's figures and returns the budgets that it breaks.
-fn judge(board: &Board, path: &Path, strict: bool) -> Result<Vec<String>, String> {
+fn judge(name: &str, path: &Path, strict: bool) -> Result<Vec<String>, String> {
     let image = read(path)?;
     let flash: u32 = image
         .sections
@@ -310,7 +332,7 @@ fn judge(board: &Board, path: &Path, strict: bool) -> Result<Vec<String>, String
         .map(|section| section.size)
         .sum();
     let ram = static_ram(&image);
-    println!("{}:", board.folder);
+    println!("{name}:");
     println!("  flash        {flash:>6} of {FLASH_BUDGET} bytes");
     println!(
         "  static RAM   {ram:>6} of {STATIC_RAM_BUDGET} bytes (stack: cargo xtask qemu measures it)"
@@ -318,24 +340,18 @@ fn judge(board: &Board, path: &Path, strict: bool) -> Result<Vec<String>, String
     let mut broken = Vec::new();
     if flash > FLASH_BUDGET {
         broken.push(format!(
-            "{}: {flash} bytes of flash, {FLASH_BUDGET} allowed",
-            board.folder
+            "{name}: {flash} bytes of flash, {FLASH_BUDGET} allowed"
         ));
     }
     if ram > STATIC_RAM_BUDGET {
         broken.push(format!(
-            "{}: {ram} bytes of static RAM, {STATIC_RAM_BUDGET} allowed",
-            board.folder
+            "{name}: {ram} bytes of static RAM, {STATIC_RAM_BUDGET} allowed"
         ));
     }
     let panicking = panicking(&image);
     match (panicking.is_empty(), strict) {
         (true, _) => println!("  no panicking path, no formatting machinery"),
-        (false, true) => broken.push(format!(
-            "{}: panicking paths: {}",
-            board.folder,
-            panicking.join(", ")
-        )),
+        (false, true) => broken.push(format!("{name}: panicking paths: {}", panicking.join(", "))),
         (false, false) => println!(
             "  {} panicking paths of its hardware library; Debian's toolchain turns them into traps",
             panicking.len()

@@ -33,6 +33,8 @@ pub enum Packing {
     Grey,
     /// Three patterns in the channels of a 24 bit BMP, as a DLPC350's flash takes them.
     Dlpc350,
+    /// A grey BMP of 24 bit for each pattern, behind a black one: image n of a DLPC900's flash is pattern n.
+    Dlpc900,
 }
 
 impl Packing {
@@ -234,12 +236,19 @@ fn write_lit(
         mirrors,
         packing,
         bend: set.bend.clone(),
-        led: "driven by the controller board, not by the DMD's: LED select 0 (none) in the table of a DLPC350",
-        black: "needs no picture: a DLPC350 shows its white fill (pattern 24 at 1 bit), inverted",
+        led: "driven by the controller board, not by the DMD's: LED select 0 (none) in the table of a DLPC350 or DLPC900",
+        black: match packing {
+            Packing::Dlpc900 => "image 0",
+            _ => "needs no picture: a DLPC350 shows its white fill (pattern 24 at 1 bit), inverted",
+        },
         patterns: Vec::new(),
         files: Vec::new(),
     };
     let mut pictures: Vec<Vec<Vec<u8>>> = Vec::new();
+    if packing == Packing::Dlpc900 {
+        let mirrors = mirrors.columns as usize * mirrors.rows as usize;
+        pictures.push(vec![vec![0; mirrors]]);
+    }
     for (number, shows) in (1_u16..).zip(set.pictures()) {
         let mut shown = brightness(set, shows, mirrors);
         light(&mut shown);
@@ -252,6 +261,7 @@ fn write_lit(
                 };
                 (image, plane as u8, bits)
             }
+            (Packing::Dlpc900, _) => (number, 0, "7..0"),
             _ => (number - 1, 0, "7..0"),
         };
         match pictures.get_mut(usize::from(image)) {
@@ -272,6 +282,7 @@ fn write_lit(
         let content = match packing {
             Packing::Grey => grey_png(&planes[0], mirrors)?,
             Packing::Dlpc350 => bmp(planes, mirrors),
+            Packing::Dlpc900 => bmp(&vec![planes[0].clone(); 3], mirrors),
         };
         let file = file_name(packing, image);
         let path = folder.join(&file);
@@ -289,7 +300,7 @@ fn write_lit(
 fn file_name(packing: Packing, image: u16) -> String {
     match packing {
         Packing::Grey => format!("pattern-{:02}.png", image + 1),
-        Packing::Dlpc350 => format!("image-{image:02}.bmp"),
+        Packing::Dlpc350 | Packing::Dlpc900 => format!("image-{image:02}.bmp"),
     }
 }
 
@@ -459,6 +470,25 @@ mod tests {
             .map(|p| p.pattern_in_image)
             .collect();
         assert_eq!(order, [0, 1, 2, 0, 1, 2, 0, 1]);
+        // Of a DLPC900 image n is pattern n, grey in every channel, and image 0 is black.
+        let stored = write(folder.path(), &set, XGA, Packing::Dlpc900).unwrap();
+        assert_eq!((stored.files.len(), stored.black), (9, "image 0"));
+        for number in 0..9_u16 {
+            let path = folder.path().join(format!("image-{number:02}.bmp"));
+            let content = std::fs::read(path).unwrap();
+            let pixels = &content[54..];
+            assert_eq!(pixels.len(), 3 * 1024 * 768);
+            let shown = number.checked_sub(1).map(|index| {
+                let picture = fringe_picture(usize::from(index / 4), u32::from(index % 4));
+                assert_eq!(stored.patterns[usize::from(index)].image, number);
+                brightness(&set, picture, XGA)
+            });
+            for (row, column) in [(0, 0), (0, 1023), (767, 5), (400, 300)] {
+                let at = 3 * ((767 - row) * 1024 + column);
+                let level = shown.as_ref().map_or(0, |shown| shown[row * 1024 + column]);
+                assert_eq!(pixels[at..at + 3], [level; 3], "{number}");
+            }
+        }
         let grey = write(folder.path(), &set, XGA, Packing::Grey).unwrap();
         let path = folder.path().join(&grey.patterns[7].file);
         let decoder =
