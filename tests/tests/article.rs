@@ -196,8 +196,30 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         exact_um("positions")
     );
 
+    // The first view starts at its own tooth: half a pitch off at most, and as far as the die stands off the axis.
+    let initial = &made.json["initial_transformation"];
+    let first: Vec<[f64; 3]> = points(initial["view"].as_u64().unwrap() as usize)
+        .iter()
+        .map(|(p, _)| moved(&pose(&initial["tool_from_camera"]), *p))
+        .collect();
+    let half_pitch_mm = 0.5 * TAU / 84.0 * demo_gear().root_radius_mm;
+    let (start, end) = (centre(&first), centre(&laid("paper", 0)));
+    let apart_mm = (0..3)
+        .map(|k| (start[k] - end[k]).powi(2))
+        .sum::<f64>()
+        .sqrt();
+    assert!(
+        apart_mm > 0.0 && apart_mm < half_pitch_mm + 0.5,
+        "{apart_mm}"
+    );
+
     let page = std::fs::read_to_string(folder.path().join("report/article.html")).unwrap();
     assert!(page.contains("SIMULATED BENCH") && page.matches("<svg").count() >= 15);
+    // Cameras, the initial transformation, three of the CAD, two of the cloud, each another one.
+    let pictures = page.split("src=\"data:image/png").skip(1);
+    let pictures: std::collections::BTreeSet<&str> =
+        pictures.filter_map(|rest| rest.split('"').next()).collect();
+    assert_eq!(pictures.len(), 7);
 
     // Somebody picks pairs from the first view, to a fifth of a millimetre.
     let first = folder.path().join("report/first-view.ply");

@@ -4,6 +4,7 @@ use askama::Template;
 
 use super::colour;
 use super::plot::{Axes, Scale, Series, binned};
+use super::scenes::Scenes;
 use super::{Fact, chart};
 use crate::scan::{
     Alignment, Article, DrawingSteps, Left, MethodResult, Overlay, Sections, Spread,
@@ -35,6 +36,7 @@ struct Page<'a> {
     alignments: Vec<Map<'a>>,
     map_bar: String,
     serial: Option<String>,
+    scenes: Option<Scenes>,
     overlays: Vec<String>,
     rms: String,
     iterations: String,
@@ -135,6 +137,10 @@ pub fn article_html(article: &Article) -> Result<String, askama::Error> {
             .collect(),
         map_bar: chart::amount_bar(MAP_UM, "mean distance to the nearest reference point / µm"),
         serial: (!article.serial.is_empty()).then(|| serial(article)),
+        scenes: article
+            .in_space
+            .as_ref()
+            .map(|space| Scenes::of(space, MAP_UM)),
         overlays: article.overlays.iter().map(overlay).collect(),
         rms: rms(article, map("paper")),
         iterations: iterations(article),

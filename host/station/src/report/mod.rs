@@ -11,6 +11,8 @@ mod plot;
 mod ring;
 mod scan;
 mod scan_files;
+mod scenes;
+mod space;
 mod svg;
 mod tables;
 mod trend_chart;

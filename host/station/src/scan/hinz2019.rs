@@ -24,6 +24,7 @@ use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
 use serde::Serialize;
 
+use super::article::InitialTransformation;
 use super::job::ScanError;
 use super::session::Session;
 use super::view::{Kept, coordinates, place};
@@ -153,6 +154,8 @@ pub(super) struct Hinz2019View {
 pub(super) struct Hinz2019Stitched {
     /// Views that took part.
     pub views: Vec<Hinz2019View>,
+    /// Where the first of them started from.
+    pub initial: Option<InitialTransformation>,
     /// Views that did not settle on the CAD.
     pub refused: Vec<(usize, Reason)>,
     /// Exact distances of the laid points: what the stitching alone makes of the form.
@@ -179,7 +182,7 @@ pub(super) fn stitch(
     // Height of a view's centre of mass above its place on the vertical stage.
     let mut centre_above_mm = None;
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
-    let mut one_view = None;
+    let (mut one_view, mut initial) = (None, None);
     for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
         let points = session.points(view)?.points;
         let seed = settings.seed_of(view);
@@ -221,6 +224,7 @@ pub(super) fn stitch(
             continue;
         };
         one_view.get_or_insert(distances);
+        initial.get_or_insert(InitialTransformation::new(view, start.isometry()));
         let sigma: Vec<f32> = drawn.iter().map(|p| p[3]).collect();
         let closest = tool.surface.closest_many(&laid);
         map.add_view(&cell_observations(&map.layout(), &closest, &sigma), |_| 0.0);
@@ -236,6 +240,7 @@ pub(super) fn stitch(
     let merged = voxel_centroids(&cloud, settings.voxel_mm)?;
     Ok(Hinz2019Stitched {
         views,
+        initial,
         refused,
         map,
         one_view,

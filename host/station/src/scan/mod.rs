@@ -60,8 +60,9 @@ mod view;
 mod view_pipeline;
 
 pub use article::{
-    Alignment, Article, DrawingSteps, FinishedScan, FinishedScanError, FirstView, Left,
-    MaskPicture, Merging, Overlay, Sections, SectionsError, SerialLayer,
+    Alignment, Article, DrawingSteps, FinishedScan, FinishedScanError, FirstView, InSpace,
+    InitialTransformation, Left, MaskPicture, Merging, Overlay, Sections, SectionsError,
+    SerialLayer,
 };
 pub use clouds::{
     CloudIndex, CloudRecording, CloudScan, CloudsError, IndexedCloud, SaveCloudsError,

@@ -44,14 +44,14 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Lays the drawn points of every view by its pose.
+    /// Lays the drawn points of every view by its pose. Returns them too, mm.
     pub(super) fn of(
         name: &'static str,
         views: &BTreeMap<usize, Drawn>,
         poses: &BTreeMap<usize, Isometry3<f64>>,
         planned: usize,
         by: &Yardstick<'_>,
-    ) -> Self {
+    ) -> (Self, Vec<[f64; 3]>) {
         let mut rms_um = vec![None; planned];
         let mut tool_from_camera = vec![None; planned];
         let (mut points, mut exact_mm, mut nearest_mm) = (Vec::new(), Vec::new(), Vec::new());
@@ -70,7 +70,7 @@ impl Alignment {
             points.extend(laid);
         }
         let nearest_um: Vec<f64> = nearest_mm.iter().map(|mm| mm * 1e3).collect();
-        Self {
+        let alignment = Self {
             name,
             views: rms_um.iter().flatten().count(),
             exact: statistics(&exact_mm).map(Spread::from),
@@ -79,7 +79,8 @@ impl Alignment {
             tool_from_camera,
             map_um: means(&by.layout, &points, &nearest_um),
             nearest_um,
-        }
+        };
+        (alignment, points)
     }
 }
 

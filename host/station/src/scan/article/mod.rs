@@ -14,6 +14,7 @@
 //! | `threshold` | the mask and its threshold (figure 14) |
 //! | `sections` | counts across the fringes, from recorded frames (figures 11 to 13) |
 //! | `overlay` | measured points on the article's reference points (figures 16, 17) |
+//! | `space` | toothing, cameras, the initial transformation, the final cloud (figures 5, 10, 15, 18) |
 //! | `merging` | one point per voxel, chosen in several ways (figure 9, section 10) |
 
 mod alignment;
@@ -22,6 +23,7 @@ mod merging;
 mod overlay;
 mod sections;
 mod serial;
+mod space;
 mod threshold;
 
 use std::collections::BTreeMap;
@@ -41,6 +43,7 @@ pub use merging::Merging;
 pub use overlay::Overlay;
 pub use sections::{Sections, SectionsError};
 pub use serial::SerialLayer;
+pub use space::{InSpace, InitialTransformation};
 pub use threshold::{Left, MaskPicture};
 
 use super::comparison::{self, MethodResult};
@@ -113,6 +116,8 @@ pub struct Article {
     pub steps: Vec<DrawingSteps>,
     /// What thresholds of the mask leave.
     pub threshold: Vec<Left>,
+    /// Where the article's method laid its first view before registering it (figure 10).
+    pub initial_transformation: Option<InitialTransformation>,
     /// The views by positions alone, one on the other, the article's way, ours.
     pub alignments: Vec<Alignment>,
     /// One view laid on the one before, layer by layer; empty where views of a layer do not overlap.
@@ -136,6 +141,9 @@ pub struct Article {
     /// Measured points on reference points.
     #[serde(skip)]
     pub overlays: Vec<Overlay>,
+    /// What the pictures in space show.
+    #[serde(skip)]
+    pub in_space: Option<InSpace>,
     /// Distances of the first view's points to the nearest reference point of its window, µm.
     #[serde(skip)]
     pub one_view_um: Vec<f64>,
@@ -300,16 +308,24 @@ impl FinishedScan {
             order: settings.order,
             layout,
         };
-        let alignments = [
+        let (mut alignments, mut in_space) = (Vec::new(), None);
+        for (name, poses) in [
             ("positions", &by_positions),
             ("serial", &serial.poses),
             ("paper", &paper_poses),
             ("surface", &joint_poses),
-        ]
-        .into_iter()
-        .filter(|(_, poses)| !poses.is_empty())
-        .map(|(name, poses)| Alignment::of(name, &views, poses, planned.len(), &by))
-        .collect();
+        ] {
+            if poses.is_empty() {
+                continue;
+            }
+            let (of, points) = Alignment::of(name, &views, poses, planned.len(), &by);
+            if let ("paper", Some(initial)) = (name, &paper.initial) {
+                let cloud = points.into_iter().zip(of.nearest_um.iter().copied());
+                let (mesh, options) = (&tool.mesh, &settings.registration);
+                in_space = InSpace::of(mesh, &views, poses, initial, options, cloud.collect());
+            }
+            alignments.push(of);
+        }
         lap("alignments");
         let mut merging = Vec::new();
         for (name, poses) in [("paper", &paper_poses), ("surface", &joint_poses)] {
@@ -334,6 +350,7 @@ impl FinishedScan {
             methods: vec![ours, theirs],
             steps,
             threshold,
+            initial_transformation: paper.initial,
             alignments,
             serial: serial.layers,
             serial_refused,
@@ -343,6 +360,7 @@ impl FinishedScan {
             first_view,
             mask,
             overlays,
+            in_space,
             one_view_um,
             layout,
             grid: [self.grid.around, self.grid.layers],
