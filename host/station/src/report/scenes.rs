@@ -13,6 +13,8 @@ const SMALL_PX: [usize; 2] = [380, 400];
 /// Wanted is a look down into the bore, and along the flanks of a window.
 const INTO_BORE_RAD: f64 = 0.62;
 const ONTO_WINDOW_RAD: f64 = 0.35;
+/// Half of what is shown of edges and corners, mm.
+const CLOSE_MM: f64 = 1.5;
 /// Length of the axes of a frame, mm.
 const AXIS_MM: f64 = 10.0;
 /// A picture of so many colours keeps a small palette.
@@ -113,13 +115,15 @@ fn initial(space: &InSpace, azimuth_rad: f64) -> String {
 fn stored(space: &InSpace) -> [String; 3] {
     let [cx, cy, _] = space.window_centre_mm;
     let window = &space.window;
-    let canvas = || {
-        let direction = [cy.atan2(cx) + PI + ONTO_WINDOW_RAD, ONTO_WINDOW_RAD];
-        Canvas::fitting(window.vertices.iter().copied(), SMALL_PX, direction)
-    };
+    let direction = [cy.atan2(cx) + PI + ONTO_WINDOW_RAD, ONTO_WINDOW_RAD];
+    let canvas = || Canvas::fitting(window.vertices.iter().copied(), SMALL_PX, direction);
+    // Faces of a die are as long as it is high, and corners lie at their ends: a tooth at the window's upper end.
+    let top_mm = window.vertices.iter().map(|p| p[2]).fold(0.0, f64::max);
+    let about = [-1.0, 1.0].map(|way| [cx, cy, top_mm - CLOSE_MM].map(|at| at + way * CLOSE_MM));
+    let close = Canvas::fitting(about.into_iter(), SMALL_PX, direction);
     let mut faces = canvas();
     draw_faces(&mut faces, window);
-    let mut edges = canvas();
+    let mut edges = close;
     draw_faces(&mut edges, window);
     for index in 0..window.triangles.len() {
         let [a, b, c] = window.corners(index);
