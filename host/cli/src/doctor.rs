@@ -38,6 +38,10 @@ pub struct Args {
     /// History that checks are stored in [default: the station's]
     #[arg(long, value_name = "FILE")]
     history: Option<PathBuf>,
+    /// Acknowledge the fault that the controller stands in, once its cause is gone: the press may then stroke again, and the next
+    /// check may move the stages
+    #[arg(long)]
+    acknowledge_fault: bool,
     #[command(flatten)]
     place: Place,
     #[command(flatten)]
@@ -221,6 +225,7 @@ impl Args {
             &instrument.port,
             instrument.settings,
             &site.settings.stages.config(),
+            self.acknowledge_fault,
         )
         .to_vec();
         findings.push(camera(&mut instrument.station, site));

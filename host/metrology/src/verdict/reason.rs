@@ -101,7 +101,7 @@ codes! {
     /// The view was not captured.
     NotCaptured = "not_captured", "see why the capture ended early";
     /// The controller stopped.
-    ControllerFault = "controller_fault", "clear the cause, and acknowledge the fault";
+    ControllerFault = "controller_fault", "clear the cause, and acknowledge the fault (flankscope doctor --acknowledge-fault)";
     /// Events of the controller are missing.
     EventsLost = "events_lost", "check the link to the controller";
     /// The link to the controller broke.

@@ -63,7 +63,9 @@ pub enum AcquisitionError {
         named: StageName,
     },
     /// The controller waits for somebody.
-    #[error("the controller stands in {fault}; clear the cause and acknowledge it")]
+    #[error(
+        "the controller stands in {fault}; clear the cause and acknowledge it (flankscope doctor --acknowledge-fault)"
+    )]
     Faulted {
         /// Its fault.
         fault: FaultCode,

@@ -4,7 +4,8 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use flankscope_protocol::frame::Kind;
 use flankscope_protocol::{
@@ -16,6 +17,9 @@ use tokio::sync::mpsc;
 
 /// How long the reader waits for bytes before it looks whether the link was closed.
 const POLL: Duration = Duration::from_millis(20);
+
+/// How long a link that closes waits for its threads: ten polls.
+const LETTING_GO: Duration = Duration::from_millis(200);
 
 /// Why there is no link.
 #[derive(Debug, thiserror::Error)]
@@ -58,9 +62,12 @@ pub enum Incoming {
 /// An open port.
 #[derive(Debug)]
 pub struct Link {
-    outgoing: std::sync::mpsc::Sender<Vec<u8>>,
+    /// None once it closes: the writer then ends.
+    outgoing: Option<std::sync::mpsc::Sender<Vec<u8>>>,
     incoming: mpsc::UnboundedReceiver<Incoming>,
     open: Arc<AtomicBool>,
+    /// Writer and reader, each with its hold on the port.
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Link {
@@ -83,7 +90,7 @@ impl Link {
         let open = Arc::new(AtomicBool::new(true));
         let still_open = Arc::clone(&open);
         let gone = to_host.clone();
-        std::thread::spawn(move || {
+        let writing = std::thread::spawn(move || {
             while let Ok(frame) = to_write.recv() {
                 if let Err(error) = writer.write_all(&frame).and_then(|()| writer.flush()) {
                     let _ = gone.send(Incoming::Gone(error.to_string()));
@@ -91,7 +98,7 @@ impl Link {
                 }
             }
         });
-        std::thread::spawn(move || {
+        let reading = std::thread::spawn(move || {
             let mut decoder = Decoder::new();
             let mut bytes = [0_u8; 512];
             while still_open.load(Ordering::Relaxed) {
@@ -137,9 +144,10 @@ impl Link {
             }
         });
         Ok(Self {
-            outgoing,
+            outgoing: Some(outgoing),
             incoming,
             open,
+            threads: vec![writing, reading],
         })
     }
 
@@ -151,9 +159,13 @@ impl Link {
         let mut frame = vec![0; MAX_FRAME_BYTES];
         let length = encode(header, command, &mut frame)?;
         frame.truncate(length);
-        self.outgoing.send(frame).map_err(|_| LinkError::Gone {
-            reason: "the writer has ended".into(),
-        })
+        let sent = self.outgoing.as_ref().map(|writer| writer.send(frame));
+        match sent {
+            Some(Ok(())) => Ok(()),
+            _ => Err(LinkError::Gone {
+                reason: "the writer has ended".into(),
+            }),
+        }
     }
 
     /// The next thing that comes.
@@ -194,7 +206,14 @@ fn set(name: &str, line: Line) -> serialport::SerialPortBuilder {
 }
 
 impl Drop for Link {
+    /// The port is held by one at a time: whoever opens it next should find it free. A device that takes no more bytes may hold the
+    /// writer for ever, and must not hold the host.
     fn drop(&mut self) {
         self.open.store(false, Ordering::Relaxed);
+        self.outgoing = None;
+        let end = Instant::now() + LETTING_GO;
+        while !self.threads.iter().all(JoinHandle::is_finished) && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(1));
+        }
     }
 }

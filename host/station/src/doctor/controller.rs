@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use flankscope_protocol::message::Boot;
 use flankscope_protocol::{
-    FaultCode, Identity, Line, Micrometres, Microradians, PROTOCOL_VERSION, StageConfig, StageName,
-    State, Status,
+    Command, FaultCode, Identity, Line, Micrometres, Microradians, PROTOCOL_VERSION, StageConfig,
+    StageName, State, Status,
 };
 use serde_json::json;
 
@@ -18,20 +18,36 @@ const CHECK: &str = "controller";
 /// What the stages answered, rotation and vertical, or why they were not asked.
 type StageAnswers = Result<[Result<StageName, FaultCode>; 2], String>;
 
-/// Says hello, asks for the status and for what the stages are; nothing moves. The second finding is of the stages, the third of the press.
+/// What the controller said.
+struct Answer {
+    identity: Identity,
+    status: Status,
+    answer_ms: u128,
+    stages: StageAnswers,
+    /// The fault that it stood in until now.
+    acknowledged: Option<FaultCode>,
+}
+
+/// Says hello, asks for the status and for what the stages are, and acknowledges a fault if somebody wants that; nothing moves. The
+/// second finding is of the stages, the third of the press.
 #[must_use]
-pub fn controller(port: &Path, settings: ClientSettings, stage: &StageConfig) -> [Finding; 3] {
+pub fn controller(
+    port: &Path,
+    settings: ClientSettings,
+    stage: &StageConfig,
+    acknowledge_fault: bool,
+) -> [Finding; 3] {
     let unasked = |why: &str| {
         [
             Finding::not_asked("stages", why),
             Finding::not_asked("press", why),
         ]
     };
-    match ask(port, settings, stage) {
-        Ok((identity, status, answer_ms, answers)) => [
-            answered(&identity, &status, answer_ms),
-            stages(&status, &identity, stage, &answers),
-            press(&status),
+    match ask(port, settings, stage, acknowledge_fault) {
+        Ok(answer) => [
+            answered(&answer),
+            stages(&answer, stage),
+            press(&answer.status),
         ],
         Err(error) => {
             let [stages, press] = unasked("the controller does not answer");
@@ -48,7 +64,8 @@ fn ask(
     port: &Path,
     settings: ClientSettings,
     stage: &StageConfig,
-) -> Result<(Identity, Status, u128, StageAnswers), ClientError> {
+    acknowledge_fault: bool,
+) -> Result<Answer, ClientError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build();
@@ -59,15 +76,26 @@ fn ask(
         let begun = Instant::now();
         let mut client = Client::connect(port, settings).await?;
         let answer_ms = begun.elapsed().as_millis();
-        let status = client.status().await?;
+        let mut status = client.status().await?;
+        let acknowledged = status.fault.filter(|_| acknowledge_fault);
+        if acknowledged.is_some() {
+            client.order(&Command::AcknowledgeFault).await?;
+            status = client.status().await?;
+        }
         // As it is without a station: the limits are narrowed by whom they are told.
         let identity = *client.identity();
-        let answers = match asked(&mut client, stage).await {
+        let stages = match asked(&mut client, stage).await {
             Ok(answers) => Ok(answers),
             Err(ClientError::Refused(refusal)) => Err(refusal.to_string()),
             Err(error) => return Err(error),
         };
-        Ok((identity, status, answer_ms, answers))
+        Ok(Answer {
+            identity,
+            status,
+            answer_ms,
+            stages,
+            acknowledged,
+        })
     })
 }
 
@@ -99,7 +127,14 @@ fn remedy(error: &ClientError) -> String {
     }
 }
 
-fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
+fn answered(answer: &Answer) -> Finding {
+    let Answer {
+        identity,
+        status,
+        answer_ms,
+        acknowledged,
+        ..
+    } = answer;
     let [major, minor, patch] = identity.firmware;
     let boot = match identity.boot {
         Boot::PowerUp => "power-up",
@@ -112,7 +147,7 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
         "protocol": PROTOCOL_VERSION,
         "line": Line::HOST.to_string(),
         "baud": Line::HOST.baud,
-        "answer_ms": answer_ms as u64,
+        "answer_ms": *answer_ms as u64,
         "boot": boot,
         "lens": identity.lens,
         "projectors": identity.projectors,
@@ -128,11 +163,15 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
         "firmware {major}.{minor}.{patch}, protocol {PROTOCOL_VERSION}, {}, answered in {answer_ms} ms, started by {boot}{lens}{projectors}",
         Line::HOST
     );
+    let seen = match acknowledged {
+        Some(fault) => format!("{seen}; {fault} has been acknowledged"),
+        None => seen,
+    };
     let finding = match (status.fault, identity.boot) {
         (Some(fault), _) => Finding::failed(
             CHECK,
             format!("{seen}; {fault} is not acknowledged"),
-            "remove its cause; the next check acknowledges it",
+            "remove its cause, then flankscope doctor --acknowledge-fault",
         ),
         (None, Boot::Watchdog | Boot::Panic) => Finding::attention(
             CHECK,
@@ -145,12 +184,13 @@ fn answered(identity: &Identity, status: &Status, answer_ms: u128) -> Finding {
 }
 
 /// The stages as the station's file has them, and what they say they are.
-fn stages(
-    status: &Status,
-    identity: &Identity,
-    stage: &StageConfig,
-    answers: &StageAnswers,
-) -> Finding {
+fn stages(answer: &Answer, stage: &StageConfig) -> Finding {
+    let Answer {
+        identity,
+        status,
+        stages: answers,
+        ..
+    } = answer;
     let [rotation_deg, vertical_mm] = [
         f64::from(status.rotation.get()).to_degrees() / 1e6,
         f64::from(status.vertical.get()) / 1e3,
