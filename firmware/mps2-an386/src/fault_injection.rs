@@ -16,10 +16,9 @@ pub use ordered::{exposed, order};
 #[cfg(feature = "fault-injection")]
 mod ordered {
     use super::Task;
-    use core::future::poll_fn;
-    use core::pin::pin;
+    use core::pin::Pin;
     use core::sync::atomic::{AtomicU8, Ordering};
-    use core::task::Poll;
+    use core::task::{Context, Poll};
     use flankscope_pin_wire::injection::{FAULT, HANG, PANIC, SPIN};
 
     /// What the bench ordered.
@@ -36,22 +35,35 @@ mod ordered {
         }
     }
 
+    /// A task's work until ordered otherwise.
+    pub struct Exposed<F> {
+        task: Task,
+        work: F,
+    }
+
     /// Does the task's work until ordered otherwise.
-    pub async fn exposed<F: Future>(task: Task, work: F) -> F::Output {
-        let mut work = pin!(work);
-        poll_fn(|context| {
+    pub fn exposed<F: Future>(task: Task, work: F) -> Exposed<F> {
+        // Here neither: the stack would run into what is held twice.
+        Exposed { task, work }
+    }
+
+    impl<F: Future> Future for Exposed<F> {
+        type Output = F::Output;
+
+        fn poll(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<F::Output> {
             let order = ORDER.load(Ordering::Relaxed);
-            if order == SPIN | task as u8 {
+            if order == SPIN | self.task as u8 {
                 loop {
                     // Not the spin-loop hint: the emulator takes its time over that.
                     cortex_m::asm::nop();
                 }
             }
-            if order == HANG | task as u8 {
+            if order == HANG | self.task as u8 {
                 return Poll::Pending;
             }
-            work.as_mut().poll(context)
-        })
-        .await
+            // SAFETY: the work is pinned as a part of the whole: nothing moves it out, and nothing else drops it.
+            let work = unsafe { self.map_unchecked_mut(|whole| &mut whole.work) };
+            work.poll(context)
+        }
     }
 }
