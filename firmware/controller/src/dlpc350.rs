@@ -27,19 +27,16 @@
 //! nor the guide gives a reason. Nothing has been tried on a chip here: check the times on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
+use crate::dlpc::register::{DISPLAY_MODE, START_STOP};
+use crate::dlpc::{BusFailed, PATTERNS, Registers, START, STOP};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::Microseconds;
 use flankscope_protocol::pattern_memory::Place;
 
-/// 7 bit slave address (`0x34`/`0x35` on the wire).
-pub const ADDRESS: u8 = 0x1A;
-
-/// Sub-addresses for reading; [`WRITE`] makes them those for writing.
+/// Sub-addresses that only this chip has, or has in its own way.
 mod register {
-    pub const START_STOP: u8 = 0x65;
     pub const PERIODS: u8 = 0x66;
-    pub const DISPLAY_MODE: u8 = 0x69;
     pub const DATA_SOURCE: u8 = 0x6F;
     pub const TRIGGER_MODE: u8 = 0x70;
     pub const LUT_CONTROL: u8 = 0x75;
@@ -49,7 +46,6 @@ mod register {
     pub const VALIDATE: u8 = 0x7D;
 }
 
-const WRITE: u8 = 0x80;
 /// Of the status byte before an answer.
 const READY: u8 = 1 << 0;
 /// How often a validation is asked about, and how many times: it takes a few milliseconds.
@@ -102,8 +98,8 @@ pub enum PatternError {
         limit: u16,
     },
     /// The bus did not acknowledge.
-    #[error("the I2C bus failed")]
-    Bus,
+    #[error(transparent)]
+    Bus(#[from] BusFailed),
     /// The validation did not end in time.
     #[error("the validation did not end within {limit_ms} ms")]
     Validating {
@@ -136,7 +132,7 @@ impl Flaws {
 /// The driver. Owns its bus.
 #[derive(Debug)]
 pub struct Dlpc350<B> {
-    bus: B,
+    registers: Registers<B>,
     settings: Settings,
     prepared: bool,
 }
@@ -145,7 +141,7 @@ impl<B: I2c> Dlpc350<B> {
     /// Nothing is sent before the first selection.
     pub const fn new(bus: B, settings: Settings) -> Self {
         Self {
-            bus,
+            registers: Registers(bus),
             settings,
             prepared: false,
         }
@@ -153,32 +149,19 @@ impl<B: I2c> Dlpc350<B> {
 
     /// Gives the bus back.
     pub fn release(self) -> B {
-        self.bus
-    }
-
-    async fn write<const N: usize>(
-        &mut self,
-        register: u8,
-        data: [u8; N],
-    ) -> Result<(), PatternError> {
-        let mut bytes: heapless::Vec<u8, 12> = heapless::Vec::new();
-        let fits = bytes.push(register | WRITE).is_ok() && bytes.extend_from_slice(&data).is_ok();
-        debug_assert!(fits, "the longest command has 9 bytes");
-        self.bus
-            .write(ADDRESS, &bytes)
-            .await
-            .map_err(|_| PatternError::Bus)
+        self.registers.0
     }
 
     /// Pattern mode, flash, external trigger, periods: once.
     async fn prepare(&mut self) -> Result<(), PatternError> {
-        self.write(register::DISPLAY_MODE, [1]).await?;
-        self.write(register::START_STOP, [0]).await?;
-        self.write(register::DATA_SOURCE, [3]).await?;
-        self.write(register::TRIGGER_MODE, [1]).await?;
+        self.registers.write(DISPLAY_MODE, [PATTERNS]).await?;
+        self.registers.write(START_STOP, [STOP]).await?;
+        self.registers.write(register::DATA_SOURCE, [3]).await?;
+        self.registers.write(register::TRIGGER_MODE, [1]).await?;
         let [a, b, c, d] = self.settings.exposure.get().to_le_bytes();
         // A triggered pattern follows no frame rate: the period is the exposure.
-        self.write(register::PERIODS, [a, b, c, d, a, b, c, d])
+        self.registers
+            .write(register::PERIODS, [a, b, c, d, a, b, c, d])
             .await?;
         self.prepared = true;
         Ok(())
@@ -208,35 +191,32 @@ impl<B: I2c> Dlpc350<B> {
         if !self.prepared {
             self.prepare().await?;
         }
-        self.write(register::START_STOP, [0]).await?;
         let (image, definition) = self.definition(pattern);
+        let to = &mut self.registers;
+        to.write(START_STOP, [STOP]).await?;
         // One entry, once, one pattern per TRIG_OUT_2, one image: all counted from 0 on the wire.
-        self.write(register::LUT_CONTROL, [0, 0, 0, 0]).await?;
-        self.write(register::MAILBOX, [1]).await?;
-        self.write(register::LUT_OFFSET, [0]).await?;
-        self.write(register::MAILBOX_DATA, [image]).await?;
-        self.write(register::MAILBOX, [0]).await?;
-        self.write(register::MAILBOX, [2]).await?;
-        self.write(register::LUT_OFFSET, [0]).await?;
-        self.write(register::MAILBOX_DATA, definition).await?;
-        self.write(register::MAILBOX, [0]).await?;
+        to.write(register::LUT_CONTROL, [0, 0, 0, 0]).await?;
+        to.write(register::MAILBOX, [1]).await?;
+        to.write(register::LUT_OFFSET, [0]).await?;
+        to.write(register::MAILBOX_DATA, [image]).await?;
+        to.write(register::MAILBOX, [0]).await?;
+        to.write(register::MAILBOX, [2]).await?;
+        to.write(register::LUT_OFFSET, [0]).await?;
+        to.write(register::MAILBOX_DATA, definition).await?;
+        to.write(register::MAILBOX, [0]).await?;
         self.validate().await?;
-        self.write(register::START_STOP, [2]).await
+        Ok(self.registers.write(START_STOP, [START]).await?)
     }
 
     async fn validate(&mut self) -> Result<(), PatternError> {
-        self.write(register::VALIDATE, []).await?;
+        self.registers.write(register::VALIDATE, []).await?;
         let mut asked = false;
         for _ in 0..POLLS {
             if !asked {
-                let asking = self.bus.write(ADDRESS, &[register::VALIDATE]);
-                asking.await.map_err(|_| PatternError::Bus)?;
+                self.registers.ask(register::VALIDATE).await?;
             }
             Timer::after(POLL).await;
-            let mut answer = [0u8; 2];
-            let reading = self.bus.read(ADDRESS, &mut answer);
-            reading.await.map_err(|_| PatternError::Bus)?;
-            let [status, flaws] = answer;
+            let [status, flaws] = self.registers.answer().await?;
             asked = status & READY == 0;
             match flaws {
                 _ if asked => {}

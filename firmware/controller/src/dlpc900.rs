@@ -24,29 +24,21 @@
 //! a chip here: check the times on the first real board.
 
 use crate::devices::{NotSelected, PatternPort};
+use crate::dlpc::register::{DISPLAY_MODE, START_STOP};
+use crate::dlpc::{BusFailed, PATTERNS, Registers, START, STOP};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::I2c;
 use flankscope_protocol::Microseconds;
 
-/// 7 bit address (`0x34`/`0x35` on the wire) that the firmware has unless it was built with another.
-pub const ADDRESS: u8 = 0x1A;
-
-/// Sub-addresses for reading; [`WRITE`] makes them those for writing.
+/// Sub-addresses that only this chip has, or has in its own way.
 mod register {
     pub const KIND: u8 = 0x12;
     pub const ERROR: u8 = 0x32;
-    pub const START_STOP: u8 = 0x65;
-    pub const DISPLAY_MODE: u8 = 0x69;
     pub const EXECUTION: u8 = 0x75;
     pub const ENTRY: u8 = 0x78;
     pub const TRIGGER_IN: u8 = 0x79;
 }
 
-const WRITE: u8 = 0x80;
-const STOP: u8 = 0;
-const START: u8 = 2;
-/// Of [`register::DISPLAY_MODE`].
-const STORED_PATTERNS: u8 = 1;
 /// Least delay of a trigger that the chip takes, us.
 const TRIGGER_DELAY_US: u16 = 105;
 /// Of a table entry's sixth byte: 8 bits, LEDs left alone, wait for a trigger.
@@ -102,8 +94,8 @@ pub enum PatternError {
         limit: Microseconds,
     },
     /// The bus did not acknowledge.
-    #[error("the I2C bus failed")]
-    Bus,
+    #[error(transparent)]
+    Bus(#[from] BusFailed),
     /// The patterns were made for other mirrors.
     #[error("the controller drives DMD number {got}, the patterns are for {want}")]
     OtherMirrors {
@@ -120,7 +112,7 @@ pub enum PatternError {
 /// The driver. Owns its bus.
 #[derive(Debug)]
 pub struct Dlpc900<B> {
-    bus: B,
+    registers: Registers<B>,
     settings: Settings,
     prepared: bool,
 }
@@ -129,7 +121,7 @@ impl<B: I2c> Dlpc900<B> {
     /// Nothing is sent before the first selection.
     pub const fn new(bus: B, settings: Settings) -> Self {
         Self {
-            bus,
+            registers: Registers(bus),
             settings,
             prepared: false,
         }
@@ -137,7 +129,7 @@ impl<B: I2c> Dlpc900<B> {
 
     /// Gives the bus back.
     pub fn release(self) -> B {
-        self.bus
+        self.registers.0
     }
 
     /// Sends a command and asks whether it was taken.
@@ -146,11 +138,7 @@ impl<B: I2c> Dlpc900<B> {
         register: u8,
         data: [u8; N],
     ) -> Result<(), PatternError> {
-        let mut bytes: heapless::Vec<u8, 16> = heapless::Vec::new();
-        let fits = bytes.push(register | WRITE).is_ok() && bytes.extend_from_slice(&data).is_ok();
-        debug_assert!(fits, "the longest command has 13 bytes");
-        let sent = self.bus.write(ADDRESS, &bytes).await;
-        sent.map_err(|_| PatternError::Bus)?;
+        self.registers.write(register, data).await?;
         match self.first_byte(register::ERROR).await? {
             0 => Ok(()),
             code => Err(PatternError::Refused(code)),
@@ -159,12 +147,8 @@ impl<B: I2c> Dlpc900<B> {
 
     /// The first byte of an answer.
     async fn first_byte(&mut self, register: u8) -> Result<u8, PatternError> {
-        let asked = self.bus.write(ADDRESS, &[register]).await;
-        asked.map_err(|_| PatternError::Bus)?;
-        let mut answer = [0u8];
-        let read = self.bus.read(ADDRESS, &mut answer).await;
-        read.map_err(|_| PatternError::Bus)?;
-        let [byte] = answer;
+        self.registers.ask(register).await?;
+        let [byte] = self.registers.answer().await?;
         Ok(byte)
     }
 
@@ -177,9 +161,8 @@ impl<B: I2c> Dlpc900<B> {
         if got != want {
             return Err(PatternError::OtherMirrors { got, want });
         }
-        self.order(register::START_STOP, [STOP]).await?;
-        self.order(register::DISPLAY_MODE, [STORED_PATTERNS])
-            .await?;
+        self.order(START_STOP, [STOP]).await?;
+        self.order(DISPLAY_MODE, [PATTERNS]).await?;
         Timer::after(MODE_PAUSE).await;
         let [low, high] = TRIGGER_DELAY_US.to_le_bytes();
         self.order(register::TRIGGER_IN, [low, high, 0]).await?;
@@ -220,12 +203,12 @@ impl<B: I2c> Dlpc900<B> {
         if !self.prepared {
             self.prepare().await?;
         }
-        self.order(register::START_STOP, [STOP]).await?;
+        self.order(START_STOP, [STOP]).await?;
         let entry = self.entry(pattern);
         self.order(register::ENTRY, entry).await?;
         // One entry, one pattern: shown once, then black.
         self.order(register::EXECUTION, [1, 0, 1, 0, 0, 0]).await?;
-        self.order(register::START_STOP, [START]).await
+        self.order(START_STOP, [START]).await
     }
 
     /// Table entry of a pattern.

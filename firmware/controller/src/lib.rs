@@ -29,6 +29,7 @@ pub mod command_handler;
 pub mod devices;
 #[cfg(test)]
 mod diagrams;
+pub mod dlpc;
 pub mod dlpc350;
 pub mod dlpc900;
 pub mod interlock;

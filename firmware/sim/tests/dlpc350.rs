@@ -3,12 +3,13 @@
 //! The chip here is written from the command descriptions, not from the driver: it keeps registers and mailboxes,
 //! decodes table entries by their documented bits, and refuses what the documents forbid.
 
-use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, Operation};
-use flankscope_controller::dlpc350::{ADDRESS, BitDepth, Dlpc350, Flaws, PatternError, Settings};
+mod common;
+
+use common::{Chip, PatternEngine, Wired};
+use flankscope_controller::dlpc::BusFailed;
+use flankscope_controller::dlpc350::{BitDepth, Dlpc350, Flaws, PatternError, Settings};
 use flankscope_protocol::Microseconds;
-use flankscope_sim::{Clock, Sim};
-use std::cell::RefCell;
-use std::rc::Rc;
+use flankscope_sim::I2cBus;
 
 /// What a trigger would show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,8 +23,7 @@ struct Shown {
 }
 
 #[derive(Debug, Default)]
-struct Chip {
-    log: Vec<Vec<u8>>,
+struct Mock {
     pattern_mode: bool,
     source: u8,
     trigger_mode: u8,
@@ -36,8 +36,6 @@ struct Chip {
     validated: bool,
     busy_polls: u32,
     running: bool,
-    /// This many transactions are acknowledged, then none.
-    dies_after: Option<usize>,
     never_ready: bool,
     /// The validation was asked about; its answer is still read too early this many times.
     asked: Option<u32>,
@@ -45,7 +43,7 @@ struct Chip {
     early_reads: u32,
 }
 
-impl Chip {
+impl Chip for Mock {
     fn write(&mut self, bytes: &[u8]) {
         let (&code, data) = bytes.split_first().expect("a sub-address");
         let setting = [0xE6, 0xEF, 0xF0, 0xF5, 0xF7, 0xF8];
@@ -121,7 +119,9 @@ impl Chip {
         answer[1] = flaws;
         self.validated = flaws == 0;
     }
+}
 
+impl Mock {
     fn shown(&self) -> Shown {
         let entry = self.entry.expect("a table entry");
         let field = |from: u32, bits: u32| (entry >> from & ((1 << bits) - 1)) as u8;
@@ -136,78 +136,35 @@ impl Chip {
     }
 }
 
-#[derive(Clone, Default)]
-struct Bus(Rc<RefCell<Chip>>);
-
-impl ErrorType for Bus {
-    type Error = ErrorKind;
-}
-
-impl I2c for Bus {
-    async fn transaction(
-        &mut self,
-        address: u8,
-        operations: &mut [Operation<'_>],
-    ) -> Result<(), ErrorKind> {
-        assert_eq!(address, ADDRESS);
-        let mut chip = self.0.borrow_mut();
-        let done = chip.log.len();
-        if chip.dies_after.is_some_and(|limit| done >= limit) {
-            return Err(ErrorKind::Bus);
-        }
-        match operations {
-            [Operation::Write(bytes)] => {
-                chip.log.push(bytes.to_vec());
-                chip.write(bytes);
-            }
-            [Operation::Read(answer)] => {
-                chip.log.push(Vec::new());
-                chip.read(answer);
-            }
-            other => panic!("{other:?}"),
-        }
-        Ok(())
-    }
-}
-
 const SETTINGS: Settings = Settings {
     depth: BitDepth::Eight,
     exposure: Microseconds(100_000),
     patterns: 12,
 };
 
-/// Arms one pattern after another on one chip.
+impl PatternEngine for Dlpc350<I2cBus> {
+    type Error = PatternError;
+
+    async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
+        self.arm(pattern).await
+    }
+}
+
+/// Arms one pattern after another on one chip; also what came over its wire.
 fn arm(
-    chip: Chip,
+    chip: Mock,
     settings: Settings,
     patterns: &[u16],
-) -> (Rc<RefCell<Chip>>, Vec<Result<(), PatternError>>) {
-    let bus = Bus(Rc::new(RefCell::new(chip)));
-    let chip = Rc::clone(&bus.0);
-    let results = Rc::new(RefCell::new(Vec::new()));
-    let (sim, out, patterns) = (
-        Sim::new(Clock::Stepped),
-        Rc::clone(&results),
-        patterns.to_vec(),
-    );
-    sim.spawn(async move {
-        let mut driver = Dlpc350::new(bus, settings);
-        for pattern in patterns {
-            let armed = driver.arm(pattern).await;
-            out.borrow_mut().push(armed);
-        }
-    });
-    sim.run();
-    let results = results.take();
-    (chip, results)
+) -> (Wired<Mock>, Vec<Result<(), PatternError>>) {
+    common::arm(chip, |bus| Dlpc350::new(bus, settings), patterns)
 }
 
 #[test]
 fn every_pattern_waits_for_its_trigger_in_its_place_in_flash() {
     for number in 0..=12u16 {
-        let (chip, results) = arm(Chip::default(), SETTINGS, &[3, number]);
+        let (wired, results) = arm(Mock::default(), SETTINGS, &[3, number]);
         assert_eq!(results, [Ok(()), Ok(())]);
-        let chip = chip.borrow();
+        let chip = wired.chip;
         assert!(chip.running && chip.pattern_mode && chip.mailbox == 0);
         // Flash, external trigger, one entry shown once.
         assert_eq!(
@@ -245,9 +202,9 @@ fn binary_patterns_are_24_to_an_image() {
         ..SETTINGS
     };
     for (number, image, pattern) in [(1, 0, 0), (24, 0, 23), (25, 1, 0), (60, 2, 11)] {
-        let (chip, results) = arm(Chip::default(), settings, &[number]);
+        let (wired, results) = arm(Mock::default(), settings, &[number]);
         assert_eq!(results, [Ok(())]);
-        let shown = chip.borrow().shown();
+        let shown = wired.chip.shown();
         assert_eq!(
             (shown.image, shown.pattern, shown.bits),
             (image, pattern, 1)
@@ -261,32 +218,32 @@ fn what_the_chip_refuses_is_not_started() {
         exposure: Microseconds(1_000),
         ..SETTINGS
     };
-    let (chip, results) = arm(Chip::default(), short, &[1]);
+    let (wired, results) = arm(Mock::default(), short, &[1]);
     assert_eq!(results, [Err(PatternError::Invalid(Flaws(Flaws::PERIOD)))]);
-    assert!(!chip.borrow().running);
+    assert!(!wired.chip.running);
 
-    let slow = Chip {
+    let slow = Mock {
         never_ready: true,
-        ..Chip::default()
+        ..Mock::default()
     };
-    let (chip, results) = arm(slow, SETTINGS, &[1]);
+    let (wired, results) = arm(slow, SETTINGS, &[1]);
     assert_eq!(results, [Err(PatternError::Validating { limit_ms: 15 })]);
-    assert!(!chip.borrow().running);
+    assert!(!wired.chip.running);
 
-    let mute = Chip {
+    let mute = Mock {
         early_reads: u32::MAX,
-        ..Chip::default()
+        ..Mock::default()
     };
-    let (chip, results) = arm(mute, SETTINGS, &[1]);
+    let (wired, results) = arm(mute, SETTINGS, &[1]);
     assert_eq!(results, [Err(PatternError::Validating { limit_ms: 15 })]);
-    assert!(!chip.borrow().running);
+    assert!(!wired.chip.running);
 
-    let (chip, results) = arm(Chip::default(), SETTINGS, &[13]);
+    let (wired, results) = arm(Mock::default(), SETTINGS, &[13]);
     assert_eq!(
         results,
         [Err(PatternError::NoSuchPattern { got: 13, limit: 12 })]
     );
-    assert!(chip.borrow().log.is_empty());
+    assert!(wired.log.is_empty());
 }
 
 #[test]
@@ -296,40 +253,22 @@ fn an_answer_that_is_not_ready_is_waited_for() {
         ..SETTINGS
     };
     for early_reads in 1..=2 {
-        let chip = || Chip {
+        let chip = || Mock {
             early_reads,
-            ..Chip::default()
+            ..Mock::default()
         };
         let (_, results) = arm(chip(), SETTINGS, &[1]);
         assert_eq!(results, [Ok(())], "{early_reads} times");
-        let (chip, results) = arm(chip(), short, &[1]);
+        let (wired, results) = arm(chip(), short, &[1]);
         assert_eq!(results, [Err(PatternError::Invalid(Flaws(Flaws::PERIOD)))]);
-        assert!(!chip.borrow().running);
+        assert!(!wired.chip.running);
     }
 }
 
 #[test]
 fn a_bus_that_dies_at_any_transaction_is_noticed_and_all_is_set_up_anew() {
-    let (whole, _) = arm(Chip::default(), SETTINGS, &[1]);
-    let transactions = whole.borrow().log.len();
-    for limit in 0..transactions {
-        let dying = Chip {
-            dies_after: Some(limit),
-            ..Chip::default()
-        };
-        let bus = Bus(Rc::new(RefCell::new(dying)));
-        let chip = Rc::clone(&bus.0);
-        let sim = Sim::new(Clock::Stepped);
-        let healed = Rc::clone(&chip);
-        sim.spawn(async move {
-            let mut driver = Dlpc350::new(bus, SETTINGS);
-            assert_eq!(driver.arm(2).await, Err(PatternError::Bus));
-            // The chip comes back as after power-up.
-            *healed.borrow_mut() = Chip::default();
-            assert_eq!(driver.arm(2).await, Ok(()));
-        });
-        sim.run();
-        assert!(chip.borrow().running, "after {limit} of {transactions}");
-        assert_eq!(chip.borrow().log.len(), transactions);
-    }
+    let driver = |bus| Dlpc350::new(bus, SETTINGS);
+    common::dies_at_any_transaction::<Mock, _>(driver, PatternError::Bus(BusFailed), |chip| {
+        chip.running
+    });
 }

@@ -3,12 +3,13 @@
 //! The chip here is written from the command descriptions, not from the driver: it keeps its table, decodes entries by their documented
 //! bits, and answers with the documented error numbers.
 
-use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, Operation};
-use flankscope_controller::dlpc900::{ADDRESS, Dlpc900, Mirrors, PatternError, Settings};
+mod common;
+
+use common::{Chip, PatternEngine, Wired};
+use flankscope_controller::dlpc::BusFailed;
+use flankscope_controller::dlpc900::{Dlpc900, Mirrors, PatternError, Settings};
 use flankscope_protocol::Microseconds;
-use flankscope_sim::{Clock, Sim};
-use std::cell::RefCell;
-use std::rc::Rc;
+use flankscope_sim::I2cBus;
 
 /// What a trigger would show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,12 +24,11 @@ struct Shown {
 }
 
 #[derive(Debug, Clone)]
-struct Chip {
+struct Mock {
     /// Byte 0 of the firmware's kind.
     kind: u8,
     /// Images in flash.
     images: u16,
-    log: Vec<Vec<u8>>,
     mode: u8,
     trigger_in: Option<(u16, u8)>,
     entry: Option<Shown>,
@@ -38,16 +38,13 @@ struct Chip {
     error: u8,
     /// Sub-address whose answer comes with the next read.
     asked: Option<u8>,
-    /// This many transactions are acknowledged, then none.
-    dies_after: Option<usize>,
 }
 
-impl Default for Chip {
+impl Default for Mock {
     fn default() -> Self {
         Self {
             kind: 5,
             images: 13,
-            log: Vec::new(),
             mode: 0,
             trigger_in: None,
             entry: None,
@@ -55,7 +52,6 @@ impl Default for Chip {
             running: false,
             error: 0,
             asked: None,
-            dies_after: None,
         }
     }
 }
@@ -70,7 +66,7 @@ const EXPOSURE_RANGE: u8 = 14;
 /// Shortest exposure of 8 bits that a DLP5500 is named for: 1 s / 247 patterns, to whole us.
 const SHORTEST_8_BIT_US: u32 = 4_046;
 
-impl Chip {
+impl Chip for Mock {
     fn write(&mut self, bytes: &[u8]) {
         let (&code, data) = bytes.split_first().expect("a sub-address");
         if code < 0x80 {
@@ -112,6 +108,18 @@ impl Chip {
         };
     }
 
+    fn read(&mut self, answer: &mut [u8]) {
+        let value = match self.asked.take() {
+            Some(0x32) => self.error,
+            Some(0x12) => self.kind,
+            other => panic!("read without a question: {other:?}"),
+        };
+        answer.fill(0);
+        answer[0] = value;
+    }
+}
+
+impl Mock {
     fn define(&mut self, entry: [u8; 12]) -> u8 {
         let number = u16::from_le_bytes([entry[0], entry[1]]);
         let u24 = |at: usize| u32::from_le_bytes([entry[at], entry[at + 1], entry[at + 2], 0]);
@@ -139,50 +147,6 @@ impl Chip {
         self.entry = Some(shown);
         0
     }
-
-    fn read(&mut self, answer: &mut [u8]) {
-        let value = match self.asked.take() {
-            Some(0x32) => self.error,
-            Some(0x12) => self.kind,
-            other => panic!("read without a question: {other:?}"),
-        };
-        answer.fill(0);
-        answer[0] = value;
-    }
-}
-
-#[derive(Clone, Default)]
-struct Bus(Rc<RefCell<Chip>>);
-
-impl ErrorType for Bus {
-    type Error = ErrorKind;
-}
-
-impl I2c for Bus {
-    async fn transaction(
-        &mut self,
-        address: u8,
-        operations: &mut [Operation<'_>],
-    ) -> Result<(), ErrorKind> {
-        assert_eq!(address, ADDRESS);
-        let mut chip = self.0.borrow_mut();
-        let done = chip.log.len();
-        if chip.dies_after.is_some_and(|limit| done >= limit) {
-            return Err(ErrorKind::Bus);
-        }
-        match operations {
-            [Operation::Write(bytes)] => {
-                chip.log.push(bytes.to_vec());
-                chip.write(bytes);
-            }
-            [Operation::Read(answer)] => {
-                chip.log.push(Vec::new());
-                chip.read(answer);
-            }
-            other => panic!("{other:?}"),
-        }
-        Ok(())
-    }
 }
 
 const SETTINGS: Settings = Settings {
@@ -191,38 +155,29 @@ const SETTINGS: Settings = Settings {
     patterns: 12,
 };
 
-/// Arms one pattern after another on one chip.
+impl PatternEngine for Dlpc900<I2cBus> {
+    type Error = PatternError;
+
+    async fn arm(&mut self, pattern: u16) -> Result<(), PatternError> {
+        self.arm(pattern).await
+    }
+}
+
+/// Arms one pattern after another on one chip; also what came over its wire.
 fn arm(
-    chip: Chip,
+    chip: Mock,
     settings: Settings,
     patterns: &[u16],
-) -> (Rc<RefCell<Chip>>, Vec<Result<(), PatternError>>) {
-    let bus = Bus(Rc::new(RefCell::new(chip)));
-    let chip = Rc::clone(&bus.0);
-    let results = Rc::new(RefCell::new(Vec::new()));
-    let (sim, out, patterns) = (
-        Sim::new(Clock::Stepped),
-        Rc::clone(&results),
-        patterns.to_vec(),
-    );
-    sim.spawn(async move {
-        let mut driver = Dlpc900::new(bus, settings);
-        for pattern in patterns {
-            let armed = driver.arm(pattern).await;
-            out.borrow_mut().push(armed);
-        }
-    });
-    sim.run();
-    let results = results.take();
-    (chip, results)
+) -> (Wired<Mock>, Vec<Result<(), PatternError>>) {
+    common::arm(chip, |bus| Dlpc900::new(bus, settings), patterns)
 }
 
 #[test]
 fn every_pattern_waits_for_its_trigger_in_its_image_and_black_in_the_first() {
     for number in 0..=12u16 {
-        let (chip, results) = arm(Chip::default(), SETTINGS, &[3, number]);
+        let (wired, results) = arm(Mock::default(), SETTINGS, &[3, number]);
         assert_eq!(results, [Ok(()), Ok(())]);
-        let chip = chip.borrow();
+        let chip = wired.chip;
         assert!(chip.running);
         let (delay_us, edge) = chip.trigger_in.expect("a trigger");
         assert!(delay_us >= 105 && edge & 1 == 0, "rising edge");
@@ -242,9 +197,9 @@ fn every_pattern_waits_for_its_trigger_in_its_image_and_black_in_the_first() {
 /// The bytes of one selection, as the programmer's guide has them.
 #[test]
 fn a_selection_is_these_bytes() {
-    let (chip, results) = arm(Chip::default(), SETTINGS, &[1, 7]);
+    let (wired, results) = arm(Mock::default(), SETTINGS, &[1, 7]);
     assert_eq!(results, [Ok(()), Ok(())]);
-    let log = &chip.borrow().log;
+    let log = wired.log;
     // Each order is followed by the question whether it was taken.
     let question: &[&[u8]] = &[&[0x32], &[]];
     let orders: [&[u8]; 4] = [
@@ -266,73 +221,55 @@ fn what_the_chip_refuses_is_not_started() {
         exposure: Microseconds(4_045),
         ..SETTINGS
     };
-    let (chip, results) = arm(Chip::default(), short, &[1]);
+    let (wired, results) = arm(Mock::default(), short, &[1]);
     assert_eq!(results, [Err(PatternError::Refused(EXPOSURE_RANGE))]);
-    assert!(!chip.borrow().running);
+    assert!(!wired.chip.running);
 
-    let few = Chip {
+    let few = Mock {
         images: 7,
-        ..Chip::default()
+        ..Mock::default()
     };
-    let (chip, results) = arm(few, SETTINGS, &[6, 7]);
+    let (wired, results) = arm(few, SETTINGS, &[6, 7]);
     let refused = Err(PatternError::Refused(NO_SUCH_IMAGE));
     assert_eq!(results, [Ok(()), refused]);
-    assert!(!chip.borrow().running);
+    assert!(!wired.chip.running);
 
-    let (chip, results) = arm(Chip::default(), SETTINGS, &[13]);
+    let (wired, results) = arm(Mock::default(), SETTINGS, &[13]);
     assert_eq!(
         results,
         [Err(PatternError::NoSuchPattern { got: 13, limit: 12 })]
     );
-    assert!(chip.borrow().log.is_empty());
+    assert!(wired.log.is_empty());
 
     let long = Settings {
         exposure: Microseconds(1 << 24),
         ..SETTINGS
     };
-    let (chip, results) = arm(Chip::default(), long, &[1]);
+    let (wired, results) = arm(Mock::default(), long, &[1]);
     let limit = Microseconds((1 << 24) - 1);
     let got = long.exposure;
     assert_eq!(results, [Err(PatternError::TooLong { got, limit })]);
-    assert!(chip.borrow().log.is_empty());
+    assert!(wired.log.is_empty());
 }
 
 #[test]
 fn patterns_for_other_mirrors_are_not_shown() {
     for kind in [0, 1, 2, 3, 4, 6, 255] {
-        let other = Chip {
+        let other = Mock {
             kind,
-            ..Chip::default()
+            ..Mock::default()
         };
-        let (chip, results) = arm(other, SETTINGS, &[1]);
+        let (wired, results) = arm(other, SETTINGS, &[1]);
         let other = PatternError::OtherMirrors { got: kind, want: 5 };
         assert_eq!(results, [Err(other)]);
-        assert_eq!(chip.borrow().log.len(), 2, "asked, and nothing else");
+        assert_eq!(wired.log.len(), 2, "asked, and nothing else");
     }
 }
 
 #[test]
 fn a_bus_that_dies_at_any_transaction_is_noticed_and_all_is_set_up_anew() {
-    let (whole, _) = arm(Chip::default(), SETTINGS, &[2]);
-    let transactions = whole.borrow().log.len();
-    for limit in 0..transactions {
-        let dying = Chip {
-            dies_after: Some(limit),
-            ..Chip::default()
-        };
-        let bus = Bus(Rc::new(RefCell::new(dying)));
-        let chip = Rc::clone(&bus.0);
-        let sim = Sim::new(Clock::Stepped);
-        let healed = Rc::clone(&chip);
-        sim.spawn(async move {
-            let mut driver = Dlpc900::new(bus, SETTINGS);
-            assert_eq!(driver.arm(2).await, Err(PatternError::Bus));
-            // The chip comes back as after power-up.
-            *healed.borrow_mut() = Chip::default();
-            assert_eq!(driver.arm(2).await, Ok(()));
-        });
-        sim.run();
-        assert!(chip.borrow().running, "after {limit} of {transactions}");
-        assert_eq!(chip.borrow().log.len(), transactions);
-    }
+    let driver = |bus| Dlpc900::new(bus, SETTINGS);
+    common::dies_at_any_transaction::<Mock, _>(driver, PatternError::Bus(BusFailed), |chip| {
+        chip.running
+    });
 }
