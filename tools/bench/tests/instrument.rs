@@ -2,57 +2,13 @@
 
 mod common;
 
-use common::{Host, Notebook, Notes, plan};
-use flankscope_bench::devices::{DeviceConfig, DmdTiming, LedTiming, spawn_all};
-use flankscope_controller::sequence::Config;
+use common::plan;
+use common::script::{Record, run};
+use flankscope_bench::devices::{DeviceConfig, DmdTiming, LedTiming};
 use flankscope_protocol::*;
-use flankscope_sim::{Clock, Edge, Sim, Wiring, now_us, spawn_controller};
-use std::cell::RefCell;
-use std::rc::Rc;
-
-struct Record {
-    edges: Vec<Edge>,
-    notes: Notes,
-    events: Vec<(u16, Event)>,
-    end_us: u64,
-    pose: flankscope_bench::devices::TruePose,
-}
-
-/// Runs a host's script against controller and devices until the script ends.
-fn run<F: Future<Output = Host> + 'static>(
-    devices: DeviceConfig,
-    script: impl FnOnce(Host) -> F,
-) -> Record {
-    let sim = Sim::new(Clock::Stepped);
-    let wiring = Wiring::new(&sim);
-    let notebook = Notebook::default();
-    let world = spawn_all(&sim, &wiring, &devices, notebook.clone());
-    spawn_controller(&sim, &wiring, Config::DEFAULT);
-    let finished = Rc::new(RefCell::new(None));
-    let script = script(Host::new(wiring.host.clone()));
-    let result = Rc::clone(&finished);
-    sim.spawn(async move {
-        let host = script.await;
-        *result.borrow_mut() = Some(host);
-    });
-    assert!(
-        sim.run_until(|| finished.borrow().is_some()),
-        "everything waits, the host's script is not over"
-    );
-    let host = finished.take().expect("finished");
-    let notes = notebook.0.borrow().clone();
-    let pose = world.stage.borrow().true_pose(now_us());
-    Record {
-        edges: sim.edges(),
-        notes,
-        events: host.events,
-        end_us: now_us(),
-        pose,
-    }
-}
 
 fn capture(devices: DeviceConfig) -> Record {
-    run(devices, |mut host| async move {
+    run(devices, |mut host, _| async move {
         host.prepare(plan()).await;
         assert_eq!(
             host.order(Command::Start { session: 5 }).await,
@@ -73,19 +29,11 @@ fn capture(devices: DeviceConfig) -> Record {
     })
 }
 
-fn times(edges: &[Edge], line: &str, level: bool) -> Vec<u64> {
-    edges
-        .iter()
-        .filter(|edge| edge.line == line && edge.level == level)
-        .map(|edge| edge.at_us)
-        .collect()
-}
-
 fn triggers(record: &Record) -> Vec<Trigger> {
     record
         .events
         .iter()
-        .filter_map(|(_, event)| match event {
+        .filter_map(|event| match event {
             Event::Triggered(trigger) => Some(*trigger),
             _ => None,
         })
@@ -151,25 +99,21 @@ fn a_capture_of_three_views_is_exposed_as_planned() {
         );
     }
     // No event is missing: they count from 1.
-    let counts: Vec<u16> = record
-        .events
-        .iter()
-        .map(|(sequence, _)| *sequence)
-        .collect();
-    assert_eq!(counts, (1..=counts.len() as u16).collect::<Vec<_>>());
+    let count = record.numbers.len() as u16;
+    assert_eq!(record.numbers, (1..=count).collect::<Vec<_>>());
 }
 
 #[test]
 fn the_led_is_lit_only_between_settle_and_the_next_move() {
     let record = capture(DeviceConfig::default());
     let (on, off) = (
-        times(&record.edges, "led_enable", true),
-        times(&record.edges, "led_enable", false),
+        record.times("led_enable", true),
+        record.times("led_enable", false),
     );
     assert_eq!((on.len(), off.len()), (3, 3));
     let mut stands = Vec::new();
     let mut leaves = Vec::new();
-    for (_, event) in &record.events {
+    for event in &record.events {
         match event {
             Event::InPosition { at, .. } => stands.push(at.get()),
             Event::StateChanged {
@@ -186,8 +130,8 @@ fn the_led_is_lit_only_between_settle_and_the_next_move() {
     }
     // Every trigger falls into a time when the current was proven to flow.
     let (lit, dark) = (
-        times(&record.edges, "led_sense", true),
-        times(&record.edges, "led_sense", false),
+        record.times("led_sense", true),
+        record.times("led_sense", false),
     );
     for trigger in triggers(&record) {
         let view = usize::from(trigger.view);
@@ -221,10 +165,9 @@ fn a_dmd_that_is_never_ready_ends_dark_and_retracted() {
     });
     ends_in_fault(&record, Fault::DmdNotReady, 30);
     // Dark as soon as the timeout has passed, in the same microsecond.
-    let trigger = *times(&record.edges, "dmd_trigger", true)
-        .last()
-        .expect("triggered");
-    let off = *times(&record.edges, "led_enable", false)
+    let trigger = *record.times("dmd_trigger", true).last().expect("triggered");
+    let off = *record
+        .times("led_enable", false)
         .last()
         .expect("switched off");
     assert_eq!(off, trigger + u64::from(plan().timeouts.dmd.get()));
@@ -253,15 +196,12 @@ fn a_stalled_rotation_ends_retracted() {
 }
 
 fn ends_in_fault(record: &Record, fault: Fault, frames: usize) {
-    let faults: Vec<_> = record
-        .events
-        .iter()
-        .filter_map(|(_, event)| match event {
-            Event::Fault { fault, .. } => fault.known(),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(faults.first(), Some(&fault), "{faults:?}");
+    let faults = record.faults();
+    assert_eq!(
+        faults.first().map(|(first, _)| *first),
+        Some(fault),
+        "{faults:?}"
+    );
     assert_eq!(triggers(record).len(), frames);
     for line in ["led_enable", "led_sense", "camera_trigger"] {
         let last = record.edges.iter().rfind(|edge| edge.line == line);
@@ -275,7 +215,7 @@ fn ends_in_fault(record: &Record, fault: Fault, frames: usize) {
 
 #[test]
 fn a_host_that_falls_silent_loses_the_instrument_within_its_limit() {
-    let record = run(DeviceConfig::default(), |mut host| async move {
+    let record = run(DeviceConfig::default(), |mut host, _| async move {
         host.prepare(plan()).await;
         host.order(Command::Start { session: 5 }).await;
         host.until(|event| matches!(event, Event::Triggered(trigger) if trigger.frame == 7))
@@ -301,7 +241,7 @@ fn a_host_that_falls_silent_loses_the_instrument_within_its_limit() {
 
 #[test]
 fn a_command_sent_three_times_is_done_once() {
-    let record = run(DeviceConfig::default(), |mut host| async move {
+    let record = run(DeviceConfig::default(), |mut host, _| async move {
         host.prepare(plan()).await;
         let mut replies = Vec::new();
         for _ in 0..3 {
@@ -321,7 +261,7 @@ fn a_command_sent_three_times_is_done_once() {
         assert_eq!(host.receive().await, [(1_001, refused)]);
         host
     });
-    let starts = record.events.iter().filter(|(_, e)| {
+    let starts = record.events.iter().filter(|e| {
         matches!(
             e,
             Event::StateChanged {
@@ -335,7 +275,7 @@ fn a_command_sent_three_times_is_done_once() {
 
 #[test]
 fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
-    let record = run(DeviceConfig::default(), |mut host| async move {
+    let record = run(DeviceConfig::default(), |mut host, _| async move {
         let old = Command::Hello {
             protocol: PROTOCOL_VERSION + 1,
             schema: SCHEMA_HASH,
@@ -403,6 +343,6 @@ fn strangers_and_bad_plans_are_refused_by_name_and_nothing_moves() {
         "head_clear_2",
         "go",
     ] {
-        assert!(times(&record.edges, line, true).is_empty(), "{line} rose");
+        assert!(record.times(line, true).is_empty(), "{line} rose");
     }
 }

@@ -2,15 +2,15 @@
 
 mod common;
 
-use common::{Host, Notebook, Notes, plan, stages};
+use common::script::{Record, capture_until_retract, run};
+use common::{plan, stages};
 use flankscope_bench::devices::max14574::{ADDRESS, Chip};
-use flankscope_bench::devices::{DeviceConfig, DeviceFault, spawn_all};
+use flankscope_bench::devices::{DeviceConfig, DeviceFault};
 use flankscope_controller::lens::{Lens, LensFault};
 use flankscope_controller::max14574::Max14574;
-use flankscope_controller::sequence::Config;
 use flankscope_protocol::*;
 use flankscope_sim::i2c::I2cDevice;
-use flankscope_sim::{Clock, I2cBus, Sim, Wiring, spawn_controller};
+use flankscope_sim::{Clock, I2cBus, Sim};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
@@ -156,63 +156,25 @@ fn focused() -> CapturePlan {
 }
 
 /// Runs a plan on a controller with a lens; `spoil` is given when the first view is done.
-fn captured(plan: CapturePlan, spoil: Option<DeviceFault>) -> (Vec<Event>, Notes) {
-    let sim = Sim::new(Clock::Stepped);
-    let wiring = Wiring::new(&sim);
+fn captured(plan: CapturePlan, spoil: Option<DeviceFault>) -> Record {
     let devices = DeviceConfig {
         lens: true,
         ..DeviceConfig::default()
     };
-    let notebook = Notebook::default();
-    let world = spawn_all(&sim, &wiring, &devices, notebook.clone());
-    spawn_controller(&sim, &wiring, Config::DEFAULT);
-    let finished = Rc::new(RefCell::new(None));
-    let (result, port) = (Rc::clone(&finished), wiring.host.clone());
-    sim.spawn(async move {
-        let mut host = Host::new(port);
-        let session = plan.session;
-        host.prepare(plan).await;
-        let start = Command::Start { session };
-        assert_eq!(host.order(start).await, Reply::Accepted);
-        if let Some(fault) = spoil {
-            host.until(|event| matches!(event, Event::ViewDone { .. }))
-                .await;
-            world.faults.give(fault);
-        }
-        host.until(|event| {
-            let Event::StateChanged { prev, .. } = event else {
-                return false;
-            };
-            *prev == State::Retracting
-        })
-        .await;
-        let events = host.events.into_iter().map(|(_, event)| event);
-        *result.borrow_mut() = Some(events.collect::<Vec<_>>());
-    });
-    assert!(sim.run_until(|| finished.borrow().is_some()));
-    let events = finished.take().expect("finished");
-    let notes = notebook.0.borrow().clone();
-    (events, notes)
-}
-
-fn faults(events: &[Event]) -> Vec<Fault> {
-    let known = events.iter().filter_map(|event| match event {
-        Event::Fault { fault, .. } => fault.known(),
-        _ => None,
-    });
-    known.collect()
+    let view_done = |event: &Event| matches!(event, Event::ViewDone { .. });
+    capture_until_retract(devices, plan, view_done, spoil)
 }
 
 #[test]
 fn a_capture_goes_through_the_commanded_lens_and_leaves_it_off() {
-    let (events, notes) = captured(focused(), None);
-    assert_eq!(faults(&events), []);
+    let record = captured(focused(), None);
+    assert_eq!(record.faults(), []);
     // Off at power-up, on for the capture, off behind it.
-    assert_eq!(notes.focused, [None, Some(541), None]);
+    assert_eq!(record.notes.focused, [None, Some(541), None]);
     let frames = 3 * usize::from(focused().frames_per_view());
-    assert_eq!(notes.exposures.len(), frames);
+    assert_eq!(record.notes.exposures.len(), frames);
     // Nor does one who asks for none get any.
-    assert_eq!(captured(plan(), None).1.focused, [None]);
+    assert_eq!(captured(plan(), None).notes.focused, [None]);
 }
 
 #[test]
@@ -223,23 +185,22 @@ fn a_lens_lost_on_the_way_ends_the_capture_by_name_with_the_head_out() {
         (DeviceFault::LensHot, Fault::LensHot),
         (DeviceFault::LensNoBoost, Fault::LensVoltage),
     ] {
-        let (events, notes) = captured(focused(), Some(trouble));
-        assert_eq!(faults(&events), [fault], "{trouble:?}");
+        let record = captured(focused(), Some(trouble));
+        let faults: Vec<_> = record
+            .faults()
+            .into_iter()
+            .map(|(fault, _)| fault)
+            .collect();
+        assert_eq!(faults, [fault], "{trouble:?}");
         let frames = usize::from(focused().frames_per_view());
-        assert_eq!(notes.exposures.len(), frames, "no light in the second view");
+        let exposed = record.notes.exposures.len();
+        assert_eq!(exposed, frames, "no light in the second view");
     }
 }
 
 #[test]
 fn a_controller_without_a_lens_says_so_and_refuses_a_focus() {
-    let sim = Sim::new(Clock::Stepped);
-    let wiring = Wiring::new(&sim);
-    spawn_all(&sim, &wiring, &DeviceConfig::default(), Notebook::default());
-    spawn_controller(&sim, &wiring, Config::DEFAULT);
-    let over = Rc::new(Cell::new(false));
-    let (told, port) = (Rc::clone(&over), wiring.host.clone());
-    sim.spawn(async move {
-        let mut host = Host::new(port);
+    run(DeviceConfig::default(), |mut host, _| async move {
         let hello = Command::Hello {
             protocol: PROTOCOL_VERSION,
             schema: SCHEMA_HASH,
@@ -252,7 +213,6 @@ fn a_controller_without_a_lens_says_so_and_refuses_a_focus() {
         let refused = host.order(Command::LoadPlan(focused())).await;
         assert_eq!(refused, Reply::Refused(Refusal::NoLens));
         assert_eq!(host.order(Command::LoadPlan(plan())).await, Reply::Accepted);
-        told.set(true);
+        host
     });
-    assert!(sim.run_until(|| over.get()));
 }

@@ -2,61 +2,24 @@
 
 mod common;
 
-use common::{Host, Notebook, plan};
-use flankscope_bench::devices::{DeviceConfig, DeviceFault, PressModel, World, spawn_all};
+use common::script::{Hands, Record, Setup};
+use common::{Host, plan, script};
+use flankscope_bench::devices::{DeviceConfig, DeviceFault, PressModel};
 use flankscope_controller::sequence::Config;
 use flankscope_protocol::*;
-use flankscope_sim::{Board, Clock, Edge, Sim, Wiring, now_us, spawn_controller};
+use flankscope_sim::{Board, now_us};
 use std::cell::RefCell;
 use std::rc::Rc;
 
-/// What a script leaves behind.
-struct Record {
-    edges: Vec<Edge>,
-    events: Vec<Event>,
-    vertical_mm: f64,
-}
-
 fn run<F: Future<Output = Host> + 'static>(
     press: PressModel,
-    script: impl FnOnce(Host, Board, Rc<World>) -> F,
+    script: impl FnOnce(Host, Hands) -> F,
 ) -> Record {
-    run_with(Config::DEFAULT, press, script)
-}
-
-fn run_with<F: Future<Output = Host> + 'static>(
-    config: Config,
-    press: PressModel,
-    script: impl FnOnce(Host, Board, Rc<World>) -> F,
-) -> Record {
-    let sim = Sim::new(Clock::Stepped);
-    let wiring = Wiring::new(&sim);
     let devices = DeviceConfig {
         press,
         ..DeviceConfig::default()
     };
-    let world = spawn_all(&sim, &wiring, &devices, Notebook::default());
-    spawn_controller(&sim, &wiring, config);
-    let finished = Rc::new(RefCell::new(None));
-    let script = script(
-        Host::new(wiring.host.clone()),
-        wiring.board.clone(),
-        Rc::clone(&world),
-    );
-    let result = Rc::clone(&finished);
-    sim.spawn(async move {
-        let host = script.await;
-        *result.borrow_mut() = Some(host);
-    });
-    // A script that waits for what never comes would keep the controller company for ever.
-    sim.run_until(|| finished.borrow().is_some() || now_us() > 300_000_000);
-    let host = finished.take().expect("finished");
-    let vertical_mm = world.stage.borrow().true_pose(now_us()).vertical_mm;
-    Record {
-        edges: sim.edges(),
-        events: host.events.into_iter().map(|(_, event)| event).collect(),
-        vertical_mm,
-    }
+    script::run(devices, script)
 }
 
 fn running() -> PressModel {
@@ -64,14 +27,6 @@ fn running() -> PressModel {
         strokes_per_minute: 30.0,
         ..PressModel::default()
     }
-}
-
-fn times(record: &Record, line: &str, level: bool) -> Vec<u64> {
-    let edges = record.edges.iter();
-    edges
-        .filter(|edge| edge.line == line && edge.level == level)
-        .map(|edge| edge.at_us)
-        .collect()
 }
 
 fn over(event: &Event) -> bool {
@@ -87,7 +42,7 @@ fn over(event: &Event) -> bool {
 
 #[test]
 fn the_press_strokes_while_the_head_is_clear_and_stands_while_it_is_not() {
-    let record = run(running(), |mut host, _, _| async move {
+    let record = run(running(), |mut host, _| async move {
         host.prepare(plan()).await;
         let strokes = |host: &Host| {
             let mut cycles = host.events.iter().filter_map(|(_, event)| match event {
@@ -128,8 +83,8 @@ fn the_press_strokes_while_the_head_is_clear_and_stands_while_it_is_not() {
 
     // Never a stroke while the head is off its switch, and never both permissions at once.
     let (made, open) = (
-        times(&record, "retract_switch", true),
-        times(&record, "retract_switch", false),
+        record.times("retract_switch", true),
+        record.times("retract_switch", false),
     );
     assert_eq!(open.len(), 2);
     for (n, &left_us) in open.iter().enumerate() {
@@ -142,10 +97,10 @@ fn the_press_strokes_while_the_head_is_clear_and_stands_while_it_is_not() {
             assert_eq!(inside, None, "while the head was in the die");
         }
         // The press had its hold time before the head left.
-        let dropped = times(&record, "head_clear_2", false)[n];
+        let dropped = record.times("head_clear_2", false)[n];
         assert!(left_us - dropped >= 100_000);
     }
-    assert!(times(&record, "cycle", true).len() >= 7);
+    assert!(record.times("cycle", true).len() >= 7);
 }
 
 /// What goes wrong at the press while the head is in the die, with its fault.
@@ -178,15 +133,15 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
         for frame in [0u16, 1, 7, 19, 24] {
             let lost_at = Rc::new(RefCell::new(0));
             let note = Rc::clone(&lost_at);
-            let record = run(PressModel::default(), |mut host, board, world| async move {
+            let record = run(PressModel::default(), |mut host, hands| async move {
                 host.prepare(plan()).await;
                 host.order(Command::Start { session: 5 }).await;
                 host.until(|event| matches!(event, Event::Triggered(t) if t.frame == frame))
                     .await;
                 if name == "retract_switch" {
-                    world.switch_stuck.set(Some(true));
+                    hands.world.switch_stuck.set(Some(true));
                 }
-                line(&board, name).set(level);
+                line(&hands.board, name).set(level);
                 *note.borrow_mut() = now_us();
                 host.until(|event| {
                     matches!(
@@ -199,9 +154,9 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
                 })
                 .await;
                 // All is well again: only an acknowledgement helps.
-                line(&board, name).set(!level);
+                line(&hands.board, name).set(!level);
                 if name == "retract_switch" {
-                    line(&board, name).set(true);
+                    line(&hands.board, name).set(true);
                 }
                 let refused = host.order(Command::Start { session: 5 }).await;
                 let code = fault.code();
@@ -220,7 +175,7 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
                 Fault::HeadSwitch => u64::from(Config::DEFAULT.interlock.contradiction.get()),
                 _ => 0,
             };
-            let off = times(&record, "led_enable", false);
+            let off = record.times("led_enable", false);
             let off_us = off.iter().copied().find(|&at| at >= lost_us).expect("dark");
             assert!(
                 off_us - lost_us <= 100_000 + allowed_us,
@@ -236,7 +191,10 @@ fn every_loss_at_the_press_darkens_and_retracts_in_time_and_stays() {
                 _ => None,
             });
             assert!(retract_us.expect("retracts") - lost_us <= 250_000 + allowed_us);
-            assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
+            assert!(
+                (record.pose.vertical_mm - 100.0).abs() < 0.01,
+                "the head is out"
+            );
         }
     }
 }
@@ -252,7 +210,7 @@ fn losing_the_position_or_the_host_darkens_and_retracts_in_time() {
         for frame in [0u16, 1, 7, 19, 24] {
             let lost_at = Rc::new(RefCell::new(0));
             let note = Rc::clone(&lost_at);
-            let record = run(PressModel::default(), |mut host, _, world| async move {
+            let record = run(PressModel::default(), |mut host, hands| async move {
                 host.prepare(plan()).await;
                 host.order(Command::Start { session: 5 }).await;
                 host.until(|event| matches!(event, Event::Triggered(t) if t.frame == frame))
@@ -260,7 +218,7 @@ fn losing_the_position_or_the_host_darkens_and_retracts_in_time() {
                 *note.borrow_mut() = now_us();
                 match lost {
                     Some(fault) => {
-                        world.faults.give(fault);
+                        hands.world.faults.give(fault);
                         host.keep_company(400).await;
                     }
                     None => host.listen(400).await,
@@ -281,7 +239,7 @@ fn losing_the_position_or_the_host_darkens_and_retracts_in_time() {
                 last.is_some_and(|edge| edge.level)
             };
             assert!(lit(lost_us), "{what}");
-            let dark_us = times(&record, "led_enable", false);
+            let dark_us = record.times("led_enable", false);
             let dark_us = dark_us.into_iter().find(|&at| at >= lost_us);
             assert!(
                 dark_us.expect("dark") - lost_us <= 100_000,
@@ -315,7 +273,11 @@ fn a_press_is_never_held_beyond_the_limit_even_for_a_living_host() {
     let stay_us = 2_000_000;
     let mut config = Config::DEFAULT;
     config.interlock.stay = Microseconds(stay_us);
-    let record = run_with(config, PressModel::default(), |mut host, _, _| async move {
+    let setup = Setup {
+        controller: Some(config),
+        ..Setup::default()
+    };
+    let record = script::run(setup, |mut host, _| async move {
         host.prepare(plan()).await;
         let started = host.order(Command::Start { session: 5 }).await;
         assert_eq!(started, Reply::Accepted);
@@ -338,28 +300,29 @@ fn a_press_is_never_held_beyond_the_limit_even_for_a_living_host() {
         })
         .collect();
     assert_eq!(faults, [Fault::HoldLimit]);
-    let claimed_us = times(&record, "head_clear_1", false)[0];
+    let claimed_us = record.times("head_clear_1", false)[0];
     let over_us = claimed_us + u64::from(stay_us);
     // Between two views the LED is dark already; it must be so soon after the limit, and stay so.
     let mut led = record.edges.iter().filter(|edge| edge.line == "led_enable");
     let lit_us = led.rfind(|edge| edge.level).expect("was lit").at_us;
     assert!(lit_us < over_us);
-    let dark_us = *times(&record, "led_enable", false).last().expect("dark");
+    let dark_us = *record.times("led_enable", false).last().expect("dark");
     assert!(dark_us <= over_us + 100_000, "dark at {dark_us}");
-    let released_us = *times(&record, "head_clear_1", true)
-        .last()
-        .expect("released");
+    let released_us = *record.times("head_clear_1", true).last().expect("released");
     let limit_us = over_us + u64::from(config.interlock.withdraw.get());
     assert!(
         (over_us..=limit_us).contains(&released_us),
         "held from {claimed_us} to {released_us}"
     );
-    assert!((record.vertical_mm - 100.0).abs() < 0.01, "the head is out");
+    assert!(
+        (record.pose.vertical_mm - 100.0).abs() < 0.01,
+        "the head is out"
+    );
 }
 
 #[test]
 fn a_verdict_is_shown_while_it_is_fresh() {
-    let record = run(PressModel::default(), |mut host, _, _| async move {
+    let record = run(PressModel::default(), |mut host, _| async move {
         host.prepare(plan()).await;
         let shown = Command::ShowVerdict { go: true };
         assert_eq!(host.order(shown).await, Reply::Accepted);
@@ -374,17 +337,14 @@ fn a_verdict_is_shown_while_it_is_fresh() {
         assert!(!status.press.go);
         host
     });
-    let (on, off) = (
-        times(&record, "go", true)[0],
-        times(&record, "go", false)[0],
-    );
+    let (on, off) = (record.times("go", true)[0], record.times("go", false)[0]);
     assert_eq!(
         off - on,
         u64::from(Config::DEFAULT.interlock.verdict_life.get())
     );
     // Power-up, then on with the fall of go.
-    assert_eq!(times(&record, "no_go", true), [0, off]);
-    assert_eq!(times(&record, "no_go", false), [on]);
-    let beats = times(&record, "beat", true).len() + times(&record, "beat", false).len();
+    assert_eq!(record.times("no_go", true), [0, off]);
+    assert_eq!(record.times("no_go", false), [on]);
+    let beats = record.times("beat", true).len() + record.times("beat", false).len();
     assert_eq!(beats, 20);
 }

@@ -3,14 +3,10 @@
 
 mod common;
 
-use common::{Host, Notebook, plan, stages};
-use flankscope_bench::devices::{DeviceConfig, spawn_all};
-use flankscope_controller::sequence::Config;
+use common::script::{self, Setup};
+use common::{Host, plan, stages};
 use flankscope_protocol::stage::STAGE_CONFIG_VERSION;
 use flankscope_protocol::*;
-use flankscope_sim::{Clock, Sim, Wiring, now_us, spawn_controller};
-use std::cell::RefCell;
-use std::rc::Rc;
 
 const HELLO: Command = Command::Hello {
     protocol: PROTOCOL_VERSION,
@@ -31,26 +27,15 @@ fn run<F: Future<Output = Host> + 'static>(
     line: Option<Line>,
     script: impl FnOnce(Host) -> F,
 ) -> (Vec<Event>, usize) {
-    let sim = Sim::new(Clock::Stepped);
-    let wiring = Wiring::new(&sim);
-    if let Some(line) = line {
-        wiring.stage.set(line);
-    }
-    let notebook = Notebook::default();
-    let _world = spawn_all(&sim, &wiring, &DeviceConfig::default(), notebook.clone());
-    spawn_controller(&sim, &wiring, Config::DEFAULT);
-    let finished = Rc::new(RefCell::new(None));
-    let result = Rc::clone(&finished);
-    let script = script(Host::new(wiring.host.clone()));
-    sim.spawn(async move { *result.borrow_mut() = Some(script.await) });
-    assert!(sim.run_until(|| finished.borrow().is_some() || now_us() > 600_000_000));
-    let host = finished.take().expect("the script is over");
-    let told = host.events.into_iter().map(|(_, event)| event);
+    let setup = Setup {
+        stage_line: line,
+        ..Setup::default()
+    };
+    let record = script::run(setup, |host, _| script(host));
     // The press shows itself whatever the stages do.
-    let events = told
-        .filter(|event| !matches!(event, Event::PressOpen { .. }))
-        .collect();
-    (events, notebook.0.borrow().destinations.len())
+    let of_press = |event: &Event| matches!(event, Event::PressOpen { .. });
+    let events = record.events.into_iter().filter(|event| !of_press(event));
+    (events.collect(), record.notes.destinations.len())
 }
 
 fn ready(event: &Event) -> bool {

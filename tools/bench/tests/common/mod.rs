@@ -1,6 +1,8 @@
 //! A host inside the simulation, and a sink that only notes what was exposed.
 #![allow(dead_code)] // each test binary uses its part
 
+pub mod script;
+
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::{Read, Write};
