@@ -235,6 +235,58 @@ fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
     assert!(!folder.path().join("touched.toml").exists());
 }
 
+/// Nothing of a head is compiled in, nor are its fringes: pictures for its DMD, check, store and recording of a set of its own.
+#[test]
+fn a_head_throws_a_set_of_its_own() {
+    if !flankscope_test_requisites::dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (tool, pictures, history, frames) = (at("die"), at("dmd"), at("press.db"), at("frames"));
+    written("demo-tool", tool.as_ref(), "20mm");
+    let head = folder.path().join("die/head.toml");
+    let text = std::fs::read_to_string(&head).unwrap();
+    let own = text.replace("pattern_set = \"high12\"", "pattern_set = \"mine14\"");
+    assert_ne!(own, text);
+    let sets = [(37, 4), (40, 4), (49, 6)];
+    let table = |(periods, steps)| format!("[[fringes]]\nperiods = {periods}\nsteps = {steps}\n");
+    std::fs::write(&head, [&own, "\n", &sets.map(table).concat()].concat()).unwrap();
+
+    let written = run(flankscope()
+        .args([
+            "patterns", "--set", "mine14", "--pack", "grey", "-q", "--json", "-",
+        ])
+        .args(["-o", &pictures, "--head"])
+        .arg(&head));
+    assert_eq!(written.code, 0, "{}", written.stderr);
+    let patterns = written.json[0]["patterns"].as_array().unwrap();
+    let shown: Vec<_> = patterns
+        .iter()
+        .map(|of| ["periods", "step", "steps"].map(|key| of[key].as_f64().unwrap()))
+        .collect();
+    let expected = sets.iter().flat_map(|&(periods, steps)| {
+        (0..steps).map(move |step| [periods, step, steps].map(f64::from))
+    });
+    assert_eq!(shown, expected.collect::<Vec<_>>());
+
+    let kept = ["--history", &history, "--save-frames", &frames];
+    let check = ["--link", "sim", "--teeth", "40", "--wear", "40:left:80"];
+    let worn = inspect(&[&check[..], &["--tool", &tool], &kept].concat());
+    assert_eq!(worn.not_go(), ["40:left:no-go"], "{}", worn.stderr);
+    let left = &worn.json["features"][0];
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left[key].as_f64().unwrap());
+    assert!((wear_um - 80.0).abs() <= u95_um, "{wear_um} ± {u95_um}");
+    assert_eq!(worn.json["recipe"]["pattern_set"], "mine14");
+    assert_eq!(worn.json["frames"]["received"], 1 + 2 * 14);
+    let recorded = inspect(&["--frames", &frames, "--tool", &tool]);
+    assert_eq!(recorded.json["features"], worn.json["features"]);
+    let again = run(flankscope()
+        .args(["replay", &history, "1", "--tool", &tool])
+        .args(["--quiet", "--json", "-"]));
+    assert_eq!(again.json["same"], true, "{}", again.json);
+}
+
 /// Two projectors: each flank by the one that sees it, both where they agree; stored, recorded and computed again as any check.
 #[test]
 fn a_head_with_two_projectors_sees_more_and_contradicts_itself_by_name() {

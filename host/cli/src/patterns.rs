@@ -108,13 +108,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let (Some(folder), Some(tooth)) = (&args.adaptive, args.tooth) {
         return adaptive(args, folder, tooth);
     }
-    let mirrors = args.mirrors(&args.head()?)?;
+    let head = args.head()?;
+    let mirrors = args.mirrors(&head)?;
     let packing = args
         .pack
         .map_or_else(|| Packing::of(mirrors), Packing::from);
     try_folder(&args.output, &[])?;
     let mut manifests = Vec::new();
-    for set in args.sets()? {
+    for set in args.sets(&head)? {
         let folder = args.output.join(&set.name);
         let manifest = write(&folder, &set, mirrors, packing)?;
         if args.common.shows_table() {
@@ -143,12 +144,10 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
         .map_or_else(|| Packing::of(head.mirrors()), Packing::from);
     args.mirrors(&head)?;
     let set = match (&args.set, &args.plan) {
-        (None, None) => PatternSet::named(
-            head.pattern_set
-                .as_deref()
-                .context("the head file names no pattern_set: choose one with --set or --plan")?,
-        )?,
-        _ => args.sets()?.swap_remove(0),
+        (None, None) => head
+            .patterns()?
+            .context("the head file names no pattern_set: choose one with --set or --plan")?,
+        _ => args.sets(&head)?.swap_remove(0),
     };
     let mut views = PlannedView::of_teeth(&tool, &[tooth])?;
     let mut view = views.swap_remove(0);
@@ -251,7 +250,7 @@ impl Args {
         Ok(mirrors)
     }
 
-    fn sets(&self) -> anyhow::Result<Vec<PatternSet>> {
+    fn sets(&self, head: &HeadModel) -> anyhow::Result<Vec<PatternSet>> {
         if let Some(path) = &self.plan {
             let mut set = Plan::load(path)?.patterns;
             if set.name.is_empty() || set.name.contains(['/', '\0']) || set.name.starts_with('.') {
@@ -259,11 +258,16 @@ impl Args {
             }
             return Ok(vec![set]);
         }
-        let known = NAMED.iter().map(|(name, _)| *name);
-        let sets: Result<_, _> = match &self.set {
-            Some(name) => PatternSet::named(name).map(|set| vec![set]),
-            None => known.map(PatternSet::named).collect(),
-        };
-        Ok(sets?)
+        let own = head.patterns()?.filter(|_| !head.fringes.is_empty());
+        let known = NAMED.iter().map(|(name, _)| PatternSet::named(name));
+        Ok(match (&self.set, own) {
+            (Some(name), Some(own)) if *name == own.name => vec![own],
+            (Some(name), _) => vec![PatternSet::named(name)?],
+            (None, own) => own
+                .map(Ok)
+                .into_iter()
+                .chain(known)
+                .collect::<Result<_, _>>()?,
+        })
     }
 }

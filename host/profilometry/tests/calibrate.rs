@@ -50,6 +50,7 @@ fn truth() -> HeadModel {
         name: "truth".into(),
         working_distance_mm: None,
         pattern_set: None,
+        fringes: Vec::new(),
         exposures_us: vec![],
         binning: 1,
         camera: lens(

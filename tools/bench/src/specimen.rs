@@ -104,8 +104,12 @@ fn top_of(cad: &Mesh) -> f64 {
 
 /// What the DMD of a head shows.
 fn shown(head: &HeadFile, made: &HeadDesign) -> anyhow::Result<Vec<PatternSpec>> {
-    let name = head.pattern_set.as_ref().unwrap_or(&made.pattern_set);
-    PatternSpec::named(name).with_context(|| format!("the bench's DMD has no pattern set {name:?}"))
+    let (name, fringes) = match &head.pattern_set {
+        Some(name) => (name, &head.fringes),
+        None => (&made.pattern_set, &made.fringes),
+    };
+    PatternSpec::of_head(name, fringes)
+        .with_context(|| format!("the bench's DMD has no pattern set {name:?}"))
 }
 
 fn gear_of(gear: &Gear, cad: &Mesh) -> anyhow::Result<GearSpec> {

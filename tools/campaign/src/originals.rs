@@ -132,7 +132,7 @@ impl Originals {
         write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
-        // A short core map, and a head that names it by its hash and drives a lens.
+        // A short core map, and a head that names it by its hash, drives a lens and throws a set of its own.
         let whole = std::fs::read_to_string(self.folder.join("tool/cores.csv"))?;
         let lines: Vec<&str> = whole.lines().take(400).collect();
         let (short, head) = (
@@ -142,7 +142,9 @@ impl Originals {
         let head = head.replace(
             &files::hash(whole.as_bytes()),
             &files::hash(short.as_bytes()),
-        ) + LENS;
+        );
+        let head =
+            head.replace("pattern_set = \"high12\"", "pattern_set = \"own14\"") + FRINGES + LENS;
         std::fs::create_dir_all(self.folder.join("cores"))?;
         write("cores/cores.csv", short.as_bytes())?;
         write("cores/head.toml", head.as_bytes())?;
@@ -215,6 +217,8 @@ const FOCUS: &[u8] = b"name = \"liquid\"\ndrift_dpt_per_kelvin = 0.05\ndrift_sig
 [[focus]]\nsetting_dpt = -3.0\ncelsius = 23.0\nfile = \"a.toml\"\n[[focus]]\nsetting_dpt = 0.0\ncelsius = 23.0\nfile = \"b.toml\"\n\
 [[focus]]\nsetting_dpt = 3.0\ncelsius = 23.5\nfile = \"c.toml\"\n";
 
+const FRINGES: &str =
+    "\n[[fringes]]\nperiods = 37\nsteps = 4\n\n[[fringes]]\nperiods = 49\nsteps = 10\n";
 const STATION: &[u8] = b"[light]\nled_ma = 1000\n\n[timing]\nsettle_ms = 100\npattern_settle_us = 200\ncamera_readout_us = 13000\n\n[stages]\n\
 rotation_error_mdeg = 15.0\nvertical_error_um = 5.0\nmount_um = 10.0\nmount_mrad = 0.2\nclearance_mm = 20.0\nmoves = \"head\"\n\n\
 [stages.line]\nbaud = 19200\n\n[stages.rotation]\naxis = 1\nspeed_deg_s = 80.0\nacceleration_deg_s2 = 320.0\n\

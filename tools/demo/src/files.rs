@@ -9,7 +9,7 @@ use flankscope_bench::world::{HeadDesign, LiquidLens, Pinhole};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::{
-    self, DepthRange, ImageCircle, LensDrive, RigidTransform, SecondProjector, Sensor,
+    self, DepthRange, Fringes, ImageCircle, LensDrive, RigidTransform, SecondProjector, Sensor,
 };
 use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -117,6 +117,14 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
             made.working_distance_mm + made.best_focus_mm() - made.stand_off_mm,
         ),
         pattern_set: Some(made.pattern_set.clone()),
+        fringes: made
+            .fringes
+            .iter()
+            .map(|set| Fringes {
+                periods: set.periods,
+                steps: set.steps,
+            })
+            .collect(),
         exposures_us: made.exposures_us.clone(),
         binning: made.binning,
         camera: pinhole_file(&optics.camera, optics.camera_size_px),

@@ -89,13 +89,19 @@ impl Rig {
         config.run_seed = seed;
         let world = World::new(&config)?;
         let views = demo::target_views(&target, seed, &target.beside[..2]);
-        let name = match self.made == HeadDesign::demo() {
-            true => PATTERNS,
-            false => &self.made.pattern_set,
+        let (patterns, shown) = match self.made == HeadDesign::demo() {
+            true => (
+                Some(PatternSet::named(PATTERNS)?),
+                PatternSpec::named(PATTERNS),
+            ),
+            false => (
+                demo::drawn_head_of(&self.made).patterns()?,
+                PatternSpec::of_head(&self.made.pattern_set, &self.made.fringes),
+            ),
         };
-        let patterns = PatternSet::named(name)?;
+        let patterns = patterns.context("the head names no patterns")?;
+        let shown = shown.context("patterns of the bench")?;
         let sets: Vec<(f64, u32)> = patterns.sets.iter().map(|s| (s.periods, s.steps)).collect();
-        let shown = PatternSpec::named(name).context("patterns of the bench")?;
         let exposures_us = [target.exposure_us];
         let decoder = |head: &HeadModel, options| {
             Decoder::new(head, &patterns, &exposures_us, options).context("the target's patterns")

@@ -82,8 +82,10 @@ impl Setup {
 
     /// A head as it throws this setup's patterns.
     pub fn throwing(&self, head: HeadModel) -> HeadModel {
+        let own = head.pattern_set.as_ref() == Some(&self.patterns);
         HeadModel {
             pattern_set: Some(self.patterns.clone()),
+            fringes: if own { head.fringes } else { Vec::new() },
             ..head
         }
     }

@@ -456,6 +456,7 @@ fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
     size(&a.camera) == size(&b.camera)
         && size(&a.projector) == size(&b.projector)
         && a.pattern_set == b.pattern_set
+        && a.fringes == b.fringes
         && a.exposures_us == b.exposures_us
         && a.binning == b.binning
         && a.mirrors == b.mirrors

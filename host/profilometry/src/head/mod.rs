@@ -5,6 +5,7 @@
 mod calibration;
 mod camera;
 mod core_map;
+mod fringes;
 mod lens;
 mod mirrors;
 mod opencv;
@@ -31,6 +32,7 @@ pub use calibration::{
 pub(crate) use calibration::{FRAMES, geometry_blake3};
 pub use camera::Pinhole;
 pub use core_map::{CoreMap, CoreMapError, CoreMapFile};
+pub use fringes::Fringes;
 pub use lens::LensDrive;
 pub use mirrors::{Arrangement, Mirrors};
 pub use pose::RigidTransform;
@@ -48,9 +50,12 @@ pub struct HeadModel {
     /// Distance from the front to the middle of the measuring volume.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub working_distance_mm: Option<f64>,
-    /// Default pattern set by name.
+    /// Default pattern set by name: one that the instrument knows, or that of `fringes`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern_set: Option<String>,
+    /// Frequencies of a set of its own, ascending; empty where the instrument knows the set by its name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub fringes: Vec<Fringes>,
     /// Default exposures, ascending; may be empty.
     #[serde(default)]
     pub exposures_us: Vec<u32>,
@@ -152,6 +157,7 @@ impl HeadModel {
             name: name.to_owned(),
             working_distance_mm: None,
             pattern_set: None,
+            fringes: Vec::new(),
             exposures_us: Vec::new(),
             binning: 1,
             camera,
@@ -286,15 +292,6 @@ impl HeadModel {
                 "must be positive and ascending",
             ));
         }
-        if let Some(name) = &self.pattern_set
-            && crate::pattern::PatternSet::named(name).is_err()
-        {
-            return Err(BadValue::new(
-                "pattern_set",
-                name,
-                crate::pattern::KNOWN_SETS,
-            ));
-        }
-        Ok(())
+        self.check_patterns()
     }
 }

@@ -23,6 +23,7 @@ pub fn head() -> HeadModel {
         name: "test".to_owned(),
         working_distance_mm: None,
         pattern_set: None,
+        fringes: Vec::new(),
         exposures_us: vec![],
         binning: 1,
         camera: Pinhole {

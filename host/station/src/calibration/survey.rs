@@ -6,9 +6,7 @@ use std::sync::Arc;
 use flankscope_profilometry::calibrate::{StagePose, Target};
 use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::pattern::PatternError;
-use flankscope_profilometry::{
-    Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet,
-};
+use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
 
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop,
@@ -78,8 +76,7 @@ impl<O: Send + 'static> Surveyor<O> {
         let lacks = || SurveyError::HeadLacks {
             what: "pattern_set",
         };
-        let name = head.pattern_set.as_deref().ok_or_else(lacks)?;
-        let patterns = PatternSet::named(name)?;
+        let patterns = head.patterns()?.ok_or_else(lacks)?;
         let exposures_us = vec![target.exposure_us];
         let decoder = Decoder::new(head, &patterns, &exposures_us, options)?;
         let decoder = Arc::new(decoder);

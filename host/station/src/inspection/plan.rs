@@ -215,7 +215,7 @@ impl ViewPlan {
             _ => Self::nominal(tool, teeth)?,
         };
         let lacks = |what| PlanningError::HeadLacks { what };
-        let patterns = PatternSet::named(head.pattern_set.as_deref().ok_or(lacks("pattern_set"))?)?;
+        let patterns = head.patterns()?.ok_or(lacks("pattern_set"))?;
         if head.exposures_us.is_empty() {
             return Err(lacks("exposures_us"));
         }

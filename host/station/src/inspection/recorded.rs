@@ -7,7 +7,8 @@ use flankscope_foundation::date::Date;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::{Bend, HeadModel};
+use flankscope_profilometry::head::Fringes;
+use flankscope_profilometry::{Bend, FringeSet, HeadModel, PatternSet};
 
 use super::failure;
 use super::job::{InspectError, Station, Subject};
@@ -154,10 +155,41 @@ pub enum RecordError {
     Toml(#[from] toml::ser::Error),
 }
 
-/// The part of a plan that says how fringes are bent.
+/// `PLAN.toml` of a recording: which patterns its frames are of.
 #[derive(serde::Serialize)]
-struct Bent<'a> {
+struct PlanOfFrames<'a> {
+    /// Of a set that the instrument knows.
+    pattern_set: Option<&'a str>,
+    /// Of any other.
+    name: Option<&'a str>,
+    exposures_us: &'a [u32],
+    dark_first: bool,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    set: Vec<Fringes>,
     bend: Option<&'a Bend>,
+}
+
+impl<'a> PlanOfFrames<'a> {
+    fn of(plan: &'a ViewPlan) -> Self {
+        let patterns = &plan.patterns;
+        let known = PatternSet::named(&patterns.name).is_ok();
+        let name = Some(patterns.name.as_str());
+        let whole = |set: &FringeSet| Fringes {
+            periods: set.periods as u32,
+            steps: set.steps,
+        };
+        Self {
+            pattern_set: name.filter(|_| known),
+            name: name.filter(|_| !known),
+            exposures_us: &plan.exposures_us,
+            dark_first: plan.dark_frame,
+            set: match known {
+                true => Vec::new(),
+                false => patterns.sets.iter().map(whole).collect(),
+            },
+            bend: patterns.bend.as_ref(),
+        }
+    }
 }
 
 /// What a recording says beside its frames.
@@ -209,16 +241,10 @@ impl RecordingNotes<'_> {
             lit_ratios: self.plan.lit_ratios.clone(),
             view: views,
         };
-        let bend = Bent {
-            bend: self.plan.patterns.bend.as_ref(),
-        };
         let plan = format!(
             "# The dark frame, then exposure by exposure (and pass by pass) the patterns, in the order of the images' names.\n\
-             pattern_set = {:?}\nexposures_us = {:?}\ndark_first = {}\n{}",
-            self.plan.patterns.name,
-            self.plan.exposures_us,
-            self.plan.dark_frame,
-            toml::to_string(&bend)?
+             {}",
+            toml::to_string(&PlanOfFrames::of(self.plan))?
         );
         for (name, text) in [("PLAN.toml", plan), (FrameIndex::FILE, index.to_toml()?)] {
             let path = folder.join(name);

@@ -6,13 +6,18 @@ use nalgebra::Isometry3;
 use serde::Deserialize;
 
 use super::{FileError, Placement, read};
-use crate::world::{HeadDesign, HeadOptics, Pinhole, Remainder, SecondProjector, Unevenness};
+use crate::world::{
+    Fringes, HeadDesign, HeadOptics, Pinhole, Remainder, SecondProjector, Unevenness,
+};
 
 /// The bench's part of a head file.
 #[derive(Clone, Debug, Deserialize)]
 pub struct HeadFile {
     /// Name of the pattern set; without it that of the head as it was made.
     pub pattern_set: Option<String>,
+    /// Frequencies of that set, where it is the head's own.
+    #[serde(default)]
+    pub fringes: Vec<Fringes>,
     /// Objective and sensor.
     pub camera: Lens,
     /// Objective and DMD.
@@ -69,6 +74,7 @@ impl HeadFile {
         };
         Self {
             pattern_set: Some(made.pattern_set.clone()),
+            fringes: made.fringes.clone(),
             camera: lens(&optics.camera),
             projector: lens(&optics.projector),
             projector_from_camera: (&optics.projector_from_camera).into(),

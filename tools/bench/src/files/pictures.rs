@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
@@ -49,23 +49,23 @@ pub fn load(
 ) -> anyhow::Result<(Vec<PatternSpec>, Vec<DmdPass>)> {
     let index: Index = json(&folder.join("adaptive.json"))?;
     let set = index.set;
-    let Some(patterns) = PatternSpec::named(&set) else {
-        bail!("the bench's DMD has no pattern set {set:?}");
-    };
+    // A set that is not known by its name is what its first pass shows.
+    let mut known = PatternSpec::named(&set);
     let mut passes = Vec::new();
     for Pass { lights } in index.passes {
         let folder = folder.join(lights);
         let pictures: Pictures = json(&folder.join("patterns.json"))?;
         let shown: Vec<PatternSpec> = pictures.patterns.iter().map(|of| of.shows).collect();
+        let patterns = known.get_or_insert_with(|| shown.clone());
         ensure!(
-            shown == patterns,
+            shown == *patterns,
             "{} shows other fringes than {set}",
             folder.display()
         );
         // The mean over the phase steps is half of what a mirror gets.
         let finest = patterns.last().map_or(0.0, |last| last.periods);
         let mut sums = vec![0_u32; size_px[0] * size_px[1]];
-        let mut seen = Fringes::new(&patterns, size_px);
+        let mut seen = Fringes::new(patterns, size_px);
         for picture in &pictures.patterns {
             let is_fine = picture.shows.periods == finest;
             if !is_fine && index.bend.is_none() {
@@ -89,6 +89,7 @@ pub fn load(
             Some(_) => pass.bent(seen.columns_px())?,
         });
     }
+    let patterns = known.with_context(|| format!("{set} has no pass"))?;
     Ok((patterns, passes))
 }
 

@@ -5,6 +5,7 @@ use serde::Deserialize;
 
 use super::liquid::{Driven, LiquidLens, Refracted};
 use super::optics::SecondProjector;
+use super::pattern::Fringes;
 use super::{BundleSpec, HeadOptics, Objective, Pinhole, SensorSpec, WorldConfig};
 
 /// The heads that come along: name and text of their `optics.toml`.
@@ -46,6 +47,9 @@ pub struct HeadDesign {
     pub dmd_leak_ratio: f64,
     /// What the DMD shows unless the head file says otherwise.
     pub pattern_set: String,
+    /// Frequencies of that set, ascending, where it is the head's own.
+    #[serde(default)]
+    pub fringes: Vec<Fringes>,
     /// Exposures for a sprayed die.
     pub exposures_us: Vec<u32>,
     /// Exposure for a white plate.

@@ -49,7 +49,7 @@ pub use ideal::{IdealView, PixelLight};
 pub use liquid::{Driven, LiquidLens};
 pub use mount::{Carries, Mount, Saw};
 pub use optics::{HeadOptics, Objective, Pinhole, SecondProjector};
-pub use pattern::PatternSpec;
+pub use pattern::{Fringes, PatternSpec};
 pub use print::Print;
 pub use rays::{Hit, RayCaster};
 pub use scene::{CoreTruth, Lanes};

@@ -14,6 +14,15 @@ pub struct PatternSpec {
     pub steps: u32,
 }
 
+/// A frequency of a set that a head brings along.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub struct Fringes {
+    /// Periods over the width of the DMD.
+    pub periods: u32,
+    /// Phase steps.
+    pub steps: u32,
+}
+
 impl PatternSpec {
     /// All frames of sets given as (periods, steps), set by set in the order in which the DMD shows them.
     pub fn sequence(sets: &[(f64, u32)]) -> Vec<Self> {
@@ -38,6 +47,18 @@ impl PatternSpec {
             "high16" => Some(Self::sequence(&[(41.0, 4), (45.0, 4), (48.0, 8)])),
             _ => None,
         }
+    }
+
+    /// What a head file says: a set of its own, or one by its name.
+    pub fn of_head(name: &str, fringes: &[Fringes]) -> Option<Vec<Self>> {
+        if fringes.is_empty() {
+            return Self::named(name);
+        }
+        let own: Vec<(f64, u32)> = fringes
+            .iter()
+            .map(|set| (f64::from(set.periods), set.steps))
+            .collect();
+        Some(Self::sequence(&own))
     }
 
     /// In-situ set: 4 periods in 4 steps, 48 periods in 8 steps.
