@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use flankscope_metrology::verdict::Code;
 
-use super::store::Check;
+use super::rows::Check;
 
 /// Writes a line per check and flank, as comma-separated values (RFC 4180) under a line of names.
 ///

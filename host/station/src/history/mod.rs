@@ -7,7 +7,8 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `store` | the file: made, opened, written in whole transactions, read |
+//! | `store` | the file: made, opened, written in whole transactions |
+//! | `rows` | what is read of it |
 //! | `schema` | its tables, and which version of them this is |
 //! | `chain` | a keyed digest over every row and the one before it |
 //! | `same_die` | which checks are of one die |
@@ -36,6 +37,7 @@ mod phasors;
 mod remaining;
 mod replay;
 mod retention;
+mod rows;
 mod same_die;
 mod schema;
 mod series;
@@ -53,7 +55,8 @@ pub use parquet::parquet;
 pub use remaining::Passage;
 pub use replay::{Difference, Replay, ReplayError};
 pub use retention::Retention;
+pub use rows::{Acknowledgement, Check, FlankRow};
 pub use series::{Point, Series, series};
-pub use store::{Acknowledgement, Check, FlankRow, History};
+pub use store::History;
 pub use trend::{LEAST_POINTS, Trend};
 pub use writer::HistoryWriter;

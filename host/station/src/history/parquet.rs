@@ -9,7 +9,7 @@ use ::parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use ::parquet::schema::parser::parse_message_type;
 use std::sync::Arc;
 
-use super::store::{Check, FlankRow};
+use super::rows::{Check, FlankRow};
 
 const SCHEMA: &str = "message history {
     REQUIRED INT64 check;

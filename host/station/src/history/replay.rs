@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::error::HistoryError;
-use super::store::{Check, History};
+use super::rows::Check;
+use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::{
     Evaluator, EvaluatorError, Evidence, Findings, PlanningError, Recipe, Subject, ViewOutcome,

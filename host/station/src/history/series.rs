@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::verdict::{Code, Word};
 
-use super::store::Check;
+use super::rows::Check;
 use crate::inspection::FeatureId;
 
 /// Wear of one flank or patch over the tool's present life.
