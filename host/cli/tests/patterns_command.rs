@@ -1,6 +1,5 @@
 //! `patterns` as a user runs it.
 
-#[allow(dead_code)] // clouds, which nobody needs here
 mod support;
 
 use support::{assert_refused, flankscope, json};

@@ -1,4 +1,5 @@
 //! The command as a user runs it, and clouds to feed it.
+#![allow(dead_code)] // each test binary uses its part
 
 use std::path::Path;
 use std::process::{Command, Output};
