@@ -123,6 +123,7 @@ pub fn press_tool(folder: &Path) -> String {
         projector_rms_px: 0.05,
         depth_sigma_um: 1.0,
         lateral_sigma_um: 1.0,
+        farther_sigma_um: None,
         hold_out: None,
         without_field: None,
         board: None,

@@ -218,7 +218,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Finds the sharpest setting before the target's blank plate, and writes the head there where it is asked for.
+/// Finds where the camera is sharp before the target's blank plate, and writes the head there where it is asked for.
 fn autofocus(
     args: &Args,
     of_target: (&str, bool),
@@ -233,7 +233,10 @@ fn autofocus(
     if let Some(output) = &args.output {
         can_write(output)?;
     }
-    let head = HeadModel::load(&folder.join("head.toml")).context("head to start from")?;
+    let head = match &args.focus.head {
+        Some(path) => believed(path)?,
+        None => HeadModel::load(&folder.join("head.toml")).context("head to start from")?,
+    };
     has_one_projector(&head, "--autofocus")?;
     let site = args.place.site(&[of_target])?;
     let site = site.with_own_stages("a calibration")?;
@@ -258,6 +261,16 @@ fn autofocus(
     let written = written.as_ref().map(|(path, record)| (*path, record));
     let made = Made::by(&site.setting, false);
     calibrate_autofocus::conclude(&focused, made, written, truth, &args.common)
+}
+
+/// A head whose file is what it was sealed as, where it is calibrated.
+fn believed(path: &Path) -> anyhow::Result<HeadModel> {
+    let head = HeadModel::load(path).context("head")?;
+    if head.calibration.is_some() {
+        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
+        seals()?.believe(Kind::Head, path, &document)?;
+    }
+    Ok(head)
 }
 
 /// What knows the frames of one projector only.
@@ -289,11 +302,7 @@ fn check(
     target: Target,
     path: &Path,
 ) -> anyhow::Result<Outcome> {
-    let mut head = HeadModel::load(path).context("head")?;
-    if head.calibration.is_some() {
-        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
-        seals()?.believe(Kind::Head, path, &document)?;
-    }
+    let mut head = believed(path)?;
     // A head from the bench is tested there. Of any other, who tests it says where.
     let made = head.calibration.as_ref().and_then(|made| made.simulated);
     let of_head = (

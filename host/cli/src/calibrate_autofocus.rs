@@ -1,4 +1,5 @@
-//! `flankscope calibrate --autofocus`: the setting of a driven lens at which a target's blank plate is sharp, and the head there.
+//! `flankscope calibrate --autofocus`: the setting of a driven lens at which the camera is sharp on a target's blank plate, and the head
+//! there.
 
 use std::io::Write;
 use std::path::Path;
@@ -23,11 +24,32 @@ struct Found {
     /// What the driver is to be told, and what that gives.
     counts: u16,
     setting_dpt: f64,
-    /// Where the fringes are sharpest, and how surely.
+    /// Best focus of the camera, its combined standard uncertainty, and the parts of that.
     sharpest_dpt: f64,
     sigma_dpt: f64,
+    sigma: Parts,
+    /// Where the fringes have most contrast, how much, and what leads from there to best focus.
+    vertex_dpt: f64,
     contrast: f64,
+    correction: Correction,
+    /// The middle of the plate.
+    distance_mm: f64,
+    projector_farther_mm: f64,
     steps: Vec<Step>,
+}
+
+#[derive(Serialize)]
+struct Parts {
+    scatter_dpt: f64,
+    projector_dpt: f64,
+    head_dpt: f64,
+    curvature_dpt: f64,
+}
+
+#[derive(Serialize)]
+struct Correction {
+    projector_dpt: f64,
+    curvature_dpt: f64,
 }
 
 #[derive(Serialize)]
@@ -55,9 +77,22 @@ impl Found {
         Self {
             counts: lens.counts,
             setting_dpt: lens.setting_dpt(),
-            sharpest_dpt: (sharpest.counts - lens.zero_counts) * lens.dpt_per_count,
-            sigma_dpt: sharpest.sigma_counts * lens.dpt_per_count.abs(),
+            sharpest_dpt: sharpest.setting_dpt,
+            sigma_dpt: sharpest.sigma.combined_dpt(),
+            sigma: Parts {
+                scatter_dpt: sharpest.sigma.scatter_dpt,
+                projector_dpt: sharpest.sigma.projector_dpt,
+                head_dpt: sharpest.sigma.head_dpt,
+                curvature_dpt: sharpest.sigma.curvature_dpt,
+            },
+            vertex_dpt: sharpest.vertex_dpt,
             contrast: sharpest.contrast,
+            correction: Correction {
+                projector_dpt: sharpest.projector_dpt,
+                curvature_dpt: sharpest.curvature_dpt,
+            },
+            distance_mm: sharpest.place.distance_mm,
+            projector_farther_mm: sharpest.place.farther_mm,
             steps: steps.collect(),
         }
     }
@@ -73,8 +108,13 @@ pub fn conclude(
 ) -> anyhow::Result<Outcome> {
     let found = Found::of(focused);
     let words = format!(
-        "sharpest at {:.3} ± {:.3} dpt (contrast {:.3}); the nearest counts are {} ({:.3} dpt)",
-        found.sharpest_dpt, found.sigma_dpt, found.contrast, found.counts, found.setting_dpt
+        "the camera is sharp at {:.3} ± {:.3} dpt (fringes have most contrast, {:.3}, at {:.3} dpt); the nearest counts are {} ({:.3} dpt)",
+        found.sharpest_dpt,
+        found.sigma_dpt,
+        found.contrast,
+        found.vertex_dpt,
+        found.counts,
+        found.setting_dpt
     );
     common.write_json(&Document {
         made,

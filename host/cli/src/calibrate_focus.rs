@@ -33,10 +33,14 @@ pub struct FocusArgs {
         allow_negative_numbers = true
     )]
     pub focus: Option<f64>,
-    /// Find the setting of a driven lens at which the fringes on the target's blank plate are sharpest; with --focus-series and -o,
-    /// write the head there
+    /// Find the setting of a driven lens at which the camera is sharp on the middle of the target's blank plate; with --focus-series
+    /// and -o, write the head there
     #[arg(long, conflicts_with_all = ["focus", "images", "board", "check"])]
     pub autofocus: bool,
+    /// Head by which --autofocus measures how far the plate is from camera and projector; calibrated at any setting of its lens, it is
+    /// surer than a drawing [default: the target's head.toml]
+    #[arg(long, value_name = "HEAD.toml", requires = "autofocus")]
+    pub head: Option<PathBuf>,
     /// How warm the lens is; with --focus-series
     #[arg(
         long,

@@ -10,7 +10,7 @@ use super::least_squares::{NoMinimum, SETTLED, minimise};
 use super::model::{CAMERA_FOCAL, CAMERA_PRINCIPAL, PROJECTOR_FOCAL, SHARED, Scene, certified};
 use super::sighting::{Mark, Sighting};
 use super::target::Target;
-use super::uncertainty::{Lit, apart_sigma_mm, volume_sigma_mm};
+use super::uncertainty::{Lit, apart_sigma_mm, farther_sigma_mm, volume_sigma_mm};
 use crate::head::HeadModel;
 
 /// A head that explains its marks.
@@ -35,6 +35,9 @@ pub struct Adjusted {
     pub depth_sigma_mm: f64,
     /// The same across the view.
     pub lateral_sigma_mm: f64,
+    /// Standard uncertainty of how much farther the (first) projector's pinhole is from the middle of the measuring volume than the
+    /// camera's, each along its axis.
+    pub farther_sigma_mm: Option<f64>,
     /// Standard uncertainty, by the calibration alone, of how far the depths by both projectors are apart; of a head with two.
     pub apart_sigma_mm: Option<f64>,
 }
@@ -169,6 +172,9 @@ pub fn adjust(
         [first, second] => Some(apart_sigma_mm(&head, [first, second], &covariance)),
         _ => None,
     };
+    let farther_sigma_mm = by_each
+        .first()
+        .and_then(|first| farther_sigma_mm(&head, first, &covariance));
     Ok(Adjusted {
         head,
         without_field,
@@ -179,6 +185,7 @@ pub fn adjust(
         projector_rms_px: rms_px[1],
         depth_sigma_mm,
         lateral_sigma_mm,
+        farther_sigma_mm,
         apart_sigma_mm,
     })
 }

@@ -419,6 +419,11 @@ impl FocusedHeads {
             projector_rms_px: most(|record| record.projector_rms_px),
             depth_sigma_um,
             lateral_sigma_um,
+            // As sure as the least sure of them, where all say.
+            farther_sigma_um: records()
+                .map(|record| record.farther_sigma_um)
+                .reduce(|one, other| Some(one?.max(other?)))
+                .flatten(),
             hold_out: None,
             without_field: None,
             focus: Some(FocusRecord {

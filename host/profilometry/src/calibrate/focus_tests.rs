@@ -67,6 +67,7 @@ fn record(head: &HeadModel) -> CalibrationRecord {
         projector_rms_px: 0.2,
         depth_sigma_um: 0.9,
         lateral_sigma_um: 1.6,
+        farther_sigma_um: None,
         hold_out: None,
         without_field: None,
         board: None,

@@ -28,7 +28,7 @@
 //! | `holdout` | plates measured with the result |
 //! | `eye` | triangulation with a head |
 //! | `self_test` | a plane and a sphere, measured |
-//! | `sharpest` | the setting of a lens at which fringes have most contrast |
+//! | `sharpest` | the setting of a lens at which the camera is sharp, by the contrast of fringes |
 //! | `focus` | a head between the settings of its lens at which it was calibrated (`focus.toml`) |
 //! | `record` | what it writes into the head's file |
 //! | `board` | the same from an ordinary board: no certified pose, no blank plate |
@@ -57,7 +57,7 @@ pub use captures::{CapturedView, Captures};
 pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
-pub use sharpest::{NotSharp, Sharpest, Sharpness, coarse, fine, sharpest};
+pub use sharpest::{Components, NotSharp, Place, Sharpest, Sharpness, coarse, fine, sharpest};
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Partner, Plate, Sphere, StageOffset, Target};
 

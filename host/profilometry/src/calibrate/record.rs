@@ -36,6 +36,7 @@ impl CalibrationRecord {
             projector_rms_px: adjusted.projector_rms_px,
             depth_sigma_um: 1e3 * adjusted.depth_sigma_mm,
             lateral_sigma_um: 1e3 * adjusted.lateral_sigma_mm,
+            farther_sigma_um: adjusted.farther_sigma_mm.map(|mm| 1e3 * mm),
             hold_out,
             without_field,
             board: None,
@@ -74,6 +75,7 @@ impl CalibrationRecord {
             projector_rms_px: adjusted.projector_rms_px[0],
             depth_sigma_um,
             lateral_sigma_um,
+            farther_sigma_um: None,
             hold_out: adjusted.hold_out,
             without_field: None,
             board: Some(BoardRecord {

@@ -1,8 +1,9 @@
 //! What a calibration leaves uncertain of a measured point.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, SVector, Vector3};
 
 use super::model::{Scene, head_unknowns};
+use super::sharpest::Place;
 use crate::head::HeadModel;
 use crate::pattern::Axis;
 use crate::triangulate::Triangulator;
@@ -41,12 +42,23 @@ impl Lit {
 
     /// How the point that a pixel sees at a depth follows the head's unknowns, `of` of them, in the stage frame.
     fn jacobian(&self, pixel: [f64; 2], depth_mm: f64, of: usize) -> Option<DMatrix<f64>> {
+        self.slopes(pixel, depth_mm, of, seen_point)
+    }
+
+    /// How what a head makes of a pixel and a column follows its unknowns, for the column that lights a depth.
+    fn slopes<const ROWS: usize>(
+        &self,
+        pixel: [f64; 2],
+        depth_mm: f64,
+        of: usize,
+        made: impl Fn(&HeadModel, [f64; 2], f64) -> Option<SVector<f64, ROWS>>,
+    ) -> Option<DMatrix<f64>> {
         let ray = self.head.camera.undistort(pixel)?;
         let (column_px, _) = Triangulator::new(&self.head, Axis::Columns).column(ray, depth_mm)?;
-        let point = |head: &HeadModel| seen_point(head, pixel, column_px);
-        let mut jacobian = DMatrix::zeros(3, of);
+        let made = |head: &HeadModel| made(head, pixel, column_px);
+        let mut jacobian = DMatrix::zeros(ROWS, of);
         for (&place, Neighbours { heads, step }) in self.places.iter().zip(&self.neighbours) {
-            let change = (point(&heads[0])? - point(&heads[1])?) / (2.0 * step);
+            let change = (made(&heads[0])? - made(&heads[1])?) / (2.0 * step);
             jacobian.set_column(place, &change);
         }
         Some(jacobian)
@@ -92,6 +104,32 @@ pub(crate) fn volume_sigma_mm(head: &HeadModel, lit: &Lit, covariance: &DMatrix<
         squares[1] += 0.5 * (of_point.trace() - along);
     }
     squares.map(|sum: f64| (sum / count).sqrt())
+}
+
+/// Standard uncertainty, by the calibration alone, of how much farther the projector's pinhole is from the middle of the measuring
+/// volume than the camera's, each along its axis, mm; nothing without a volume.
+pub(crate) fn farther_sigma_mm(
+    head: &HeadModel,
+    lit: &Lit,
+    covariance: &DMatrix<f64>,
+) -> Option<f64> {
+    let volume = head.volume?;
+    let (pixel, depth_mm) = (
+        head.camera.principal_px,
+        0.5 * (volume.near_mm + volume.far_mm),
+    );
+    let slopes = lit.slopes(
+        pixel,
+        depth_mm,
+        covariance.nrows(),
+        |head, pixel, column_px| {
+            let light = Triangulator::new(head, Axis::Columns);
+            Some(SVector::from([
+                Place::of(head, &light, pixel, column_px)?.farther_mm
+            ]))
+        },
+    )?;
+    Some((&slopes * covariance * slopes.transpose())[(0, 0)].sqrt())
 }
 
 /// Pixels and depths spread over the measuring volume of a head; nothing without one.

@@ -43,6 +43,10 @@ pub struct CalibrationRecord {
     pub depth_sigma_um: f64,
     /// The same across the view.
     pub lateral_sigma_um: f64,
+    /// Standard uncertainty by the calibration alone of how much farther the projector's pinhole is from the middle of the measuring
+    /// volume than the camera's, each along its axis; absent: not computed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub farther_sigma_um: Option<f64>,
     /// Plates that took no part, measured with the result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
@@ -233,6 +237,15 @@ impl CalibrationRecord {
         }
         if let Some(apart) = &self.second_projector {
             apart.check()?;
+        }
+        if let Some(um) = self.farther_sigma_um
+            && !(0.0..=1000.0).contains(&um)
+        {
+            return Err(BadValue::new(
+                "calibration.farther_sigma_um",
+                um,
+                "must be 0 to 1000 um",
+            ));
         }
         if self.blake3 != geometry_blake3(head) {
             return Err(BadValue::new(

@@ -27,7 +27,7 @@ pub struct Autofocus {
 /// What was seen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Focused {
-    /// The lens, driven as nearly as it can be to where the fringes are sharpest.
+    /// The lens, driven as nearly as it can be to where the camera is sharp.
     pub lens: LensDrive,
     /// Where that is.
     pub sharpest: Sharpest,
@@ -88,10 +88,14 @@ impl Autofocus {
             let through = |&counts: &u16| LensDrive { counts, ..*lens };
             Ok::<_, CalibrationError>(at.iter().map(through).collect())
         })?;
-        let sharpest = sharpest(looks.last().map_or(&[], Vec::as_slice))?;
-        let counts = sharpest.counts.round() as u16;
+        let fine = looks.last().map_or(&[][..], Vec::as_slice);
+        let sharpest = sharpest(fine, lens, head)?;
+        // A correction may end a little beyond what the lens is driven to.
+        let ends = lens.range.map(|counts| lens.power_dpt(counts));
+        let [least, most] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
+        let lens = lens.driven_to(sharpest.setting_dpt.clamp(least, most));
         Ok(Focused {
-            lens: LensDrive { counts, ..*lens },
+            lens: lens.map_err(CalibrationError::Focus)?,
             sharpest,
             steps: looks.concat(),
         })

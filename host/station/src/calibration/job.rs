@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use flankscope_foundation::date::Date;
-use flankscope_foundation::textfile::TextFileError;
+use flankscope_foundation::textfile::{BadValue, TextFileError};
 use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
 use flankscope_profilometry::calibrate::{
     Adjusted, CalibrateError, NotSharp, SelfTestError, Sighting, StagePose, Target, adjust,
@@ -54,6 +54,9 @@ pub enum CalibrationError {
     /// Nothing to focus with.
     #[error("the head's file has no [lens]: its focus is not driven")]
     NoLens,
+    /// A setting that the lens is not driven to.
+    #[error("{}: {}", .0.got, .0.expected)]
+    Focus(BadValue),
     /// A manifest or a plan.
     #[error(transparent)]
     File(#[from] TextFileError),
