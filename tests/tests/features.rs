@@ -324,6 +324,101 @@ fn a_flat_die_is_judged_by_its_patch() {
     holds(&shallow, 10.0);
 }
 
+/// A flat die with a boss that runs up all of it: its face has lost so much between 26 and 34 mm of height, all of it there.
+fn tall_plate(lost_mm: f64) -> Mesh {
+    let outline = [
+        [BACK_X_MM, -PLATE_MM],
+        [SHOULDER_X_MM, -PLATE_MM],
+        [SHOULDER_X_MM, -BOSS_MM],
+        [BOSS_X_MM, -BOSS_MM],
+        [BOSS_X_MM, BOSS_MM],
+        [SHOULDER_X_MM, BOSS_MM],
+        [SHOULDER_X_MM, PLATE_MM],
+        [BACK_X_MM, PLATE_MM],
+    ];
+    let heights = [0.0, 6.0, 14.0, 26.0, 34.0, HEIGHT_MM];
+    drawn(&outline, &heights, |corner, z| {
+        let is_lost = [3, 4].contains(&corner) && (26.0..=34.0).contains(&z);
+        if is_lost { lost_mm } else { 0.0 }
+    })
+}
+
+/// Two faces 20 mm apart, which no view shows together: a view each, one verdict; and from recorded frames, to the last bit.
+#[test]
+fn patches_that_no_view_shows_together_are_judged_in_one_check_and_from_its_frames() {
+    if !dear() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let face = |name: &str, z: f64| {
+        let (low, high, seed) = (z - 4.5, z + 4.5, z + 0.1);
+        format!(
+            "[[patch]]\nname = {name:?}\nseed_mm = [{BOSS_X_MM}, 0.51, {seed}]\nbox_mm = [[41.0, -3.0, {low}], [42.0, 3.0, {high}]]\n\
+             zone_mm = [[-2.0, 2.0], [-2.0, 2.0]]\n{BOTH}"
+        )
+    };
+    let (lower, upper) = (face("lower", 10.0), face("upper", 30.0));
+    let tool = patch_tool(
+        folder.path(),
+        &tall_plate(0.0),
+        &format!("{lower}{upper}{LEFT}{RIGHT}"),
+    );
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (worn, frames) = (path("worn.ply"), path("frames"));
+    put(worn.as_ref(), &tall_plate(0.08));
+    let live = inspect(&[
+        "--tool",
+        &tool,
+        "--link",
+        "sim",
+        "--die-mesh",
+        &worn,
+        "--save-frames",
+        &frames,
+    ]);
+    assert_eq!(live.code, 1, "{} {}", live.json["reason"], live.stderr);
+    assert_eq!(live.not_go(), ["2:face:no-go"]);
+    let features = live.json["features"].as_array().unwrap();
+    let names: Vec<_> = features.iter().map(|of| of["patch"].as_str()).collect();
+    assert_eq!(names, [Some("lower"), Some("upper")]);
+    for (of, lost_um) in features.iter().zip([0.0, 80.0]) {
+        let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| of[key].as_f64().unwrap());
+        assert!((wear_um - lost_um).abs() <= u95_um, "{wear_um} ± {u95_um}");
+    }
+
+    let recorded = |arguments: &[&str]| {
+        let on = [
+            "inspect", "--quiet", "--json", "-", "--frames", &frames, "--tool", &tool,
+        ];
+        run(flankscope().args(on).args(arguments))
+    };
+    let again = recorded(&[]);
+    assert_eq!(again.code, 1, "{} {}", again.json["reason"], again.stderr);
+    assert_eq!(again.json["features"], live.json["features"]);
+    let one = recorded(&["--teeth", "1"]);
+    assert_eq!(one.code, 0, "{} {}", one.json["reason"], one.stderr);
+    assert_eq!(one.json["features"][0], live.json["features"][0]);
+
+    let index = folder.path().join("frames/frames.toml");
+    let said = std::fs::read_to_string(&index).unwrap();
+    let refused = |hint: &str| {
+        let run = recorded(&[]);
+        assert_eq!(run.code, 3, "{} {}", run.json["reason"], run.stderr);
+        assert!(run.stderr.contains(hint), "{hint}: {}", run.stderr);
+    };
+    // A view that does not say of which patch it is.
+    std::fs::write(&index, said.replacen("\ntooth = 2\n", "\n", 1)).unwrap();
+    refused("does not say which patch");
+    // Frames of one patch are none of the other: the tool file has them the other way round now.
+    std::fs::write(&index, &said).unwrap();
+    patch_tool(
+        folder.path(),
+        &tall_plate(0.0),
+        &format!("{upper}{lower}{LEFT}{RIGHT}"),
+    );
+    refused("from the middle of the head's field");
+}
+
 /// Stored, computed again, followed and shown by its name, against the CAD and against a baseline.
 #[test]
 fn a_history_follows_a_patch() {

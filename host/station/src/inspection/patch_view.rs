@@ -91,49 +91,78 @@ pub(super) fn nominal(
     head: &HeadModel,
     numbers: &[u32],
 ) -> Result<Vec<PlannedView>, PlanningError> {
-    let lacks = |what| PlanningError::HeadLacks { what };
-    let field = FieldOfView::of(head).map_err(|_| lacks("[volume]"))?;
-    let hand_eye = head.stage_from_camera.ok_or(lacks("stage_from_camera"))?;
-    let hand_eye: Rigid<Stage, Camera> = hand_eye
-        .rigid()
-        .map_err(|_| lacks("stage_from_camera that is a rigid motion"))?;
+    let eye = Eye::of(head)?;
     let view = |&number: &u32| {
-        let judged = tool.patches.get(number).filter(|patch| patch.is_judged());
-        let patch = judged.ok_or_else(|| PatchViewError::NoSuchPatch {
-            got: number,
-            numbers: tool.patches.judged(),
-        })?;
+        let patch = judged(tool, number)?;
         let [along, up] = patch.zone_mm.map(|[from, to]| 0.5 * (from + to));
         let middle = Point3::from(patch.point_mm([along, up]));
-        let focus = Point3::from(hand_eye.apply([0.0, 0.0, field.reach_mm]));
+        let focus = Point3::from(eye.hand_eye.apply([0.0, 0.0, eye.field.reach_mm]));
         let planned = PlannedView {
             tooth: number,
             rotation_rad: focus.y.atan2(focus.x) - middle.y.atan2(middle.x),
             vertical_mm: middle.z - focus.z,
         };
-        let volume = head.volume.map(|volume| [volume.near_mm, volume.far_mm]);
-        seen(
-            patch,
-            &planned,
-            hand_eye,
-            field.slope,
-            volume.unwrap_or_default(),
-        )?;
+        seen(patch, &planned, &eye)?;
         Ok(planned)
     };
     numbers.iter().map(view).collect()
 }
 
-/// The zone lies in field and depth, and faces the head.
-fn seen(
-    patch: &Patch,
-    planned: &PlannedView,
-    hand_eye: Rigid<Stage, Camera>,
-    slope: f64,
+/// Whether every view, from where the stages stood for it, shows the patch that it is said to be of.
+///
+/// # Errors
+/// A patch that is not judged, or that the head does not see from there.
+pub(super) fn check_seen(
+    tool: &Tool,
+    head: &HeadModel,
+    views: &[PlannedView],
+) -> Result<(), PlanningError> {
+    let eye = Eye::of(head)?;
+    for view in views {
+        seen(judged(tool, view.tooth)?, view, &eye)?;
+    }
+    Ok(())
+}
+
+/// What the head sees, and from where.
+struct Eye {
+    field: FieldOfView,
     volume_mm: [f64; 2],
-) -> Result<(), PatchViewError> {
+    hand_eye: Rigid<Stage, Camera>,
+}
+
+impl Eye {
+    fn of(head: &HeadModel) -> Result<Self, PlanningError> {
+        let lacks = |what| PlanningError::HeadLacks { what };
+        let volume = head.volume.ok_or(lacks("[volume]"))?;
+        let hand_eye = head.stage_from_camera.ok_or(lacks("stage_from_camera"))?;
+        Ok(Self {
+            field: FieldOfView::of(head).map_err(|_| lacks("[volume]"))?,
+            volume_mm: [volume.near_mm, volume.far_mm],
+            hand_eye: hand_eye
+                .rigid()
+                .map_err(|_| lacks("stage_from_camera that is a rigid motion"))?,
+        })
+    }
+}
+
+fn judged(tool: &Tool, number: u32) -> Result<&Patch, PatchViewError> {
+    let judged = tool.patches.get(number).filter(|patch| patch.is_judged());
+    judged.ok_or_else(|| PatchViewError::NoSuchPatch {
+        got: number,
+        numbers: tool.patches.judged(),
+    })
+}
+
+/// The zone lies in field and depth, and faces the head.
+fn seen(patch: &Patch, planned: &PlannedView, eye: &Eye) -> Result<(), PatchViewError> {
+    let Eye {
+        field,
+        volume_mm,
+        hand_eye,
+    } = eye;
     let name = || patch.name.clone();
-    let pose = *tool_from_camera(planned.rotation_rad, planned.vertical_mm, hand_eye).isometry();
+    let pose = *tool_from_camera(planned.rotation_rad, planned.vertical_mm, *hand_eye).isometry();
     let camera = Vector3::from(pose.translation.vector);
     let [alongs, ups] = patch.zone_mm;
     let corners = alongs.map(|along| ups.map(|up| patch.point_mm([along, up])));
@@ -150,11 +179,11 @@ fn seen(
         return Err(PatchViewError::Depth {
             name: name(),
             depth_mm: [near, far],
-            volume_mm,
+            volume_mm: *volume_mm,
         });
     }
     for corner in &corners {
-        let (reach_mm, field_mm) = (corner.x.hypot(corner.y), slope * corner.z);
+        let (reach_mm, field_mm) = (corner.x.hypot(corner.y), field.slope * corner.z);
         if reach_mm > field_mm {
             return Err(PatchViewError::Field {
                 name: name(),

@@ -1,7 +1,7 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage, Tool as ToolFrame};
-use flankscope_metrology::gear::{GearData, Kind};
+use flankscope_metrology::gear::Kind;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
@@ -124,6 +124,14 @@ pub enum PlanningError {
         /// The tooth.
         got: u32,
     },
+    /// Which patch a recorded view shows is not said.
+    #[error(
+        "view {view} of the recording does not say which patch it shows; give the patch's place in the tool file as its `tooth`"
+    )]
+    Unnamed {
+        /// Which of the index's.
+        view: usize,
+    },
     /// Index and drawing differ.
     #[error(
         "view {view} of the recording is of tooth {said}, but its angle has tooth {seen} in the middle; leave one of the two out, \
@@ -210,10 +218,7 @@ impl ViewPlan {
                 limit,
             });
         }
-        let views = match &tool.gear {
-            None if !tool.patches.is_empty() => Self::of_patches(tool, head, teeth)?,
-            _ => Self::nominal(tool, teeth)?,
-        };
+        let views = Self::looking_at(tool, head, teeth)?;
         let lacks = |what| PlanningError::HeadLacks { what };
         let patterns = head.patterns()?.ok_or(lacks("pattern_set"))?;
         if head.exposures_us.is_empty() {
@@ -248,6 +253,21 @@ impl ViewPlan {
         Light {
             lit_ratios: self.lit_ratios.clone(),
             bend: self.patterns.bend.clone(),
+        }
+    }
+
+    /// Where the stages stand to have each of these teeth, or patches, in the middle of a view.
+    ///
+    /// # Errors
+    /// None, such that are not there, or that the head does not see.
+    pub(super) fn looking_at(
+        tool: &Tool,
+        head: &HeadModel,
+        numbers: &[u32],
+    ) -> Result<Vec<PlannedView>, PlanningError> {
+        match &tool.gear {
+            None if !tool.patches.is_empty() => Self::of_patches(tool, head, numbers),
+            _ => Self::nominal(tool, numbers),
         }
     }
 
@@ -311,7 +331,7 @@ impl ViewPlan {
     pub(crate) fn of_recording(
         recording: &Recording,
         views: Vec<PlannedView>,
-        gear: &GearData,
+        tool: &Tool,
         head: &HeadModel,
     ) -> Self {
         let plan = &recording.plan;
@@ -324,7 +344,7 @@ impl ViewPlan {
             projectors: head.projectors(),
             dark_frame: plan.dark_frame,
             sensor: plan.sensor.filter(|of| head.sensor != Some(*of)),
-            top_mm: gear.height_mm[1],
+            top_mm: tool.top_mm(),
             stated: StatedPoses::default(),
         }
     }
@@ -345,7 +365,6 @@ impl ViewPlan {
             };
             return Ok(Self::new(tool, head, Some(&recipe.teeth))?.lit(light));
         };
-        let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
         let RecordedRecipe {
             views,
             patterns,
@@ -362,7 +381,7 @@ impl ViewPlan {
             projectors: head.projectors(),
             dark_frame,
             sensor,
-            top_mm: gear.height_mm[1],
+            top_mm: tool.top_mm(),
             stated: poses.into_iter().collect(),
         })
     }

@@ -12,6 +12,7 @@ use flankscope_profilometry::{Bend, FringeSet, HeadModel, PatternSet};
 
 use super::failure;
 use super::job::{InspectError, Station, Subject};
+use super::patch_view;
 use super::plan::{PlannedView, PlanningError, ViewPlan};
 use super::views::{ViewOutcome, hand_eye};
 use crate::acquisition::{
@@ -314,11 +315,14 @@ fn plan(
     recording: &Recording,
     teeth: Option<&[u32]>,
 ) -> Result<(ViewPlan, Vec<Vec<usize>>), PlanningError> {
-    let gear = tool.gear.as_ref().ok_or(PlanningError::NoGear)?;
+    let in_middle = |(at, view): (usize, &IndexedView)| match &tool.gear {
+        Some(gear) => tooth_in_middle(gear, at, view),
+        None if tool.patches.is_empty() => Err(PlanningError::NoGear),
+        // Several patches may be in one view: it says itself of which it is.
+        None => view.tooth.ok_or(PlanningError::Unnamed { view: at + 1 }),
+    };
     let views = recording.index.view.iter().enumerate();
-    let seen: Vec<u32> = views
-        .map(|(at, view)| tooth_in_middle(gear, at, view))
-        .collect::<Result<_, _>>()?;
+    let seen: Vec<u32> = views.map(in_middle).collect::<Result<_, _>>()?;
     let mut all: Vec<u32> = Vec::new();
     for &tooth in &seen {
         if !all.contains(&tooth) {
@@ -326,7 +330,7 @@ fn plan(
         }
     }
     let asked = teeth.or(recording.index.teeth.as_deref()).unwrap_or(&all);
-    let mut views = ViewPlan::nominal(tool, asked)?;
+    let mut views = ViewPlan::looking_at(tool, head, asked)?;
     let mut of_views = Vec::with_capacity(views.len());
     for planned in &mut views {
         let of = |at: &usize| seen.get(*at) == Some(&planned.tooth);
@@ -348,8 +352,11 @@ fn plan(
         }
         of_views.push(of);
     }
+    if tool.gear.is_none() {
+        patch_view::check_seen(tool, head, &views)?;
+    }
     Ok((
-        ViewPlan::of_recording(recording, views, gear, head),
+        ViewPlan::of_recording(recording, views, tool, head),
         of_views,
     ))
 }

@@ -51,11 +51,9 @@ impl RecordedScan {
         let (tool, index) = (&subject.tool, &recording.index);
         let (views, of) = planned(tool, index.grid.as_deref(), &index.view)?;
         let name = name_of(index.grid.as_deref(), &views);
-        let gear = tool.gear.as_ref();
-        let gear = gear.ok_or(InspectError::from(PlanningError::NoGear))?;
         let planned = PlannedScan {
             name,
-            plan: ViewPlan::of_recording(recording, views, gear, &subject.head),
+            plan: ViewPlan::of_recording(recording, views, tool, &subject.head),
         };
         let camera = &subject.head.camera;
         let size_px = [camera.width_px, camera.height_px];

@@ -55,7 +55,7 @@ pub struct IndexedView {
     /// Its images; without it, the images' folder itself.
     #[serde(default = "here")]
     pub folder: PathBuf,
-    /// The tooth in its middle. Without an angle, it is where the drawing has it.
+    /// The tooth in its middle, or the number of the patch that it shows. Without an angle, it is where the drawing has it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tooth: Option<u32>,
     /// Angle told to the rotary stage.
