@@ -7,10 +7,10 @@ use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 
 use super::evidence::{Evidence, Phasors};
+use super::outcome::ViewOutcome;
 use super::plan::ViewPlan;
 use super::result::{Feature, FlankMap, ViewRegistration};
 use super::verdict::{self, Judged};
-use super::views::ViewOutcome;
 use crate::baseline::Reference;
 
 /// What a check found.

@@ -12,9 +12,10 @@ use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
 use super::evidence::{Phasors, Recipe};
 use super::failure;
 use super::findings::Findings;
+use super::outcome::ViewOutcome;
 use super::plan::{Light, PlanningError, ViewPlan};
 use super::result::{FrameCount, Inspection, Pictures, Timing, Toothing};
-use super::views::{Evaluator, EvaluatorError, ViewOutcome, hand_eye};
+use super::views::{Evaluator, EvaluatorError, hand_eye};
 use crate::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Route, Run, Stop,
     ViewError,

@@ -9,6 +9,7 @@
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `outcome` | what became of a view, captured once or more often |
 //! | `datum` | points inside a patch's datum |
 //! | `feature_id` | which flank or patch a figure is of |
 //! | `field` | what a head sees: how wide, how far away |
@@ -29,6 +30,7 @@ mod findings;
 mod flank_decision;
 mod head_error;
 mod job;
+mod outcome;
 mod patch_view;
 mod place;
 mod plan;
@@ -48,6 +50,7 @@ pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
+pub use outcome::ViewOutcome;
 pub use patch_view::PatchViewError;
 pub use plan::{Light, PlannedView, PlanningError, ViewPlan};
 pub use recorded::{RecordError, RecordedCheck};
@@ -58,5 +61,5 @@ pub use result::{
 };
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;
-pub use views::{Evaluator, EvaluatorError, ViewOutcome};
+pub use views::{Evaluator, EvaluatorError};
 pub(crate) use views::{OUTLIER_NEIGHBOURS, OUTLIER_RATIO, hand_eye, rays_without_point};

@@ -12,9 +12,10 @@ use flankscope_profilometry::{Bend, FringeSet, HeadModel, PatternSet};
 
 use super::failure;
 use super::job::{InspectError, Station, Subject};
+use super::outcome::ViewOutcome;
 use super::patch_view;
 use super::plan::{PlannedView, PlanningError, ViewPlan};
-use super::views::{ViewOutcome, hand_eye};
+use super::views::hand_eye;
 use crate::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, Playback, Progress, RecordedView, Recording, Run,
     SavedView, ViewError,

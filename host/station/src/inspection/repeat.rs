@@ -6,7 +6,7 @@ use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
 use super::job::{InspectError, Station};
-use super::views::ViewOutcome;
+use super::outcome::ViewOutcome;
 use crate::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use crate::controller::{Client, ClientError};
 

@@ -18,12 +18,12 @@ use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
 use super::datum;
-use super::evidence::Phasors;
 use super::feature_id::FeatureId;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
 use super::job::Subject;
+use super::outcome::ViewOutcome;
 use super::place::Place;
 use super::plan::ViewPlan;
 use super::pose_sensitivity::Fitted;
@@ -65,69 +65,6 @@ pub enum EvaluatorError {
         /// Tooth of the view.
         tooth: u32,
     },
-}
-
-/// What became of one view.
-#[derive(Debug)]
-pub struct ViewOutcome {
-    /// The two flanks of the tooth in the middle.
-    pub flanks: Vec<Judged>,
-    /// How the points of each capture were laid on the CAD.
-    pub registration: Vec<ViewRegistration>,
-    /// Their deviation from CAD, cell by cell.
-    pub fields: Vec<Reference>,
-    /// What the view says of its own pose about the axis, where it was registered.
-    pub pose: Option<PoseEvidence>,
-    /// Deviation maps of the two flanks.
-    pub maps: Vec<FlankMap>,
-    /// Deviations in the two zones, µm.
-    pub deviations_um: Vec<f64>,
-    /// What it was computed from, where that is kept.
-    pub phasors: Vec<Phasors>,
-    tooth: u32,
-    /// What each capture measured of the flanks; nothing where it could not.
-    captures: Vec<Vec<FlankWear>>,
-    criteria: Arc<FlankCriteria>,
-}
-
-impl ViewOutcome {
-    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
-    pub(crate) fn is_open(&self) -> bool {
-        self.captures
-            .last()
-            .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
-    }
-
-    /// What became of views, and of those that were captured again.
-    pub(crate) fn joined(
-        mut first: BTreeMap<usize, Self>,
-        again: BTreeMap<usize, Self>,
-    ) -> BTreeMap<usize, Self> {
-        for (view, again) in again {
-            let outcome = match first.remove(&view) {
-                Some(first) => first.with(again),
-                None => again,
-            };
-            first.insert(view, outcome);
-        }
-        first
-    }
-
-    /// The outcome of this view and of another capture of it, judged together.
-    #[must_use]
-    pub(crate) fn with(mut self, again: Self) -> Self {
-        self.registration.extend(again.registration);
-        self.phasors.extend(again.phasors);
-        self.captures.extend(again.captures);
-        let criteria = Arc::clone(&self.criteria);
-        let sides = criteria.tool.features().sides();
-        for (judged, &flank) in self.flanks.iter_mut().zip(sides) {
-            if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {
-                *judged = together;
-            }
-        }
-        self
-    }
 }
 
 /// Everything that does not change from check to check.
