@@ -554,6 +554,12 @@ fn a_scan_that_was_recorded_is_the_same_to_the_last_bit() {
         eleven.json["coverage"]["of_teeth"],
         live.json["coverage"]["of_teeth"]
     );
+    // A table of poses, by which no scan goes, is not passed over.
+    let table = format!("poses = \"poses.csv\"\n{index}");
+    std::fs::write(frames.join("frames.toml"), table).unwrap();
+    let posed = scan(&["--frames", path]);
+    assert_eq!(posed.code, 3, "{}", posed.json["reason"]);
+    assert!(posed.stderr.contains("poses.csv"), "{}", posed.stderr);
     // A place that the grid does not have.
     let moved = index.replacen("vertical_mm = 16.5", "vertical_mm = 17.5", 1);
     assert_ne!(moved, index);

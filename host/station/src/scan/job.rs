@@ -72,6 +72,16 @@ pub enum ScanError {
         /// The grid.
         grid: String,
     },
+    /// A recording whose views stood where no stages say.
+    #[error(
+        "poses = {:?} in frames.toml: a scan lays its views together by the errors of two stages, not by a table of poses; leave it out \
+         where stages moved, or use inspect --frames",
+        poses.display()
+    )]
+    PosesFromTable {
+        /// The table.
+        poses: PathBuf,
+    },
     /// No common solution.
     #[error(transparent)]
     Adjustment(#[from] AdjustmentError),

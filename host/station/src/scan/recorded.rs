@@ -46,6 +46,9 @@ impl RecordedScan {
         recording: &Recording,
         folder: &Path,
     ) -> Result<Self, ScanError> {
+        if let Some(poses) = recording.poses() {
+            return Err(ScanError::PosesFromTable { poses });
+        }
         let recorded = recording.views(&subject.head);
         let recorded = recorded.map_err(InspectError::from)?;
         let (tool, index) = (&subject.tool, &recording.index);
