@@ -24,7 +24,7 @@ use crate::output::{Common, Outcome};
 pub struct Args {
     #[command(flatten)]
     cad: CadArgs,
-    /// Cloud in CAD coordinates: PLY or text with `x y z` per line.
+    /// Cloud in CAD coordinates: PLY, arrays (.npz) or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]

@@ -28,7 +28,7 @@ pub struct Args {
     /// Folder with tool.toml, or the file itself; its section `gear` is what counts.
     #[arg(long, value_name = "DIR")]
     tool: PathBuf,
-    /// Cloud in tool coordinates: PLY or text with `x y z` per line.
+    /// Cloud in tool coordinates: PLY, arrays (.npz) or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]

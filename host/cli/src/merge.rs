@@ -19,7 +19,7 @@ use crate::output::{Common, Outcome};
     The clouds lie in one frame already. Colours and other properties are not merged."
 )]
 pub struct Args {
-    /// Clouds in the same coordinates: PLY or text with `x y z` per line.
+    /// Clouds in the same coordinates: PLY, arrays (.npz) or text with `x y z` per line.
     #[arg(required = true, value_name = "CLOUD")]
     clouds: Vec<PathBuf>,
     #[command(flatten)]

@@ -35,7 +35,7 @@ const REPEAT_TOLERANCE_MM: f64 = 0.02;
 pub struct Args {
     #[command(flatten)]
     cad: Option<CadArgs>,
-    /// Another cloud to lay it on, instead of a mesh: PLY or text with `x y z` per line. Each of its points stands for the plane
+    /// Another cloud to lay it on, instead of a mesh: PLY, arrays (.npz) or text with `x y z` per line. Each of its points stands for the plane
     /// through its 20 nearest neighbours.
     #[arg(long, value_name = "CLOUD")]
     reference: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Args {
         requires = "reference"
     )]
     reference_unit: FileUnit,
-    /// Cloud: PLY or text with `x y z` per line.
+    /// Cloud: PLY, arrays (.npz) or text with `x y z` per line.
     #[arg(long, value_name = "CLOUD")]
     cloud: PathBuf,
     #[command(flatten)]

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, ensure};
+use flankscope_metrology::io::points::Format;
+use flankscope_metrology::io::{Unit, cloud};
 use flankscope_station::files;
 
 use crate::mutate::Structure;
@@ -122,6 +124,7 @@ impl Originals {
         write("small.stl", &binary_stl())?;
         write("cloud.ply", CLOUD_PLY)?;
         write("cloud.xyz", &text_cloud())?;
+        write("cloud.npz", &arrays()?)?;
         std::fs::create_dir_all(self.folder.join("clouds"))?;
         write("clouds/cloud.ply", CLOUD_PLY)?;
         write("clouds/clouds.toml", CLOUDS)?;
@@ -177,6 +180,7 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("small.stl", Structure::Bytes, 5),
     ("cloud.ply", Structure::Ply, 7),
     ("cloud.xyz", Structure::Text, 7),
+    ("cloud.npz", Structure::Bytes, 6),
     ("image.png", Structure::Png, 8),
     ("image.pgm", Structure::Bytes, 4),
 ];
@@ -254,6 +258,13 @@ fn text_cloud() -> Vec<u8> {
         )
     };
     (0..60).map(line).collect::<String>().into_bytes()
+}
+
+fn arrays() -> anyhow::Result<Vec<u8>> {
+    let cloud = cloud::parse(CLOUD_PLY, Unit::Mm)?;
+    let mut content = Vec::new();
+    cloud.write(Format::Npz, &mut content, &[])?;
+    Ok(content)
 }
 
 fn grey() -> Vec<u8> {

@@ -156,7 +156,7 @@ impl Readers {
             "baseline.json" => self.baseline(&path)?,
             "press.db" => self.history(content)?,
             "image.png" | "image.pgm" => accepted(read_grey(&path, content, [IMAGE_PX, IMAGE_PX]))?,
-            "cloud.ply" | "cloud.xyz" => match cloud::parse(content, Unit::Mm) {
+            "cloud.ply" | "cloud.npz" | "cloud.xyz" => match cloud::parse(content, Unit::Mm) {
                 Ok(cloud) => {
                     let finite = cloud
                         .points

@@ -1,9 +1,12 @@
-//! Point clouds at the border: PLY or XYZ text in, PLY or arrays out.
+//! Point clouds at the border: PLY, arrays or XYZ text in, PLY or arrays out.
 
+mod arrays;
 mod text;
 
 use std::io::{self, Write};
 use std::path::Path;
+
+use flankscope_foundation::npz::NpzError;
 
 use crate::io::Unit;
 use crate::io::ply::{self, Column, Extra, PlyError, Scalar, Want};
@@ -64,7 +67,7 @@ pub enum CloudError {
     #[error(transparent)]
     Read(#[from] io::Error),
     /// Zero bytes.
-    #[error("the file is empty; a cloud is PLY or text with `x y z` per line")]
+    #[error("the file is empty; a cloud is PLY, arrays (.npz) or text with `x y z` per line")]
     EmptyFile,
     /// No points.
     #[error("the cloud has no points; at least one is needed")]
@@ -72,6 +75,30 @@ pub enum CloudError {
     /// A PLY file that is wrong inside.
     #[error(transparent)]
     Ply(#[from] PlyError),
+    /// An archive of arrays that is wrong inside.
+    #[error(transparent)]
+    Npz(#[from] NpzError),
+    /// An archive without points.
+    #[error("there is no array points_mm; one of (n, 3) would be right")]
+    NoPointsArray,
+    /// An array that is neither points nor a property of theirs.
+    #[error("array {name} is {shape:?} of {descr}: {why}")]
+    Array {
+        /// Its name.
+        name: String,
+        /// Its shape.
+        shape: Vec<usize>,
+        /// NumPy's name of its numbers' type.
+        descr: String,
+        /// What would be right.
+        why: String,
+    },
+    /// Arrays that say their unit, and somebody who says another.
+    #[error("points_mm is in mm, not in {unit:?}: leave the unit out")]
+    ArrayUnit {
+        /// Unit said.
+        unit: Unit,
+    },
     /// A text line that is no point.
     #[error(
         "line {line}: {text:?} is not a point; right would be three finite numbers `x y z` in mm"
@@ -128,7 +155,8 @@ pub enum CloudError {
     },
 }
 
-/// Loads a cloud; PLY is told by its first line, everything else is read as text. No format says its unit.
+/// Loads a cloud; PLY is told by its first line, arrays by theirs, everything else is read as text. Arrays are in mm; no other
+/// format says its unit.
 ///
 /// # Errors
 /// [`CloudError`] names what is wrong and what would be right.
@@ -152,6 +180,11 @@ pub fn parse(bytes: &[u8], unit: Unit) -> Result<Cloud, CloudError> {
             coordinate: table.coordinate,
             extras: table.extras,
         }
+    } else if bytes.starts_with(arrays::MAGIC) {
+        if unit != Unit::Mm {
+            return Err(CloudError::ArrayUnit { unit });
+        }
+        arrays::parse(bytes)?
     } else {
         Cloud {
             points: FinitePoints(text::parse(bytes)?),

@@ -4,7 +4,11 @@
 //! compressed, so that plain readers take them, too; their lengths and sums follow them (bit 3 of the flags), so that an array may be
 //! longer than memory. No archive above 4 GiB is written.
 
+mod read;
+
 use std::io::{self, Write};
+
+pub use read::{Array, NpzError, read};
 
 /// A number as NumPy stores it, or several that follow each other.
 pub trait Element: Copy {
