@@ -10,7 +10,7 @@ use flankscope_foundation::date::{self, Date};
 use flankscope_frames::SharedRoot;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Captures, Target};
-use flankscope_profilometry::head::{CalibrationRecord, SelfTest};
+use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
 use flankscope_station::calibration::{
     Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
     save_self_test,
@@ -94,6 +94,9 @@ struct CheckDocument<'a> {
     fit: bool,
     reason: Option<String>,
     self_test: &'a SelfTest,
+    /// The figure that decides.
+    worst: Option<Judged>,
+    arrangements: Option<[Arrangements; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<serde_json::Value>,
 }
@@ -105,6 +108,8 @@ struct Document<'a> {
     made: Made<'a>,
     calibration: &'a CalibrationRecord,
     self_test: Option<&'a SelfTest>,
+    worst: Option<Judged>,
+    arrangements: Option<[Arrangements; 3]>,
     cores: Option<usize>,
     views: &'a [ViewReport],
     elapsed_ms: Elapsed,
@@ -334,6 +339,8 @@ fn check(
         fit: unfit.is_none(),
         reason: unfit.as_ref().map(ToString::to_string),
         self_test: &test,
+        worst: test.worst(),
+        arrangements: test.arrangements(),
         truth,
     })?;
     if !args.common.quiet && args.common.json.as_deref() != Some(Path::new("-")) {
@@ -481,6 +488,8 @@ impl Job<'_> {
             made: Made::by(&self.site.setting, args.images.is_some()),
             calibration: record,
             self_test: tested.as_ref(),
+            worst: tested.as_ref().and_then(SelfTest::worst),
+            arrangements: tested.as_ref().and_then(SelfTest::arrangements),
             cores: calibrated.cores(),
             views: &calibrated.views,
             elapsed_ms: Elapsed {
@@ -600,30 +609,54 @@ fn print(calibrated: &Calibrated, record: &CalibrationRecord, path: &Path) -> an
 
 fn print_self_test(out: &mut impl Write, test: &SelfTest) -> std::io::Result<()> {
     let limits = test.limits;
-    writeln!(
-        out,
-        "self-test{}: flatness {:.1} µm (limit {}), probing form {:.1} µm (limit {}), probing size {:+.2} µm (limit ±{}){}; counts until {}",
-        test.places
-            .map_or_else(String::new, |places| format!(", worst of {places} places")),
-        test.flatness_um,
-        limits.flatness_um,
-        test.probing_form_um,
-        limits.probing_form_um,
-        test.probing_size_um,
-        limits.probing_size_um,
-        test.sphere_spacing_um.map_or_else(String::new, |off_um| {
-            let limit = limits
-                .sphere_spacing_um
-                .map_or_else(|| "no limit".into(), |um| format!("limit ±{um}"));
-            format!(", sphere spacing {off_um:+.2} µm ({limit})")
-        }),
-        test.due
-    )?;
-    if let (Some(flatness_um), Some(form_um)) = (test.flatness_cells_um, test.probing_form_cells_um)
-    {
+    let places = test
+        .places
+        .map_or_else(String::new, |places| format!(", worst of {places} places"));
+    for (by, figures) in test.each() {
         writeln!(
             out,
-            "of means over 0.25 mm, by which wear is judged: flatness {flatness_um:.1} µm, probing form {form_um:.1} µm"
+            "self-test{by}{places}: flatness {:.1} µm (limit {}), probing form {:.1} µm (limit {}), probing size {:+.2} µm (limit ±{}){}; counts until {}",
+            figures.of_planes.flatness_um,
+            limits.flatness_um,
+            figures.of_spheres.probing_form_um,
+            limits.probing_form_um,
+            figures.of_spheres.probing_size_um,
+            limits.probing_size_um,
+            figures
+                .of_spheres
+                .sphere_spacing_um
+                .map_or_else(String::new, |off_um| {
+                    let limit = limits
+                        .sphere_spacing_um
+                        .map_or_else(|| "no limit".into(), |um| format!("limit ±{um}"));
+                    format!(", sphere spacing {off_um:+.2} µm ({limit})")
+                }),
+            test.due
+        )?;
+        if let (Some(flatness_um), Some(form_um)) = (
+            figures.of_planes.flatness_cells_um,
+            figures.of_spheres.probing_form_cells_um,
+        ) {
+            writeln!(
+                out,
+                "of means over 0.25 mm, by which wear is judged: flatness {flatness_um:.1} µm, probing form {form_um:.1} µm"
+            )?;
+        }
+    }
+    if let Some(arrangements) = test.arrangements() {
+        let words =
+            arrangements.map(|seen| format!("{} {} of {}", seen.of, seen.measured, seen.asked));
+        writeln!(
+            out,
+            "arrangements measured, of those that VDI/VDE 2634 part 2 asks for: {}",
+            words.join(", ")
+        )?;
+    }
+    if let Some(worst) = test.worst() {
+        writeln!(
+            out,
+            "nearest to its limit: {}{}, {:.1} of {} µm",
+            worst.what, worst.by, worst.um, worst.limit_um
         )?;
     }
     Ok(())

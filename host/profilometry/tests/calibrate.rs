@@ -91,6 +91,7 @@ fn truth() -> HeadModel {
         seal: None,
         core_map: None,
         mirrors: None,
+        projector_circle: None,
         fringe_contrast: None,
         lens: None,
     }
@@ -126,6 +127,8 @@ fn target(tilts: &[[f64; 2]]) -> Target {
     };
     Target {
         test_place: Vec::new(),
+        test_blank: Vec::new(),
+        test_sphere: Vec::new(),
         name: "plates".into(),
         exposure_us: 1,
         retract_mm: 90.0,
@@ -352,6 +355,7 @@ fn with_second(head: HeadModel, angle_deg: f64, aside_mm: f64, projector: Pinhol
     let second = SecondProjector {
         projector,
         mirrors: None,
+        circle: None,
         projector_from_camera: RigidTransform {
             rotation,
             translation_mm: [aside_mm - turned[0], -turned[1], 22.0 - turned[2]],

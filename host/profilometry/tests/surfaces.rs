@@ -438,6 +438,7 @@ fn twin() -> HeadModel {
         second_projector: Some(SecondProjector {
             projector,
             mirrors: None,
+            circle: None,
             projector_from_camera: RigidTransform {
                 rotation,
                 translation_mm,

@@ -65,12 +65,8 @@ pub fn target_views(target: &Target, seed: u64, around: &[StageOffset]) -> Vec<T
             add(name, Some(number), facing(plate).beside(place), kept_aside);
         }
     }
-    if let Some(sphere) = target.sphere {
-        let middle = StagePose::before(sphere.middle_mm());
-        for (number, place) in target.test_places().into_iter().enumerate() {
-            let name = format!("spheres-{}", number + 1);
-            add(name, None, middle.beside(place), false);
-        }
+    for (number, at) in target.spheres().into_iter().enumerate() {
+        add(format!("spheres-{}", number + 1), None, at.stood, false);
     }
     views
 }

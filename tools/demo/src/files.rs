@@ -105,6 +105,20 @@ pub fn head() -> HeadModel {
     head_of(&HeadDesign::demo())
 }
 
+/// Cores at the rim of the projector's bundle whose fringes do not count: light falls on what they light from one side only.
+const RIM_CORES: f64 = 2.0;
+
+/// The part of a DMD that shines through the bundle, without the rim.
+fn projector_circle(made: &HeadDesign) -> ImageCircle {
+    let bundle = made.bundle(&made.projector);
+    // Hexagons of one pitch, as many as there are cores, fill the circle: their share of it is pi / (2 sqrt 3).
+    let across = (bundle.cores as f64 * 2.0 * 3f64.sqrt() / std::f64::consts::PI).sqrt();
+    ImageCircle {
+        centre_px: bundle.centre_px,
+        radius_px: bundle.diameter_px * (0.5 - RIM_CORES / across),
+    }
+}
+
 /// A head as its calibration file describes it.
 #[must_use]
 pub fn head_of(made: &HeadDesign) -> HeadModel {
@@ -129,6 +143,7 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
         binning: made.binning,
         camera: pinhole_file(&optics.camera, optics.camera_size_px),
         projector: pinhole_file(&optics.projector, optics.projector_size_px),
+        projector_circle: Some(projector_circle(made)),
         projector_from_camera: transform_file(&optics.projector_from_camera),
         second_projector: optics
             .second_projector
@@ -136,6 +151,7 @@ pub fn head_of(made: &HeadDesign) -> HeadModel {
             .map(|second| SecondProjector {
                 projector: pinhole_file(&second.projector, optics.projector_size_px),
                 mirrors: None,
+                circle: Some(projector_circle(made)),
                 projector_from_camera: transform_file(&second.projector_from_camera),
             }),
         stage_from_camera: Some(transform_file(&optics.stage_from_camera)),

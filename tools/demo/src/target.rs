@@ -1,5 +1,5 @@
-//! The demo's calibration target: six plates with printed dots, a blank one and two spheres on a carrier that sits where the die
-//! does, and the head as its drawing shows it.
+//! The demo's calibration target: six plates with printed dots, three blank ones and three bars of two spheres on a carrier that sits
+//! where the die does, and the head as its drawing shows it.
 
 use std::path::Path;
 
@@ -7,7 +7,9 @@ use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, MadeHead, Placement, TargetFile};
 use flankscope_bench::world::{HeadDesign, WorldConfig};
 use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Dots, Partner, Plate, Sphere, StageOffset, Target};
+use flankscope_profilometry::calibrate::{
+    Dots, Partner, Plate, Sphere, StageOffset, Target, TestPlace,
+};
 use flankscope_profilometry::head::Limits;
 use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -18,8 +20,17 @@ use crate::files::{head_of, transform_file, transform_of, write_optics};
 const RETRACT_MM: f64 = 86.0;
 /// Where the stages stand beside facing a plate, in thousandths of the field around and up.
 const BESIDE: [[f64; 2]; 3] = [[207.5, 80.0], [-207.5, -80.0], [83.0, -40.0]];
-/// The same of the self-test: in the middle, and towards corners of the field.
-const TEST_PLACES: [[f64; 2]; 3] = [[0.0, 0.0], [145.25, 150.0], [-145.25, -150.0]];
+/// The same of the self-test, with the number of plate and bar: in the middle, and towards corners of the field. VDI/VDE 2634, part 2,
+/// asks for seven arrangements of a bar, six of a plate and ten of a sphere.
+const TEST_PLACES: [([f64; 2], [usize; 2]); 7] = [
+    ([0.0, 0.0], [1, 1]),
+    ([145.25, 150.0], [1, 1]),
+    ([-145.25, -150.0], [1, 1]),
+    ([145.25, -150.0], [2, 2]),
+    ([-145.25, 150.0], [2, 2]),
+    ([0.0, 150.0], [3, 3]),
+    ([0.0, -150.0], [3, 3]),
+];
 
 /// The demo's target as its certificate describes it.
 #[must_use]
@@ -34,39 +45,49 @@ pub fn target_of(made: &HeadDesign) -> Target {
     let file = |pose: Isometry3<f64>| Plate {
         tool_from_plate: transform_file(&pose),
     };
-    let places = |of: [[f64; 2]; 3]| {
-        let place = |[around, up]: [f64; 2]| StageOffset {
-            turned_rad: of_field(around) / made.focus_radius_mm,
-            raised_mm: of_field(up),
-        };
-        of.map(place).to_vec()
-    };
+    let turned_rad = |around: f64| of_field(around) / made.focus_radius_mm;
     let carrier = carrier(made);
-    let [first_mm, second_mm] = carrier.sphere_centres_mm;
+    let bar = |[first_mm, second_mm]: [[f64; 3]; 2]| Sphere {
+        centre_mm: first_mm,
+        diameter_mm: carrier.sphere_diameter_mm,
+        partner: Some(Partner {
+            centre_mm: second_mm,
+            diameter_mm: carrier.sphere_diameter_mm,
+            spacing_mm: (Vector3::from(second_mm) - Vector3::from(first_mm)).norm(),
+        }),
+    };
+    let [sphere, test_sphere @ ..] = carrier.bars_mm.map(bar);
+    let [blank, test_blank @ ..] = carrier.blanks.map(file);
     Target {
-        name: "six dot plates, a blank one and two spheres".into(),
+        name: "six dot plates, three blank ones and three bars of two spheres".into(),
         exposure_us: made.white_exposure_us,
         retract_mm: RETRACT_MM,
         pose_sigma_mm: 2e-3,
         pose_sigma_rad: 50e-6,
-        test_place: places(TEST_PLACES),
+        test_place: TEST_PLACES
+            .map(|([around, up], [blank, sphere])| TestPlace {
+                turned_rad: turned_rad(around),
+                raised_mm: of_field(up),
+                blank,
+                sphere,
+            })
+            .to_vec(),
         dots: Dots {
             pitch_mm: of_field(50.0),
             diameter_mm: of_field(25.0),
             key_diameter_mm: of_field(35.0),
         },
-        blank: file(carrier.blank),
+        blank,
+        test_blank: test_blank.to_vec(),
         plate: carrier.printed.into_iter().map(file).collect(),
-        sphere: Some(Sphere {
-            centre_mm: first_mm,
-            diameter_mm: carrier.sphere_diameter_mm,
-            partner: Some(Partner {
-                centre_mm: second_mm,
-                diameter_mm: carrier.sphere_diameter_mm,
-                spacing_mm: (Vector3::from(second_mm) - Vector3::from(first_mm)).norm(),
-            }),
-        }),
-        beside: places(BESIDE),
+        sphere: Some(sphere),
+        test_sphere: test_sphere.to_vec(),
+        beside: BESIDE
+            .map(|[around, up]| StageOffset {
+                turned_rad: turned_rad(around),
+                raised_mm: of_field(up),
+            })
+            .to_vec(),
         limits: Some(Limits {
             flatness_um: 45.0,
             probing_form_um: 45.0,
@@ -88,6 +109,14 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
             translation_mm: plate.tool_from_plate.translation_mm,
         },
     };
+    let artefact = |sphere: &Sphere| files::Sphere {
+        centre_mm: sphere.centre_mm,
+        diameter_mm: sphere.diameter_mm,
+        partner: sphere.partner.map(|partner| files::Partner {
+            centre_mm: partner.centre_mm,
+            diameter_mm: partner.diameter_mm,
+        }),
+    };
     let file = TargetFile {
         pose_sigma_mm: target.pose_sigma_mm,
         pose_sigma_rad: target.pose_sigma_rad,
@@ -98,14 +127,9 @@ pub fn target_world(target: &Target, seed: u64) -> WorldConfig {
         },
         blank: placed(&target.blank),
         plate: target.plate.iter().map(placed).collect(),
-        sphere: target.sphere.map(|sphere| files::Sphere {
-            centre_mm: sphere.centre_mm,
-            diameter_mm: sphere.diameter_mm,
-            partner: sphere.partner.map(|partner| files::Partner {
-                centre_mm: partner.centre_mm,
-                diameter_mm: partner.diameter_mm,
-            }),
-        }),
+        test_blank: target.test_blank.iter().map(placed).collect(),
+        sphere: target.sphere.as_ref().map(artefact),
+        test_sphere: target.test_sphere.iter().map(artefact).collect(),
     };
     flankscope_bench::demo::target_world(&file, seed)
 }

@@ -88,7 +88,7 @@ impl Captures {
                 "must be at least 6 tables [[view]] without kept_aside",
             ));
         }
-        let places = target.test_places().len();
+        let places = target.spheres().len().max(1);
         if ![0, places].contains(&self.sphere.len()) {
             return Err(BadValue::new(
                 "sphere",

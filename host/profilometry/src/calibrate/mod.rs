@@ -59,7 +59,7 @@ pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
 pub use sharpest::{Components, NotSharp, Place, Sharpest, Sharpness, coarse, fine, sharpest};
 pub use sighting::{Mark, Sighting, StagePose};
-pub use target::{Dots, KEYS, Partner, Plate, Sphere, StageOffset, Target};
+pub use target::{Dots, KEYS, Partner, Plate, Sphere, SphereAt, StageOffset, Target, TestPlace};
 
 /// Why there is no calibration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

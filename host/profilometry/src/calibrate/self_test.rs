@@ -6,10 +6,9 @@ use nalgebra::{Isometry3, Point3};
 
 use super::form;
 use super::model::isometry;
-use super::sighting::StagePose;
 use super::target::{Sphere, Target};
 use crate::cloud::CellColumn;
-use crate::head::{HeadModel, SelfTest};
+use crate::head::{Alone, Figures, HeadModel, PlaneFigures, SelfTest, SphereFigures};
 use crate::triangulate::HeadTriangulator;
 use flankscope_foundation::date::Date;
 
@@ -39,10 +38,14 @@ pub enum SelfTestError {
         expected: usize,
     },
     /// Nothing to be seen.
-    #[error("{got} points on the {what}, at least {limit} are needed: is it there, clean and lit?")]
+    #[error(
+        "{got} points on the {what}{by}, at least {limit} are needed: is it there, clean and lit?"
+    )]
     FewPoints {
         /// Plane or sphere.
         what: &'static str,
+        /// In whose light, of two projectors.
+        by: &'static str,
         /// Points.
         got: usize,
         /// Least.
@@ -63,7 +66,8 @@ const EXPECTED_MM: f64 = 0.4;
 
 impl SelfTest {
     /// Measures the blank plate and the spheres of a target with a calibrated head: at every place that the target names, or the
-    /// plate alone facing the head. Each place is seen by every projector; a point is what a check makes of both.
+    /// plate alone facing the head. Each place is seen by every projector: a point is what a check makes of both, and then what
+    /// each of them makes alone.
     ///
     /// # Errors
     /// [`SelfTestError`].
@@ -76,136 +80,129 @@ impl SelfTest {
     ) -> Result<Self, SelfTestError> {
         let lacks = |what| SelfTestError::Lacks { what };
         let limits = target.limits.ok_or(lacks("[limits] in the target"))?;
-        let artefact = target.sphere.ok_or(lacks("[sphere] in the target"))?;
+        let spheres_at = target.spheres();
+        if spheres_at.is_empty() {
+            return Err(lacks("[sphere] in the target"));
+        }
         let record = head.calibration.as_ref();
         let record = record.ok_or(SelfTestError::NotCalibrated)?;
         let hand_eye = head.stage_from_camera;
         let hand_eye = hand_eye.ok_or(lacks("head with a hand-eye transform"))?;
         let camera_from_stage = isometry(&hand_eye).inverse();
-        let places = target.test_places();
-        let all = |what, got: usize| match got == places.len() {
+        let places = spheres_at.len();
+        let all = |what, got: usize| match got == places {
             true => Ok(()),
             false => Err(SelfTestError::Places {
                 what,
                 got,
-                expected: places.len(),
+                expected: places,
             }),
         };
         all("sphere", spheres.len())?;
         if planes.len() != 1 {
             all("plane", planes.len())?;
         }
+        let figures = |by: &'static str, points: &Points<'_>| {
+            let plane = planes.iter().map(|seen| flatness(&points(seen), by));
+            let sphere = spheres.iter().zip(&spheres_at).map(|(seen, at)| {
+                let camera_from_tool = camera_from_stage * at.stood.stage_from_tool();
+                probing(&points(seen), &at.sphere, camera_from_tool, by)
+            });
+            Ok(Figures::of(
+                plane.collect::<Result<_, _>>()?,
+                sphere.collect::<Result<_, _>>()?,
+            ))
+        };
         let triangulator = HeadTriangulator::new(head);
-        let mut worst = Worst::default();
-        for plane in planes {
-            worst.take_plane(&triangulator.points_of_each(plane))?;
-        }
-        for (sphere, &place) in spheres.iter().zip(&places) {
-            let stood = StagePose::before(artefact.middle_mm()).beside(place);
-            let camera_from_tool = camera_from_stage * stood.stage_from_tool();
-            let points = triangulator.points_of_each(sphere);
-            worst.take_spheres(&points, &artefact, camera_from_tool)?;
-        }
+        let together = figures("", &|cells| triangulator.points_of_each(cells))?;
+        let second = head.with_projector(2);
+        let alone = second.as_ref().map(|second| {
+            let second = HeadTriangulator::new(second);
+            let lit_by = |of: &HeadTriangulator<'_>, number: usize, cells: &[Vec<CellColumn>]| {
+                cells
+                    .get(number)
+                    .map_or(Vec::new(), |cells| of.points(cells))
+            };
+            Ok(Alone {
+                first: figures(" in the light of the first projector", &|cells| {
+                    lit_by(&triangulator, 0, cells)
+                })?,
+                second: figures(" in the light of the second projector", &|cells| {
+                    lit_by(&second, 1, cells)
+                })?,
+            })
+        });
         Ok(Self {
             date,
             due: date.plus_days(limits.every_days),
             geometry_blake3: record.blake3.clone(),
-            places: (places.len() > 1).then_some(places.len() as u32),
-            plane_points: worst.plane_points,
-            flatness_um: worst.flatness_um,
-            flatness_cells_um: Some(worst.flatness_cells_um),
-            sphere_points: worst.sphere_points,
-            probing_form_um: worst.probing_form_um,
-            probing_form_cells_um: Some(worst.probing_form_cells_um),
-            probing_size_um: worst.probing_size_um,
-            sphere_spacing_um: worst.sphere_spacing_um,
+            places: (places > 1).then_some(places as u32),
+            figures: together,
+            alone: alone.transpose()?,
             limits,
             seal: None,
         })
     }
 }
 
-/// The worst figures so far.
-#[derive(Default)]
-struct Worst {
-    plane_points: u32,
-    flatness_um: f64,
-    flatness_cells_um: f64,
-    sphere_points: u32,
-    probing_form_um: f64,
-    probing_form_cells_um: f64,
-    probing_size_um: f64,
-    sphere_spacing_um: Option<f64>,
-}
+/// What is seen of a place, in the light of each projector, to points in the camera frame.
+type Points<'a> = dyn Fn(&[Vec<CellColumn>]) -> Vec<[f64; 3]> + 'a;
 
-/// Fewest points so far; zero is none yet.
-fn fewest(so_far: u32, got: usize) -> u32 {
-    match so_far {
-        0 => got as u32,
-        _ => so_far.min(got as u32),
-    }
-}
-
-/// The one that is farther from zero; what is no number is farthest.
-fn worse(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.abs() <= a.abs() {
-        a
-    } else {
-        b
-    }
-}
-
-fn few(what: &'static str, got: usize) -> SelfTestError {
+fn few(what: &'static str, by: &'static str, got: usize) -> SelfTestError {
     SelfTestError::FewPoints {
         what,
+        by,
         got,
         limit: LEAST_POINTS,
     }
 }
 
-impl Worst {
-    fn take_plane(&mut self, cloud: &[[f64; 3]]) -> Result<(), SelfTestError> {
-        let enough = Some(cloud).filter(|cloud| cloud.len() >= LEAST_POINTS);
-        let flat = enough.and_then(form::plane);
-        let flat = flat.ok_or(few("plane", cloud.len()))?;
-        let of_cells = flat.of_squares(cloud, CELL_MM);
-        self.plane_points = fewest(self.plane_points, cloud.len());
-        self.flatness_um = worse(self.flatness_um, 1e3 * flat.range_mm());
-        self.flatness_cells_um = worse(self.flatness_cells_um, 1e3 * of_cells.range_mm());
-        Ok(())
-    }
+fn flatness(cloud: &[[f64; 3]], by: &'static str) -> Result<PlaneFigures, SelfTestError> {
+    let enough = Some(cloud).filter(|cloud| cloud.len() >= LEAST_POINTS);
+    let flat = enough.and_then(form::plane);
+    let flat = flat.ok_or(few("plane", by, cloud.len()))?;
+    let of_cells = flat.of_squares(cloud, CELL_MM);
+    Ok(PlaneFigures {
+        plane_points: cloud.len() as u32,
+        flatness_um: 1e3 * flat.range_mm(),
+        flatness_cells_um: Some(1e3 * of_cells.range_mm()),
+    })
+}
 
-    /// The spheres of one view.
-    fn take_spheres(
-        &mut self,
-        cloud: &[[f64; 3]],
-        artefact: &Sphere,
-        camera_from_tool: Isometry3<f64>,
-    ) -> Result<(), SelfTestError> {
-        let mut centres = Vec::new();
-        for (centre_mm, diameter_mm) in artefact.each() {
-            let expected = camera_from_tool * Point3::from(centre_mm);
-            let on_sphere = cap(cloud, diameter_mm, expected);
-            let enough = Some(&on_sphere[..]).filter(|cloud| cloud.len() >= LEAST_POINTS);
-            let round = enough.and_then(form::sphere);
-            let round = round.ok_or(few("sphere", on_sphere.len()))?;
-            let of_cells = round.residuals.of_squares(&on_sphere, CELL_MM);
-            let form_um = 1e3 * round.residuals.range_mm();
-            let size_um = 1e3 * (2.0 * round.radius_mm - diameter_mm);
-            self.sphere_points = fewest(self.sphere_points, on_sphere.len());
-            self.probing_form_um = worse(self.probing_form_um, form_um);
-            let of_cells_um = 1e3 * of_cells.range_mm();
-            self.probing_form_cells_um = worse(self.probing_form_cells_um, of_cells_um);
-            self.probing_size_um = worse(self.probing_size_um, size_um);
-            centres.push(round.centre_mm);
-        }
-        if let (Some(partner), [first, second]) = (artefact.partner, &centres[..]) {
+/// The sphere or the pair of one view.
+fn probing(
+    cloud: &[[f64; 3]],
+    artefact: &Sphere,
+    camera_from_tool: Isometry3<f64>,
+    by: &'static str,
+) -> Result<SphereFigures, SelfTestError> {
+    let each = artefact.each().map(|(centre_mm, diameter_mm)| {
+        let expected = camera_from_tool * Point3::from(centre_mm);
+        let on_sphere = cap(cloud, diameter_mm, expected);
+        let enough = Some(&on_sphere[..]).filter(|cloud| cloud.len() >= LEAST_POINTS);
+        let round = enough.and_then(form::sphere);
+        let round = round.ok_or(few("sphere", by, on_sphere.len()))?;
+        let of_cells = round.residuals.of_squares(&on_sphere, CELL_MM);
+        let figures = SphereFigures {
+            sphere_points: on_sphere.len() as u32,
+            probing_form_um: 1e3 * round.residuals.range_mm(),
+            probing_form_cells_um: Some(1e3 * of_cells.range_mm()),
+            probing_size_um: 1e3 * (2.0 * round.radius_mm - diameter_mm),
+            sphere_spacing_um: None,
+        };
+        Ok((figures, round.centre_mm))
+    });
+    let each: Vec<_> = each.collect::<Result<_, SelfTestError>>()?;
+    Ok(match (artefact.partner, &each[..]) {
+        (Some(partner), [(one, first), (other, second)]) => {
             let off_um = 1e3 * ((second - first).norm() - partner.spacing_mm);
-            let so_far = self.sphere_spacing_um.unwrap_or(off_um);
-            self.sphere_spacing_um = Some(worse(so_far, off_um));
+            SphereFigures {
+                sphere_spacing_um: Some(off_um),
+                ..one.worse(*other)
+            }
         }
-        Ok(())
-    }
+        _ => each.first().map_or_else(SphereFigures::default, |of| of.0),
+    })
 }
 
 /// The points of the sphere's cap that faces the camera. The stages say where the sphere is, a first fit says it better; the

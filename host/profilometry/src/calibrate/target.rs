@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::sighting::StagePose;
 use crate::head::{Limits, RigidTransform};
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 
@@ -21,18 +22,24 @@ pub struct Target {
     pub pose_sigma_mm: f64,
     /// Standard uncertainty of each plate's orientation.
     pub pose_sigma_rad: f64,
-    /// Where the stages stand beside facing plane and spheres, one place after the other, in a self-test; none: there.
+    /// Where plane and spheres are looked at in a self-test, one place after the other; none: `blank` and `sphere` in the middle.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub test_place: Vec<StageOffset>,
+    pub test_place: Vec<TestPlace>,
     /// What is printed on the plates.
     pub dots: Dots,
     /// A white plate without print: shows the cores, and how evenly the head lights.
     pub blank: Plate,
     /// The printed plates.
     pub plate: Vec<Plate>,
+    /// Further plates without print, for the self-test.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub test_blank: Vec<Plate>,
     /// A matt sphere for the self-test.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
+    /// Further ones, with a partner or without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub test_sphere: Vec<Sphere>,
     /// What the self-test allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limits: Option<Limits>,
@@ -100,6 +107,56 @@ pub struct StageOffset {
     pub raised_mm: f64,
 }
 
+/// A place of a self-test.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestPlace {
+    /// The stages are turned by, beside facing plane or spheres.
+    pub turned_rad: f64,
+    /// And raised by.
+    pub raised_mm: f64,
+    /// Which plate without print is looked at: 1 is `blank`, 2 the first `test_blank`.
+    #[serde(default = "first", skip_serializing_if = "is_first")]
+    pub blank: usize,
+    /// Which sphere or pair of spheres: 1 is `sphere`, 2 the first `test_sphere`.
+    #[serde(default = "first", skip_serializing_if = "is_first")]
+    pub sphere: usize,
+}
+
+fn first() -> usize {
+    1
+}
+
+fn is_first(number: &usize) -> bool {
+    *number == 1
+}
+
+impl TestPlace {
+    /// Facing `blank` and `sphere`.
+    pub const MIDDLE: Self = Self {
+        turned_rad: 0.0,
+        raised_mm: 0.0,
+        blank: 1,
+        sphere: 1,
+    };
+
+    fn offset(&self) -> StageOffset {
+        StageOffset {
+            turned_rad: self.turned_rad,
+            raised_mm: self.raised_mm,
+        }
+    }
+}
+
+/// A sphere or a pair, and how it is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SphereAt {
+    /// The sphere or pair.
+    pub sphere: Sphere,
+    /// Where the stages stand.
+    pub stood: StagePose,
+}
+
 /// A sphere.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -139,9 +196,10 @@ impl Sphere {
         std::iter::once((self.centre_mm, self.diameter_mm)).chain(partner)
     }
 
-    fn check(&self) -> Result<(), BadValue> {
-        for (key, (centre_mm, diameter_mm)) in ["sphere", "sphere.partner"].iter().zip(self.each())
-        {
+    /// Checks the values of what the file calls `name`.
+    fn check(&self, name: &str) -> Result<(), BadValue> {
+        let keys = [name.to_owned(), format!("{name}.partner")];
+        for (key, (centre_mm, diameter_mm)) in keys.iter().zip(self.each()) {
             // Written so that a NaN fails, here and below.
             if !(diameter_mm > 0.0 && diameter_mm < 1e3) {
                 let key = format!("{key}.diameter_mm");
@@ -164,14 +222,14 @@ impl Sphere {
         let touching_mm = 0.5 * (self.diameter_mm + partner.diameter_mm);
         if !(partner.spacing_mm > touching_mm) {
             return Err(BadValue::new(
-                "sphere.partner.spacing_mm",
+                format!("{name}.partner.spacing_mm"),
                 partner.spacing_mm,
                 "must be the distance of the centres of two spheres that do not touch",
             ));
         }
         if (partner.spacing_mm - drawn_mm).abs() > PARTNER_OFF_MM {
             return Err(BadValue::new(
-                "sphere.partner.spacing_mm",
+                format!("{name}.partner.spacing_mm"),
                 partner.spacing_mm,
                 "must agree with the two centres to 0.1 mm",
             ));
@@ -203,13 +261,39 @@ impl Target {
         toml::to_string(self)
     }
 
-    /// Where the stages stand beside facing an artefact, one place after the other, in a self-test.
-    #[must_use]
-    pub fn test_places(&self) -> Vec<StageOffset> {
+    fn test_places(&self) -> Vec<TestPlace> {
         match &self.test_place[..] {
-            [] => vec![StageOffset::default()],
+            [] => vec![TestPlace::MIDDLE],
             places => places.to_vec(),
         }
+    }
+
+    /// Where the stages stand before plates without print, one place after the other, in a self-test.
+    #[must_use]
+    pub fn planes(&self) -> Vec<StagePose> {
+        let plates = [&[self.blank][..], &self.test_blank].concat();
+        let stood = |place: TestPlace| {
+            let plate = plates.get(place.blank.checked_sub(1)?)?;
+            let facing = StagePose::before(plate.tool_from_plate.translation_mm);
+            Some(facing.beside(place.offset()))
+        };
+        self.test_places().into_iter().filter_map(stood).collect()
+    }
+
+    /// The same before spheres; none without `sphere`.
+    #[must_use]
+    pub fn spheres(&self) -> Vec<SphereAt> {
+        let Some(first) = self.sphere else {
+            return Vec::new();
+        };
+        let spheres = [&[first][..], &self.test_sphere].concat();
+        let seen = |place: TestPlace| {
+            let sphere = *spheres.get(place.sphere.checked_sub(1)?)?;
+            let facing = StagePose::before(sphere.middle_mm());
+            let stood = facing.beside(place.offset());
+            Some(SphereAt { sphere, stood })
+        };
+        self.test_places().into_iter().filter_map(seen).collect()
     }
 
     fn check(&self) -> Result<(), BadValue> {
@@ -274,8 +358,35 @@ impl Target {
             let expected = "must be at most 32 tables [[test_place]]";
             return Err(BadValue::new("test_place", self.test_place.len(), expected));
         }
+        for (index, plate) in self.test_blank.iter().enumerate() {
+            let key = format!("test_blank[{index}].tool_from_plate");
+            plate.tool_from_plate.check(&key)?;
+        }
         if let Some(sphere) = &self.sphere {
-            sphere.check()?;
+            sphere.check("sphere")?;
+        }
+        for (index, sphere) in self.test_sphere.iter().enumerate() {
+            sphere.check(&format!("test_sphere[{index}]"))?;
+        }
+        for (index, place) in self.test_place.iter().enumerate() {
+            let key = |of: &str| format!("test_place[{index}].{of}");
+            if !(1..=1 + self.test_blank.len()).contains(&place.blank) {
+                let expected = "must be 1 for [blank], 2 for the first [[test_blank]] and so on";
+                return Err(BadValue::new(key("blank"), place.blank, expected));
+            }
+            let spheres = usize::from(self.sphere.is_some()) + self.test_sphere.len();
+            if !(1..=spheres.max(1)).contains(&place.sphere) {
+                let expected = "must be 1 for [sphere], 2 for the first [[test_sphere]] and so on";
+                return Err(BadValue::new(key("sphere"), place.sphere, expected));
+            }
+        }
+        if self.sphere.is_none() && !self.test_sphere.is_empty() {
+            let expected = "must be 0 without a [sphere], which is the first";
+            return Err(BadValue::new(
+                "test_sphere",
+                self.test_sphere.len(),
+                expected,
+            ));
         }
         if !BESIDE.contains(&self.beside.len()) {
             return Err(BadValue::new(
@@ -289,8 +400,9 @@ impl Target {
             "must be millimetres, less than 50 up or down",
         ];
         let any = ["must be -1 to 1 rad", "must be millimetres"];
+        let test_places: Vec<_> = self.test_place.iter().map(TestPlace::offset).collect();
         for (name, places, [turned_rad, raised_mm], [turned, raised]) in [
-            ("test_place", &self.test_place, [0.5, 50.0], small),
+            ("test_place", &test_places, [0.5, 50.0], small),
             ("beside", &self.beside, [1.0, 1e3], any),
         ] {
             for (index, at) in places.iter().enumerate() {

@@ -77,7 +77,7 @@ pub struct Rejected {
     pub uncertain_order: usize,
     /// The frequencies name different columns, here or all about: light over a second surface, an edge.
     pub disagreeing: usize,
-    /// The phase belongs to no projector column.
+    /// The phase belongs to no projector column, or to none that counts.
     pub outside_projector: usize,
     /// The ray meets the sheet of light outside the measuring volume, or nowhere.
     pub outside_volume: usize,

@@ -353,6 +353,9 @@ impl Decoder {
         {
             return Err(Fate::OutsideVolume.into());
         }
+        if !self.triangulator.is_lit(direction, hit.depth_mm) {
+            return Err(Fate::OutsideProjector.into());
+        }
         let periods = self.patterns.finest().periods;
         let sigma_z_mm = depth_sigma_mm(column.sigma_rad, periods, self.projector_width_px, &hit);
         Ok(CellResult {

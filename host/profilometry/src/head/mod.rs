@@ -37,7 +37,9 @@ pub use lens::LensDrive;
 pub use mirrors::{Arrangement, Mirrors};
 pub use pose::RigidTransform;
 pub use second_projector::SecondProjector;
-pub use self_test::{Limits, SelfTest, Unfit};
+pub use self_test::{
+    Alone, Arrangements, Figures, Judged, Limits, PlaneFigures, SelfTest, SphereFigures, Unfit,
+};
 pub use sensor::Sensor;
 pub use volume::{DepthRange, ImageCircle};
 
@@ -69,6 +71,9 @@ pub struct HeadModel {
     /// How the mirrors of its DMD lie; absent: above each other.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
+    /// The part of its DMD whose fringes count, in the DMD's pixels; absent: all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub projector_circle: Option<ImageCircle>,
     /// Contrast (amplitude over mean) that the optics leave the finest fringes on a matt, convex surface in focus; absent: not known,
     /// at most 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -163,6 +168,7 @@ impl HeadModel {
             camera,
             projector,
             mirrors: None,
+            projector_circle: None,
             fringe_contrast: None,
             projector_from_camera,
             second_projector: None,
@@ -190,7 +196,7 @@ impl HeadModel {
         };
         record.counts_on(today)?;
         let test = self.self_test.as_ref().ok_or(Unfit::Untested)?;
-        test.allows(&record.blake3, today)
+        test.allows(&record.blake3, self.projectors(), today)
     }
 
     /// How the mirrors of the projector's DMD lie.
@@ -243,20 +249,10 @@ impl HeadModel {
             record.check(self)?;
         }
         if let Some(circle) = &self.image_circle {
-            if circle.centre_px.iter().any(|value| !value.is_finite()) {
-                return Err(BadValue::new(
-                    "image_circle.centre_px",
-                    circle.centre_px,
-                    "must be finite pixels",
-                ));
-            }
-            if !(circle.radius_px > 0.0 && circle.radius_px.is_finite()) {
-                return Err(BadValue::new(
-                    "image_circle.radius_px",
-                    circle.radius_px,
-                    "must be positive",
-                ));
-            }
+            circle.check("image_circle")?;
+        }
+        if let Some(circle) = &self.projector_circle {
+            circle.check("projector_circle")?;
         }
         if let Some(contrast) = self.fringe_contrast
             && !(contrast > 0.0 && contrast <= 1.0)

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use flankscope_foundation::textfile::BadValue;
 
-use super::{HeadModel, Mirrors, Pinhole, RigidTransform};
+use super::{HeadModel, ImageCircle, Mirrors, Pinhole, RigidTransform};
 
 /// Lens and place of a projector that shows the same patterns after the first. Units as in [`HeadModel`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,6 +15,9 @@ pub struct SecondProjector {
     /// How the mirrors of its DMD lie; absent: above each other.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
+    /// The part of its DMD whose fringes count; absent: all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub circle: Option<ImageCircle>,
     /// `X_projector = rotation X_camera + translation_mm`.
     pub projector_from_camera: RigidTransform,
 }
@@ -24,6 +27,9 @@ impl SecondProjector {
         self.projector.check("second_projector.projector")?;
         if let Some(mirrors) = &self.mirrors {
             mirrors.check(&self.projector)?;
+        }
+        if let Some(circle) = &self.circle {
+            circle.check("second_projector.circle")?;
         }
         let key = "second_projector.projector_from_camera";
         self.projector_from_camera.check(key)
@@ -43,6 +49,7 @@ impl HeadModel {
                 Self {
                     projector: second.projector,
                     mirrors: second.mirrors,
+                    projector_circle: second.circle,
                     projector_from_camera: second.projector_from_camera,
                     ..all
                 }

@@ -62,19 +62,9 @@ impl Limits {
     }
 }
 
-/// The last self-test of a head: `<head>.check.toml` beside its file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SelfTest {
-    /// Day of the test.
-    pub date: Date,
-    /// Last day on which it counts.
-    pub due: Date,
-    /// BLAKE3 of the geometry that was tested, as in the head's `[calibration]`.
-    pub geometry_blake3: String,
-    /// Places at which plane and spheres were measured, where it was more than one; the figures are those of the worst.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub places: Option<u32>,
+/// What a plane showed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlaneFigures {
     /// Points on the plane.
     pub plane_points: u32,
     /// Largest minus smallest distance from the fitted plane, without the farthest 0.3 % of the points.
@@ -82,7 +72,12 @@ pub struct SelfTest {
     /// The same of means over squares of 0.25 mm, the cells that wear is judged by.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub flatness_cells_um: Option<f64>,
-    /// Points on the sphere.
+}
+
+/// What a sphere or a pair of spheres showed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SphereFigures {
+    /// Points on the sphere; of a pair, the fewer, as below the worse.
     pub sphere_points: u32,
     /// Largest minus smallest distance from the fitted sphere, without the farthest 0.3 % of the points.
     pub probing_form_um: f64,
@@ -94,8 +89,196 @@ pub struct SelfTest {
     /// Measured minus certified distance of the two spheres, where there are two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sphere_spacing_um: Option<f64>,
+}
+
+/// What planes and spheres showed: the worst of all places, and each of them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// The worst of the planes.
+    #[serde(flatten)]
+    pub of_planes: PlaneFigures,
+    /// The worst of the spheres.
+    #[serde(flatten)]
+    pub of_spheres: SphereFigures,
+    /// Place by place.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub plane: Vec<PlaneFigures>,
+    /// Place by place.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sphere: Vec<SphereFigures>,
+}
+
+impl PlaneFigures {
+    fn worse(self, other: Self) -> Self {
+        Self {
+            plane_points: self.plane_points.min(other.plane_points),
+            flatness_um: worse(self.flatness_um, other.flatness_um),
+            flatness_cells_um: worse_of(self.flatness_cells_um, other.flatness_cells_um),
+        }
+    }
+}
+
+impl SphereFigures {
+    /// The worse of two, figure by figure.
+    pub(crate) fn worse(self, other: Self) -> Self {
+        Self {
+            sphere_points: self.sphere_points.min(other.sphere_points),
+            probing_form_um: worse(self.probing_form_um, other.probing_form_um),
+            probing_form_cells_um: worse_of(
+                self.probing_form_cells_um,
+                other.probing_form_cells_um,
+            ),
+            probing_size_um: worse(self.probing_size_um, other.probing_size_um),
+            sphere_spacing_um: worse_of(self.sphere_spacing_um, other.sphere_spacing_um),
+        }
+    }
+}
+
+/// The one that is farther from zero; what is no number is farthest.
+fn worse(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.abs() <= a.abs() {
+        a
+    } else {
+        b
+    }
+}
+
+/// The same where there may be none.
+fn worse_of(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(worse(a, b)),
+        (one, other) => one.or(other),
+    }
+}
+
+/// In how many arrangements something was measured, and how many VDI/VDE 2634, part 2, asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Arrangements {
+    /// Of what.
+    pub of: &'static str,
+    /// Measured.
+    pub measured: usize,
+    /// Asked for.
+    pub asked: usize,
+}
+
+/// What each of two projectors shows alone.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Alone {
+    /// The first.
+    pub first: Figures,
+    /// The second.
+    pub second: Figures,
+}
+
+/// A figure beside its limit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Judged {
+    /// Which figure.
+    pub what: &'static str,
+    /// In whose light, where a head has two projectors; empty otherwise.
+    pub by: &'static str,
+    /// Found, without its sign.
+    pub um: f64,
+    /// Allowed.
+    pub limit_um: f64,
+}
+
+impl Judged {
+    /// Written so that a NaN is beyond.
+    fn is_within(&self) -> bool {
+        self.um <= self.limit_um
+    }
+
+    /// How much of the limit is used; what is no number uses most.
+    fn share(&self) -> f64 {
+        let share = self.um / self.limit_um;
+        if share.is_nan() { f64::INFINITY } else { share }
+    }
+}
+
+impl Figures {
+    /// Of what was measured at one place after the other.
+    pub(crate) fn of(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
+        let of_planes = plane.iter().copied().reduce(PlaneFigures::worse);
+        let of_spheres = sphere.iter().copied().reduce(SphereFigures::worse);
+        Self {
+            of_planes: of_planes.unwrap_or_default(),
+            of_spheres: of_spheres.unwrap_or_default(),
+            plane,
+            sphere,
+        }
+    }
+
+    /// Every figure that has a limit.
+    fn judged(&self, by: &'static str, limits: &Limits) -> impl Iterator<Item = Judged> {
+        let always = [
+            ("flatness", self.of_planes.flatness_um, limits.flatness_um),
+            (
+                "probing form",
+                self.of_spheres.probing_form_um,
+                limits.probing_form_um,
+            ),
+            (
+                "probing size",
+                self.of_spheres.probing_size_um,
+                limits.probing_size_um,
+            ),
+        ];
+        let where_limited = [
+            (
+                "flatness of cells",
+                self.of_planes.flatness_cells_um,
+                limits.flatness_cells_um,
+            ),
+            (
+                "probing form of cells",
+                self.of_spheres.probing_form_cells_um,
+                limits.probing_form_cells_um,
+            ),
+            (
+                "sphere spacing",
+                self.of_spheres.sphere_spacing_um,
+                limits.sphere_spacing_um,
+            ),
+        ];
+        let where_limited = where_limited
+            .into_iter()
+            .filter_map(|(what, got, limit)| Some((what, got.unwrap_or(f64::NAN), limit?)));
+        always
+            .into_iter()
+            .chain(where_limited)
+            .map(move |(what, um, limit_um)| Judged {
+                what,
+                by,
+                um: um.abs(),
+                limit_um,
+            })
+    }
+}
+
+/// The last self-test of a head: `<head>.check.toml` beside its file. The instrument writes it; a figure that is limited and under
+/// another name counts as beyond its limit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SelfTest {
+    /// Day of the test.
+    pub date: Date,
+    /// Last day on which it counts.
+    pub due: Date,
+    /// BLAKE3 of the geometry that was tested, as in the head's `[calibration]`.
+    pub geometry_blake3: String,
+    /// Places at which plane and spheres were measured, where it was more than one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub places: Option<u32>,
+    /// Of the points that a check measures: with two projectors, what both make together.
+    #[serde(flatten)]
+    pub figures: Figures,
     /// What was allowed.
     pub limits: Limits,
+    /// Of a head with two projectors: what is wrong with one of them, both together hide in part.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alone: Option<Alone>,
     /// Whose word the file is, where it says so.
     #[serde(default, skip_serializing)]
     pub seal: Option<Seal>,
@@ -133,17 +316,22 @@ pub enum Unfit {
     },
     /// Beyond its limits.
     #[error(
-        "the self-test of {date} failed: {what} {got_um:.1} um, at most {limit_um} um is allowed; clean the head, calibrate again"
+        "the self-test of {date} failed: {}{} {:.1} um, at most {} um is allowed; clean the head, calibrate again",
+        .worst.what, .worst.by, .worst.um, .worst.limit_um
     )]
     Failed {
         /// Day of the test.
         date: Date,
-        /// Which figure.
-        what: &'static str,
-        /// Found.
-        got_um: f64,
-        /// Limit.
-        limit_um: f64,
+        /// The figure farthest beyond its limit.
+        worst: Judged,
+    },
+    /// Of a head with two projectors, and says nothing of each.
+    #[error(
+        "the self-test of {date} says nothing of each projector alone: run flankscope calibrate --check"
+    )]
+    OnlyTogether {
+        /// Day of the test.
+        date: Date,
     },
 }
 
@@ -176,11 +364,60 @@ impl SelfTest {
         toml::to_string(self)
     }
 
-    /// Whether it allows a calibration to be used on a day.
+    /// All figures, and in whose light they are.
+    pub fn each(&self) -> impl Iterator<Item = (&'static str, &Figures)> {
+        let together = match self.alone {
+            Some(_) => " by both projectors together",
+            None => "",
+        };
+        let alone = self.alone.iter().flat_map(|alone| {
+            [
+                (" by the first projector alone", &alone.first),
+                (" by the second projector alone", &alone.second),
+            ]
+        });
+        std::iter::once((together, &self.figures)).chain(alone)
+    }
+
+    /// How much of what VDI/VDE 2634, part 2, asks for was measured: the probing error in ten arrangements of a sphere, sphere spacing
+    /// in seven of a bar, flatness in six of a plate. None of a file that does not list them.
+    #[must_use]
+    pub fn arrangements(&self) -> Option<[Arrangements; 3]> {
+        let Figures { plane, sphere, .. } = &self.figures;
+        let bars = |seen: &&SphereFigures| seen.sphere_spacing_um.is_some();
+        let bars = sphere.iter().filter(bars).count();
+        let of = |of, measured, asked| Arrangements {
+            of,
+            measured,
+            asked,
+        };
+        (!sphere.is_empty()).then(|| {
+            [
+                of("sphere", sphere.len() + bars, 10),
+                of("bar", bars, 7),
+                of("plate", plane.len(), 6),
+            ]
+        })
+    }
+
+    /// The figure that uses most of its limit; it decides.
+    #[must_use]
+    pub fn worst(&self) -> Option<Judged> {
+        self.each()
+            .flat_map(|(by, figures)| figures.judged(by, &self.limits))
+            .max_by(|a, b| a.share().total_cmp(&b.share()))
+    }
+
+    /// Whether it allows a calibration of a head with so many projectors to be used on a day.
     ///
     /// # Errors
     /// [`Unfit`].
-    pub fn allows(&self, geometry_blake3: &str, today: Date) -> Result<(), Unfit> {
+    pub fn allows(
+        &self,
+        geometry_blake3: &str,
+        projectors: usize,
+        today: Date,
+    ) -> Result<(), Unfit> {
         let Self { date, due, .. } = *self;
         if self.geometry_blake3 != geometry_blake3 {
             return Err(Unfit::Foreign { date });
@@ -188,50 +425,153 @@ impl SelfTest {
         if today > due {
             return Err(Unfit::Overdue { date, due, today });
         }
-        let figures = [
-            ("flatness", self.flatness_um, self.limits.flatness_um),
-            (
-                "probing form",
-                self.probing_form_um,
-                self.limits.probing_form_um,
-            ),
-            (
-                "probing size",
-                self.probing_size_um.abs(),
-                self.limits.probing_size_um,
-            ),
-        ];
-        let where_limited = [
-            (
-                "flatness of cells",
-                self.flatness_cells_um,
-                self.limits.flatness_cells_um,
-            ),
-            (
-                "probing form of cells",
-                self.probing_form_cells_um,
-                self.limits.probing_form_cells_um,
-            ),
-            (
-                "sphere spacing",
-                self.sphere_spacing_um.map(f64::abs),
-                self.limits.sphere_spacing_um,
-            ),
-        ];
-        let where_limited = where_limited
-            .into_iter()
-            .filter_map(|(what, got, limit)| Some((what, got.unwrap_or(f64::NAN), limit?)));
-        for (what, got_um, limit_um) in figures.into_iter().chain(where_limited) {
-            // Written so that a NaN fails.
-            if !(got_um <= limit_um) {
-                return Err(Unfit::Failed {
-                    date,
-                    what,
-                    got_um,
-                    limit_um,
-                });
-            }
+        if projectors > 1 && self.alone.is_none() {
+            return Err(Unfit::OnlyTogether { date });
         }
-        Ok(())
+        match self.worst() {
+            Some(worst) if !worst.is_within() => Err(Unfit::Failed { date, worst }),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FLAT: PlaneFigures = PlaneFigures {
+        plane_points: 1000,
+        flatness_um: 20.0,
+        flatness_cells_um: Some(4.0),
+    };
+    const ROUND: SphereFigures = SphereFigures {
+        sphere_points: 500,
+        probing_form_um: 20.0,
+        probing_form_cells_um: Some(4.0),
+        probing_size_um: -3.0,
+        sphere_spacing_um: Some(1.0),
+    };
+
+    fn sound() -> Figures {
+        Figures::of(vec![FLAT; 2], vec![ROUND; 2])
+    }
+
+    fn test_of(together: Figures, alone: Option<Alone>) -> SelfTest {
+        let date: Date = "2026-05-04".parse().expect("a day");
+        SelfTest {
+            date,
+            due: date.plus_days(7),
+            geometry_blake3: "0".into(),
+            places: None,
+            figures: together,
+            limits: Limits {
+                flatness_um: 45.0,
+                probing_form_um: 45.0,
+                probing_size_um: 8.0,
+                flatness_cells_um: Some(8.0),
+                probing_form_cells_um: Some(8.0),
+                sphere_spacing_um: Some(8.0),
+                every_days: 7,
+            },
+            alone,
+            seal: None,
+        }
+    }
+
+    #[test]
+    fn what_one_projector_alone_does_wrong_decides() {
+        let bent_plane = PlaneFigures {
+            flatness_cells_um: Some(9.3),
+            ..FLAT
+        };
+        let bent_sphere = SphereFigures {
+            probing_form_um: 46.0,
+            ..ROUND
+        };
+        let bent = || Figures::of(vec![FLAT, bent_plane], vec![bent_sphere, ROUND]);
+        let today = test_of(sound(), None).date;
+        let alone = |first, second| Some(Alone { first, second });
+        let of = |test: &SelfTest| test.allows("0", 2, today);
+        assert_eq!(of(&test_of(sound(), alone(sound(), sound()))), Ok(()));
+        for (first, second, by) in [
+            (bent(), sound(), " by the first projector alone"),
+            (sound(), bent(), " by the second projector alone"),
+        ] {
+            // 9.3 of 8 is farther beyond than 46 of 45.
+            let worst = Judged {
+                what: "flatness of cells",
+                by,
+                um: 9.3,
+                limit_um: 8.0,
+            };
+            let refused = of(&test_of(sound(), alone(first, second)));
+            assert_eq!(refused, Err(Unfit::Failed { date: today, worst }));
+        }
+        // Nobody looked at each alone.
+        let together = test_of(sound(), None);
+        let refused = of(&together);
+        assert_eq!(refused, Err(Unfit::OnlyTogether { date: today }));
+        assert_eq!(together.allows("0", 1, today), Ok(()));
+        // What is limited and was not measured, or is no number, is beyond.
+        let no_spacing = SphereFigures {
+            sphere_spacing_um: None,
+            ..ROUND
+        };
+        let no_number = SphereFigures {
+            probing_size_um: f64::NAN,
+            ..ROUND
+        };
+        for at in [vec![no_spacing], vec![ROUND, no_number, ROUND]] {
+            let figures = Figures::of(vec![FLAT], at);
+            let refused = test_of(figures, None).allows("0", 1, today);
+            assert!(matches!(refused, Err(Unfit::Failed { .. })), "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn every_figure_is_that_of_its_worst_place() {
+        let here = SphereFigures {
+            sphere_points: 400,
+            probing_size_um: 3.5,
+            sphere_spacing_um: Some(-2.0),
+            ..ROUND
+        };
+        let figures = Figures::of(vec![FLAT], vec![ROUND, here]);
+        let worst = SphereFigures {
+            sphere_points: 400,
+            probing_size_um: 3.5,
+            sphere_spacing_um: Some(-2.0),
+            ..ROUND
+        };
+        assert_eq!(figures.of_spheres, worst);
+        let one = SphereFigures {
+            sphere_spacing_um: None,
+            ..ROUND
+        };
+        let test = test_of(Figures::of(vec![FLAT; 6], vec![ROUND, one]), None);
+        let measured = test.arrangements().map(|of| of.map(|of| of.measured));
+        // Two spheres and one; the one is no bar.
+        assert_eq!(measured, Some([3, 1, 6]));
+    }
+
+    #[test]
+    fn the_file_comes_back_and_a_figure_under_another_name_is_none() {
+        let larger = SphereFigures {
+            probing_size_um: 2.5,
+            ..ROUND
+        };
+        let second = Figures::of(vec![FLAT], vec![larger, ROUND]);
+        let first = sound();
+        for alone in [None, Some(Alone { first, second })] {
+            let test = test_of(sound(), alone);
+            let text = test.to_toml().expect("text");
+            assert_eq!(toml::from_str::<SelfTest>(&text).expect("its own"), test);
+            let misspelt = text.replacen("sphere_spacing_um", "sphere_spacing", 1);
+            let read: SelfTest = toml::from_str(&misspelt).expect("a file");
+            let refused = read.allows("0", 1, test.date);
+            assert!(matches!(refused, Err(Unfit::Failed { .. })), "{misspelt}");
+            let without = text.replacen("probing_size_um", "probing_size", 1);
+            assert!(toml::from_str::<SelfTest>(&without).is_err(), "{without}");
+        }
     }
 }

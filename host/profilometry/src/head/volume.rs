@@ -34,7 +34,7 @@ impl DepthRange {
     }
 }
 
-/// The part of the sensor that the optics light.
+/// The part of the sensor, or of a DMD, that the optics show.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImageCircle {
@@ -42,4 +42,31 @@ pub struct ImageCircle {
     pub centre_px: [f64; 2],
     /// Radius.
     pub radius_px: f64,
+}
+
+impl ImageCircle {
+    pub(super) fn check(&self, name: &str) -> Result<(), BadValue> {
+        if self.centre_px.iter().any(|value| !value.is_finite()) {
+            return Err(BadValue::new(
+                format!("{name}.centre_px"),
+                self.centre_px,
+                "must be finite pixels",
+            ));
+        }
+        if !(self.radius_px > 0.0 && self.radius_px.is_finite()) {
+            return Err(BadValue::new(
+                format!("{name}.radius_px"),
+                self.radius_px,
+                "must be positive",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Whether a place lies in it.
+    #[must_use]
+    pub fn contains(&self, pixel: [f64; 2]) -> bool {
+        let [x, y] = [0, 1].map(|axis| pixel[axis] - self.centre_px[axis]);
+        x.hypot(y) <= self.radius_px
+    }
 }

@@ -3,7 +3,7 @@
 mod head;
 
 use crate::bend::Bend;
-use crate::head::{HeadModel, Pinhole};
+use crate::head::{HeadModel, ImageCircle, Pinhole};
 use crate::pattern::Axis;
 
 pub(crate) use head::HeadTriangulator;
@@ -26,6 +26,8 @@ pub struct Triangulator {
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
     distorted: bool,
+    /// Where the projector's fringes count.
+    circle: Option<ImageCircle>,
     /// How the sheets of light are bent; what is called a column is then what straight ones would count.
     bend: Option<Bend>,
 }
@@ -43,6 +45,7 @@ impl Triangulator {
             rotation: head.projector_from_camera.rotation,
             translation_mm: head.projector_from_camera.translation_mm,
             distorted: !head.projector.is_ideal(),
+            circle: head.projector_circle,
             bend: None,
         }
     }
@@ -61,6 +64,17 @@ impl Triangulator {
     /// The ray's direction in the projector frame.
     fn direction(&self, [x, y]: [f64; 2]) -> [f64; 3] {
         self.rotation.map(|row| row[0] * x + row[1] * y + row[2])
+    }
+
+    /// Whether fringes that count light the point `depth_mm (x, y, 1)`: at the rim of a bundle there is light from one side only, and
+    /// what it shows is the rim's own phase.
+    pub fn is_lit(&self, ray: [f64; 2], depth_mm: f64) -> bool {
+        let Some(circle) = &self.circle else {
+            return true;
+        };
+        let a = self.direction(ray);
+        let [x, y, z] = [0, 1, 2].map(|axis| a[axis] * depth_mm + self.translation_mm[axis]);
+        z > 0.0 && circle.contains(self.projector.pixel([x / z, y / z]))
     }
 
     fn column_along(&self, a: [f64; 3], depth_mm: f64) -> Option<(f64, f64)> {
@@ -148,6 +162,37 @@ mod tests {
              translation_mm = [6.0, 5.0, 0.8]\n",
         )
         .unwrap()
+    }
+
+    /// The columns and rows of a point, each by a triangulator of its own, say how far it is from the circle's centre.
+    #[test]
+    fn what_lies_outside_the_projectors_circle_is_not_lit() {
+        let bare = head();
+        let of_axis = |axis| Triangulator::new(&bare, axis);
+        let [columns, rows] = [Axis::Columns, Axis::Rows].map(of_axis);
+        let centre_px = [500.0, 390.0];
+        for ray in [[0.0, 0.0], [0.1, -0.05], [-0.15, 0.1], [0.02, 0.17]] {
+            let at = |of: &Triangulator| of.column(ray, 20.7).unwrap().0;
+            let away_px = (at(&columns) - centre_px[0]).hypot(at(&rows) - centre_px[1]);
+            let lit_within = |radius_px: f64| {
+                let circle = ImageCircle {
+                    centre_px,
+                    radius_px,
+                };
+                let head = HeadModel {
+                    projector_circle: Some(circle),
+                    ..bare.clone()
+                };
+                let by_rows = Triangulator::new(&head, Axis::Rows).is_lit(ray, 20.7);
+                assert_eq!(
+                    by_rows,
+                    Triangulator::new(&head, Axis::Columns).is_lit(ray, 20.7)
+                );
+                by_rows
+            };
+            assert!(lit_within(away_px + 1e-6) && !lit_within(away_px - 1e-6));
+            assert!(columns.is_lit(ray, 20.7));
+        }
     }
 
     /// Bent sheets of light by bisection over the depth: no Newton, no derivatives.

@@ -66,6 +66,7 @@ pub fn head() -> HeadModel {
         seal: None,
         core_map: None,
         mirrors: None,
+        projector_circle: None,
         fringe_contrast: None,
         lens: None,
     }

@@ -11,7 +11,6 @@ use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, 
 
 use super::job::{CalibrationError, SaveError, write};
 use super::survey::Surveyor;
-use super::views;
 use crate::acquisition::Progress;
 use crate::controller::ClientSettings;
 use crate::settings::StationSettings;
@@ -39,14 +38,10 @@ impl FitnessSurvey {
         let lacks = SelfTestError::Lacks {
             what: "[sphere] in the target",
         };
-        let sphere = target.sphere.ok_or(lacks)?;
-        let artefacts = [
-            views::facing(&target.blank),
-            StagePose::before(sphere.middle_mm()),
-        ];
-        let places = target.test_places();
-        let at = |artefact: StagePose| places.iter().map(move |&place| artefact.beside(place));
-        let at: Vec<StagePose> = artefacts.into_iter().flat_map(at).collect();
+        target.sphere.ok_or(lacks)?;
+        let spheres = target.spheres();
+        let spheres = spheres.iter().map(|at| at.stood);
+        let at: Vec<StagePose> = target.planes().into_iter().chain(spheres).collect();
         let options = DecodeOptions::for_head(&head);
         let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns_of_each(sums);
         Ok(Self {

@@ -24,23 +24,36 @@ const PRINTED: [([f64; 2], f64); 6] = [
     ([0.14, 0.14], -5.0),
     ([-0.14, -0.14], 5.0),
 ];
-/// The spheres, beyond best focus, beside and above the middle in hundredths of the field, and their diameter. Their fronts stand
-/// before best focus, and they are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2).
-const SPHERE_CENTRES: [[f64; 3]; 2] = [[7.0, -12.0, -18.0], [13.0, 12.0, 18.0]];
+/// Bars of two spheres, beyond best focus, beside and above the middle in hundredths of the field, and their diameter. Fronts stand
+/// before best focus, and two are 0.3 of the field's diagonal apart (VDI/VDE 2634, part 2). The bars lie in both diagonals of the
+/// field and from its front to its back.
+const SPHERE_CENTRES: [[[f64; 3]; 2]; 3] = [
+    [[7.0, -12.0, -18.0], [13.0, 12.0, 18.0]],
+    [[7.0, 12.0, -18.0], [13.0, -12.0, 18.0]],
+    [[4.0, -20.0, 6.0], [18.0, 20.0, -6.0]],
+];
 const SPHERE_DIAMETER: f64 = 24.0;
 const SPHERE_STATION: usize = PRINTED.len() + 1;
+/// Blank plates: tilt and distance as of the printed ones.
+const BLANK: [([f64; 2], f64); 3] = [
+    ([0.0, 0.0], 0.0),
+    ([0.10, 0.10], -4.0),
+    ([-0.10, 0.10], 4.0),
+];
+/// Blank plates of one station stand above each other, and so do bars, mm: the first in the middle, one below, one above.
+const ABOVE_MM: [f64; 3] = [0.0, -16.0, 16.0];
 /// They are sunk into a matt ground, which keeps the picture lit: by this share of a diameter beyond the middle of their centres.
 const GROUND_BEYOND_CENTRES: f64 = 5.0 / 24.0;
 /// Reflectance of the print relative to the plate.
 const INK_RATIO: f64 = 0.25;
 
 /// A plate on the carrier's station, facing the axis: x along the axis, y along the circumference, z towards the axis.
-fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
+fn plate(station: usize, above_mm: f64, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
     let axes = Rotation3::from_basis_unchecked(&[Vector3::z(), Vector3::y(), -Vector3::x()]);
     let facing = UnitQuaternion::from_rotation_matrix(&axes)
         * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), tilt[0])
         * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), tilt[1]);
-    let place = Translation3::new(radius_mm, 0.0, HEIGHT_MM);
+    let place = Translation3::new(radius_mm, 0.0, HEIGHT_MM + above_mm);
     let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), STATION_RAD * station as f64);
     turned * Isometry3::from_parts(place, facing)
 }
@@ -50,10 +63,10 @@ fn plate(station: usize, tilt: [f64; 2], radius_mm: f64) -> Isometry3<f64> {
 pub struct Carrier {
     /// The printed plates.
     pub printed: Vec<Isometry3<f64>>,
-    /// The plate without print.
-    pub blank: Isometry3<f64>,
-    /// The centres of the two spheres, mm.
-    pub sphere_centres_mm: [[f64; 3]; 2],
+    /// The plates without print.
+    pub blanks: [Isometry3<f64>; 3],
+    /// The centres of the two spheres of each bar, mm.
+    pub bars_mm: [[[f64; 3]; 2]; 3],
     /// Their diameter, mm.
     pub sphere_diameter_mm: f64,
 }
@@ -67,16 +80,22 @@ pub fn carrier(head: &HeadDesign) -> Carrier {
     let printed = PRINTED.iter().enumerate();
     Carrier {
         printed: printed
-            .map(|(station, &(tilt, beyond))| plate(station, tilt, beyond_focus_mm(beyond)))
+            .map(|(station, &(tilt, beyond))| plate(station, 0.0, tilt, beyond_focus_mm(beyond)))
             .collect(),
-        blank: plate(PRINTED.len(), [0.0; 2], beyond_focus_mm(0.0)),
-        sphere_centres_mm: SPHERE_CENTRES.map(|[beyond, beside, above]| {
-            let (radius_mm, beside_mm) = (beyond_focus_mm(beyond), of_field(beside));
-            [
-                radius_mm * cos - beside_mm * sin,
-                radius_mm * sin + beside_mm * cos,
-                HEIGHT_MM + of_field(above),
-            ]
+        blanks: [0, 1, 2].map(|number| {
+            let (tilt, beyond) = BLANK[number];
+            let radius_mm = beyond_focus_mm(beyond);
+            plate(PRINTED.len(), ABOVE_MM[number], tilt, radius_mm)
+        }),
+        bars_mm: [0, 1, 2].map(|number| {
+            SPHERE_CENTRES[number].map(|[beyond, beside, above]| {
+                let (radius_mm, beside_mm) = (beyond_focus_mm(beyond), of_field(beside));
+                [
+                    radius_mm * cos - beside_mm * sin,
+                    radius_mm * sin + beside_mm * cos,
+                    HEIGHT_MM + ABOVE_MM[number] + of_field(above),
+                ]
+            })
         }),
         sphere_diameter_mm: of_field(SPHERE_DIAMETER),
     }
@@ -124,13 +143,17 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         vertices: Vec::new(),
         triangles: Vec::new(),
     };
-    let ground = target.sphere.map(|sphere| {
+    let further: Vec<Isometry3<f64>> = target.test_blank.iter().map(&mut as_built).collect();
+    let artefacts = || target.sphere.iter().chain(&target.test_sphere);
+    let ground = artefacts().map(|sphere| {
         let other_mm = sphere.partner.map_or(sphere.centre_mm, |of| of.centre_mm);
-        let [x, y] = [0, 1].map(|axis| 0.5 * (sphere.centre_mm[axis] + other_mm[axis]));
+        let [x, y, z] = [0, 1, 2].map(|axis| 0.5 * (sphere.centre_mm[axis] + other_mm[axis]));
         let radius_mm = x.hypot(y) + GROUND_BEYOND_CENTRES * sphere.diameter_mm;
-        plate(SPHERE_STATION, [0.0; 2], radius_mm)
+        plate(SPHERE_STATION, z - HEIGHT_MM, [0.0; 2], radius_mm)
     });
-    for pose in printed.iter().chain([&blank]).chain(&ground) {
+    let ground: Vec<Isometry3<f64>> = ground.collect();
+    let blanks = [&[blank], &further[..], &ground].concat();
+    for pose in printed.iter().chain(&blanks) {
         let first = mesh.vertices.len() as u32;
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         for [x, y] in corners {
@@ -140,11 +163,8 @@ pub fn target_world(target: &TargetFile, seed: u64) -> WorldConfig {
         mesh.triangles
             .extend([[0, 1, 2], [0, 2, 3]].map(|t| t.map(|i| first + i)));
     }
-    let first = target
-        .sphere
-        .iter()
-        .map(|of| (of.centre_mm, of.diameter_mm));
-    let partner = target.sphere.iter().filter_map(|of| of.partner);
+    let first = artefacts().map(|of| (of.centre_mm, of.diameter_mm));
+    let partner = artefacts().filter_map(|of| of.partner);
     let spheres = first.chain(partner.map(|of| (of.centre_mm, of.diameter_mm)));
     for (centre_mm, diameter_mm) in spheres {
         sphere(centre_mm.into(), 0.5 * diameter_mm, &mut mesh);

@@ -22,8 +22,14 @@ pub struct TargetFile {
     pub blank: Plate,
     /// The printed plates.
     pub plate: Vec<Plate>,
+    /// Further ones without print.
+    #[serde(default)]
+    pub test_blank: Vec<Plate>,
     /// A sphere beside them.
     pub sphere: Option<Sphere>,
+    /// Further ones.
+    #[serde(default)]
+    pub test_sphere: Vec<Sphere>,
 }
 
 /// A square grid of dark dots; three of them are larger.
