@@ -409,6 +409,20 @@ fn patches_that_no_view_shows_together_are_judged_in_one_check_and_from_its_fram
     // A view that does not say of which patch it is.
     std::fs::write(&index, said.replacen("\ntooth = 2\n", "\n", 1)).unwrap();
     refused("does not say which patch");
+    // A patch that was to be checked and has no frames; a scan is of a gear.
+    std::fs::write(&index, said.replacen("\ntooth = 1\n", "\ntooth = 2\n", 1)).unwrap();
+    refused("from two places");
+    let views = said.split("[[view]]");
+    let kept: Vec<&str> = views.filter(|of| !of.contains("\ntooth = 2\n")).collect();
+    assert_eq!(kept.len(), 2, "{said}");
+    std::fs::write(&index, kept.join("[[view]]")).unwrap();
+    let half = recorded(&[]);
+    assert_eq!(half.code, 2, "{} {}", half.json["reason"], half.stderr);
+    let reason = half.json["reason"].as_str().unwrap();
+    assert!(reason.contains("no frames of patch upper"), "{reason}");
+    let scan = run(flankscope().args(["scan", "--frames", &frames, "--tool", &tool]));
+    assert_eq!(scan.code, 3, "{}", scan.stderr);
+    assert!(scan.stderr.contains("are for inspect"), "{}", scan.stderr);
     // Frames of one patch are none of the other: the tool file has them the other way round now.
     std::fs::write(&index, &said).unwrap();
     patch_tool(

@@ -186,10 +186,10 @@ pub enum ViewError {
         planned: usize,
     },
     /// Nobody recorded it.
-    #[error("the recording has no frames of tooth {tooth}")]
+    #[error("the recording has no frames of {of}")]
     NotRecorded {
-        /// Tooth of the view.
-        tooth: u32,
+        /// What is in the middle of the view: a tooth, or a patch.
+        of: String,
     },
     /// A recorded frame cannot be used.
     #[error(transparent)]

@@ -99,7 +99,8 @@ pub struct ViewPlan {
 pub enum PlanningError {
     /// The tool file says nothing about teeth.
     #[error(
-        "the tool has no [gear] and [inspect] section; a check needs both (see docs/formats.md)"
+        "the tool has no [gear] and [inspect] section; a check of flanks and a scan need both, and [[patch]] tables are for inspect \
+         (see docs/formats.md)"
     )]
     NoGear,
     /// A patch that the head cannot look at.

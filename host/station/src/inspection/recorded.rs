@@ -1,7 +1,6 @@
 //! The check on recorded frames: everything after the camera as in a live one, and nothing before it.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use flankscope_foundation::date::Date;
 use flankscope_metrology::gear::GearData;
@@ -112,11 +111,10 @@ impl RecordedCheck {
         run: &mut Run<ViewOutcome>,
         watch: &mut impl FnMut(Progress),
     ) -> Result<(), AcquisitionError> {
-        let plan = Arc::clone(&self.station.plan);
-        for (view, captures) in self.captures.iter().enumerate() {
+        let names = self.view_names().into_iter();
+        for (view, (captures, of)) in self.captures.iter().zip(names).enumerate() {
             if captures.is_empty() {
-                let tooth = plan.views[view].tooth;
-                run.problems.insert(view, ViewError::NotRecorded { tooth });
+                run.problems.insert(view, ViewError::NotRecorded { of });
             }
         }
         let inspect = self.station.subject.tool.inspect.as_ref();
