@@ -7,6 +7,7 @@ use super::CalibrateError;
 use flankscope_foundation::order::quantile;
 
 use super::dots::Dot;
+use super::target::KEYS;
 
 /// A dot is large if its radius exceeds the median by this; the target's large dots do by a quarter at least.
 const LARGE: f64 = 1.15;
@@ -16,51 +17,118 @@ const STEP_TOLERANCE: f64 = 0.3;
 const KEY_RATIO: f64 = 2.0;
 const KEY_TOLERANCE: f64 = 0.35;
 
+/// More large dots than this are no three with something beside them.
+const MOST_LARGE: usize = 8;
+/// Of two ways to read the middle, the right one labels more than this many times the dots of the other.
+const CLEARLY: usize = 2;
+
+/// Places of dots: column and row, with the dot's number.
+type Labelled = Vec<([i32; 2], usize)>;
+
 /// The column and row of every dot that hangs together with the middle of the plate, with its number in `dots`.
 ///
+/// Where more than three dots are large (dirt, or a plate that leans towards the head), the middle is the three by which the plate
+/// hangs together.
+///
 /// # Errors
-/// The three large dots are not there, or stand otherwise than the target's.
-pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Vec<([i32; 2], usize)>, CalibrateError> {
+/// The three large dots are not there, or stand otherwise than the target's, or more than one reading is possible.
+pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Labelled, CalibrateError> {
     let mut radii: Vec<f64> = dots.iter().map(|dot| dot.radius_px).collect();
     let usual = quantile(&mut radii, 0.5).unwrap_or(0.0);
     let large: Vec<usize> = (0..dots.len())
         .filter(|&i| dots[i].radius_px > LARGE * usual)
         .collect();
-    let &[a, b, c] = large.as_slice() else {
-        return Err(CalibrateError::Keys {
-            view,
-            got: large.len(),
-        });
+    let unclear = CalibrateError::Keys {
+        view,
+        got: large.len(),
     };
-    let way = |from: usize, to: usize| {
-        [0, 1].map(|axis| dots[to].centre_px[axis] - dots[from].centre_px[axis])
-    };
-    let length = |[x, y]: [f64; 2]| x.hypot(y);
-    // The corner faces the longest side.
-    let sides = [(a, b, c), (b, c, a), (c, a, b)];
-    let longest = sides
-        .into_iter()
-        .max_by(|l, r| length(way(l.1, l.2)).total_cmp(&length(way(r.1, r.2))));
-    let (corner, p, q) = longest.unwrap_or((a, b, c));
-    let (far, near) = if length(way(corner, p)) > length(way(corner, q)) {
-        (p, q)
-    } else {
-        (q, p)
-    };
-    let got = length(way(corner, far)) / length(way(corner, near));
-    if !((got - KEY_RATIO).abs() < KEY_TOLERANCE * KEY_RATIO) {
-        return Err(CalibrateError::KeyShape {
-            view,
-            got,
-            expected: KEY_RATIO,
-        });
+    if let &[a, b, c] = large.as_slice() {
+        let middle = Middle::of(dots, [a, b, c]);
+        return match middle.has_the_shape() {
+            true => Ok(spread(dots, &middle)),
+            false => Err(CalibrateError::KeyShape {
+                view,
+                got: middle.ratio,
+                expected: KEY_RATIO,
+            }),
+        };
     }
-    let axes = [way(corner, far).map(|x| 0.5 * x), way(corner, near)];
-    Ok(spread(dots, corner, axes))
+    if !(3..=MOST_LARGE).contains(&large.len()) {
+        return Err(unclear);
+    }
+    let mut readings: Vec<Labelled> = triples(&large)
+        .map(|triple| Middle::of(dots, triple))
+        .filter(Middle::has_the_shape)
+        .map(|middle| (spread(dots, &middle), middle))
+        .filter(|(labelled, middle)| middle.is_read_by(labelled))
+        .map(|(labelled, _)| labelled)
+        .collect();
+    readings.sort_by_key(|labelled| std::cmp::Reverse(labelled.len()));
+    let second = readings.get(1).map_or(0, Vec::len);
+    let best = readings.into_iter().next();
+    best.filter(|best| best.len() > CLEARLY * second)
+        .ok_or(unclear)
+}
+
+/// Every three of them.
+fn triples(of: &[usize]) -> impl Iterator<Item = [usize; 3]> + '_ {
+    let n = of.len();
+    (0..n).flat_map(move |a| {
+        (a + 1..n).flat_map(move |b| (b + 1..n).map(move |c| [of[a], of[b], of[c]]))
+    })
+}
+
+/// Three dots, taken for those of the plate's middle.
+struct Middle {
+    corner: usize,
+    far: usize,
+    near: usize,
+    /// How much farther than the near one the far one stands from the corner.
+    ratio: f64,
+    /// Steps along columns and rows, pixels.
+    axes: [[f64; 2]; 2],
+}
+
+impl Middle {
+    fn of(dots: &[Dot], [a, b, c]: [usize; 3]) -> Self {
+        let way = |from: usize, to: usize| {
+            [0, 1].map(|axis| dots[to].centre_px[axis] - dots[from].centre_px[axis])
+        };
+        let length = |[x, y]: [f64; 2]| x.hypot(y);
+        // The corner faces the longest side.
+        let sides = [(a, b, c), (b, c, a), (c, a, b)];
+        let longest = sides
+            .into_iter()
+            .max_by(|l, r| length(way(l.1, l.2)).total_cmp(&length(way(r.1, r.2))));
+        let (corner, p, q) = longest.unwrap_or((a, b, c));
+        let (far, near) = if length(way(corner, p)) > length(way(corner, q)) {
+            (p, q)
+        } else {
+            (q, p)
+        };
+        Self {
+            corner,
+            far,
+            near,
+            ratio: length(way(corner, far)) / length(way(corner, near)),
+            axes: [way(corner, far).map(|x| 0.5 * x), way(corner, near)],
+        }
+    }
+
+    fn has_the_shape(&self) -> bool {
+        (self.ratio - KEY_RATIO).abs() < KEY_TOLERANCE * KEY_RATIO
+    }
+
+    /// Whether all three stand at their places on the plate that follows from them.
+    fn is_read_by(&self, labelled: &Labelled) -> bool {
+        let places = KEYS.iter().zip([self.corner, self.far, self.near]);
+        let mut places = places.map(|(&place, dot)| (place, dot));
+        places.all(|key| labelled.contains(&key))
+    }
 }
 
 /// From the corner outwards: each dot hands its own steps on to its neighbours.
-fn spread(dots: &[Dot], corner: usize, axes: [[f64; 2]; 2]) -> Vec<([i32; 2], usize)> {
+fn spread(dots: &[Dot], &Middle { corner, axes, .. }: &Middle) -> Labelled {
     let mut places: HashMap<[i32; 2], usize> = HashMap::from([([0, 0], corner)]);
     let mut taken = vec![false; dots.len()];
     taken[corner] = true;
@@ -101,7 +169,6 @@ fn spread(dots: &[Dot], corner: usize, axes: [[f64; 2]; 2]) -> Vec<([i32; 2], us
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::target::KEYS;
 
     /// A plate in perspective, turned by 100 degrees, with every ninth dot missing.
     #[test]
@@ -134,6 +201,59 @@ mod tests {
         for (place, dot) in labelled {
             assert_eq!(place, truth[dot]);
         }
+    }
+
+    /// An even plate with its middle, and whatever else is as large.
+    fn plate(also_large: &[[i32; 2]]) -> (Vec<Dot>, Vec<[i32; 2]>) {
+        let places = (-9..=9).flat_map(|column| (-9..=9).map(move |row| [column, row]));
+        let dot = |&[column, row]: &[i32; 2]| Dot {
+            centre_px: [
+                500.0 + 55.0 * f64::from(column),
+                400.0 - 55.0 * f64::from(row),
+            ],
+            radius_px: match KEYS.contains(&[column, row]) || also_large.contains(&[column, row]) {
+                true => 18.0,
+                false => 14.0,
+            },
+            column_px: 0.0,
+        };
+        let places: Vec<[i32; 2]> = places.collect();
+        (places.iter().map(dot).collect(), places)
+    }
+
+    #[test]
+    fn dirt_as_large_as_the_middle_does_not_hide_it() {
+        for dirt in [
+            &[[7, 3]][..],
+            &[[1, 1]],
+            &[[-1, 0], [3, 0]],
+            &[[5, 5], [-6, 2], [8, -8], [0, 5]],
+        ] {
+            let (dots, places) = plate(dirt);
+            let labelled = label(&dots, 0).unwrap();
+            assert_eq!(labelled.len(), dots.len(), "{dirt:?}");
+            for (place, dot) in labelled {
+                assert_eq!(place, places[dot], "{dirt:?}");
+            }
+        }
+    }
+
+    /// Two middles are none: either could be the plate's.
+    #[test]
+    fn what_can_be_read_twice_is_refused() {
+        let second = KEYS.map(|[column, row]| [column - 4, row + 3]);
+        let (dots, _) = plate(&second);
+        assert_eq!(
+            label(&dots, 2),
+            Err(CalibrateError::Keys { view: 2, got: 6 })
+        );
+        // Too many to be three with something beside them.
+        let many: Vec<[i32; 2]> = (-9..0).map(|column| [column, -5]).collect();
+        let (dots, _) = plate(&many);
+        assert_eq!(
+            label(&dots, 2),
+            Err(CalibrateError::Keys { view: 2, got: 12 })
+        );
     }
 
     #[test]
