@@ -294,49 +294,52 @@ fn damaged_clouds_and_start_poses_are_refused() {
         &["three.xyz", "3 points", "at least 100"],
     );
 
-    for (name, text, word) in [
+    let start_poses = [
         (
+            "--init",
             "scale.json",
             "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]",
             "scales",
         ),
         (
+            "--init",
             "mirror.json",
             "[[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]",
             "mirrors",
         ),
         (
+            "--init",
             "column.json",
             "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[5,6,7,1]]",
             "row-major",
         ),
-        ("short.json", "[[1,0,0,0]]", "right would be"),
-        ("broken.json", "[[1,0,0,0],\n[0,1", "line 2"),
-    ] {
-        std::fs::write(folder.path().join(name), text).unwrap();
-        let output = flankscope(
-            folder.path(),
-            &[
-                "register", "--cad", "cube.stl", "--cloud", "good.xyz", "--init", name, "-o",
-                "out.ply",
-            ],
-        );
-        assert_refused(folder.path(), name, &output, &[name, word]);
-    }
-    for (name, text, word) in [
-        ("two.csv", "1,2,3,1,2,3\n4,5,6,4,5,6\n", "at least 3"),
+        ("--init", "short.json", "[[1,0,0,0]]", "right would be"),
+        ("--init", "broken.json", "[[1,0,0,0],\n[0,1", "line 2"),
         (
+            "--pairs",
+            "two.csv",
+            "1,2,3,1,2,3\n4,5,6,4,5,6\n",
+            "at least 3",
+        ),
+        (
+            "--pairs",
             "line.csv",
             "0,0,0,0,0,0\n1,1,1,1,1,1\n2,2,2,2,2,2\n",
             "line",
         ),
-        ("word.csv", "0,0,0,0,0,0\n1,1,1,1,1,one\n", "line 2"),
-    ] {
+        (
+            "--pairs",
+            "word.csv",
+            "0,0,0,0,0,0\n1,1,1,1,1,one\n",
+            "line 2",
+        ),
+    ];
+    for (option, name, text, word) in start_poses {
         std::fs::write(folder.path().join(name), text).unwrap();
         let output = flankscope(
             folder.path(),
             &[
-                "register", "--cad", "cube.stl", "--cloud", "good.xyz", "--pairs", name, "-o",
+                "register", "--cad", "cube.stl", "--cloud", "good.xyz", option, name, "-o",
                 "out.ply",
             ],
         );

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};
 
 use crate::bend::{Bend, BendError};
@@ -204,6 +205,48 @@ pub enum PatternError {
         /// What it was.
         got: f64,
     },
+}
+
+impl PatternError {
+    /// The value of a file that is wrong; `key` says what a frequency's own are called there.
+    pub(crate) fn of_key(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
+        match *self {
+            Self::Steps { set, got } => BadValue::new(
+                key(set, "steps"),
+                got,
+                "must be 3 to 64 (offset, amplitude and phase are three unknowns)",
+            ),
+            Self::Periods { set, got } => {
+                BadValue::new(key(set, "periods"), got, "must be above 0 and at most 4096")
+            }
+            Self::Order { set, got, .. } => {
+                BadValue::new(key(set, "periods"), got, "must be more than those before")
+            }
+            Self::FrequencyCount { got } => {
+                BadValue::new("fringes", got, "must be 1 to 12 frequencies")
+            }
+            Self::Origin { set, got } => BadValue::new(
+                key(set, "phase_origin_px"),
+                got,
+                "must be within a projector's width of column 0",
+            ),
+            Self::CodeBits { got } => BadValue::new("gray_code.bits", got, "must be 1 to 16"),
+            Self::CodeStripes { got } => {
+                BadValue::new("gray_code.stripes", got, "must be above 0 and at most 4096")
+            }
+            Self::CodeOrigin { got } => BadValue::new(
+                "gray_code.phase_origin_px",
+                got,
+                "must be within a projector's width of column 0",
+            ),
+            Self::Bend(ref error) => BadValue {
+                key: "bend".into(),
+                got: "this table".into(),
+                expected: error.to_string().into(),
+            },
+            Self::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
+        }
+    }
 }
 
 /// The instrument's patterns have phase zero at the outer edge of the projector's first column.

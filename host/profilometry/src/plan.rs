@@ -411,46 +411,20 @@ fn named_frames(
     Ok(frames)
 }
 
+/// What is wrong with patterns whose tables stand in this order, lowest frequency first.
 fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
     let key = |set: usize, name: &str| match order.get(set) {
         Some(index) => format!("set[{index}].{name}"),
         None => "pattern_set".to_owned(),
     };
     match *error {
-        PatternError::Steps { set, got } => BadValue::new(
-            key(set, "steps"),
-            got,
-            "must be 3 to 64 (offset, amplitude and phase are three unknowns)",
-        ),
-        PatternError::Periods { set, got } => {
-            BadValue::new(key(set, "periods"), got, "must be above 0 and at most 4096")
-        }
         PatternError::Order { set, got, .. } => {
             BadValue::new(key(set, "periods"), got, "must differ from set to set")
         }
         PatternError::FrequencyCount { got } => {
             BadValue::new("set", got, "must be 1 to 12 [[set]] tables")
         }
-        PatternError::Origin { set, got } => BadValue::new(
-            key(set, "phase_origin_px"),
-            got,
-            "must be within a projector's width of column 0",
-        ),
-        PatternError::CodeBits { got } => BadValue::new("gray_code.bits", got, "must be 1 to 16"),
-        PatternError::CodeStripes { got } => {
-            BadValue::new("gray_code.stripes", got, "must be above 0 and at most 4096")
-        }
-        PatternError::CodeOrigin { got } => BadValue::new(
-            "gray_code.phase_origin_px",
-            got,
-            "must be within a projector's width of column 0",
-        ),
-        PatternError::Bend(ref error) => BadValue {
-            key: "bend".into(),
-            got: "this table".into(),
-            expected: error.to_string().into(),
-        },
-        PatternError::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
+        ref other => other.of_key(key),
     }
 }
 

@@ -292,12 +292,9 @@ fn a_press_is_never_held_beyond_the_limit_even_for_a_living_host() {
         host
     });
     let faults: Vec<_> = record
-        .events
-        .iter()
-        .filter_map(|event| match event {
-            Event::Fault { fault, .. } => fault.known(),
-            _ => None,
-        })
+        .faults()
+        .into_iter()
+        .map(|(fault, _)| fault)
         .collect();
     assert_eq!(faults, [Fault::HoldLimit]);
     let claimed_us = record.times("head_clear_1", false)[0];

@@ -121,9 +121,8 @@ impl Middle {
 
     /// Whether all three stand at their places on the plate that follows from them.
     fn is_read_by(&self, labelled: &Labelled) -> bool {
-        let places = KEYS.iter().zip([self.corner, self.far, self.near]);
-        let mut places = places.map(|(&place, dot)| (place, dot));
-        places.all(|key| labelled.contains(&key))
+        let mut keys = KEYS.into_iter().zip([self.corner, self.far, self.near]);
+        keys.all(|key| labelled.contains(&key))
     }
 }
 

@@ -4,7 +4,7 @@ use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};
 
 use super::HeadModel;
-use crate::pattern::{FringeSet, KNOWN_SETS, NAMED, PatternError, PatternSet};
+use crate::pattern::{FringeSet, NAMED, PatternError, PatternSet};
 
 /// A frequency of a head's own set, in the instrument's convention.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,23 +50,8 @@ impl HeadModel {
             }
             _ => {}
         }
-        let of = |set: usize, key: &str| format!("fringes[{set}].{key}");
-        match self.patterns() {
-            Ok(_) => Ok(()),
-            Err(PatternError::UnknownName { name }) => bad("pattern_set", &name, KNOWN_SETS),
-            Err(PatternError::Steps { set, got }) => {
-                Err(BadValue::new(of(set, "steps"), got, "must be 3 to 64"))
-            }
-            Err(PatternError::Periods { set, got }) => {
-                let expected = "must be above 0 and at most 4096";
-                Err(BadValue::new(of(set, "periods"), got, expected))
-            }
-            Err(PatternError::Order { set, got, .. }) => {
-                let expected = "must be more than those before";
-                Err(BadValue::new(of(set, "periods"), got, expected))
-            }
-            Err(other) => bad("fringes", &other.to_string(), "must be 1 to 12 frequencies"),
-        }
+        let key = |set: usize, name: &str| format!("fringes[{set}].{name}");
+        self.patterns().map(drop).map_err(|error| error.of_key(key))
     }
 }
 

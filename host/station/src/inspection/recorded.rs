@@ -6,7 +6,6 @@ use flankscope_foundation::date::Date;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::head::Fringes;
 use flankscope_profilometry::{Bend, FringeSet, HeadModel, PatternSet};
 
 use super::failure;
@@ -164,8 +163,8 @@ struct PlanOfFrames<'a> {
     name: Option<&'a str>,
     exposures_us: &'a [u32],
     dark_first: bool,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    set: Vec<Fringes>,
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    set: &'a [FringeSet],
     bend: Option<&'a Bend>,
 }
 
@@ -174,19 +173,12 @@ impl<'a> PlanOfFrames<'a> {
         let patterns = &plan.patterns;
         let known = PatternSet::named(&patterns.name).is_ok();
         let name = Some(patterns.name.as_str());
-        let whole = |set: &FringeSet| Fringes {
-            periods: set.periods as u32,
-            steps: set.steps,
-        };
         Self {
             pattern_set: name.filter(|_| known),
             name: name.filter(|_| !known),
             exposures_us: &plan.exposures_us,
             dark_first: plan.dark_frame,
-            set: match known {
-                true => Vec::new(),
-                false => patterns.sets.iter().map(whole).collect(),
-            },
+            set: if known { &[] } else { &patterns.sets },
             bend: patterns.bend.as_ref(),
         }
     }
