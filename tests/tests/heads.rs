@@ -238,9 +238,6 @@ fn a_liquid_lens_is_calibrated_at_three_settings_and_judges_between_them() {
 /// Nothing of a head is compiled in, nor are its fringes: pictures for its DMD, check, store and recording of a set of its own.
 #[test]
 fn a_head_throws_a_set_of_its_own() {
-    if !flankscope_test_requisites::dear() {
-        return;
-    }
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (tool, pictures, history, frames) = (at("die"), at("dmd"), at("press.db"), at("frames"));
