@@ -1,5 +1,7 @@
 //! What the cross-crate tests share: the command under test and its answers.
 
+pub mod die;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
