@@ -7,20 +7,33 @@ use flankscope_tests::{Run, inspect};
 const WARN_UM: f64 = 30.0;
 const LIMIT_UM: f64 = 50.0;
 
-/// Wear, its U95 and the true largest mean loss over a disc of one flank, µm.
+/// Wear, its U95 and the true largest mean loss over a disc of one flank, µm. Of a lower bound the U95 is infinite, and it holds.
 fn answered(run: &Run, tooth: u64, flank: &str) -> [f64; 3] {
     let features = run.json["features"].as_array().unwrap();
     let feature = features
         .iter()
         .find(|f| f["tooth"] == tooth && f["flank"] == flank)
         .unwrap();
-    let key = format!("{tooth}:{flank}");
-    [
-        &feature["wear_um"],
-        &feature["u95_um"],
-        &run.json["truth"]["flanks"][key]["max_disc_wear_um"],
-    ]
-    .map(|value| value.as_f64().unwrap_or_else(|| panic!("{feature}")))
+    let truth = &run.json["truth"]["flanks"][format!("{tooth}:{flank}")];
+    let [wear_um, truth_um] = [&feature["wear_um"], &truth["max_disc_wear_um"]]
+        .map(|value| value.as_f64().unwrap_or_else(|| panic!("{feature}")));
+    let u95_um = match feature["at_least_um"].as_f64() {
+        Some(least_um) => {
+            assert!(
+                feature["u95_um"].is_null() && least_um <= truth_um,
+                "{feature}: {truth_um}"
+            );
+            assert!(
+                least_um <= LIMIT_UM || feature["verdict"] == "no-go",
+                "{feature}"
+            );
+            f64::INFINITY
+        }
+        None => feature["u95_um"]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{feature}")),
+    };
+    [wear_um, u95_um, truth_um]
 }
 
 /// Tooth 40 left with one damage, seen in a view of its own.

@@ -237,7 +237,8 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
             "{:>5} {:<wide$} {:>5} {:>5} {:>5} {:>5} {:>5} {:>7} {:>8} {:>4.0}%  ",
             f.id.tooth,
             f.id.side(),
-            figure(f.wear_um),
+            f.at_least_um
+                .map_or_else(|| figure(f.wear_um), |um| format!("≥{um:.1}")),
             figure(f.u95_um),
             figure(f.mean_um),
             figure(detail.map(|d| d.proud_um.value)),

@@ -241,7 +241,7 @@ pub enum Reason {
     /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
     /// look into.
     #[error(
-        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves) may hide up to {hidden_um:.1} um of mean loss if {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Number(*hidden_um), supposed_um = Number(*supposed_um), limit_um = Number(*limit_um))]
+        "what was not seen of the flank (holes, shadows of steep walls, narrow grooves, fine texture) may hide up to {hidden_um:.1} um of mean loss if up to {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Number(*hidden_um), supposed_um = Number(*supposed_um), limit_um = Number(*limit_um))]
     Hidden {
         /// The largest mean loss that a disc may have.
         hidden_um: f64,

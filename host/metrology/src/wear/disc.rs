@@ -13,6 +13,7 @@
 use std::sync::LazyLock;
 
 use super::field::{Field, Sample};
+use super::unseen::Unseen;
 use crate::random::normal;
 
 /// Cells across a disc's diameter: the noise of cells and holes as small as this are told apart.
@@ -56,8 +57,8 @@ pub(super) struct Discs<'a> {
     /// Samples by cell: `order[start[i]..start[i + 1]]`.
     order: Vec<u32>,
     start: Vec<u32>,
-    /// Share of each measured cell that was not seen, where that is known.
-    unseen: Option<&'a [f64]>,
+    /// What of each measured cell was not seen, where that is known.
+    unseen: Option<&'a [Unseen]>,
     radius_mm: f64,
 }
 
@@ -92,8 +93,8 @@ impl<'a> Discs<'a> {
         }
     }
 
-    /// The same with what is known of the share of each measured cell that was not seen.
-    pub fn with_unseen(self, unseen: Option<&'a [f64]>) -> Self {
+    /// The same with what is known of the part of each measured cell that was not seen.
+    pub fn with_unseen(self, unseen: Option<&'a [Unseen]>) -> Self {
         Self { unseen, ..self }
     }
 
@@ -398,9 +399,13 @@ impl<'a> Discs<'a> {
         })
     }
 
-    /// The largest mean loss that any disc with unseen parts can have when those lost what `of_hole` says of each cell, if that
-    /// is more than was seen, mm; none when every disc was seen whole.
-    fn with_holes(&self, of_hole: impl Fn(usize) -> f64) -> Option<f64> {
+    /// The largest mean loss that any disc with unseen parts can have when holes and unseen parts lost what `of_hole` and
+    /// `of_part` say of each cell, if that is more than was seen, mm; none when every disc was seen whole.
+    fn with_holes(
+        &self,
+        of_hole: impl Fn(usize) -> f64,
+        of_part: impl Fn(usize, Unseen) -> f64,
+    ) -> Option<f64> {
         let (kernel, middles) = (self.kernel(), self.middles());
         let mut worst: Option<f64> = None;
         for [column, row] in middles {
@@ -415,9 +420,10 @@ impl<'a> Discs<'a> {
                 let cell = y as usize * self.field.columns + x as usize;
                 let wear = self.field.wear_mm[cell];
                 if wear.is_finite() {
-                    let hidden = self.unseen.map_or(0.0, |unseen| share * unseen[cell]);
+                    let part = self.unseen.map_or(Unseen::default(), |unseen| unseen[cell]);
+                    let hidden = share * part.share;
                     unseen += hidden;
-                    sum += share * wear + hidden * (of_hole(cell) - wear).max(0.0);
+                    sum += share * wear + hidden * (of_part(cell, part) - wear).max(0.0);
                 } else {
                     unseen += share;
                     sum += share * of_hole(cell);
@@ -430,10 +436,10 @@ impl<'a> Discs<'a> {
         worst
     }
 
-    /// The largest mean loss that any disc can have when whatever was not seen lost `depth_mm`, mm; none when every disc was
-    /// seen whole.
+    /// The largest mean loss that any disc can have when holes lost `depth_mm` and unseen parts of cells what is supposed of
+    /// them, at most as much, mm; none when every disc was seen whole.
     pub fn hidden_mm(&self, depth_mm: f64) -> Option<f64> {
-        self.with_holes(|_| depth_mm)
+        self.with_holes(|_| depth_mm, |_, part| part.depth_mm.min(depth_mm))
     }
 
     /// The same when every hole is as deep as the deepest cell at its rim.
@@ -455,7 +461,7 @@ impl<'a> Discs<'a> {
                 depth[i] = deepest;
             }
         }
-        self.with_holes(|cell| depth[cell])
+        self.with_holes(|cell| depth[cell], |cell, _| depth[cell])
     }
 }
 
@@ -631,11 +637,7 @@ mod tests {
                     } else {
                         0.0
                     };
-                    Sample {
-                        at_mm,
-                        wear_mm: step + 1e-3 * normal(seed + 50, i),
-                        variance_mm2: 0.25e-6,
-                    }
+                    Sample::of_point(at_mm, step + 1e-3 * normal(seed + 50, i), 0.25e-6)
                 })
                 .filter(|s| seed % 2 == 0 || s.at_mm[0] < 1.2 || s.at_mm[1] > 2.0)
                 .collect();

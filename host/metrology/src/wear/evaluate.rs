@@ -130,28 +130,29 @@ pub fn evaluate_placed<'a>(
             .sigma_mm
             .and_then(|s| s.get(index))
             .map_or(f64::NAN, |&s| f64::from(s));
-        grid.samples.push(Sample {
-            at_mm,
-            wear_mm,
-            variance_mm2: sigma * sigma,
-        });
+        let sample = Sample::of_point(at_mm, wear_mm, sigma * sigma);
+        grid.samples.push(sample);
         let normal = Vector3::from(closest.normal);
         let turn = (Vector3::from(*point) - centre).cross(&normal);
         let (sum, count) = &mut grid.motions[cell];
         *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
         *count += 1;
     }
-    let rays = measured
-        .sight
-        .map(|sight| sight.ray_places(features, measured, places));
-    for place in rays.iter().flatten() {
-        let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
-        if let Some(grid) = grids.iter_mut().find(wanted)
-            && let Some(cell) = grid.empty.cell_at(in_zone(place))
-            && let Some(counts) = &mut grid.counts
-        {
-            counts.rays[cell] += 1;
-        }
+    if let Some(sight) = measured.sight {
+        let mut count = |met: &[FlankPlace], lost: u32| {
+            for place in met {
+                let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
+                if let Some(grid) = grids.iter_mut().find(wanted)
+                    && let Some(cell) = grid.empty.cell_at(in_zone(place))
+                    && let Some(counts) = &mut grid.counts
+                {
+                    counts.rays[cell] += 1;
+                    counts.lost[cell] += lost;
+                }
+            }
+        };
+        count(&sight.ray_places(features, measured, places), 0);
+        count(&sight.lost_places(features), 1);
     }
     for grid in &mut grids {
         if let Some(counts) = &mut grid.counts {

@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::Settings;
 use super::disc::Discs;
 use super::field::{Field, Sample};
+use super::unseen::Unseen;
 
 /// A figure counts as told from none beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
@@ -62,12 +63,12 @@ pub struct Figures {
 }
 
 /// Evaluates the points of a zone; `field` holds their cells, `scale` says how many times larger than stated their noise is,
-/// `unseen` what share of each measured one was not seen. None when nothing was measured or no disc fits.
+/// `unseen` what of each measured one was not seen. None when nothing was measured or no disc fits.
 pub(super) fn evaluate(
     field: &Field,
     samples: &[Sample],
     scale: f64,
-    unseen: Option<&[f64]>,
+    unseen: Option<&[Unseen]>,
     settings: &Settings,
     systematic_mm: f64,
 ) -> Option<Figures> {

@@ -42,8 +42,10 @@ pub struct FlankView {
     pub on: Vec<FlankPoint>,
     /// Points in the material whose nearest surface is the tip's land: where the edge is worn away.
     pub under: Vec<FlankPoint>,
-    /// Where rays of the view meet the flank on the CAD; their wear and uncertainty are zero.
+    /// Where rays to the view's points meet the flank on the CAD; their wear and uncertainty are zero.
     pub rays: Vec<FlankPoint>,
+    /// Where rays without a point do.
+    pub lost: Vec<FlankPoint>,
     /// Mean tangent of the angle between the view's rays and the flank's normal.
     pub slant: f64,
 }
@@ -79,14 +81,19 @@ impl FlankView {
             }
         }
         if let Some(sight) = measured.sight {
+            let met = |place: &FlankPlace| FlankPoint {
+                profile_mm: place.profile_mm as f32,
+                height_mm: place.height_mm as f32,
+                wear_mm: 0.0,
+                sigma_mm: 0.0,
+            };
             for place in sight.ray_places(gear, measured, &places) {
                 let seen = flanks.entry((place.tooth, place.flank)).or_default();
-                seen.rays.push(FlankPoint {
-                    profile_mm: place.profile_mm as f32,
-                    height_mm: place.height_mm as f32,
-                    wear_mm: 0.0,
-                    sigma_mm: 0.0,
-                });
+                seen.rays.push(met(&place));
+            }
+            for place in sight.lost_places(gear) {
+                let seen = flanks.entry((place.tooth, place.flank)).or_default();
+                seen.lost.push(met(&place));
             }
         }
         flanks
@@ -101,6 +108,17 @@ struct Part {
     wear_mm: f64,
     /// Of squared weights times the points' variances.
     variance: f64,
+    count: f64,
+    /// Of weights times squared wear, mm2.
+    squares: f64,
+}
+
+impl Part {
+    /// Sum of its points' squared differences from their mean, mm2: the weighted one, as if all weighed the same.
+    fn within_mm2(&self) -> f64 {
+        let mean_mm = self.wear_mm / self.weight;
+        self.count * (self.squares / self.weight - mean_mm * mean_mm).max(0.0)
+    }
 }
 
 /// One flank's zone on the way from points of many views to its wear.
@@ -171,18 +189,22 @@ impl<'a> Gathered<'a> {
             part.weight += weight;
             part.wear_mm += weight * wear_mm;
             part.variance += weight * weight * variance_mm2;
+            part.count += 1.0;
+            part.squares += weight * wear_mm * wear_mm;
             for (sum, at) in part.at_mm.iter_mut().zip(at_mm) {
                 *sum += weight * at;
             }
             self.points += 1;
         }
-        if !seen.rays.is_empty() {
-            for ray in &seen.rays {
-                let met = self
-                    .moved(ray, motion)
-                    .map(|(place, ..)| self.at_mm(&place));
-                if let Some(cell) = met.and_then(|at_mm| self.empty.cell_at(at_mm)) {
-                    counts.rays[cell] += 1;
+        if !(seen.rays.is_empty() && seen.lost.is_empty()) {
+            for (rays, lost) in [(&seen.rays, 0), (&seen.lost, 1)] {
+                for ray in rays {
+                    let met = self.moved(ray, motion);
+                    let at_mm = met.map(|(place, ..)| self.at_mm(&place));
+                    if let Some(cell) = at_mm.and_then(|at_mm| self.empty.cell_at(at_mm)) {
+                        counts.rays[cell] += 1;
+                        counts.lost[cell] += lost;
+                    }
                 }
             }
             let view = Visibility::of(&counts, &self.empty);
@@ -256,6 +278,8 @@ impl<'a> Gathered<'a> {
             at_mm: part.at_mm.map(|sum| sum / part.weight),
             wear_mm: part.wear_mm / part.weight,
             variance_mm2: part.variance / (part.weight * part.weight),
+            merged: part.count,
+            within_mm2: part.within_mm2(),
         });
         let samples = samples.collect();
         let mut wear = FlankWear::new(

@@ -22,10 +22,14 @@ mod gather;
 pub mod leakage;
 mod shared;
 mod sight;
+mod unseen;
+#[cfg(test)]
+pub(crate) use unseen::tests as looked;
 
 use std::sync::Arc;
 
-use flankscope_foundation::{normal::COVERAGE_95, order::median_of};
+use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
+use flankscope_foundation::order::median_of;
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
@@ -183,6 +187,14 @@ impl FlankWear {
         COVERAGE_95 * self.u_mm
     }
 
+    /// What the flank has lost at least, with 95 % probability, mm: where unseen parts may have lost so much that an interval about
+    /// the figure would claim too much. None where the interval holds.
+    pub fn at_least_mm(&self) -> Option<f64> {
+        let hidden_mm = self.hidden_mm?;
+        let bounded = hidden_mm <= self.raw_mm + self.u95_mm();
+        (!bounded).then(|| self.wear_mm - guard_factor(0.95) * self.u_mm)
+    }
+
     /// Standard uncertainty of the mean: noise averages over the cells, the rest does not, mm.
     pub fn u_mean_mm(&self) -> f64 {
         let noise = self.figures.map_or(f64::NAN, |f| f.mean_mm.u);
@@ -275,10 +287,8 @@ impl FlankWear {
         points: &[([f64; 2], f64, f64)],
         settings: &Settings,
     ) -> Self {
-        let sample = |&(at_mm, wear_mm, sigma_mm): &([f64; 2], f64, f64)| Sample {
-            at_mm,
-            wear_mm,
-            variance_mm2: sigma_mm * sigma_mm,
+        let sample = |&(at_mm, wear_mm, sigma_mm): &([f64; 2], f64, f64)| {
+            Sample::of_point(at_mm, wear_mm, sigma_mm * sigma_mm)
         };
         let samples = points.iter().map(sample).collect();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
@@ -345,12 +355,12 @@ impl FlankWear {
         let systematic_mm = self.budget.systematic_mm();
         let noise_scale = self.field.noise_scale();
         let visibility = self.visibility.as_ref();
-        let unseen = visibility.map(|seen| seen.unseen_shares(&self.field, noise_scale));
+        let unseen = unseen::of_cells(&self.field, &self.samples, visibility, noise_scale);
         self.figures = figures::evaluate(
             &self.field,
             &self.samples,
             noise_scale,
-            unseen.as_deref(),
+            Some(&unseen),
             settings,
             systematic_mm,
         );

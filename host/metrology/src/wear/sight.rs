@@ -14,6 +14,7 @@ use nalgebra::Vector3;
 
 use super::Measured;
 use super::field::Field;
+use super::unseen::Unseen;
 use crate::feature::Features;
 use crate::gear::FlankPlace;
 use crate::surface::{Closest, Surface};
@@ -22,6 +23,10 @@ use crate::surface::{Closest, Surface};
 const FAR_MM: f64 = 0.02;
 /// Cosine of the angle to the normal below which a ray grazes: its place cannot be told.
 const GRAZING: f64 = 0.05;
+/// Fewer rays without a point in a block are dead cores and specks of dust: one core in a thousand is dead.
+const LEAST_LOST: u32 = 3;
+/// Rays whose points chance may leave outside of their block, standard deviations.
+const ALLOWED_SIGMAS: f64 = 3.0;
 
 /// The camera of a view, in the tool frame.
 #[derive(Debug, Clone, Copy)]
@@ -46,8 +51,7 @@ impl Sight<'_> {
         (1.0 - cosine * cosine).max(0.0).sqrt() / cosine
     }
 
-    /// Where the rays meet flanks or patches of the CAD: of every point, then of those without one. `places` says where the points
-    /// lie.
+    /// Where the rays to the points meet flanks or patches of the CAD. `places` says where the points lie.
     pub fn ray_places<'f>(
         &self,
         features: impl Into<Features<'f>>,
@@ -59,11 +63,16 @@ impl Sight<'_> {
         let of_points = points.zip(places).filter_map(|((point, closest), place)| {
             self.of_point(features, *point, closest, *place)
         });
-        let without = self
-            .without_point
+        of_points.collect()
+    }
+
+    /// Where the rays without a point do.
+    pub fn lost_places<'f>(&self, features: impl Into<Features<'f>>) -> Vec<FlankPlace> {
+        let features = features.into();
+        self.without_point
             .iter()
-            .filter_map(|direction| self.first_met(features, Vector3::from(*direction)));
-        of_points.chain(without).collect()
+            .filter_map(|direction| self.first_met(features, Vector3::from(*direction)))
+            .collect()
     }
 
     fn of_point(
@@ -103,7 +112,10 @@ impl Sight<'_> {
 /// Rays that meet the cells of a zone in one view, and points that lie in them.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RayCounts {
+    /// With and without a point.
     pub rays: Vec<u32>,
+    /// Those without.
+    pub lost: Vec<u32>,
     pub points: Vec<u32>,
     /// Mean tangent of the angle between the rays and the flank's normal.
     pub slant: f64,
@@ -113,17 +125,26 @@ impl RayCounts {
     pub fn new(cells: usize) -> Self {
         Self {
             rays: vec![0; cells],
+            lost: vec![0; cells],
             points: vec![0; cells],
             slant: 0.0,
         }
     }
 }
 
+/// Numbers in a cell and the cells around it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Block {
+    rays: u32,
+    points: u32,
+    lost: u32,
+}
+
 /// How well each cell of a zone was seen: of all views, by the one that brought most points from it and the cells around it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Visibility {
-    /// Rays and points of that view in those cells; nothing where there is no point in the cell itself.
-    blocks: Vec<[u32; 2]>,
+    /// Of that view in those cells; nothing where there is no point in the cell itself.
+    blocks: Vec<Block>,
     /// Largest tangent of the angle between rays and normal.
     slant: f64,
 }
@@ -135,12 +156,20 @@ impl Visibility {
         let seen = |cell: &usize| counts.points[*cell] > 0;
         let block = |cell: usize| {
             let all = field.around(cell).chain([cell]).filter(seen);
-            all.fold([0, 0], |[rays, points], c| {
-                [rays + counts.rays[c], points + counts.points[c]]
+            all.fold(Block::default(), |sum, c| Block {
+                rays: sum.rays + counts.rays[c],
+                points: sum.points + counts.points[c],
+                lost: sum.lost + counts.lost[c],
             })
         };
         let blocks = (0..counts.points.len())
-            .map(|cell| if seen(&cell) { block(cell) } else { [0, 0] })
+            .map(|cell| {
+                if seen(&cell) {
+                    block(cell)
+                } else {
+                    Block::default()
+                }
+            })
             .collect();
         Self {
             blocks,
@@ -151,33 +180,66 @@ impl Visibility {
     /// With what another view saw: what one of them shows is not hidden.
     pub fn add(&mut self, other: &Self) {
         for (best, block) in self.blocks.iter_mut().zip(&other.blocks) {
-            if block[1] > best[1] {
+            if block.points > best.points {
                 *best = *block;
             }
         }
         self.slant = self.slant.max(other.slant);
     }
 
-    /// Share of each cell that was not seen: of the rays the part for which no point lies there, or what an opening with an
-    /// unseen floor may take up ([`Field::groove_shares`]).
+    /// Largest tangent of the angle between rays and normal.
+    pub fn slant(&self) -> f64 {
+        self.slant
+    }
+
+    /// Of each cell, what lies in the shadow of a wall: the share of its rays for which no point lies there.
     ///
-    /// The shadow of a wall as narrow as an opening that nothing would show elsewhere on the flank is not counted: neither noise
-    /// ([`Field::unseen_groove_mm`]) nor the distance of the points lets it be seen there.
-    pub fn unseen_shares(&self, field: &Field, noise_scale: f64) -> Vec<f64> {
-        let block_mm = 3.0 * field.cell_area_mm2().sqrt();
-        let grooves = field.groove_shares(self.slant, noise_scale);
-        let shares = self.blocks.iter().zip(grooves).enumerate();
-        let share = |(cell, (&[rays, points], groove)): (usize, (&[u32; 2], f64))| {
-            if points == 0 {
-                return groove;
+    /// A ray without any point says nothing of what it met. Of the others the point may lie elsewhere, but beside its place on
+    /// the CAD by its depth times the slant, so that of every border some pairs of ray and point lie on both sides: as many as
+    /// points lie within that distance of it. They count as independent, three standard deviations are allowed, and one ray
+    /// more. Where the surface falls away from the camera its points lie farther apart: what lies deeper on one side and is
+    /// seen there is not hidden. What those may hide is an opening as wide as they are, which begins where the deepest cell about it ends.
+    pub fn shadows(&self, field: &Field, noise_scale: f64) -> Vec<Unseen> {
+        let shadow = |(cell, block): (usize, &Block)| {
+            if block.points == 0 {
+                return Unseen::default();
             }
-            let points = f64::from(points);
-            let unseen = 1.0 - points / f64::from(rays.max(1));
-            let spacing_mm = block_mm / points.sqrt();
-            let anywhere_mm = field.unseen_groove_mm(cell, self.slant, noise_scale);
-            (unseen - anywhere_mm.min(spacing_mm) / block_mm).max(groove)
+            let lost = Unseen {
+                share: match block.lost < LEAST_LOST {
+                    true => 0.0,
+                    false => f64::from(block.lost) / f64::from(block.rays),
+                },
+                depth_mm: f64::INFINITY,
+            };
+            lost.or(self.moved(field, cell, block, noise_scale))
         };
-        shares.map(share).collect()
+        self.blocks.iter().enumerate().map(shadow).collect()
+    }
+
+    /// What rays miss whose points lie elsewhere.
+    fn moved(&self, field: &Field, cell: usize, block: &Block, noise_scale: f64) -> Unseen {
+        let block_mm = 3.0 * field.cell_area_mm2().sqrt();
+        let points = f64::from(block.points);
+        // On a slope that falls away from the camera points lie as much farther apart.
+        let slope = field.slope(cell) * self.slant;
+        let rays = f64::from(block.rays - block.lost) / (1.0 + slope);
+        let depths = || {
+            let all = field.window(cell, 1).map(|c| field.wear_mm[c]);
+            all.filter(|wear| wear.is_finite())
+        };
+        let count = depths().count() as f64;
+        let mean_mm = depths().sum::<f64>() / count;
+        let squares_mm2: f64 = depths().map(|wear| (wear - mean_mm).powi(2)).sum();
+        // Of single points, of which each cell has so many.
+        let noise_mm2 = noise_scale * noise_scale * field.variance_mm2[cell] * points / count;
+        let off_mm = self.slant * (squares_mm2 / count + noise_mm2).sqrt();
+        let crossing = 2.0 * points * (off_mm / block_mm).min(1.0);
+        if rays - points < 1.0 + ALLOWED_SIGMAS * (1.0 + crossing).sqrt() {
+            return Unseen::default();
+        }
+        let share = 1.0 - points / rays;
+        let rim_mm = depths().fold(0.0, f64::max);
+        Unseen::opening(share, share * block_mm, rim_mm)
     }
 }
 
@@ -265,7 +327,7 @@ mod tests {
                     && (place.profile_mm - gear.profile_mm(radius)).abs() < 0.015
                     && (place.height_mm - height).abs() < 0.015
             };
-            let met = sight.ray_places(&gear, NO_POINTS, &[]);
+            let met = sight.lost_places(&gear);
             assert!(met.len() == 1 && near(&met[0]), "{met:?}");
             // The same ray with a point 60 µm under the flank: its foot lies a tenth of a millimetre off, the ray's place not.
             let slant = sight.slant(at, &surface.closest(at));
@@ -297,7 +359,7 @@ mod tests {
             without_point: &away,
             range_mm: [15.0, 30.0],
         };
-        assert!(sight.ray_places(&gear, NO_POINTS, &[]).is_empty());
+        assert!(sight.lost_places(&gear).is_empty());
     }
 
     #[test]
@@ -309,8 +371,9 @@ mod tests {
         let mut counts = RayCounts::new(cells);
         counts.rays.fill(10);
         counts.points.fill(10);
-        let shares = |counts: &RayCounts, field: &Field| {
-            Visibility::of(counts, field).unseen_shares(field, 1.0)
+        let shares = |counts: &RayCounts, field: &Field| -> Vec<f64> {
+            let shadows = Visibility::of(counts, field).shadows(field, 1.0);
+            shadows.iter().map(|shadow| shadow.share).collect()
         };
         assert!(shares(&counts, &field).iter().all(|&s| s == 0.0));
         let whole = Visibility::of(&counts, &field);
@@ -330,7 +393,15 @@ mod tests {
         // What another view shows is not hidden.
         let mut both = Visibility::of(&counts, &field);
         both.add(&whole);
-        assert!(both.unseen_shares(&field, 1.0).iter().all(|&s| s == 0.0));
+        let unseen = both.shadows(&field, 1.0);
+        assert!(unseen.iter().all(|of| of.share == 0.0));
+        // As many points beside their cells as there are steps in depth about them: no shadow is told from that.
+        let mut rough = field.clone();
+        for (cell, wear) in rough.wear_mm.iter_mut().enumerate() {
+            *wear = if cell % 2 == 0 { 0.0 } else { 0.2 };
+        }
+        counts.slant = 2.0;
+        assert!(shares(&counts, &rough).iter().all(|&s| s == 0.0));
         // A cell without any point is a hole as a whole, not counted twice; its neighbours say nothing of it.
         counts.points[50..60].fill(0);
         field.wear_mm[50..60].fill(f64::NAN);

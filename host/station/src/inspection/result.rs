@@ -28,8 +28,11 @@ pub struct Feature {
     pub id: FeatureId,
     /// Wear, µm, positive for loss; absent when it could not be measured.
     pub wear_um: Option<f64>,
-    /// Expanded uncertainty of the wear (95 %), µm.
+    /// Expanded uncertainty of the wear (95 %), µm; absent of a lower bound.
     pub u95_um: Option<f64>,
+    /// Where unseen parts may have lost so much that no interval about the wear holds: what was lost at least (95 %), µm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_least_um: Option<f64>,
     /// Mean loss over the zone, µm.
     pub mean_um: Option<f64>,
     /// Part of the zone that was measured, 0..1.

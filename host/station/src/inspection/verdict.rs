@@ -19,6 +19,7 @@ pub struct Judged {
     id: FeatureId,
     wear_um: Option<f64>,
     u95_um: Option<f64>,
+    at_least_um: Option<f64>,
     mean_um: Option<f64>,
     coverage_ratio: f64,
     conformity: Option<f64>,
@@ -42,6 +43,7 @@ impl Judged {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
         let Decision { verdict, cause } = judge(wear, limits);
         let rule = limits.wear;
+        let at_least_um = wear.at_least_mm().and_then(finite_um);
         let conformity = probability_below(rule.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
         Self {
             id: FeatureId {
@@ -50,10 +52,12 @@ impl Judged {
                 patch: None,
             },
             wear_um: finite_um(wear.wear_mm),
-            u95_um: finite_um(wear.u95_mm()),
+            // Of a lower bound no interval is claimed.
+            u95_um: finite_um(wear.u95_mm()).filter(|_| at_least_um.is_none()),
+            at_least_um,
             mean_um: finite_um(wear.mean_mm),
             coverage_ratio: wear.coverage,
-            conformity: conformity.is_finite().then_some(conformity),
+            conformity: (conformity.is_finite() && at_least_um.is_none()).then_some(conformity),
             detail: detail(wear, absolute, limits),
             measurements: Vec::new(),
             warn_um: rule.warn_um,
@@ -153,6 +157,7 @@ impl From<Judged> for Feature {
             id: judged.id,
             wear_um: judged.wear_um,
             u95_um: judged.u95_um,
+            at_least_um: judged.at_least_um,
             mean_um: judged.mean_um,
             coverage_ratio: judged.coverage_ratio,
             conformity: judged.conformity,
@@ -189,6 +194,7 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
         },
         wear_um: None,
         u95_um: None,
+        at_least_um: None,
         mean_um: None,
         coverage_ratio: 0.0,
         conformity: None,

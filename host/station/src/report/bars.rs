@@ -146,6 +146,7 @@ pub(super) mod tests {
             },
             wear_um,
             u95_um: wear_um.map(|_| 4.0),
+            at_least_um: None,
             mean_um: wear_um,
             coverage_ratio: 1.0,
             warn_um: 30.0,

@@ -25,7 +25,7 @@ pub use scan::scan_html;
 pub use scan_files::{scan_mesh, scan_ply};
 pub use words::Words;
 
-use crate::inspection::FlankDetail;
+use crate::inspection::{Feature, FlankDetail};
 use crate::origin::Origin;
 
 /// What the figures of a check are: the same words in reports, help texts and documentation.
@@ -67,6 +67,17 @@ pub fn figure(value: Option<f64>) -> String {
         || "–".into(),
         |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
     )
+}
+
+impl Feature {
+    /// Its wear in µm with what is claimed of it: an interval, or a lower bound.
+    #[must_use]
+    pub fn wear_in_words(&self) -> String {
+        match self.at_least_um {
+            Some(um) => format!("≥ {}", figure(Some(um))),
+            None => format!("{} ± {}", figure(self.wear_um), figure(self.u95_um)),
+        }
+    }
 }
 
 /// A part of a flank's uncertainty for a table, a dash where it has none.

@@ -48,13 +48,7 @@ fn path(points: impl Iterator<Item = [f64; 2]>) -> String {
 
 /// What hovering over a flank says, and what stands beside it.
 pub(super) fn in_words(of: &Feature) -> String {
-    format!(
-        "{}: {} ± {} µm, {}",
-        of.id,
-        figure(of.wear_um),
-        figure(of.u95_um),
-        of.verdict
-    )
+    format!("{}: {} µm, {}", of.id, of.wear_in_words(), of.verdict)
 }
 
 /// The flank with the largest wear.
@@ -204,7 +198,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         svg,
         MIDDLE + 83.0,
         400,
-        &format!("{} ± {} µm", figure(worst.wear_um), figure(worst.u95_um)),
+        &format!("{} µm", worst.wear_in_words()),
     );
     if let Some(detail) = &worst.detail {
         let [along, up] = detail.deepest_at_mm;

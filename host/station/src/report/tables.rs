@@ -18,12 +18,12 @@ fn number(value: Option<f64>) -> String {
 pub(super) fn flanks(features: &[Feature], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,
-        "tooth,flank,wear_um,u95_um,mean_um,coverage_ratio,warn_um,limit_um,verdict,code"
+        "tooth,flank,wear_um,u95_um,mean_um,coverage_ratio,warn_um,limit_um,verdict,code,at_least_um"
     )?;
     for f in features {
         writeln!(
             out,
-            "{},{},{},{},{},{},{},{},{},{}",
+            "{},{},{},{},{},{},{},{},{},{},{}",
             f.id.tooth,
             f.id.flank,
             number(f.wear_um),
@@ -33,7 +33,8 @@ pub(super) fn flanks(features: &[Feature], out: &mut dyn Write) -> io::Result<()
             f.warn_um,
             f.limit_um,
             f.verdict,
-            f.code.map_or_else(String::new, |code| code.to_string())
+            f.code.map_or_else(String::new, |code| code.to_string()),
+            number(f.at_least_um)
         )?;
     }
     Ok(())

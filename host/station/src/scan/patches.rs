@@ -30,6 +30,7 @@ struct FlankPlace {
     on: usize,
     under: usize,
     rays: usize,
+    lost: usize,
     slant: f64,
 }
 
@@ -76,10 +77,12 @@ impl Patches {
                 on: seen.on.len(),
                 under: seen.under.len(),
                 rays: seen.rays.len(),
+                lost: seen.lost.len(),
                 slant: seen.slant,
             };
             self.write(bytemuck::cast_slice(&seen.under))?;
             self.write(bytemuck::cast_slice(&seen.rays))?;
+            self.write(bytemuck::cast_slice(&seen.lost))?;
             kept.insert(key, place);
         }
         let place = Place {
@@ -121,18 +124,20 @@ impl Patches {
         let Some(of) = place.flanks.get(&key) else {
             return Ok(None);
         };
-        let mut points = vec![FlankPoint::zeroed(); of.on + of.under + of.rays];
+        let mut points = vec![FlankPoint::zeroed(); of.on + of.under + of.rays + of.lost];
         let read = self
             .file
             .read_exact_at(bytemuck::cast_slice_mut(&mut points), of.offset);
         read.map_err(|error| self.trouble(error))?;
         let mut under = points.split_off(of.on);
-        let rays = under.split_off(of.under);
+        let mut rays = under.split_off(of.under);
+        let lost = rays.split_off(of.rays);
         let motion = tool_from_camera * place.tool_from_camera.inverse();
         let seen = FlankView {
             on: points,
             under,
             rays,
+            lost,
             slant: of.slant,
         };
         Ok(Some((seen, motion)))

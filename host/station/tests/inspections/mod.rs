@@ -24,6 +24,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         },
         wear_um: Some(f64::from(press_cycles) / 8.0),
         u95_um: Some(4.0),
+        at_least_um: None,
         mean_um: Some(0.0),
         coverage_ratio: 1.0,
         warn_um: 30.0,

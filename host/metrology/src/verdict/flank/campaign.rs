@@ -26,7 +26,7 @@ const REAL_MM: f64 = 1.2e-3;
 const WARN_UM: f64 = 30.0;
 const LIMIT_UM: f64 = 50.0;
 
-fn limits() -> Limits {
+pub(super) fn limits() -> Limits {
     let rule = Rule::new(WARN_UM, LIMIT_UM);
     let settings = Settings::default();
     Limits {

@@ -282,6 +282,8 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
 
 #[cfg(test)]
 mod campaign;
+#[cfg(test)]
+mod fine_structure;
 
 #[cfg(test)]
 mod tests {

@@ -1,0 +1,160 @@
+//! Structure finer than a cell through the whole instrument: openings whose floors no light comes back from are never passed, and
+//! hairlines that are seen to their floor do not cost a go.
+
+use flankscope_gear_cad::Flank;
+use flankscope_test_requisites::at_least;
+use flankscope_tests::die::{Fine, Place, bore, write_bore};
+use flankscope_tests::{Run, inspect};
+
+/// Heights of the judged zone, and radii less that of the tip between which damage is cut, mm.
+const ZONE_MM: [f64; 2] = [29.0, 37.0];
+const CUT_MM: [f64; 2] = [0.35, 1.75];
+
+/// Tooth 40 left with a loss by radius less that of the tip and height above the zone's lower end, all in mm, cut in steps.
+fn worn(step_mm: [f64; 2], loss_mm: impl Fn([f64; 2]) -> f64, more: &[&str]) -> Run {
+    let fine = Fine {
+        tooth: 40,
+        flank: Flank::Left,
+        from_tip_mm: [CUT_MM[0] - 0.02, CUT_MM[1] + 0.02],
+        height_mm: ZONE_MM,
+        step_mm,
+    };
+    let loss = |at: Place| {
+        let here = (at.tooth, at.flank) == (fine.tooth, fine.flank)
+            && (CUT_MM[0]..CUT_MM[1]).contains(&at.from_tip_mm)
+            && (ZONE_MM[0]..ZONE_MM[1]).contains(&at.height_mm);
+        match here {
+            true => loss_mm([at.from_tip_mm, at.height_mm - ZONE_MM[0]]),
+            false => 0.0,
+        }
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let die = write_bore(folder.path(), &bore(loss, &[fine]));
+    inspect(&[&["--teeth", "40", "--die-mesh", &die], more].concat())
+}
+
+/// The left flank's entry and its true wear, µm.
+fn left(run: &Run) -> (&serde_json::Value, f64) {
+    let features = run.json["features"].as_array().unwrap();
+    let of = features.iter().find(|f| f["flank"] == "left").unwrap();
+    let truth = &run.json["truth"]["flanks"]["40:left"]["max_disc_wear_um"];
+    println!(
+        "{} ± {} (at least {}), true {truth}: {}",
+        of["wear_um"], of["u95_um"], of["at_least_um"], of["verdict"]
+    );
+    (of, truth.as_f64().unwrap())
+}
+
+#[track_caller]
+fn assert_not_passed(run: &Run, beyond_um: f64) {
+    let (of, truth_um) = left(run);
+    assert!(truth_um > beyond_um, "{truth_um}");
+    let verdict = of["verdict"].as_str().unwrap();
+    assert!(["no-go", "indeterminate"].contains(&verdict), "{of}");
+    // What is said is a lower bound, and it holds.
+    assert!(of["u95_um"].is_null(), "{of}");
+    assert!(of["at_least_um"].as_f64().unwrap() <= truth_um, "{of}");
+    assert_eq!(run.flank(40, "right"), Some("go"));
+}
+
+fn grooves(width: f64, pitch: f64, depth: f64) -> impl Fn([f64; 2]) -> f64 {
+    move |[x, _]| {
+        if (x - CUT_MM[0]).rem_euclid(pitch) < width {
+            depth
+        } else {
+            0.0
+        }
+    }
+}
+
+#[test]
+fn texture_below_a_cell_is_never_passed() {
+    // Along the height, along the profile, pits, V grooves; mm.
+    let cases: [(&str, [f64; 2], Box<dyn Fn([f64; 2]) -> f64>); 4] = [
+        ("scored", [2e-3, 0.5], Box::new(grooves(0.04, 0.07, 0.15))),
+        (
+            "pits",
+            [6e-3, 6e-3],
+            Box::new(|[x, y]: [f64; 2]| {
+                let away = |v: f64| v.rem_euclid(0.09) - 0.045;
+                let inside = (3.0..5.0).contains(&y) && away(x).hypot(away(y)) < 0.0425;
+                if inside { 0.12 } else { 0.0 }
+            }),
+        ),
+        (
+            "V grooves",
+            [2e-3, 0.5],
+            Box::new(|[x, _]: [f64; 2]| 0.11 * (1.0 - (x.rem_euclid(0.05) / 0.025 - 1.0).abs())),
+        ),
+        (
+            "scored along the profile",
+            [0.05, 2.5e-3],
+            Box::new(|[_, y]: [f64; 2]| if y.rem_euclid(0.07) < 0.04 { 0.15 } else { 0.0 }),
+        ),
+    ];
+    for (name, step_mm, loss_mm) in at_least(2, &cases) {
+        println!("{name}");
+        assert_not_passed(&worn(*step_mm, loss_mm, &[]), 50.0);
+    }
+}
+
+#[test]
+fn texture_that_came_since_a_baseline_is_never_passed() {
+    let folder = tempfile::tempdir().unwrap();
+    let baseline = folder.path().join("new.json");
+    let baseline = baseline.to_str().unwrap();
+    let new = inspect(&[
+        "--seed",
+        "5",
+        "--teeth",
+        "40",
+        "--record-baseline",
+        baseline,
+    ]);
+    assert_eq!(new.code, 0, "{}", new.json["reason"]);
+    let run = worn(
+        [2e-3, 0.5],
+        grooves(0.04, 0.07, 0.15),
+        &["--baseline", baseline],
+    );
+    assert_not_passed(&run, 50.0);
+}
+
+#[test]
+fn a_single_crack_is_never_passed() {
+    // A V of 0.1 mm along the height, a straight one along the profile.
+    let vee = |[x, _]: [f64; 2]| 0.35 * (1.0 - ((x - 1.05) / 0.05).abs()).max(0.0);
+    assert_not_passed(&worn([2e-3, 0.5], vee, &[]), 30.0);
+    let along = |[_, y]: [f64; 2]| if (4.0..4.1).contains(&y) { 0.35 } else { 0.0 };
+    assert_not_passed(&worn([0.05, 2.5e-3], along, &[]), 50.0);
+}
+
+#[test]
+fn hairlines_that_are_seen_to_their_floor_are_go() {
+    let hairline = |off_mm: f64, width: f64, depth: f64| {
+        let t = off_mm / (0.5 * width);
+        match t.abs() < 1.0 {
+            true => 0.5 * depth * (1.0 + (std::f64::consts::PI * t).cos()),
+            false => 0.0,
+        }
+    };
+    let one = move |[x, _]: [f64; 2]| hairline(x - 1.05, 0.2, 8e-3);
+    let run = worn([4e-3, 0.5], one, &[]);
+    let (of, truth_um) = left(&run);
+    assert_eq!(run.code, 0, "{}", run.json["reason"]);
+    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| of[key].as_f64().unwrap());
+    assert!((wear_um - truth_um).abs() <= u95_um, "{of}");
+    // Across each other at every angle, 8 to 22 µm deep, 0.15 to 0.3 mm wide.
+    let many = move |[x, y]: [f64; 2]| {
+        let line = |i: u32| {
+            let i = f64::from(i);
+            let (angle, at) = (0.4 * i, [0.5 + 0.15 * i, 0.6 + 0.95 * i]);
+            let off = (x - at[0]) * angle.cos() + (y - at[1]) * angle.sin();
+            hairline(off, 0.15 + 0.02 * i, (8.0 + 2.0 * i) * 1e-3)
+        };
+        (0..8).map(line).fold(0.0, f64::max)
+    };
+    let run = worn([0.01, 0.02], many, &[]);
+    left(&run);
+    assert_eq!(run.code, 0, "{}", run.json["reason"]);
+}
