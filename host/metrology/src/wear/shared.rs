@@ -456,12 +456,12 @@ mod tests {
     #[test]
     fn sound_dies_and_those_with_one_worn_tooth_keep_their_verdict() {
         for known in KNOWN_MM {
-            let sound = judged(|_| [[0.0; 3]; 2], known, (91, 1000));
+            let sound = judged(|_| [[0.0; 3]; 2], known, (1091, 1000));
             assert!(sound.go >= 0.95 * sound.flanks, "{known:?}: {}", sound.go);
             // A neighbour that is worn on both flanks.
             let depth = |draw: u64| 0.1 * uniform(17, draw);
             let beside = |draw| [[depth(draw), 0.0, 0.0]; 2];
-            let beside = judged(beside, known, (92, 1000));
+            let beside = judged(beside, known, (1092, 1000));
             assert!(
                 beside.go >= 0.95 * beside.flanks,
                 "{known:?}: {}",
@@ -510,7 +510,7 @@ mod tests {
         ];
         for known in KNOWN_MM {
             for (name, die) in families {
-                let of = judged(die, known, (93, 300));
+                let of = judged(die, known, (1093, 300));
                 for k in 0..2 {
                     assert!(
                         of.passed[k] <= 0.05 * of.beyond[k],
@@ -522,7 +522,7 @@ mod tests {
             }
             // What only the stages tell from a turn: by the time that both sides are a stop limit off.
             let opposite = |i| [[worn(i, 0) + 0.02; 3], [-worn(i, 0) - 0.02; 3]];
-            let of = judged(opposite, known, (94, 300));
+            let of = judged(opposite, known, (1094, 300));
             assert!(
                 of.passed[1] <= 0.05 * of.beyond[1],
                 "{known:?}: {}",
