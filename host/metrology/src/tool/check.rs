@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use super::patch_file::without_teeth;
-use super::{File, Inspect, Temperature, ToolError};
+use super::{Datum, File, Inspect, Temperature, ToolError};
 use crate::gear::{Flank, GearData};
 use crate::io::mesh::TriMesh;
 use crate::registration::detect_teeth;
@@ -221,6 +221,7 @@ fn zone(is: &Refusal<'_>, inspect: &Inspect, gear: &GearData) -> Result<(), Tool
             return is.refuse(key, end_mm, &expected);
         }
     }
+    datum_bands(is, inspect, gear)?;
     if let Some([from, to]) = inspect.zone_radius_mm {
         let least = gear.tip_radius_mm.min(gear.root_radius_mm);
         let most = gear.tip_radius_mm.max(gear.root_radius_mm);
@@ -244,6 +245,35 @@ fn zone(is: &Refusal<'_>, inspect: &Inspect, gear: &GearData) -> Result<(), Tool
     }
     let expected = format!("at most {most_mm2:.3}: a disc that fits into the judged zone");
     is.refuse("inspect.wear_area_mm2", inspect.wear_area_mm2, &expected)
+}
+
+/// Bands of a datum lie on the toothing, beside the judged zone, and nothing else is named as what the pose rests on.
+fn datum_bands(is: &Refusal<'_>, inspect: &Inspect, gear: &GearData) -> Result<(), ToolError> {
+    let key = "inspect.datum_height_mm";
+    let zone_mm = inspect.zone_height_mm.map(|end| inspect.height_mm + end);
+    for &[from, to] in &inspect.datum_height_mm {
+        for end in [from, to] {
+            is.within(key, end, gear.height_mm)?;
+        }
+        if from >= to {
+            let expected = format!("below the upper end of its band, {to}");
+            return is.refuse(key, from, &expected);
+        }
+        let [low, high] = zone_mm;
+        if from < high && to > low {
+            let inside = if from >= low { from } else { to };
+            let expected = format!(
+                "a band that ends at {low} or begins at {high}: the judged zone (inspect.zone_height_mm) wears"
+            );
+            return is.refuse(key, inside, &expected);
+        }
+    }
+    let named = inspect.datum_height_mm.len();
+    if named > 0 && inspect.datum != Datum::default() {
+        let key = "inspect.datum_height_mm (bands) beside inspect.datum";
+        return is.refuse(key, named as f64, "one of the two keys");
+    }
+    Ok(())
 }
 
 /// The gear's involutes, tips, roots and ends must lie on the mesh, and the mesh must repeat as often as the gear has teeth.

@@ -140,6 +140,10 @@ pub struct Inspect {
     /// Surfaces that the pose may rest on.
     #[serde(default)]
     pub datum: Datum,
+    /// Instead of [`Self::datum`]: bands of height, mm, in which the workpiece never touches the flanks. The pose then rests on
+    /// the flanks there alone.
+    #[serde(default)]
+    pub datum_height_mm: Vec<[f64; 2]>,
     /// Probability with which a limit must be kept or exceeded.
     #[serde(default = "default_probability")]
     pub probability: f64,

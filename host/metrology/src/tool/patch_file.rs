@@ -85,6 +85,7 @@ pub(super) fn without_teeth(path: &Path, inspect: &Inspect) -> Result<(), ToolEr
         ("tip_warn_mm", inspect.tip_warn_mm.is_some()),
         ("tip_limit_mm", inspect.tip_limit_mm.is_some()),
         ("datum", inspect.datum != super::Datum::default()),
+        ("datum_height_mm", !inspect.datum_height_mm.is_empty()),
         ("as_built_class", inspect.as_built_class.is_some()),
         ("as_built_scan", inspect.as_built_scan.is_some()),
     ];

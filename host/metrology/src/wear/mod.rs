@@ -218,7 +218,7 @@ impl FlankWear {
 pub struct PoseSensitivity {
     /// Leakage of the pose.
     pub leakage: Leakage,
-    /// What the view says of its own pose about the axis; none of a patch, whose pose rests on its datum.
+    /// What the view says of its own pose about the axis; none where the pose rests on a datum that does not wear.
     pub evidence: Option<Arc<PoseEvidence>>,
     /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
     /// settings state is known.
@@ -399,7 +399,7 @@ impl FlankWear {
             if !self.since_baseline {
                 self.budget.as_built_mm = settings.as_built_mm * passed_on;
             }
-            // What a patch has lost is a distance from its datum, of which calibration knows either end no better.
+            // From a datum, loss is a distance, of which calibration knows either end no better.
             if self.evidence.is_empty() {
                 let one_end_mm = match self.since_baseline {
                     true => settings.drift_mm,

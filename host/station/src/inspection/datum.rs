@@ -1,10 +1,19 @@
-//! Points that lie inside a patch's datum.
+//! A datum that the workpiece never touches: points inside a patch's, and bands of the flanks above or below the judged zone.
 
+use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
 use flankscope_metrology::patch::Patches;
 use flankscope_metrology::surface::Closest;
-use nalgebra::Vector3;
+use flankscope_metrology::verdict::{Code, Reason};
+use nalgebra::{Point3, Vector3};
 
+use super::field::FieldOfView;
 use super::place::Place;
+use super::pose_sensitivity::LEAST_POINTS;
+use super::views::EvaluatorError;
+
+/// Heights at which a view is asked whether it sees a flank are so far apart, mm.
+const STEP_MM: f64 = 0.05;
 
 /// Points so near to the rim of a datum are left out, mm. Where the pose is off, their nearest surface lies beyond the edge: they
 /// would hold the view along a plane, which no point of a plane can, and as badly as an edge is known.
@@ -39,4 +48,82 @@ pub(super) fn within(patches: &Patches, place: &Place, points: &[[f64; 3]]) -> V
             beside.next().is_some_and(|steps| steps.iter().all(same))
         })
         .collect()
+}
+
+/// Of points where the stages say that they are (tool frame, mm), those on flanks within these bands of height, mm. Tip and root
+/// lands stay out: what is stated of the form as built is stated of flanks.
+pub(super) fn within_bands(
+    bands_mm: &[[f64; 2]],
+    gear: &GearData,
+    points: &[[f64; 3]],
+) -> Vec<bool> {
+    let [low_mm, high_mm] = gear.active_flank_mm();
+    let is_on = |&[x, y, z]: &[f64; 3]| {
+        (low_mm..=high_mm).contains(&x.hypot(y))
+            && bands_mm.iter().any(|[from, to]| (from..=to).contains(&&z))
+    };
+    points.iter().map(is_on).collect()
+}
+
+/// Why the pose does not rest on these bands: one of them shows too little of one side, of the points that the fit `used`.
+pub(super) fn unseen(
+    bands_mm: &[[f64; 2]],
+    used: &[bool],
+    places: &[Option<FlankPlace>],
+) -> Option<Reason> {
+    bands_mm.iter().find_map(|[from, to]| {
+        Flank::BOTH.into_iter().find_map(|flank| {
+            let is_there = |place: &FlankPlace| {
+                place.flank == flank && (from..=to).contains(&&place.height_mm)
+            };
+            let on = used.iter().zip(places);
+            let got = on
+                .filter(|(used, place)| **used && place.as_ref().is_some_and(is_there))
+                .count();
+            let why = format_args!(
+                "the datum from {from} to {to} mm of height shows {got} points of {flank} flanks, at least {LEAST_POINTS} are needed"
+            );
+            (got < LEAST_POINTS).then(|| Reason::instrument(Code::TooFewPoints, why))
+        })
+    })
+}
+
+/// Looks whether a view that is taken from here sees the tooth in its middle at all heights of these bands, mm.
+///
+/// # Errors
+/// A band reaches out of the field.
+pub(super) fn check_in_field(
+    bands_mm: &[[f64; 2]],
+    gear: &GearData,
+    tooth: u32,
+    tool_from_camera: Rigid<ToolFrame, Camera>,
+    field: &FieldOfView,
+) -> Result<(), EvaluatorError> {
+    let [from, to] = gear.active_flank_mm();
+    let camera_from_tool = tool_from_camera.isometry().inverse();
+    let is_seen = |height_mm: f64| {
+        Flank::BOTH.into_iter().all(|flank| {
+            let point = gear.flank_point(tooth, flank, 0.5 * (from + to), height_mm);
+            point.is_some_and(|point| {
+                let at = camera_from_tool * Point3::from(point);
+                at.x.hypot(at.y) <= field.slope * at.z
+            })
+        })
+    };
+    let [bottom, top] = gear.height_mm;
+    let heights = (0..=((top - bottom) / STEP_MM) as u32).map(|i| bottom + STEP_MM * f64::from(i));
+    let seen_mm = heights
+        .filter(|&height| is_seen(height))
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], height| {
+            [low.min(height), high.max(height)]
+        });
+    let outside = |[from, to]: &&[f64; 2]| !(is_seen(*from) && is_seen(*to));
+    match bands_mm.iter().find(outside) {
+        None => Ok(()),
+        Some(&band_mm) => Err(EvaluatorError::DatumOutsideField {
+            tooth,
+            band_mm,
+            seen_mm,
+        }),
+    }
 }

@@ -1,6 +1,6 @@
 //! What the pose and the temperature do to a flank's figures.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use flankscope_foundation::order::median_of;
@@ -14,7 +14,7 @@ use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone}
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 
 /// A flank with fewer points says nothing of the pose.
-const LEAST_POINTS: usize = 100;
+pub(super) const LEAST_POINTS: usize = 100;
 
 /// A view after its fit.
 pub(super) struct Fitted<'a> {
@@ -28,6 +28,8 @@ pub(super) struct Fitted<'a> {
     /// Every point on the surface, and whether the fit used it.
     pub closest: &'a [Closest],
     pub used: &'a [bool],
+    /// Bands of height that the pose rests on alone, mm; none where it does not.
+    pub datum_bands_mm: &'a [[f64; 2]],
     /// Where every point lies.
     pub places: &'a [Option<FlankPlace>],
     pub temperature: Option<&'a Temperature>,
@@ -49,6 +51,26 @@ impl OnFlank {
     }
 }
 
+/// A part of a flank or patch whose form is off as a whole.
+struct FormPart {
+    key: (u32, Flank),
+    height_mm: [f64; 2],
+}
+
+impl FormPart {
+    fn whole(key: (u32, Flank)) -> Self {
+        Self {
+            key,
+            height_mm: [f64::NEG_INFINITY, f64::INFINITY],
+        }
+    }
+
+    fn holds(&self, place: &FlankPlace) -> bool {
+        (place.tooth, place.flank) == self.key
+            && (self.height_mm[0]..self.height_mm[1]).contains(&place.height_mm)
+    }
+}
+
 impl Fitted<'_> {
     /// The sensitivities of both flanks of `tooth`, or of that patch.
     pub fn on(&self, tooth: u32) -> Vec<PoseSensitivity> {
@@ -66,44 +88,37 @@ impl Fitted<'_> {
         };
         let answer = response.answer(|i| grown(&contacts[i]));
         let places = self.places;
-        // A patch has no sides between which a turn could share wear; its pose rests on its datum.
-        let (evidence, others): (_, Vec<(u32, Flank)>) = match self.features {
-            Features::Gear(_) => {
+        // Where the pose rests on a datum, no turn can share wear between the sides.
+        let (evidence, others): (_, Vec<FormPart>) = match self.features {
+            Features::Gear(_) if self.datum_bands_mm.is_empty() => {
                 let seen = self.seen(places);
                 let evidence = Arc::new(self.evidence(tooth, &seen));
-                (Some(evidence), seen.into_keys().collect())
+                (
+                    Some(evidence),
+                    seen.into_keys().map(FormPart::whole).collect(),
+                )
             }
-            Features::Patches(_) => {
-                let mut keys: Vec<_> = places
-                    .iter()
-                    .flatten()
-                    .map(|p| (p.tooth, p.flank))
-                    .collect();
-                keys.sort_unstable();
-                keys.dedup();
-                (None, keys)
-            }
+            Features::Gear(_) => (None, self.parts_of_bands()),
+            Features::Patches(_) => (None, self.keys().into_iter().map(FormPart::whole).collect()),
         };
         // How much of a unit error in the form of each other flank the pose passes on.
         let answers: Vec<_> = others
             .into_iter()
-            .filter(|(other, _)| (self.form_in_doubt || evidence.is_none()) && *other != tooth)
-            .map(|key| {
-                let on = |i: usize| {
-                    let here = places[i].map(|place| (place.tooth, place.flank));
-                    f64::from(here == Some(key))
-                };
+            .filter(|_| self.form_in_doubt || evidence.is_none())
+            .filter(|part| part.key.0 != tooth || !self.datum_bands_mm.is_empty())
+            .map(|part| {
+                let on = |i: usize| f64::from(places[i].is_some_and(|place| part.holds(&place)));
                 response.answer(on)
             })
             .collect();
-        let leakage = leakage::of_feature(
-            self.features,
-            self.zone,
-            tooth,
-            &response,
-            &contacts,
-            places,
-        );
+        // Wear does not reach a band of the datum.
+        let worn: Vec<Option<FlankPlace>> = places
+            .iter()
+            .zip(self.used)
+            .map(|(place, used)| place.filter(|_| self.datum_bands_mm.is_empty() || !used))
+            .collect();
+        let leakage =
+            leakage::of_feature(self.features, self.zone, tooth, &response, &contacts, &worn);
         let sides = self.features.sides().iter().zip(leakage);
         let of_side = |(&flank, leakage): (&Flank, Leakage)| {
             let (mut sum, mut count) = (0.0, 0.0);
@@ -131,6 +146,27 @@ impl Fitted<'_> {
             }
         };
         sides.map(of_side).collect()
+    }
+
+    /// The flanks or patches that were seen.
+    fn keys(&self) -> BTreeSet<(u32, Flank)> {
+        let seen = self.places.iter().flatten();
+        seen.map(|place| (place.tooth, place.flank)).collect()
+    }
+
+    /// What of the datum's bands has a form of its own: every flank as a whole (pitch), and each half of each band of it (helix).
+    fn parts_of_bands(&self) -> Vec<FormPart> {
+        let halves = self.datum_bands_mm.iter().flat_map(|&[low, high]| {
+            let middle = 0.5 * (low + high);
+            [[low, middle], [middle, high]]
+        });
+        let halves: Vec<[f64; 2]> = halves.collect();
+        let of_flank = |key: (u32, Flank)| {
+            let half = |&height_mm| FormPart { key, height_mm };
+            let of_halves: Vec<FormPart> = halves.iter().map(half).collect();
+            of_halves.into_iter().chain([FormPart::whole(key)])
+        };
+        self.keys().into_iter().flat_map(of_flank).collect()
     }
 
     /// What was seen of each flank in view.

@@ -65,12 +65,28 @@ pub enum EvaluatorError {
         /// Tooth of the view.
         tooth: u32,
     },
+    /// A band of the datum that a view does not show.
+    #[error(
+        "inspect.datum_height_mm of the tool file: the view of tooth {tooth} shows its flanks from {:.1} to {:.1} mm of height, not all \
+         of the band {} to {} mm; name a band within, and judge a zone that leaves room for it (inspect.zone_height_mm)",
+        seen_mm[0], seen_mm[1], band_mm[0], band_mm[1]
+    )]
+    DatumOutsideField {
+        /// Tooth of the view.
+        tooth: u32,
+        /// The band, mm.
+        band_mm: [f64; 2],
+        /// What is seen, mm.
+        seen_mm: [f64; 2],
+    },
 }
 
 /// Everything that does not change from check to check.
 pub struct Evaluator {
     criteria: Arc<FlankCriteria>,
     datum: Datum,
+    /// Bands of height that the pose rests on instead, mm; none where it does not.
+    datum_bands_mm: Vec<[f64; 2]>,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
     /// Where the camera stood instead.
@@ -97,11 +113,10 @@ impl Evaluator {
             return Err(missing("[gear] or [[patch]] in the tool file"));
         }
         let limits = tool.limits().ok_or(missing("[inspect] in the tool file"))?;
-        let datum = tool
-            .inspect
-            .as_ref()
-            .map(|inspect| inspect.datum)
-            .unwrap_or_default();
+        let inspect = tool.inspect.as_ref();
+        let datum = inspect.map(|inspect| inspect.datum).unwrap_or_default();
+        let datum_bands_mm = inspect.map(|inspect| inspect.datum_height_mm.clone());
+        let datum_bands_mm = datum_bands_mm.unwrap_or_default();
         let stage_from_camera = hand_eye(subject)?;
         let field = FieldOfView::of(&subject.head)?;
         let volume = subject
@@ -114,6 +129,10 @@ impl Evaluator {
             .iter()
             .map(|view| {
                 let tool_from_camera = view.tool_from_camera(stage_from_camera);
+                if let Some(gear) = &tool.gear {
+                    let bands = &datum_bands_mm;
+                    datum::check_in_field(bands, gear, view.tooth, tool_from_camera, &field)?;
+                }
                 let corners = [volume.near_mm, volume.far_mm].map(|depth| {
                     [-1.0, 1.0].map(|x| {
                         [-1.0, 1.0]
@@ -167,6 +186,7 @@ impl Evaluator {
         Ok(Self {
             criteria: Arc::new(criteria),
             datum,
+            datum_bands_mm,
             decoder,
             places,
             stated: plan.stated.clone(),
@@ -358,6 +378,9 @@ impl Evaluator {
     fn assess(&self, place: &Place, fit: &Fit, measured: Measured<'_>) -> Assessed {
         let (features, settings) = (self.features(), &self.criteria.settings);
         let places = wear::places(features, measured.closest);
+        if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, &places) {
+            return self.not_assessed(place, &why);
+        }
         let fitted = Fitted {
             features,
             zone: &place.zone,
@@ -367,6 +390,7 @@ impl Evaluator {
             options: &fit.options,
             closest: measured.closest,
             used: &fit.used,
+            datum_bands_mm: &self.datum_bands_mm,
             places: &places,
             temperature: self.criteria.tool.temperature.as_ref(),
             form_in_doubt: settings.as_built_mm > 0.0,
@@ -413,7 +437,8 @@ impl Evaluator {
 
     /// Which points the fit may use. Judged flanks must stay out: their wear would pull the pose towards it and hide
     /// itself (by a fifth, for 10 µm on one flank of the seven in view). Their tooth stays out as a whole: at the ends of a
-    /// flank its wear reaches into what would count as a land. Of a tool with patches those inside the judged one's datum may.
+    /// flank its wear reaches into what would count as a land. Of a tool with patches those inside the judged one's datum may,
+    /// and where the tool names bands of height those on flanks within them, the judged tooth's as well.
     ///
     /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
     fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
@@ -421,6 +446,9 @@ impl Evaluator {
             Features::Gear(gear) => gear,
             Features::Patches(patches) => return datum::within(patches, place, points),
         };
+        if !self.datum_bands_mm.is_empty() {
+            return datum::within_bands(&self.datum_bands_mm, gear, points);
+        }
         let margin_mm = 0.05 * gear.module_mm;
         let (low_mm, high_mm) = (
             gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,

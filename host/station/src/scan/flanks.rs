@@ -650,9 +650,9 @@ mod tests {
         // Stuck material on one flank changes nothing.
         let [mean, u] = turn_um(0.0, 0.0, 80.0);
         assert!(mean.abs() < 1.0 && u < 3.0, "{mean} {u}");
-        // 55 um off one side of all, shared out by the turn: anything between the sides is possible.
+        // 55 um off one side of all, shared out by the turn: nobody knows how much of it either side has lost or gained.
         let [mean, u] = turn_um(27.5, 27.5, 0.0);
         assert!(mean.abs() < 2.0, "{mean}");
-        assert!((u - 55.0 / 12f64.sqrt()).abs() < 3.0, "{u}");
+        assert!(1.96 * u > 55.0, "{u}");
     }
 }

@@ -62,6 +62,15 @@ pub enum ScanError {
     /// The recording's grid is none.
     #[error("grid of the recording: {0}")]
     Grid(#[from] GridError),
+    /// Bands of a datum, which hold the pose of a single view.
+    #[error(
+        "inspect.datum_height_mm of the tool file names {bands} bands that the pose of a check rests on; a scan lays all its views \
+         on the whole die and cannot use them: scan with a tool file that leaves the key out"
+    )]
+    DatumBands {
+        /// How many.
+        bands: usize,
+    },
     /// A view of a recording that is not of its grid.
     #[error(
         "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"

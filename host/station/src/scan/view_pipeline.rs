@@ -94,6 +94,11 @@ impl ViewPipeline {
         folder: &Path,
         further: &BTreeMap<String, String>,
     ) -> Result<Self, ScanError> {
+        let inspect = subject.tool.inspect.as_ref();
+        let bands = inspect.map_or(0, |inspect| inspect.datum_height_mm.len());
+        if bands > 0 {
+            return Err(ScanError::DatumBands { bands });
+        }
         let plan = Arc::new(plan);
         let mut of: BTreeMap<String, String> = subject
             .hashes
