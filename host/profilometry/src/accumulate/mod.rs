@@ -4,10 +4,12 @@
 //! best estimate. An exposure whose frames saturate anywhere in a cell is dropped for that cell, so the sums of one
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
-//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), if wanted.
+//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
+//! show one scene ([`agreement`]), if wanted.
 //!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
 
+pub(crate) mod agreement;
 mod band;
 mod cell_row;
 pub(crate) mod code;
@@ -22,8 +24,8 @@ use rayon::prelude::*;
 
 use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 
-pub(crate) use band::Band;
 use band::Work;
+pub(crate) use band::{Band, Merged};
 use code::BitPart;
 pub(crate) use layout::Layout;
 pub use phasors::PhasorsError;
@@ -173,7 +175,7 @@ impl Accumulator {
                     minus_sin: -shift_rad.sin() as f32,
                     first_step: step == 0,
                     last_step: step + 1 == layout.steps[set],
-                    first_exposure: exposure == 0,
+                    exposure,
                 }
             }
             FrameKind::Code {
@@ -238,6 +240,7 @@ mod tests {
                 dark_frame: true,
                 saturation_limit_dn: 3891,
                 noise: None,
+                agreement: None,
             };
             let wide = Accumulator::new(Arc::new(layout));
             let mut plain = wide.clone();
