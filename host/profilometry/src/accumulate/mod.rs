@@ -211,6 +211,8 @@ impl Accumulator {
 
 #[cfg(test)]
 mod tests {
+    use super::agreement::Agreement;
+    use super::consistency::FrameNoise;
     use super::*;
     use crate::cells::{CellGrid, Grid};
     use crate::gray::GrayCode;
@@ -239,8 +241,13 @@ mod tests {
                 exposures: 2,
                 dark_frame: true,
                 saturation_limit_dn: 3891,
-                noise: None,
-                agreement: None,
+                noise: Some(FrameNoise {
+                    offset_dn: 100.0,
+                    dark_variance_dn2: 1.0,
+                    variance_per_dn: 0.1,
+                    response_ratio: 1e-3,
+                }),
+                agreement: Agreement::new(&[10_000, 20_000], &[4.0, 48.0]),
             };
             let wide = Accumulator::new(Arc::new(layout));
             let mut plain = wide.clone();
@@ -267,11 +274,13 @@ mod tests {
             }
             for (wide, plain) in wide.bands.iter().zip(&plain.bands) {
                 assert_eq!(wide.dark, plain.dark);
+                assert_eq!(wide.disagreement, plain.disagreement);
                 for (wide, plain) in wide.merged.iter().zip(&plain.merged) {
                     assert_eq!(wide.planes.re, plain.planes.re);
                     assert_eq!(wide.planes.im, plain.planes.im);
                     assert_eq!(wide.planes.sum, plain.planes.sum);
                     assert_eq!(wide.exposures, plain.exposures);
+                    assert_eq!(wide.chi_square, plain.chi_square);
                 }
                 assert_eq!(wide.code, plain.code);
             }
