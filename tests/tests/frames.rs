@@ -449,12 +449,16 @@ fn frames_that_are_not_the_recorded_ones_or_in_another_order_are_never_go() {
     late.is(2, &["was exposed for"]);
 }
 
-/// One of two captures of a view is of another die: the worn flank of the one and the sound flank of the other are in one cell.
+/// Exposures of a sound die beside those of a damaged one, all frames of an exposure or those of one frequency.
 #[test]
 fn exposures_of_two_scenes_are_named_and_never_go() {
-    let [sound, worn, pitted] = [0; 3].map(|_| tempfile::tempdir().unwrap());
+    let [sound, later, worn, pitted] = [0; 4].map(|_| tempfile::tempdir().unwrap());
     let same = ["--teeth", "40", "--seed", "7"];
     assert_eq!(recorded(sound.path(), &same).code, 0);
+    assert_eq!(
+        recorded(later.path(), &["--teeth", "40", "--seed", "8"]).code,
+        0
+    );
     let damages = [(&worn, "40:left:80"), (&pitted, "40:left:80:pit")];
     for (folder, damage) in damages {
         let live = recorded(folder.path(), &[&same[..], &["--wear", damage]].concat());
@@ -469,10 +473,11 @@ fn exposures_of_two_scenes_are_named_and_never_go() {
         mixed
     };
     let named = ["do not show one scene"];
-    let (short, long, fine) = (1..13, 13..25, 17..25);
-    for (damaged, coarse) in [(&worn, 13..17), (&pitted, 13..25)] {
+    let (short, long, long_coarse, long_fine) = (1..13, 13..25, 13..17, 17..25);
+    let parts = [&short, &long, &long_coarse, &long_fine];
+    for (damaged, parts) in [(&worn, &parts[..]), (&pitted, &parts[..2])] {
         for (base, other) in [(&sound, damaged), (damaged, &sound)] {
-            for frames in [&short, &long, &fine, &coarse] {
+            for &frames in parts {
                 with(base, frames.clone(), &of(other)).is(2, &named);
             }
         }
@@ -484,7 +489,7 @@ fn exposures_of_two_scenes_are_named_and_never_go() {
     for frame in 0..25 {
         let name = format!("capture-0001/frame-{frame:04}.pgm");
         let to = second.join(format!("frame-{frame:04}.pgm"));
-        std::fs::copy(sound.path().join("frames").join(name), to).unwrap();
+        std::fs::copy(later.path().join("frames").join(name), to).unwrap();
     }
     let again = again.index(|text| {
         let (before, view) = text.split_once("[[view]]").unwrap();
