@@ -449,6 +449,63 @@ fn frames_that_are_not_the_recorded_ones_or_in_another_order_are_never_go() {
     late.is(2, &["was exposed for"]);
 }
 
+/// Exposures of a sound die beside those of a damaged one, all frames of an exposure or those of one frequency.
+#[test]
+fn exposures_of_two_scenes_are_named_and_never_go() {
+    let [sound, later, worn, pitted] = [0; 4].map(|_| tempfile::tempdir().unwrap());
+    let same = ["--teeth", "40", "--seed", "7"];
+    assert_eq!(recorded(sound.path(), &same).code, 0);
+    assert_eq!(
+        recorded(later.path(), &["--teeth", "40", "--seed", "8"]).code,
+        0
+    );
+    let damages = [(&worn, "40:left:80"), (&pitted, "40:left:80:pit")];
+    for (folder, damage) in damages {
+        let live = recorded(folder.path(), &[&same[..], &["--wear", damage]].concat());
+        assert_eq!(live.code, 1, "{damage}: {}", live.stderr);
+    }
+    let of = |folder: &tempfile::TempDir| Copied::of(&folder.path().join("frames"));
+    let with = |base: &tempfile::TempDir, frames: std::ops::Range<usize>, from: &Copied| {
+        let mixed = of(base).without_digests();
+        for frame in frames {
+            std::fs::copy(from.frame(frame), mixed.frame(frame)).unwrap();
+        }
+        mixed
+    };
+    let named = ["do not show one scene"];
+    let (short, long, long_coarse, long_fine) = (1..13, 13..25, 13..17, 17..25);
+    let parts = [&short, &long, &long_coarse, &long_fine];
+    for (damaged, parts) in [(&worn, &parts[..]), (&pitted, &parts[..2])] {
+        for (base, other) in [(&sound, damaged), (damaged, &sound)] {
+            for &frames in parts {
+                with(base, frames.clone(), &of(other)).is(2, &named);
+            }
+        }
+    }
+    // Captured again, as a live check does: the second capture counts alone.
+    let again = with(&sound, long, &of(&worn));
+    let second = again.path("capture-0002");
+    std::fs::create_dir(&second).unwrap();
+    for frame in 0..25 {
+        let name = format!("capture-0001/frame-{frame:04}.pgm");
+        let to = second.join(format!("frame-{frame:04}.pgm"));
+        std::fs::copy(later.path().join("frames").join(name), to).unwrap();
+    }
+    let again = again.index(|text| {
+        let (before, view) = text.split_once("[[view]]").unwrap();
+        let second = view.replace("capture-0001", "capture-0002");
+        format!("{before}[[view]]{view}\n[[view]]{second}")
+    });
+    let run = check(again.folder.path(), &[]);
+    assert_eq!(run.code, 0, "{} {}", run.json["reason"], run.stderr);
+    assert_eq!(run.json["frames"]["received"], 50);
+    let captures = run.json["evidence"][0]["phasors"].as_array().unwrap();
+    assert_eq!(captures.len(), 1, "{captures:?}");
+    let rejected = &run.json["registration"][0]["light"]["rejected"];
+    let disagree = number(&rejected["exposures_disagree"]);
+    assert!(disagree < 1e-3 * number(&run.json["registration"][0]["points"]));
+}
+
 #[test]
 fn a_bench_does_not_change_frames_that_were_recorded() {
     let folder = tempfile::tempdir().unwrap();

@@ -470,6 +470,12 @@ fn a_shaking_head_is_indeterminate() {
         ratio.as_f64().is_some_and(|r| r > 0.0 && r < 0.02),
         "{ratio}"
     );
+    // Below what spoils a fringe, exposures still show one scene: noise alone sets one cell in a thousand apart.
+    let moving = inspect(&["--teeth", "40", "--vibration-um", "0.5"]);
+    assert_eq!(moving.code, 0, "{}", moving.stderr);
+    let view = &moving.json["registration"][0];
+    let apart = &view["light"]["rejected"]["exposures_disagree"];
+    assert!(apart.as_f64().unwrap() < 1e-3 * view["points"].as_f64().unwrap());
     let shaken = inspect(&["--teeth", "40", "--vibration-um", "2"]);
     assert_eq!(shaken.code, 2, "{}", shaken.json["reason"]);
     let reason = shaken.json["reason"].as_str().unwrap_or_default();

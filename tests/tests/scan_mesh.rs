@@ -2,7 +2,9 @@
 //! surface as it says.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
+use flankscope_gear_cad::{Meshing, write_ply};
 use flankscope_metrology::io::Unit;
 use flankscope_metrology::io::mesh;
 use flankscope_tests::{demo_gear, flankscope, run};
@@ -105,6 +107,75 @@ fn a_mesh_has_the_spacing_that_was_asked_for_no_cracks_and_the_true_surface_with
         within as f64 >= 0.95 * f64::from(all),
         "{within} of {all}, rms {rms_um} µm"
     );
+}
+
+/// The demo die whose bore is larger all around by so much, mm.
+fn larger_bore(path: &Path, by_mm: f64) {
+    let mut mesh = demo_gear().mesh(&Meshing::default()).unwrap();
+    for p in &mut mesh.vertices {
+        let radius = p[0].hypot(p[1]);
+        if radius < 50.0 {
+            let [x, y] = [p[0], p[1]].map(|x| x * (radius + by_mm) / radius);
+            (p[0], p[1]) = (x, y);
+        }
+    }
+    let mut bytes = Vec::new();
+    write_ply(&mesh, &mut bytes).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// Place, normal, deviation and standard uncertainty of every cell of a map.ply: three doubles, three floats, three bytes of
+/// colour, three floats.
+fn cells_of_map(path: &Path) -> Vec<([f64; 3], [f64; 3], f64, f64)> {
+    let bytes = std::fs::read(path).unwrap();
+    let end = b"end_header\n";
+    let body = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+    let record = |cell: &[u8]| {
+        let double = |at: usize| f64::from_le_bytes(cell[at..at + 8].try_into().unwrap());
+        let float = |at: usize| f64::from(f32::from_le_bytes(cell[at..at + 4].try_into().unwrap()));
+        (
+            [0, 8, 16].map(double),
+            [24, 28, 32].map(float),
+            float(39),
+            float(43),
+        )
+    };
+    bytes[body..].chunks_exact(51).map(record).collect()
+}
+
+/// The poses take up how large the bore is as a whole: the map's uncertainty says so, in every cell.
+#[test]
+fn a_bore_larger_than_its_cad_lies_within_the_uncertainty_of_its_map() {
+    const LARGER_MM: f64 = 20e-3;
+    let folder = tempfile::tempdir().unwrap();
+    let die = folder.path().join("die.ply");
+    larger_bore(&die, LARGER_MM);
+    for (name, by_mm) in [("larger", LARGER_MM), ("drawn", 0.0)] {
+        let at = |what: &str| folder.path().join(format!("{name}-{what}"));
+        let (report, session) = (at("report"), at("session"));
+        let mut scan = flankscope();
+        scan.args(["scan", "--quiet", "--json", "-", "--speed", "max"]);
+        scan.args(["--views", "12x1", "--report"]).arg(&report);
+        scan.arg("--session").arg(session);
+        if by_mm > 0.0 {
+            scan.arg("--die-mesh").arg(&die);
+        }
+        let scanned = run(&mut scan);
+        assert_eq!(scanned.code, 0, "{name}: {}", scanned.stderr);
+        let cells = cells_of_map(&report.join("map.ply"));
+        assert!(cells.len() > 10_000, "{}", cells.len());
+        let within = cells
+            .iter()
+            .filter(|([x, y, _], [nx, ny, _], found_mm, sigma_mm)| {
+                let true_mm = by_mm * (nx * x + ny * y) / x.hypot(*y);
+                (found_mm - true_mm).abs() <= 1.96 * sigma_mm
+            });
+        let share = within.count() as f64 / cells.len() as f64;
+        assert!(share >= 0.9, "{name}: {share}");
+        let form = &scanned.json["form"];
+        let [size_um, u95_um] = ["size_um", "size_u95_um"].map(|key| form[key].as_f64().unwrap());
+        assert!((size_um - 1e3 * by_mm).abs() <= u95_um, "{name}: {form}");
+    }
 }
 
 #[test]

@@ -27,7 +27,8 @@ fn decode(
     light: &Light,
     binning: usize,
 ) -> Decoded {
-    let exposures_us: Vec<u32> = (1..=gains.len() as u32).map(|i| 1000 * i).collect();
+    // As long as they are bright: the exposures of a scene must agree.
+    let exposures_us: Vec<u32> = gains.iter().map(|gain| (1000.0 * gain) as u32).collect();
     let options = DecodeOptions {
         binning,
         ..DecodeOptions::for_head(head)

@@ -118,6 +118,8 @@ codes! {
     Decoding = "decoding", "check that head file and pattern set are those of the head";
     /// The frames of too many points do not follow one fringe.
     Inconsistent = "inconsistent", "keep press and head still while it looks; check the light";
+    /// The exposures of too many points do not show one scene.
+    ExposuresDisagree = "exposures_disagree", "keep press and head still while it looks; see that all frames are of one capture";
     /// The baseline does not know the flank.
     BaselineLacks = "baseline_lacks", "record the baseline again with this tooth";
     /// The baseline was measured on another grid.

@@ -1,6 +1,7 @@
 //! Some cell rows with their sums: what one thread adds a frame to.
 
 use super::Phasor;
+use super::agreement::Merged as MergedCells;
 use super::cell_row::CellRow;
 use super::code::{BitPart, BitSums, Finest, add_difference};
 use super::consistency::{Sums, add_chi_square, deviate};
@@ -48,6 +49,8 @@ pub(crate) struct Band {
     first: Vec<f32>,
     squares: Vec<f32>,
     pub merged: Vec<Merged>,
+    /// How far the exposures disagree, over all frequencies, per cell; empty where nothing is compared.
+    pub disagreement: Vec<f32>,
     /// Every bit of the code.
     pub code: Vec<BitSums>,
     /// The frame whose complement comes next; empty without complements.
@@ -65,7 +68,7 @@ pub(super) enum Work {
         minus_sin: f32,
         first_step: bool,
         last_step: bool,
-        first_exposure: bool,
+        exposure: usize,
     },
     Code {
         bit: usize,
@@ -97,6 +100,7 @@ impl Band {
                 };
                 layout.steps.len()
             ],
+            disagreement: vec![0.0; layout.agreement.as_ref().map_or(0, |_| cells)],
             code: vec![BitSums::new(cells); layout.bits],
             lit: vec![0.0; if layout.has_complements() { cells } else { 0 }],
             row: CellRow::new(grid),
@@ -128,6 +132,10 @@ impl Band {
             {
                 *own = *from;
             }
+        }
+        let disagreement = self.disagreement.get_mut(index);
+        if let (Some(own), Some(from)) = (disagreement, from.disagreement.get(index)) {
+            *own = *from;
         }
         for (own, from) in self.code.iter_mut().zip(&from.code) {
             own.difference[index] = from.difference[index];
@@ -176,8 +184,9 @@ impl Band {
                     minus_sin,
                     first_step,
                     last_step,
-                    first_exposure,
+                    exposure,
                 } => {
+                    let first_exposure = exposure == 0;
                     let re = &mut self.pending.re[cells.clone()];
                     let im = &mut self.pending.im[cells.clone()];
                     let sum = &mut self.pending.sum[cells.clone()];
@@ -205,6 +214,19 @@ impl Band {
                             };
                             let into = &mut self.merged[set].chi_square[cells.clone()];
                             add_chi_square(sums, layout.steps[set], noise, first_exposure, into);
+                            if let Some(agreement) = &layout.agreement {
+                                let Merged {
+                                    planes, exposures, ..
+                                } = &self.merged[set];
+                                agreement.add(
+                                    sums,
+                                    MergedCells::new(planes, exposures, cells.clone()),
+                                    (exposure, set),
+                                    layout.steps[set],
+                                    noise,
+                                    &mut self.disagreement[cells.clone()],
+                                );
+                            }
                         }
                     }
                     if last_step {

@@ -1,5 +1,6 @@
 //! What an accumulator is laid out for: grid, frames in capture order, limits.
 
+use super::agreement::Agreement;
 use super::consistency::FrameNoise;
 use crate::cells::Grid;
 use crate::frame::FrameKind;
@@ -23,6 +24,8 @@ pub(crate) struct Layout {
     pub saturation_limit_dn: u16,
     /// What frames scatter by, where that is to be tested.
     pub noise: Option<FrameNoise>,
+    /// How its exposures are compared, where there are several and `noise` is known.
+    pub agreement: Option<Agreement>,
 }
 
 impl Layout {

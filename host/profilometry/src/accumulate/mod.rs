@@ -4,10 +4,12 @@
 //! best estimate. An exposure whose frames saturate anywhere in a cell is dropped for that cell, so the sums of one
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
-//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), if wanted.
+//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
+//! show one scene ([`agreement`]), if wanted.
 //!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
 
+pub(crate) mod agreement;
 mod band;
 mod cell_row;
 pub(crate) mod code;
@@ -22,8 +24,8 @@ use rayon::prelude::*;
 
 use crate::frame::{FrameError, FrameKind, FrameLevel, FrameView};
 
-pub(crate) use band::Band;
 use band::Work;
+pub(crate) use band::{Band, Merged};
 use code::BitPart;
 pub(crate) use layout::Layout;
 pub use phasors::PhasorsError;
@@ -173,7 +175,7 @@ impl Accumulator {
                     minus_sin: -shift_rad.sin() as f32,
                     first_step: step == 0,
                     last_step: step + 1 == layout.steps[set],
-                    first_exposure: exposure == 0,
+                    exposure,
                 }
             }
             FrameKind::Code {
@@ -209,6 +211,8 @@ impl Accumulator {
 
 #[cfg(test)]
 mod tests {
+    use super::agreement::Agreement;
+    use super::consistency::FrameNoise;
     use super::*;
     use crate::cells::{CellGrid, Grid};
     use crate::gray::GrayCode;
@@ -237,7 +241,13 @@ mod tests {
                 exposures: 2,
                 dark_frame: true,
                 saturation_limit_dn: 3891,
-                noise: None,
+                noise: Some(FrameNoise {
+                    offset_dn: 100.0,
+                    dark_variance_dn2: 1.0,
+                    variance_per_dn: 0.1,
+                    response_ratio: 1e-3,
+                }),
+                agreement: Agreement::new(&[10_000, 20_000], &[4.0, 48.0]),
             };
             let wide = Accumulator::new(Arc::new(layout));
             let mut plain = wide.clone();
@@ -264,11 +274,13 @@ mod tests {
             }
             for (wide, plain) in wide.bands.iter().zip(&plain.bands) {
                 assert_eq!(wide.dark, plain.dark);
+                assert_eq!(wide.disagreement, plain.disagreement);
                 for (wide, plain) in wide.merged.iter().zip(&plain.merged) {
                     assert_eq!(wide.planes.re, plain.planes.re);
                     assert_eq!(wide.planes.im, plain.planes.im);
                     assert_eq!(wide.planes.sum, plain.planes.sum);
                     assert_eq!(wide.exposures, plain.exposures);
+                    assert_eq!(wide.chi_square, plain.chi_square);
                 }
                 assert_eq!(wide.code, plain.code);
             }

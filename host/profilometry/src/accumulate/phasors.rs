@@ -1,10 +1,11 @@
 //! The sums of a view as bytes and back: what its points were computed from, to compute them again.
 //!
 //! ```text
-//!  "PHASORS2"  cells u32  frequencies u32      planes, one value per cell in the grid's order:
+//!  "PHASORS3"  cells u32  frequencies u32      planes, one value per cell in the grid's order:
 //!  dark f32                                    counts of the dark frame, where one was captured
 //!  re f32, im f32, sum f32, [chi-square f32,] exposures u8
 //!                                              for each frequency, low to high; the last padded to 4 bytes
+//!  disagreement f32                            of the exposures, where several are compared
 //!  difference f32, amplitude f32               for each bit of a code, most significant first
 //! ```
 //!
@@ -13,7 +14,7 @@
 
 use crate::accumulate::{Accumulator, Band};
 
-const MAGIC: &[u8; 8] = b"PHASORS2";
+const MAGIC: &[u8; 8] = b"PHASORS3";
 /// Magic, cells, frequencies.
 const HEAD_BYTES: usize = 16;
 
@@ -21,8 +22,11 @@ const HEAD_BYTES: usize = 16;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PhasorsError {
-    /// Not this format.
-    #[error("these are no phasors: they begin with {got:02x?}, right would be {MAGIC:02x?}")]
+    /// Not this format, or another release's.
+    #[error(
+        "these are no phasors of this layout: they begin with \"{}\", right would be \"{}\" (another release computes them again)",
+        got.escape_ascii(), MAGIC.escape_ascii()
+    )]
     Magic {
         /// First bytes.
         got: Vec<u8>,
@@ -65,6 +69,7 @@ impl Accumulator {
         HEAD_BYTES
             + dark
             + self.layout.steps.len() * ((12 + tested) * cells + cells.next_multiple_of(4))
+            + self.layout.agreement.as_ref().map_or(0, |_| 4 * cells)
             + self.layout.bits * 8 * cells
     }
 
@@ -92,6 +97,7 @@ impl Accumulator {
             }
             bytes.resize(bytes.len().next_multiple_of(4), 0);
         }
+        plane(&mut bytes, &|band| &band.disagreement);
         for bit in 0..self.layout.bits {
             plane(&mut bytes, &|band| &band.code[bit].difference);
             plane(&mut bytes, &|band| &band.code[bit].amplitude);
@@ -161,6 +167,9 @@ impl Accumulator {
                 rest = later;
             }
             rest = &rest[expected_cells.next_multiple_of(4) - expected_cells..];
+        }
+        for band in &mut self.bands {
+            fill(&mut band.disagreement, &mut rest);
         }
         for bit in 0..self.layout.bits {
             for band in &mut self.bands {

@@ -85,6 +85,8 @@ pub struct Rejected {
     pub uncertain_depth: usize,
     /// The frames do not follow one fringe: vibration, a flickering lamp, saturation.
     pub inconsistent: usize,
+    /// The exposures do not show one scene: beyond noise their phases or amplitudes differ.
+    pub exposures_disagree: usize,
     /// Dropped by the mask.
     pub masked: usize,
     /// Part of a small isolated patch.
@@ -93,7 +95,7 @@ pub struct Rejected {
 
 impl Rejected {
     /// Each reason by its name.
-    pub fn reasons(&self) -> [(&'static str, usize); 11] {
+    pub fn reasons(&self) -> [(&'static str, usize); 12] {
         [
             ("saturated", self.saturated),
             ("low_contrast", self.low_contrast),
@@ -104,6 +106,7 @@ impl Rejected {
             ("outside_volume", self.outside_volume),
             ("uncertain_depth", self.uncertain_depth),
             ("inconsistent", self.inconsistent),
+            ("exposures_disagree", self.exposures_disagree),
             ("masked", self.masked),
             ("isolated", self.isolated),
         ]

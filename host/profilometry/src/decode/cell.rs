@@ -4,7 +4,7 @@ use super::Decoder;
 use super::coded::CodedCell;
 use super::conditioned::Conditioned;
 use super::rays::Ray;
-use crate::accumulate::Band;
+use crate::accumulate::{Band, Merged};
 use crate::cloud::Depths;
 use crate::pattern::MAX_FREQUENCIES;
 use crate::phase::{self, CellNoise, PhaseEstimate};
@@ -23,6 +23,7 @@ pub(super) enum Fate {
     OutsideVolume,
     UncertainDepth,
     Inconsistent,
+    ExposuresDisagree,
     Masked,
     Isolated,
 }
@@ -151,6 +152,10 @@ impl Decoder {
                 sigma_rad: estimate.sigma_rad * view.sigma_ratios[set],
             };
             last = Some(estimate);
+        }
+        // Before the orders: those of two scenes in one phasor mean nothing.
+        if self.exposures_disagree(band, index, view.frame_noise_ratio) {
+            return Err(Fate::ExposuresDisagree.into());
         }
         let estimate = last.ok_or(Fate::UncertainOrder)?;
         let finest = self.patterns.sets.len() - 1;
@@ -303,6 +308,21 @@ impl Decoder {
             }
         }
         (chi_square, freedom)
+    }
+
+    /// Whether noise alone hardly ever lets a cell's exposures differ so much.
+    fn exposures_disagree(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
+        let scale = noise_ratio.max(1.0).powi(2) as f32;
+        self.disagreement(band, index)
+            .is_some_and(|(found, freedom)| found > self.agreement_limits[freedom] * scale)
+    }
+
+    /// How far a cell's exposures disagree, over all frequencies, and its degrees of freedom; none where nothing was compared.
+    pub(super) fn disagreement(&self, band: &Band, index: usize) -> Option<(f32, usize)> {
+        let &found = band.disagreement.get(index)?;
+        let joined = |merged: &Merged| usize::from(merged.exposures[index].saturating_sub(1));
+        let freedom = 2 * band.merged.iter().map(joined).sum::<usize>();
+        (freedom > 0 || found > 0.0).then_some((found, freedom))
     }
 
     pub(super) fn noise(&self, band: &Band, index: usize) -> CellNoise {

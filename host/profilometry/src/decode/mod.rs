@@ -17,6 +17,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::accumulate::agreement::Agreement;
 use crate::accumulate::consistency::{self, FrameNoise};
 use crate::accumulate::{Accumulator, Band, Layout};
 use crate::cells::{CellGrid, CoreGrid, Grid};
@@ -40,7 +41,7 @@ use coded::CodeLadder;
 use conditioned::Conditioned;
 pub use error::DecodeError;
 pub use maps::PhaseMaps;
-use neighbourhood::Neighbourhood;
+use neighbourhood::{Neighbourhood, Values};
 pub use options::{DecodeOptions, GridKind, OrderConsistency};
 use rays::{Ray, projector_size_px, rays};
 
@@ -71,6 +72,8 @@ pub struct Decoder {
     floors_dn: Vec<f64>,
     /// Largest chi-square by degrees of freedom; empty where it is not tested.
     chi_square_limits: Vec<f32>,
+    /// Largest disagreement of exposures by degrees of freedom; empty where they are not compared.
+    agreement_limits: Vec<f32>,
     /// Lateral size of a cell per unit of depth.
     cell_by_depth: f64,
     /// The same head by its second projector, if it has one.
@@ -166,17 +169,28 @@ impl Decoder {
             dark_frame: options.dark_frame,
             saturation_limit_dn: sensor.saturation_limit_dn(),
             noise: None,
+            agreement: None,
         };
         let layout = Layout {
             noise: options
                 .consistency
                 .map(|gate| frame_noise(&sensor, &layout.grid, gate.response_ratio)),
+            agreement: options
+                .consistency
+                .and_then(|_| Agreement::new(exposures_us, &all_periods)),
             ..layout
         };
         let chi_square_limits = options.consistency.map_or(Vec::new(), |gate| {
             let of_set = |set: &FringeSet| set.steps.saturating_sub(3) as usize;
             let most = exposures_us.len() * patterns.sets.iter().map(of_set).sum::<usize>();
             consistency::limits(gate.least_probability, most)
+        });
+        let compared = options.consistency.zip(layout.agreement.as_ref());
+        let agreement_limits = compared.map_or(Vec::new(), |(gate, agreement)| {
+            let mut limits = consistency::limits(gate.least_probability, agreement.most_freedom());
+            // Where nothing could be compared, only what is impossible was found.
+            limits[0] = 0.0;
+            limits
         });
         let floors_dn = floor::floors_dn(patterns, &options, &sensor);
         let by_second = head.with_projector(2);
@@ -208,6 +222,7 @@ impl Decoder {
             enough_rad: unwrap::order_step_rad(&all_periods) / unwrap::MIN_SEPARATION,
             floors_dn,
             chi_square_limits,
+            agreement_limits,
             cell_by_depth,
             second,
             allowed_apart_mm,
@@ -309,6 +324,7 @@ impl Decoder {
         let view = self.condition(accumulator);
         let mut results = self.depths(&view);
         let around = Neighbourhood::new(&self.layout.grid, self.smoothing_cells());
+        around.judge_exposures(&mut results, self.disagreements(&view));
         around.judge_orders(&mut results, self.options.order_consistency);
         around.raise_uncertainties(&mut results);
         if let Some(limit_mm) = self.options.max_sigma_z_mm {
@@ -352,6 +368,23 @@ impl Decoder {
             }
         });
         results
+    }
+
+    /// How far the exposures of every cell disagree, per degree of freedom and at most by the limit for one cell, so that no
+    /// single cell speaks for those about it; nothing where they were not compared.
+    fn disagreements(&self, view: &Conditioned<'_>) -> Values {
+        let scale = view.frame_noise_ratio.max(1.0).powi(2) as f32;
+        let of_band = |band: &Band| -> Values {
+            let of_cell = |index: usize| {
+                let (found, freedom) = self.disagreement(band, index)?;
+                let most = self.agreement_limits[freedom];
+                (freedom > 0).then(|| (found / scale).min(most) / freedom as f32)
+            };
+            (0..band.cells).map(of_cell).collect()
+        };
+        let bands = &view.accumulator.bands;
+        let bands: Vec<_> = bands.par_iter().map(of_band).collect();
+        bands.concat()
     }
 
     /// By how much the frames of cells with fringes scatter more than predicted, in the median over the view; 1 unless the
@@ -574,6 +607,7 @@ impl Decoder {
                     Fate::OutsideVolume => &mut rejected.outside_volume,
                     Fate::UncertainDepth => &mut rejected.uncertain_depth,
                     Fate::Inconsistent => &mut rejected.inconsistent,
+                    Fate::ExposuresDisagree => &mut rejected.exposures_disagree,
                     Fate::Masked => &mut rejected.masked,
                     Fate::Isolated => &mut rejected.isolated,
                 };

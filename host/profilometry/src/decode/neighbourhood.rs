@@ -27,6 +27,9 @@ const WIDE_UNITS: f64 = 15.0;
 /// Up to so many predicted variances the scatter about a cell may be chance: three standard deviations of the mean of some
 /// seventy squares.
 const CHANCE_VARIANCES: f32 = 1.5;
+/// Beyond so many predicted variances the exposures about a cell disagree: some hundred cells leave 1.0 ± 0.1 by chance, and a
+/// sensor whose noise was described too low by a third leaves 1.8.
+const APART_VARIANCES: f32 = 2.0;
 /// Beyond so many predicted variances a bend is an edge. Of noise ten times the predicted less than a hundredth is.
 const EDGE_VARIANCES: f64 = 700.0;
 
@@ -34,7 +37,7 @@ const EDGE_VARIANCES: f64 = 700.0;
 const UNEVEN_RATIO: f64 = 0.05;
 
 /// A value per cell where there is one.
-type Values = Vec<Option<f32>>;
+pub(super) type Values = Vec<Option<f32>>;
 
 impl<'a> Neighbourhood<'a> {
     /// `smoothing_cells`: of the finest fringes and of the coarser ones.
@@ -49,6 +52,18 @@ impl<'a> Neighbourhood<'a> {
             plane: CellPlane::new(grid),
             unit_cells: smoothing_cells[1].max(1.0),
             bend_variance: 1.5 + 0.5 * correlation(2) - 2.0 * correlation(1),
+        }
+    }
+
+    /// Drops cells about which the exposures disagree, though in each cell alone noise hides it. `found` is in predicted variances.
+    pub fn judge_exposures(&self, results: &mut [CellResult], found: Values) {
+        if found.iter().all(Option::is_none) {
+            return;
+        }
+        for (result, apart) in results.iter_mut().zip(self.mean(found, NEAR_UNITS)) {
+            if result.fate == Fate::Point && apart > APART_VARIANCES {
+                result.reject(Fate::ExposuresDisagree);
+            }
         }
     }
 

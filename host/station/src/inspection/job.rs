@@ -288,7 +288,7 @@ impl Station {
             run,
             order,
             AfterStop::End,
-            without_outcome,
+            to_be_retaken,
             watch,
         );
         if let Some(stopped) = captured.await? {
@@ -328,7 +328,7 @@ impl Station {
                 run,
                 views,
                 AfterStop::End,
-                without_outcome,
+                to_be_retaken,
                 watch,
             );
             if let Some(stopped) = captured.await? {
@@ -416,13 +416,14 @@ impl Station {
     }
 }
 
-/// What of an attempt is to be captured once more.
-fn without_outcome(
+/// Views of an attempt that are to be captured once more: those without an outcome, and those whose exposures disagree.
+fn to_be_retaken(
     run: &mut Run<ViewOutcome>,
     views: &[usize],
     _: Option<&Stop>,
 ) -> Result<Vec<usize>, AcquisitionError> {
-    Ok(run.without_outcome(views))
+    let again = |view: &usize| run.outcomes.get(view).is_none_or(|outcome| outcome.retake);
+    Ok(views.iter().copied().filter(again).collect())
 }
 
 /// High-water mark of this process's resident memory, from the kernel.

@@ -9,6 +9,7 @@
 //! | `repeat` | what is too near to a limit is measured again |
 //! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
+//! | `exposures` | whether the exposures of a view show one scene |
 //! | `outcome` | what became of a view, captured once or more often |
 //! | `datum` | points inside a patch's datum |
 //! | `feature_id` | which flank or patch a figure is of |
@@ -23,6 +24,7 @@
 
 mod datum;
 mod evidence;
+mod exposures;
 mod failure;
 mod feature_id;
 mod field;
@@ -43,6 +45,7 @@ mod views;
 
 pub(crate) use evidence::unsaid;
 pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
+pub(crate) use exposures::exposures_disagree;
 pub(crate) use failure::unfit;
 pub use feature_id::FeatureId;
 pub(crate) use field::FieldOfView;

@@ -28,6 +28,8 @@ pub struct ViewOutcome {
     pub deviations_um: Vec<f64>,
     /// What it was computed from, where that is kept.
     pub phasors: Vec<Phasors>,
+    /// Whether the view must be taken again before anything is said of it.
+    pub(super) retake: bool,
     pub(super) tooth: u32,
     /// What each capture measured of the flanks; nothing where it could not.
     pub(super) captures: Vec<Vec<FlankWear>>,

@@ -104,7 +104,7 @@ impl RecordedCheck {
         Ok(inspection)
     }
 
-    /// Every view's first capture, and as in a live check the others of those that stay too near to a limit.
+    /// Every view's first capture, and as in a live check the next of those that must be taken again or stay too near to a limit.
     async fn play(
         &mut self,
         run: &mut Run<ViewOutcome>,
@@ -117,24 +117,48 @@ impl RecordedCheck {
             }
         }
         let inspect = self.station.subject.tool.inspect.as_ref();
-        for attempt in 0..=inspect.map_or(0, |inspect| inspect.remeasure as usize) {
-            let wanted = |view: usize| {
-                let open = || run.outcomes.get(&view).is_some_and(ViewOutcome::is_open);
-                let capture = self.captures[view].get(attempt)?;
-                (attempt == 0 || open()).then(|| (view, capture.clone()))
-            };
-            let mut views: Vec<_> = (0..self.captures.len()).filter_map(wanted).collect();
-            // As they were taken, by the controller's clock.
-            views.sort_by_key(|(_, capture)| capture.number);
+        let repetitions = inspect.map_or(0, |inspect| inspect.remeasure);
+        let mut played = vec![0; self.captures.len()];
+        let all: Vec<usize> = (0..played.len()).collect();
+        self.play_next(run, &all, &mut played, watch).await?;
+        let retaken = views_that(run, |outcome| outcome.retake);
+        self.play_next(run, &retaken, &mut played, watch).await?;
+        for _ in 0..repetitions {
+            let open = views_that(run, ViewOutcome::is_open);
             let before = std::mem::take(&mut run.outcomes);
-            for some in views.chunks(flankscope_protocol::plan::MAX_VIEWS) {
-                let acquisition = &mut self.station.acquisition;
-                acquisition.play(&self.playback, run, some, watch).await?;
-            }
+            self.play_next(run, &open, &mut played, watch).await?;
             run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
         }
         Ok(())
     }
+
+    /// Plays the next capture of each of these views that has one left; `played` counts them by view.
+    async fn play_next(
+        &mut self,
+        run: &mut Run<ViewOutcome>,
+        views: &[usize],
+        played: &mut [usize],
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<(), AcquisitionError> {
+        let next = |&view: &usize| Some((view, self.captures[view].get(played[view])?.clone()));
+        let mut next: Vec<(usize, RecordedView)> = views.iter().filter_map(next).collect();
+        // As they were taken, by the controller's clock.
+        next.sort_by_key(|(_, capture)| capture.number);
+        for some in next.chunks(flankscope_protocol::plan::MAX_VIEWS) {
+            let acquisition = &mut self.station.acquisition;
+            acquisition.play(&self.playback, run, some, watch).await?;
+        }
+        for (view, _) in next {
+            played[view] += 1;
+        }
+        Ok(())
+    }
+}
+
+/// Views of a run whose outcome is such.
+fn views_that(run: &Run<ViewOutcome>, is: impl Fn(&ViewOutcome) -> bool) -> Vec<usize> {
+    let outcomes = run.outcomes.iter().filter(|(_, outcome)| is(outcome));
+    outcomes.map(|(&view, _)| view).collect()
 }
 
 /// Why a recording has no index, and is none.

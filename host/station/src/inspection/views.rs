@@ -18,6 +18,7 @@ use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
 use super::datum;
+use super::exposures::exposures_disagree;
 use super::feature_id::FeatureId;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
@@ -234,6 +235,12 @@ impl Evaluator {
         if let Some(why) = shaken(inconsistent_ratio) {
             return self.unmeasured(place, &why, inconsistent_ratio, laps.elapsed_ms);
         }
+        if let Some(why) = exposures_disagree(&decoded) {
+            return ViewOutcome {
+                retake: true,
+                ..self.unmeasured(place, &why, inconsistent_ratio, laps.elapsed_ms)
+            };
+        }
         let cold = self.cold(&decoded);
         laps.lap("outliers");
         let fit = self.fit(place, &cold.points);
@@ -302,6 +309,7 @@ impl Evaluator {
             maps,
             deviations_um,
             phasors: Vec::new(),
+            retake: false,
             tooth: place.tooth,
             captures: vec![assessed.wears],
             criteria: Arc::clone(&self.criteria),
@@ -536,6 +544,7 @@ impl Evaluator {
             maps: Vec::new(),
             deviations_um: Vec::new(),
             phasors: Vec::new(),
+            retake: false,
             tooth: place.tooth,
             captures: vec![Vec::new()],
             criteria: Arc::clone(&self.criteria),

@@ -57,7 +57,7 @@ fn write(
             Column::Byte("green", &channel(1)),
             Column::Byte("blue", &channel(2)),
             Column::Float("deviation", &float(&|c| c.deviation_mm)),
-            Column::Float("sigma", &float(&|c| c.sigma_mm)),
+            Column::Float("sigma", &float(&|c| scan.sigma_mm(c))),
             Column::Float("views", &float(&|c| f64::from(c.views))),
         ],
         triangles,

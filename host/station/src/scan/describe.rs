@@ -95,6 +95,7 @@ impl Scanner {
             },
             placement: None,
             methods: Vec::new(),
+            size_sigma_mm: None,
             teeth_stretch_ratio: None,
             teeth_turned_deg: 0.0,
             metrics: None,

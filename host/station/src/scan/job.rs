@@ -16,6 +16,7 @@ use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
 use flankscope_profilometry::head::Unfit;
 
+use super::bore_size::size_sigma_mm;
 use super::cell_observations::layout;
 use super::clouds::CloudsError;
 use super::comparison::{self, Method};
@@ -38,7 +39,7 @@ use crate::acquisition::{
 use crate::controller::{Client, ClientSettings};
 use crate::inspection::{
     self, EvaluatorError, FieldOfView, FrameCount, InspectError, RecordError, RecordingNotes,
-    Subject, Timing, ViewPlan, hand_eye, peak_memory_mb,
+    Subject, Timing, ViewPlan, calibration_um, hand_eye, peak_memory_mb,
 };
 use crate::origin::Setting;
 use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
@@ -455,6 +456,14 @@ impl Scanner {
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
+        let lateral_mm = 1e-3 * calibration_um(tool, &self.subject.head);
+        let half_field_mm = 0.5 * self.field.width_mm;
+        scan.take_size_sigma(size_sigma_mm(
+            &self.gear,
+            stretch,
+            lateral_mm,
+            half_field_mm,
+        ));
         let turned = turned_rad(&shared, nominal, planned, self.field.reach_mm);
         scan.teeth_turned_deg = turned.to_degrees();
         let other_die = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));

@@ -17,6 +17,7 @@
 //! | `stitch` | all views to one map |
 //! | `overlaps` | what neighbours say of each other |
 //! | `reference` | whether the die sits as in an earlier scan |
+//! | `bore_size` | how well the mean size of the bore is known |
 //! | `die_identity` | whether it is the CAD's die at all |
 //! | `hinz2019` | all views to one map the article's way |
 //! | `comparison` | both ways in the same figures |
@@ -35,6 +36,7 @@
 //! | `result` | the JSON document |
 
 mod article;
+mod bore_size;
 mod cell_observations;
 mod clouds;
 mod comparison;

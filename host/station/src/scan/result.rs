@@ -8,7 +8,7 @@ use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::multiview::adjustment::StageSigma;
-use flankscope_metrology::multiview::cylinder::{BoreForm, CylinderMap, FieldQuality};
+use flankscope_metrology::multiview::cylinder::{BoreForm, Cell, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::verdict::{Code, Reason, Word};
@@ -105,6 +105,9 @@ pub struct Scan {
     /// What the head's calibration adds to the noise in each part of its field.
     #[serde(skip)]
     pub quality: FieldQuality,
+    /// Standard uncertainty of the mean radius, mm, which all cells share; none where no uncertainty is claimed.
+    #[serde(skip)]
+    pub size_sigma_mm: Option<f64>,
 }
 
 impl Scan {
@@ -112,6 +115,23 @@ impl Scan {
     #[must_use]
     pub fn sentence(&self) -> String {
         format!("{}: {}", self.verdict, self.reason)
+    }
+
+    /// Takes the standard uncertainty of the mean radius, mm.
+    pub(super) fn take_size_sigma(&mut self, sigma_mm: f64) {
+        self.size_sigma_mm = Some(sigma_mm);
+        if let Some(form) = &mut self.form {
+            form.size_u95_um = Some(1.96e3 * sigma_mm);
+        }
+    }
+
+    /// Standard uncertainty of a cell's deviation from the CAD, mm: its own, and its part of the mean radius's along its normal.
+    #[must_use]
+    pub fn sigma_mm(&self, cell: &Cell) -> f64 {
+        let ([x, y, _], [nx, ny, _]) = (cell.point, cell.normal);
+        let radial = (nx * x + ny * y) / x.hypot(y).max(f64::MIN_POSITIVE);
+        let size_mm = self.size_sigma_mm.unwrap_or(0.0);
+        cell.sigma_mm.hypot(radial * size_mm)
     }
 
     /// It is not the CAD's die: nothing that was measured against the CAD means anything, damage that was found included.
@@ -151,6 +171,7 @@ impl Scan {
         self.form = figures.form;
         // What the joint solve found is not what these poses rest on.
         self.adjustment = None;
+        self.size_sigma_mm = None;
         self.teeth_stretch_ratio = None;
         let poses: BTreeMap<usize, Rigid<Tool, Camera>> = laid
             .views
@@ -179,6 +200,7 @@ impl From<BoreForm> for Form {
     fn from(form: BoreForm) -> Self {
         Self {
             size_um: form.size_mm * 1e3,
+            size_u95_um: None,
             ovality_um: form.ovality_mm * 1e3,
             ovality_u95_um: None,
             ovality_deg: form.ovality_rad.to_degrees(),
@@ -202,8 +224,12 @@ impl Form {
 /// Form of the bore as a whole, µm.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Form {
-    /// Mean growth of the radius. The views tell it only from the hand-eye by the pitch they see: a weak figure.
+    /// Mean growth of the radius in the map, whose poses have taken up what all views share of it.
     pub size_um: f64,
+    /// Expanded uncertainty (95 %) of the mean radius, by the pitch that the views saw and the calibration's lateral scale; absent
+    /// where none is claimed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub size_u95_um: Option<f64>,
     /// Largest minus smallest radius.
     pub ovality_um: f64,
     /// Its expanded uncertainty (95 %); absent where none is claimed.

@@ -21,8 +21,8 @@ use nalgebra::{Isometry3, Matrix6, Vector6};
 
 use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan, hand_eye,
-    rays_without_point,
+    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, Subject, ViewPlan,
+    exposures_disagree, hand_eye, rays_without_point,
 };
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
@@ -123,14 +123,20 @@ impl ViewScanner {
 
     /// Decodes a view and lays it on the CAD.
     pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
-        let decoded_view = match self.decoder.finish(sums) {
+        let decoded = self.decoder.finish(sums);
+        let decoded = decoded.map_err(|error| Reason::instrument(Code::Decoding, error));
+        let decoded = decoded.and_then(|view| match exposures_disagree(&view) {
+            Some(why) => Err(why),
+            None => Ok(view),
+        });
+        let decoded_view = match decoded {
             Ok(decoded) => decoded,
-            Err(error) => {
+            Err(why) => {
                 let expected = self.adjustment.predict(place(&self.plan, view));
                 return ScannedView {
                     kept: KeptView::default(),
                     tool_from_camera: *expected.tool_from_cloud.isometry(),
-                    laid: Err(Reason::instrument(Code::Decoding, error)),
+                    laid: Err(why),
                 };
             }
         };

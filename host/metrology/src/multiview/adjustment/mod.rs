@@ -26,7 +26,7 @@ mod solve;
 mod view;
 
 pub use local::Local;
-pub use model::{PARAMETERS, Pose, Stages};
+pub use model::{HEAD_SIGMA_MM, PARAMETERS, Pose, Stages};
 pub use overlap::{Overlap, take_off_common};
 pub use solve::{AdjustmentError, Solution, StageSigma, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};

@@ -48,6 +48,9 @@ pub(super) const NAMES: [&str; PARAMETERS] = [
 
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
+/// Prior standard deviation of where the head stands, each way, mm.
+pub const HEAD_SIGMA_MM: f64 = 0.5;
+
 /// Prior standard deviations, mm and rad: a die put down by hand, a hand-eye known to a degree and half a millimetre, a
 /// vertical axis as assembled along the wall and as aligned with a straight edge towards it, an encoder within its data
 /// sheet. How the vertical axis leans towards the wall looks like a conical die in every view: it stays where it was aligned,
@@ -55,8 +58,26 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 pub(super) const SIGMA: [f64; PARAMETERS] = {
     let (turn, head, encoder) = (0.2 * DEGREE, DEGREE, 10e-3 * DEGREE);
     [
-        turn, turn, turn, 0.5, 0.5, 0.05, head, head, head, 0.5, 0.5, 0.5, 500e-6, 10e-6, encoder,
-        encoder, encoder, encoder, encoder, encoder,
+        turn,
+        turn,
+        turn,
+        0.5,
+        0.5,
+        0.05,
+        head,
+        head,
+        head,
+        HEAD_SIGMA_MM,
+        HEAD_SIGMA_MM,
+        HEAD_SIGMA_MM,
+        500e-6,
+        10e-6,
+        encoder,
+        encoder,
+        encoder,
+        encoder,
+        encoder,
+        encoder,
     ]
 };
 
