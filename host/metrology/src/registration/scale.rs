@@ -18,10 +18,10 @@ use crate::surface::Closest;
 const LEAST_POINTS: usize = 100;
 /// Fewer parts leave nothing to contradict a scale.
 const LEAST_PARTS: usize = 6;
-/// A scale explains a view when the parts are off what is left by no more than so many standard uncertainties of their form ...
-const MOST_LEFT: f64 = 2.0;
-/// ... and by less than this part of what they are off without one.
-const MOST_OF_WITHOUT: f64 = 0.5;
+/// A scale explains a view when it leaves the parts off by less than this part of what they are off without one, and by no more than
+/// their form is known to. Flanks that are each off by some micrometres of their own agree as well as that by chance once in some
+/// hundred views.
+const MOST_OF_WITHOUT: f64 = 0.2;
 /// A point belongs to tip or root land within this distance of its radius, mm.
 const LAND_MM: f64 = 0.05;
 
@@ -45,7 +45,7 @@ pub struct Scale {
 impl Scale {
     /// Whether the teeth in view agree on a scale that is not none, calibration aside. Damage does not look like it.
     pub fn is_told(&self) -> bool {
-        self.left_mm <= MOST_LEFT * self.form_mm
+        self.left_mm <= self.form_mm
             && self.left_mm < MOST_OF_WITHOUT * self.without_mm
             && self.value.abs() > COVERAGE_95 * self.u_form
     }
