@@ -263,6 +263,15 @@ fn print_table(inspection: &Inspection) -> anyhow::Result<()> {
             writeln!(out, "{}", terminal.sentence(&why))?;
         }
     }
+    for f in &inspection.in_view {
+        let figures = format!("{} ± {} um", figure(f.wear_um), figure(f.u95_um));
+        let seen = format!("{:.0} % seen", 100.0 * f.coverage_ratio);
+        let beside = format!("{}, not asked for: {figures}, {seen}: {}", f.id, f.verdict);
+        writeln!(out, "{}", terminal.sentence(&beside))?;
+    }
+    if let Some(identity) = &inspection.tooth_identity {
+        writeln!(out, "{}", terminal.sentence(&identity.reason))?;
+    }
     writeln!(
         out,
         "\n{}",

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::files;
+use crate::inspection::ViewReference;
 use crate::origin::looked_at;
 use crate::seal::{Kind, SealError, Seals};
 
@@ -35,6 +36,9 @@ pub struct Baseline {
     pub flanks: Vec<Reference>,
     /// What each view said of its own pose about the axis, with the neighbours in it.
     pub poses: Vec<PoseEvidence>,
+    /// What each view showed beside its own tooth; files of earlier releases do not have it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub in_view: Vec<ViewReference>,
 }
 
 /// One flank's deviation from CAD, cell by cell.

@@ -221,6 +221,7 @@ impl<'a> Block<'a> {
             simulated: Some(true),
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
+            in_view: Vec::new(),
         })
     }
 

@@ -4,5 +4,6 @@ pub mod adjustment;
 pub mod cylinder;
 pub mod drift;
 pub mod raster;
+pub mod seen_before;
 pub mod spacing;
 pub mod tooth_identity;

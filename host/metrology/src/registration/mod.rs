@@ -12,6 +12,7 @@ mod phase;
 mod prior;
 mod reference;
 mod response;
+pub mod scale;
 mod solve;
 pub mod stretch;
 

@@ -22,6 +22,7 @@ mod gather;
 pub mod leakage;
 mod shared;
 mod sight;
+pub mod standing;
 mod unseen;
 #[cfg(test)]
 pub(crate) use unseen::tests as looked;

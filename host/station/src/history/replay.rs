@@ -190,9 +190,9 @@ impl Replay {
             outcomes,
             &problems,
             stopped.as_ref(),
-            subject.baseline.is_some(),
+            subject.baseline.as_deref(),
         );
-        let now = json!({
+        let mut now = json!({
             "verdict": found.verdict,
             "reason": found.reason,
             "features": found.features,
@@ -201,6 +201,17 @@ impl Replay {
             "recipe": recipe,
             "hashes": subject.hashes,
         });
+        for (key, said) in [
+            ("in_view", json!(found.in_view)),
+            ("missing_teeth", json!(found.missing_teeth)),
+            ("tooth_identity", json!(found.tooth_identity)),
+        ] {
+            // Absent where there is nothing to say.
+            let is_nothing = said.is_null() || said.as_array().is_some_and(Vec::is_empty);
+            if !is_nothing || document.get(key).is_some() {
+                now[key] = said;
+            }
+        }
         let mut differences = Vec::new();
         if let Some(now) = now.as_object() {
             for (key, now) in now {

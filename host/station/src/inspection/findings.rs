@@ -1,17 +1,20 @@
 //! All views of a check to what is said of the tool: the same for a check that runs and for one that is computed again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
+use flankscope_metrology::wear::standing::MissingTooth;
 
 use super::evidence::{Evidence, Phasors};
+use super::identity::ToothIdentity;
+use super::in_view::{FlankInView, Neighbourhood, ViewReference};
 use super::outcome::ViewOutcome;
 use super::plan::ViewPlan;
 use super::result::{Feature, FlankMap, ViewRegistration};
 use super::verdict::{self, Judged};
-use crate::baseline::Reference;
+use crate::baseline::{Baseline, Reference};
 
 /// What a check found.
 #[derive(Debug)]
@@ -19,10 +22,14 @@ pub(crate) struct Findings {
     pub verdict: Word,
     pub reason: String,
     pub features: Vec<Feature>,
+    pub in_view: Vec<FlankInView>,
+    pub missing_teeth: Vec<MissingTooth>,
+    pub tooth_identity: Option<ToothIdentity>,
     pub registration: Vec<ViewRegistration>,
     pub evidence: Vec<Evidence>,
     pub phasors: Vec<Phasors>,
     pub fields: Vec<Reference>,
+    pub neighbours: Vec<ViewReference>,
     pub poses: Vec<PoseEvidence>,
     pub maps: Vec<FlankMap>,
     pub deviations_um: Vec<f64>,
@@ -37,9 +44,12 @@ impl Findings {
         mut outcomes: BTreeMap<usize, ViewOutcome>,
         problems: &BTreeMap<usize, Reason>,
         stopped: Option<&Reason>,
-        since_baseline: bool,
+        baseline: Option<&Baseline>,
     ) -> Self {
-        let cad_taken_as_true = tool.as_built_um.is_none() && !since_baseline;
+        let cad_taken_as_true = tool.as_built_um.is_none() && baseline.is_none();
+        let asked: BTreeSet<u32> = plan.views.iter().map(|view| view.tooth).collect();
+        let mut neighbourhood = Neighbourhood::default();
+        let mut neighbours = Vec::new();
         let mut judged: Vec<Judged> = Vec::new();
         let mut registration = Vec::new();
         let mut evidence = Vec::new();
@@ -57,6 +67,8 @@ impl Findings {
                     problem: None,
                 });
                 judged.extend(outcome.flanks);
+                neighbours.extend(outcome.in_view.recorded.clone());
+                neighbourhood.add(outcome.in_view);
                 registration.extend(outcome.registration);
                 phasors.extend(outcome.phasors);
                 fields.extend(outcome.fields);
@@ -74,15 +86,29 @@ impl Findings {
                 });
             }
         }
-        let (verdict, reason) = verdict::of_tool(&judged, stopped, cad_taken_as_true);
+        neighbourhood.sort();
+        let tooth_identity = ToothIdentity::of(tool, baseline, &poses);
+        let turned = tooth_identity
+            .as_ref()
+            .and_then(ToothIdentity::contradiction);
+        if let Some(why) = &turned {
+            judged.iter_mut().for_each(|flank| flank.withhold(why));
+        }
+        let stopped = stopped.or(turned.as_ref());
+        let beside = neighbourhood.findings(&asked);
+        let (verdict, reason) = verdict::of_tool(&judged, stopped, cad_taken_as_true, &beside);
         Self {
             verdict,
             reason,
             features: judged.into_iter().map(Feature::from).collect(),
+            in_view: neighbourhood.flanks,
+            missing_teeth: neighbourhood.missing,
+            tooth_identity,
             registration,
             evidence,
             phasors,
             fields,
+            neighbours,
             poses,
             maps,
             deviations_um,

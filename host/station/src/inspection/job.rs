@@ -354,7 +354,7 @@ impl Station {
             std::mem::take(&mut run.outcomes),
             &problems,
             stopped.as_ref(),
-            self.subject.baseline.is_some(),
+            self.subject.baseline.as_deref(),
         );
         let positioning = run.timeline.positioning_ms();
         let exposure = run.timeline.exposure_ms();
@@ -376,6 +376,9 @@ impl Station {
             verdict: found.verdict,
             reason: found.reason,
             features: found.features,
+            in_view: found.in_view,
+            missing_teeth: found.missing_teeth,
+            tooth_identity: found.tooth_identity,
             timing_ms: Timing {
                 total: since(begun_ns, monotonic_ns()),
                 positioning,
@@ -403,6 +406,7 @@ impl Station {
             stopped_code: stopped.as_ref().map(Reason::code),
             phasors: found.phasors,
             fields: found.fields,
+            neighbours: found.neighbours,
             poses: found.poses,
             pictures: Pictures {
                 maps: found.maps,

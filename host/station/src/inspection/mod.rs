@@ -17,6 +17,8 @@
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `pose_sensitivity` | what the pose does to a flank's figures |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
+//! | `in_view` | what a view shows beside the tooth that it was taken for |
+//! | `identity` | which tooth is which, and by whose word |
 //! | `findings` | all views to what is said of the tool |
 //! | `evidence` | what a verdict was computed from |
 //! | `verdict` | flanks to one verdict |
@@ -31,6 +33,8 @@ mod field;
 mod findings;
 mod flank_decision;
 mod head_error;
+mod identity;
+mod in_view;
 mod job;
 mod outcome;
 mod patch_view;
@@ -51,6 +55,8 @@ pub use feature_id::FeatureId;
 pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
+pub use identity::{IdentifiedBy, ToothIdentity};
+pub use in_view::{FlankInView, InView, ViewReference};
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
 pub use outcome::ViewOutcome;

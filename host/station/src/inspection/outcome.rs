@@ -7,6 +7,7 @@ use flankscope_metrology::wear::{FlankWear, PoseEvidence};
 
 use super::evidence::Phasors;
 use super::flank_decision::FlankCriteria;
+use super::in_view::InView;
 use super::result::{FlankMap, ViewRegistration};
 use super::verdict::Judged;
 use crate::baseline::Reference;
@@ -16,6 +17,8 @@ use crate::baseline::Reference;
 pub struct ViewOutcome {
     /// The two flanks of the tooth in the middle.
     pub flanks: Vec<Judged>,
+    /// What the view shows beside them.
+    pub in_view: InView,
     /// How the points of each capture were laid on the CAD.
     pub registration: Vec<ViewRegistration>,
     /// Their deviation from CAD, cell by cell.
@@ -39,9 +42,10 @@ pub struct ViewOutcome {
 impl ViewOutcome {
     /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
     pub(crate) fn is_open(&self) -> bool {
-        self.captures
-            .last()
-            .is_some_and(|last| last.iter().any(|wear| self.criteria.is_open(wear)))
+        self.captures.last().is_some_and(|last| {
+            let mut own = last.iter().filter(|wear| wear.tooth == self.tooth);
+            own.any(|wear| self.criteria.is_open(wear))
+        })
     }
 
     /// What became of views, and of those that were captured again.
@@ -66,6 +70,8 @@ impl ViewOutcome {
         self.phasors.extend(again.phasors);
         self.captures.extend(again.captures);
         let criteria = Arc::clone(&self.criteria);
+        let in_view = std::mem::take(&mut self.in_view);
+        self.in_view = in_view.with(self.tooth, again.in_view, &self.captures, &criteria);
         let sides = criteria.tool.features().sides();
         for (judged, &flank) in self.flanks.iter_mut().zip(sides) {
             if let Some(together) = self.criteria.flank(self.tooth, flank, &self.captures) {

@@ -12,6 +12,7 @@ use flankscope_metrology::tool::Temperature;
 use flankscope_metrology::wear::leakage::{self, Leakage};
 use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
+use rayon::prelude::*;
 
 /// A flank with fewer points says nothing of the pose.
 pub(super) const LEAST_POINTS: usize = 100;
@@ -72,8 +73,8 @@ impl FormPart {
 }
 
 impl Fitted<'_> {
-    /// The sensitivities of both flanks of `tooth`, or of that patch.
-    pub fn on(&self, tooth: u32) -> Vec<PoseSensitivity> {
+    /// The sensitivities of both flanks of each of `teeth`, or of these patches.
+    pub fn on(&self, teeth: &[u32]) -> Vec<PoseSensitivity> {
         let contacts: Vec<Contact> = self
             .closest
             .iter()
@@ -81,6 +82,17 @@ impl Fitted<'_> {
             .map(|(closest, &used)| Contact::of(closest, self.registration, used))
             .collect();
         let response = Response::new(&contacts, self.registration, Some(self.prior), self.options);
+        let of_each = teeth.par_iter();
+        let of_each = of_each.map(|&tooth| self.of_tooth(tooth, &contacts, &response));
+        of_each.flatten_iter().collect()
+    }
+
+    fn of_tooth(
+        &self,
+        tooth: u32,
+        contacts: &[Contact],
+        response: &Response<'_>,
+    ) -> Vec<PoseSensitivity> {
         // One kelvin more than thought: every point farther from axis and seat by the expansion, less what the pose takes.
         let grown = |contact: &Contact| {
             let along: f64 = (0..3).map(|k| contact.point[k] * contact.normal[k]).sum();
@@ -118,7 +130,7 @@ impl Fitted<'_> {
             .map(|(place, used)| place.filter(|_| self.datum_bands_mm.is_empty() || !used))
             .collect();
         let leakage =
-            leakage::of_feature(self.features, self.zone, tooth, &response, &contacts, &worn);
+            leakage::of_feature(self.features, self.zone, tooth, response, contacts, &worn);
         let sides = self.features.sides().iter().zip(leakage);
         let of_side = |(&flank, leakage): (&Flank, Leakage)| {
             let (mut sum, mut count) = (0.0, 0.0);

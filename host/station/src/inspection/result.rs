@@ -7,6 +7,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 use flankscope_metrology::wear::PoseEvidence;
 use flankscope_metrology::wear::leakage::Leakage;
+use flankscope_metrology::wear::standing::MissingTooth;
 use flankscope_profilometry::decode::{LightMedians, Projectors, Rejected};
 use serde::Serialize;
 
@@ -17,6 +18,8 @@ use crate::origin::Origin;
 
 use super::evidence::{Evidence, Phasors, Recipe};
 use super::feature_id::FeatureId;
+use super::identity::ToothIdentity;
+use super::in_view::{FlankInView, ViewReference};
 use crate::acquisition::{Activity, Counts, Picture};
 use flankscope_frames::Frame;
 
@@ -274,6 +277,15 @@ pub struct Inspection {
     pub reason: String,
     /// One entry per inspected flank.
     pub features: Vec<Feature>,
+    /// One entry per flank that was in view and not asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub in_view: Vec<FlankInView>,
+    /// Teeth in view that do not stand.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missing_teeth: Vec<MissingTooth>,
+    /// Which tooth is which, and by whose word; absent of a tool without teeth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tooth_identity: Option<ToothIdentity>,
     /// Where the time went.
     pub timing_ms: Timing,
     /// Frame bookkeeping.
@@ -313,6 +325,9 @@ pub struct Inspection {
     /// Deviation from CAD of every measured flank, cell by cell: what a baseline is made of.
     #[serde(skip)]
     pub fields: Vec<Reference>,
+    /// What every view showed beside its tooth: part of a baseline, too.
+    #[serde(skip)]
+    pub neighbours: Vec<ViewReference>,
     /// What every view said of its own pose about the axis: part of a baseline, too.
     #[serde(skip)]
     pub poses: Vec<PoseEvidence>,
@@ -339,6 +354,7 @@ impl Inspection {
             simulated: self.origin.simulated,
             flanks: self.fields.clone(),
             poses: self.poses.clone(),
+            in_view: self.neighbours.clone(),
         })
     }
 

@@ -11,6 +11,7 @@ use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
 use flankscope_metrology::wear::{Budget, Figure, FlankWear};
 
 use super::feature_id::FeatureId;
+use super::in_view::Finding;
 use super::result::{Expanded, Feature, FlankDetail};
 
 /// One flank or patch with its verdict.
@@ -91,6 +92,11 @@ impl Judged {
             detail.zone_height_mm = Some(height_mm);
         }
         self
+    }
+
+    /// Something speaks against what was judged: damage that was found stays found.
+    pub(crate) fn withhold(&mut self, why: &Reason) {
+        self.verdict = self.verdict.clone().withheld(why);
     }
 
     /// The same verdict with the figures of the several captures that it rests on.
@@ -212,13 +218,20 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
 }
 
 /// The tool's verdict and one sentence about it. A check that stopped early is never a go; a go against a CAD of which it is
-/// not known how true the die is to it says so.
+/// not known how true the die is to it says so. `beside` is what was found beside the flanks that were
+/// asked for.
 pub fn of_tool(
     flanks: &[Judged],
     stopped: Option<&Reason>,
     cad_taken_as_true: bool,
+    beside: &[Finding],
 ) -> (Word, String) {
-    let mut verdict = combine(flanks.iter().map(|flank| flank.verdict.clone()));
+    let of_flanks = flanks.iter().map(|flank| flank.verdict.clone());
+    let mut verdict = combine(of_flanks.clone());
+    // Without flanks there is nothing to say, whatever else is in view.
+    if !flanks.is_empty() {
+        verdict = combine(of_flanks.chain(beside.iter().map(|of| of.verdict.clone())));
+    }
     if let Some(why) = stopped {
         verdict = verdict.withheld(why);
     }
@@ -263,5 +276,8 @@ pub fn of_tool(
             )
         }
     };
-    (verdict.word(), reason)
+    let sentences = beside.iter().map(|of| of.sentence.clone());
+    let told = std::iter::once(reason).filter(|reason| !reason.is_empty());
+    let all: Vec<String> = told.chain(sentences).collect();
+    (verdict.word(), all.join("; "))
 }

@@ -1,18 +1,20 @@
 //! One captured view to its flanks or its patch: points, pose, deviation, wear.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::feature::Features;
-use flankscope_metrology::gear::Flank;
-use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::gear::{Flank, FlankPlace};
+use flankscope_metrology::registration::{Options, Prior, Registration, Status, register, scale};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
+use flankscope_metrology::wear::standing::{MissingTooth, Ray, missing_teeth};
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
@@ -23,6 +25,7 @@ use super::feature_id::FeatureId;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
+use super::in_view::{self, InView};
 use super::job::Subject;
 use super::outcome::ViewOutcome;
 use super::place::Place;
@@ -44,6 +47,10 @@ const MARGIN_MM: f64 = 2.0;
 const MOST_INCONSISTENT: f64 = 0.1;
 /// Cosine of the angle to the normal below which a ray grazes.
 const GRAZING: f64 = 0.05;
+/// Expansion of steel per kelvin.
+const STEEL_PER_K: f64 = 11.5e-6;
+/// Teeth are missed within this part of the field's radius: at its rim light and optics end.
+const NOT_THE_RIM: f64 = 0.85;
 /// Cell of the report's deviation maps, mm.
 const MAP_CELL_MM: f64 = 0.1;
 
@@ -90,6 +97,8 @@ pub struct Evaluator {
     datum_bands_mm: Vec<[f64; 2]>,
     decoder: Arc<Decoder>,
     places: Vec<Place>,
+    /// Teeth that have a view of their own.
+    asked: BTreeSet<u32>,
     /// Where the camera stood instead.
     stated: StatedPoses,
     field: FieldOfView,
@@ -190,6 +199,7 @@ impl Evaluator {
             datum_bands_mm,
             decoder,
             places,
+            asked: plan.views.iter().map(|view| view.tooth).collect(),
             stated: plan.stated.clone(),
             field,
             stages: subject.station.stages.clone(),
@@ -285,19 +295,18 @@ impl Evaluator {
         let fields = assessed
             .wears
             .iter()
-            .filter(|wear| wear.figures.is_some())
-            .map(|wear| Reference {
-                tooth: wear.tooth,
-                flank: wear.flank,
-                field: wear.field.clone(),
-            })
+            .filter(|wear| wear.tooth == place.tooth && wear.figures.is_some())
+            .map(Reference::of)
             .collect();
         laps.lap("wear");
         let (maps, deviations_um) = self.draw(place, &closest);
         laps.lap("maps");
         let points = cold.points.len();
+        let captures = vec![assessed.wears];
+        let missing = self.missing_teeth(&fit, measured, &cold.points);
         ViewOutcome {
             flanks: assessed.flanks,
+            in_view: InView::of_view(place.tooth, &captures, missing, &self.criteria),
             registration: vec![ViewRegistration {
                 leakage: assessed.leakage,
                 inconsistent_ratio,
@@ -311,7 +320,7 @@ impl Evaluator {
             phasors: Vec::new(),
             retake: false,
             tooth: place.tooth,
-            captures: vec![assessed.wears],
+            captures,
             criteria: Arc::clone(&self.criteria),
         }
     }
@@ -382,13 +391,17 @@ impl Evaluator {
         }
     }
 
-    /// Wear and decision of both flanks of the middle tooth.
+    /// Wear and decision of both flanks of the middle tooth, and wear of its neighbours in view.
     fn assess(&self, place: &Place, fit: &Fit, measured: Measured<'_>) -> Assessed {
         let (features, settings) = (self.features(), &self.criteria.settings);
         let places = wear::places(features, measured.closest);
         if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, &places) {
             return self.not_assessed(place, &why);
         }
+        let scale_mm = match self.scale_mm(place, measured.closest, &places) {
+            Ok(scale_mm) => scale_mm,
+            Err(why) => return self.not_assessed(place, &why),
+        };
         let fitted = Fitted {
             features,
             zone: &place.zone,
@@ -403,14 +416,19 @@ impl Evaluator {
             temperature: self.criteria.tool.temperature.as_ref(),
             form_in_doubt: settings.as_built_mm > 0.0,
         };
-        let (sensitivities, measured) = rayon::join(
-            || fitted.on(place.tooth),
+        let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);
+        let mut teeth = vec![place.tooth];
+        teeth.extend(in_view::others(features, &places, in_zone, &self.asked));
+        let (mut sensitivities, measured) = rayon::join(
+            || fitted.on(&teeth),
             || {
-                let (zone, teeth) = (&place.zone, &[place.tooth]);
-                let of = Some(&fit.registration);
-                wear::evaluate_placed(features, zone, teeth, measured, &places, of, settings)
+                let (zone, of) = (&place.zone, Some(&fit.registration));
+                wear::evaluate_placed(features, zone, &teeth, measured, &places, of, settings)
             },
         );
+        for of in &mut sensitivities {
+            of.temperature_mm = of.temperature_mm.hypot(scale_mm);
+        }
         let leakage = features.sides().iter().zip(&sensitivities);
         let leakage = leakage
             .map(|(side, of)| (side.word(), of.leakage))
@@ -431,6 +449,73 @@ impl Evaluator {
             pose,
             wears,
         }
+    }
+
+    /// Teeth that do not stand in a view that could be laid on the CAD, but not those at the rim of the field. `points` are in the
+    /// camera's frame.
+    fn missing_teeth(
+        &self,
+        fit: &Fit,
+        measured: Measured<'_>,
+        points: &[[f64; 3]],
+    ) -> Vec<MissingTooth> {
+        let (Features::Gear(gear), Status::Registered, Some(sight)) =
+            (self.features(), &fit.registration.status, measured.sight)
+        else {
+            return Vec::new();
+        };
+        let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
+        let axis = tool_from_cloud.rotation * Vector3::z();
+        let of_points = points.iter().map(|&point| {
+            let point = Vector3::from(point);
+            Ray {
+                direction: (tool_from_cloud.rotation * point.normalize()).into(),
+                range_mm: Some(point.norm()),
+            }
+        });
+        let without = sight.without_point.iter().map(|&direction| Ray {
+            direction,
+            range_mm: None,
+        });
+        let least_cos = 1.0 / 1f64.hypot(NOT_THE_RIM * self.field.slope);
+        let rays = of_points.chain(without);
+        let rays = rays.filter(|ray| Vector3::from(ray.direction).dot(&axis) >= least_cos);
+        let places = wear::places(self.features(), measured.closest);
+        missing_teeth(gear, sight.camera_mm, rays, measured.closest, &places)
+    }
+
+    /// Standard uncertainty that a scale of the die leaves in its flanks' wear, mm, where the teeth in view agree on one that the
+    /// calibration may explain. From one side a larger bore is one that stands farther away: nothing else tells.
+    ///
+    /// # Errors
+    /// The die in view is not of the drawing's size.
+    fn scale_mm(
+        &self,
+        place: &Place,
+        closest: &[Closest],
+        places: &[Option<FlankPlace>],
+    ) -> Result<f64, Reason> {
+        let settings = &self.criteria.settings;
+        let known = settings.cad_mm.hypot(settings.as_built_mm);
+        let known_mm = [known.hypot(settings.drift_mm), settings.calibration_mm];
+        let of_gear = |gear| scale::of_view(gear, place.tooth, closest, places, known_mm);
+        let gear = self.features().gear();
+        let (Some(gear), Some(found)) = (gear, gear.and_then(of_gear)) else {
+            return Ok(0.0);
+        };
+        if found.is_shown() {
+            let why = other_size(place.tooth, found.value, COVERAGE_95 * found.u);
+            return Err(Reason::instrument(Code::OtherDie, why));
+        }
+        // Scaling moves every flank along its normal by its distance from the base circle's tangent point.
+        let radius_mm = 0.5 * (place.zone.radius_mm[0] + place.zone.radius_mm[1]);
+        let base_mm = gear.base_radius_mm();
+        let per_scale_mm = (radius_mm * radius_mm - base_mm * base_mm).max(0.0).sqrt();
+        Ok(if found.is_told() {
+            found.value.abs() * per_scale_mm
+        } else {
+            0.0
+        })
     }
 
     /// Why there is neither.
@@ -523,6 +608,7 @@ impl Evaluator {
     ) -> ViewOutcome {
         ViewOutcome {
             flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
+            in_view: InView::default(),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
                 status: "indeterminate".into(),
@@ -596,6 +682,19 @@ impl Laps {
         self.elapsed_ms.insert(what, elapsed_ms);
         self.clock = Instant::now();
     }
+}
+
+/// Why a view in which everything agrees on another size is not judged.
+fn other_size(tooth: u32, scale: f64, u95: f64) -> String {
+    format!(
+        "the die in view of tooth {tooth} is {:.3} ± {:.3} % {} than the drawing: tips, roots and both flanks of the teeth beside it \
+         say so together, which wear does not; it is of another drawing, or steel that is {:.0} K {} than supposed",
+        100.0 * scale.abs(),
+        100.0 * u95,
+        if scale > 0.0 { "larger" } else { "smaller" },
+        scale.abs() / STEEL_PER_K,
+        if scale > 0.0 { "warmer" } else { "colder" },
+    )
 }
 
 /// Why nothing is made of a view in which too many cells' frames contradict each other.

@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use flankscope_metrology::gear::{Flank, GearData, Kind};
 use flankscope_metrology::verdict::Word;
 
-use super::figure;
 use super::svg::{open, sign};
 use crate::inspection::{Feature, Toothing};
 

@@ -53,6 +53,9 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
             .into_iter()
             .flat_map(|tooth| [feature(tooth, "left"), feature(tooth, "right")])
             .collect(),
+        in_view: Vec::new(),
+        missing_teeth: Vec::new(),
+        tooth_identity: None,
         timing_ms: Timing::default(),
         frames: FrameCount::default(),
         press_cycles,
@@ -74,6 +77,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         truth: None,
         phasors: vec![phasors],
         fields: Vec::new(),
+        neighbours: Vec::new(),
         poses: Vec::new(),
         pictures: Pictures::default(),
     }

@@ -3,6 +3,10 @@
 //! A loss that is shown to exceed the stop limit is a no-go whatever else could not be seen. Everything short of that needs
 //! more: that no unmeasured patch, no blunt instrument and no pose may hide what would change the word.
 
+mod in_view;
+
+pub use in_view::judge_in_view;
+
 use flankscope_foundation::display::Number;
 
 use crate::verdict::{Reason, Rule, Verdict, combine, decide_parts};
