@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use flankscope_gear_cad::{Flank, GearSpec, Mesh, write_stl};
+use flankscope_gear_cad::{Flank, Mesh, write_stl};
 
 use crate::demo_gear;
 
@@ -49,15 +49,7 @@ const LAND_PARTS: usize = 8;
 /// The drawing is impossible.
 #[must_use]
 pub fn bore(loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
-    bore_of(&demo_gear(), loss_mm, fine)
-}
-
-/// The same of any gear.
-///
-/// # Panics
-/// The drawing is impossible.
-#[must_use]
-pub fn bore_of(gear: &GearSpec, loss_mm: impl Fn(Place) -> f64, fine: &[Fine]) -> Mesh {
+    let gear = demo_gear();
     let mut mesh = Mesh::default();
     let [low, high] = gear.height_mm;
     let depth_mm = (gear.root_radius_mm - gear.tip_radius_mm).abs();

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::files;
-use crate::inspection::ViewReference;
 use crate::origin::looked_at;
 use crate::seal::{Kind, SealError, Seals};
 
@@ -20,6 +19,18 @@ use crate::seal::{Kind, SealError, Seals};
 const MOST_BYTES: u64 = 64 << 20;
 /// No flank is so far from its CAD.
 const MOST_MM: f64 = 10.0;
+
+/// A baseline's record of what a view showed beside its own tooth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewReference {
+    /// Tooth in the middle of the view.
+    pub view: u32,
+    /// Deviation of the neighbours' flanks from CAD.
+    pub flanks: Vec<Reference>,
+    /// What the view says of its pose about the axis, as it acts on each neighbour.
+    pub poses: Vec<PoseEvidence>,
+}
 
 /// Every inspected flank of a tool as it was when new.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -269,9 +269,11 @@ fn default_reference() -> f64 {
     20.0
 }
 
-/// Steel.
+/// Expansion of steel per kelvin.
+pub const STEEL_PER_K: f64 = 11.5e-6;
+
 fn default_expansion() -> f64 {
-    11.5e-6
+    STEEL_PER_K
 }
 
 fn default_u_k() -> f64 {

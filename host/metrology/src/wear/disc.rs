@@ -57,8 +57,8 @@ pub(super) struct Discs<'a> {
     /// Samples by cell: `order[start[i]..start[i + 1]]`.
     order: Vec<u32>,
     start: Vec<u32>,
-    /// What of each measured cell was not seen, where that is known.
-    unseen: Option<&'a [Unseen]>,
+    /// What of each measured cell was not seen; empty where every one was seen whole.
+    unseen: Vec<Unseen>,
     radius_mm: f64,
 }
 
@@ -88,14 +88,19 @@ impl<'a> Discs<'a> {
             samples,
             order,
             start,
-            unseen: None,
+            unseen: Vec::new(),
             radius_mm: radius_mm(area_mm2),
         }
     }
 
-    /// The same with what is known of the part of each measured cell that was not seen.
-    pub fn with_unseen(self, unseen: Option<&'a [Unseen]>) -> Self {
+    /// The same with what of each cell was not seen.
+    pub fn with_unseen(self, unseen: Vec<Unseen>) -> Self {
         Self { unseen, ..self }
+    }
+
+    /// The cells.
+    pub fn field(&self) -> &'a Field {
+        self.field
     }
 
     /// The samples of a cell.
@@ -420,7 +425,7 @@ impl<'a> Discs<'a> {
                 let cell = y as usize * self.field.columns + x as usize;
                 let wear = self.field.wear_mm[cell];
                 if wear.is_finite() {
-                    let part = self.unseen.map_or(Unseen::default(), |unseen| unseen[cell]);
+                    let part = self.unseen.get(cell).copied().unwrap_or_default();
                     let hidden = share * part.share;
                     unseen += hidden;
                     sum += share * wear + hidden * (of_part(cell, part) - wear).max(0.0);
@@ -444,6 +449,22 @@ impl<'a> Discs<'a> {
 
     /// The same when every hole is as deep as the deepest cell at its rim.
     pub fn as_rims_mm(&self) -> Option<f64> {
+        let rims_mm = self.rims_mm();
+        self.with_holes(|cell| rims_mm[cell], |cell, _| rims_mm[cell])
+    }
+
+    /// The same, but of what walls hide what is supposed, at most `depth_mm`.
+    pub fn behind_walls_mm(&self, depth_mm: f64) -> Option<f64> {
+        let rims_mm = self.rims_mm();
+        let of_part = |cell: usize, part: Unseen| match part.behind_walls {
+            true => part.depth_mm.min(depth_mm),
+            false => rims_mm[cell],
+        };
+        self.with_holes(|cell| rims_mm[cell], of_part)
+    }
+
+    /// Wear of the deepest cell around each cell, or around the hole that it lies in, mm.
+    fn rims_mm(&self) -> Vec<f64> {
         let field = self.field;
         let holes = field.groups(|i| !field.wear_mm[i].is_finite());
         let mut depth = vec![0.0_f64; field.wear_mm.len()];
@@ -461,7 +482,7 @@ impl<'a> Discs<'a> {
                 depth[i] = deepest;
             }
         }
-        self.with_holes(|cell| depth[cell], |cell, _| depth[cell])
+        depth
     }
 }
 

@@ -139,7 +139,7 @@ pub fn evaluate_placed<'a>(
         *count += 1;
     }
     if let Some(sight) = measured.sight {
-        let mut count = |met: &[FlankPlace], lost: u32| {
+        let mut count = |met: &[FlankPlace], [dark, undecoded]: [u32; 2]| {
             for place in met {
                 let wanted = |g: &&mut Grid| g.tooth == place.tooth && g.flank == place.flank;
                 if let Some(grid) = grids.iter_mut().find(wanted)
@@ -147,12 +147,14 @@ pub fn evaluate_placed<'a>(
                     && let Some(counts) = &mut grid.counts
                 {
                     counts.rays[cell] += 1;
-                    counts.lost[cell] += lost;
+                    counts.dark[cell] += dark;
+                    counts.undecoded[cell] += undecoded;
                 }
             }
         };
-        count(&sight.ray_places(features, measured, places), 0);
-        count(&sight.lost_places(features), 1);
+        count(&sight.ray_places(features, measured, places), [0, 0]);
+        count(&sight.places_along(features, sight.dark), [1, 0]);
+        count(&sight.places_along(features, sight.undecoded), [0, 1]);
     }
     for grid in &mut grids {
         if let Some(counts) = &mut grid.counts {

@@ -260,7 +260,8 @@ impl Field {
         rows.flat_map(move |row| columns.clone().map(move |c| row * across + c))
     }
 
-    /// The groove across which `cell` is the deepest going by `step`. None where there is none, or a wider one, or a step from one level to another.
+    /// The groove across which `cell` is the deepest going by `step`. None where there is none, or a wider one, or a step from one
+    /// level to another.
     fn groove(&self, cell: usize, [across, up]: [isize; 2], noise_scale: f64) -> Option<Groove> {
         let at = |steps: isize| {
             let column = (cell % self.columns).checked_add_signed(steps * across)?;

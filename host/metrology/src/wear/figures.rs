@@ -6,7 +6,8 @@ use serde::Serialize;
 use super::Settings;
 use super::disc::Discs;
 use super::field::{Field, Sample};
-use super::unseen::Unseen;
+use super::sight::Visibility;
+use super::unseen;
 
 /// A figure counts as told from none beyond this many standard uncertainties: 5 % errors of both kinds.
 pub const DETECTION_FACTOR: f64 = 3.3;
@@ -58,17 +59,19 @@ pub struct Figures {
     /// The largest mean loss that any disc can have when whatever was not measured of it lost as much as the settings
     /// suppose, mm; none when every disc was measured whole.
     pub hidden_mm: Option<f64>,
+    /// The same where holes are as deep as their rims, and what walls hide is as the settings suppose, mm.
+    pub behind_walls_mm: Option<f64>,
     /// By how much the depth would be larger if every hole were as deep as the deepest cell at its rim, mm.
     pub in_holes_mm: f64,
 }
 
 /// Evaluates the points of a zone; `field` holds their cells, `scale` says how many times larger than stated their noise is,
-/// `unseen` what of each measured one was not seen. None when nothing was measured or no disc fits.
+/// `visibility` how well the cells were seen, where the rays are known. None when nothing was measured or no disc fits.
 pub(super) fn evaluate(
     field: &Field,
     samples: &[Sample],
     scale: f64,
-    unseen: Option<&[Unseen]>,
+    visibility: Option<&Visibility>,
     settings: &Settings,
     systematic_mm: f64,
 ) -> Option<Figures> {
@@ -76,7 +79,9 @@ pub(super) fn evaluate(
     if measured.is_empty() {
         return None;
     }
-    let discs = Discs::new(field, samples, settings.area_mm2).with_unseen(unseen);
+    let discs = Discs::new(field, samples, settings.area_mm2);
+    let unseen = unseen::of_cells(&discs, visibility, scale);
+    let discs = discs.with_unseen(unseen);
     let [loss, proud] = discs.largest(scale)?;
 
     let n = measured.len() as f64;
@@ -137,6 +142,7 @@ pub(super) fn evaluate(
         lost_volume_mm3: volume(1.0, &lost),
         proud_volume_mm3: volume(-1.0, &gained),
         hidden_mm: discs.hidden_mm(settings.hidden_depth_mm),
+        behind_walls_mm: discs.behind_walls_mm(settings.hidden_depth_mm),
         in_holes_mm: discs
             .as_rims_mm()
             .map_or(0.0, |deepest| (deepest - loss.raw_mm).max(0.0)),

@@ -44,8 +44,10 @@ pub struct FlankView {
     pub under: Vec<FlankPoint>,
     /// Where rays to the view's points meet the flank on the CAD; their wear and uncertainty are zero.
     pub rays: Vec<FlankPoint>,
-    /// Where rays without a point do.
-    pub lost: Vec<FlankPoint>,
+    /// Where rays do along which no fringes came back.
+    pub dark: Vec<FlankPoint>,
+    /// Where those do that brought light, but no point.
+    pub undecoded: Vec<FlankPoint>,
     /// Mean tangent of the angle between the view's rays and the flank's normal.
     pub slant: f64,
 }
@@ -91,9 +93,13 @@ impl FlankView {
                 let seen = flanks.entry((place.tooth, place.flank)).or_default();
                 seen.rays.push(met(&place));
             }
-            for place in sight.lost_places(gear) {
+            for place in sight.places_along(gear, sight.dark) {
                 let seen = flanks.entry((place.tooth, place.flank)).or_default();
-                seen.lost.push(met(&place));
+                seen.dark.push(met(&place));
+            }
+            for place in sight.places_along(gear, sight.undecoded) {
+                let seen = flanks.entry((place.tooth, place.flank)).or_default();
+                seen.undecoded.push(met(&place));
             }
         }
         flanks
@@ -196,14 +202,20 @@ impl<'a> Gathered<'a> {
             }
             self.points += 1;
         }
-        if !(seen.rays.is_empty() && seen.lost.is_empty()) {
-            for (rays, lost) in [(&seen.rays, 0), (&seen.lost, 1)] {
+        let kinds = [
+            (&seen.rays, [0, 0]),
+            (&seen.dark, [1, 0]),
+            (&seen.undecoded, [0, 1]),
+        ];
+        if kinds.iter().any(|(rays, _)| !rays.is_empty()) {
+            for (rays, [dark, undecoded]) in kinds {
                 for ray in rays {
                     let met = self.moved(ray, motion);
                     let at_mm = met.map(|(place, ..)| self.at_mm(&place));
                     if let Some(cell) = at_mm.and_then(|at_mm| self.empty.cell_at(at_mm)) {
                         counts.rays[cell] += 1;
-                        counts.lost[cell] += lost;
+                        counts.dark[cell] += dark;
+                        counts.undecoded[cell] += undecoded;
                     }
                 }
             }

@@ -188,12 +188,12 @@ impl FlankWear {
         COVERAGE_95 * self.u_mm
     }
 
-    /// What the flank has lost at least, with 95 % probability, mm: where unseen parts may have lost so much that an interval about
-    /// the figure would claim too much. None where the interval holds.
+    /// What the flank has lost at least, with 95 % probability, mm: where walls may hide so much that an interval about the figure
+    /// would claim too much. None where the interval holds.
     pub fn at_least_mm(&self) -> Option<f64> {
-        let hidden_mm = self.hidden_mm?;
-        let bounded = hidden_mm <= self.raw_mm + self.u95_mm();
-        (!bounded).then(|| self.wear_mm - guard_factor(0.95) * self.u_mm)
+        let figures = self.figures?;
+        let holds = figures.behind_walls_mm? <= figures.raw_mm + self.u95_mm();
+        (!holds).then(|| self.wear_mm - guard_factor(0.95) * self.u_mm)
     }
 
     /// Standard uncertainty of the mean: noise averages over the cells, the rest does not, mm.
@@ -355,13 +355,11 @@ impl FlankWear {
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
         let noise_scale = self.field.noise_scale();
-        let visibility = self.visibility.as_ref();
-        let unseen = unseen::of_cells(&self.field, &self.samples, visibility, noise_scale);
         self.figures = figures::evaluate(
             &self.field,
             &self.samples,
             noise_scale,
-            Some(&unseen),
+            self.visibility.as_ref(),
             settings,
             systematic_mm,
         );

@@ -23,9 +23,9 @@ use crate::surface::{Closest, Surface};
 const FAR_MM: f64 = 0.02;
 /// Cosine of the angle to the normal below which a ray grazes: its place cannot be told.
 const GRAZING: f64 = 0.05;
-/// Fewer rays without a point in a block are dead cores and specks of dust: one core in a thousand is dead.
-const LEAST_LOST: u32 = 3;
-/// Rays whose points chance may leave outside of their block, standard deviations.
+/// Fewer dark rays in a block are dead cores and specks of dust: one core in a thousand is dead.
+const LEAST_DARK: u32 = 3;
+/// Rays that chance may leave dark in a block, or with a point outside of it, standard deviations.
 const ALLOWED_SIGMAS: f64 = 3.0;
 
 /// The camera of a view, in the tool frame.
@@ -35,8 +35,10 @@ pub struct Sight<'a> {
     pub surface: &'a Surface,
     /// Its centre of projection, mm.
     pub camera_mm: [f64; 3],
-    /// Unit directions of the rays that brought no point.
-    pub without_point: &'a [[f64; 3]],
+    /// Unit directions of the rays along which no fringes came back.
+    pub dark: &'a [[f64; 3]],
+    /// Unit directions of those that brought light of which no point could be made.
+    pub undecoded: &'a [[f64; 3]],
     /// Nearest and farthest distance at which the head measures, mm.
     pub range_mm: [f64; 2],
 }
@@ -66,10 +68,14 @@ impl Sight<'_> {
         of_points.collect()
     }
 
-    /// Where the rays without a point do.
-    pub fn lost_places<'f>(&self, features: impl Into<Features<'f>>) -> Vec<FlankPlace> {
+    /// Where rays without a point do.
+    pub fn places_along<'f>(
+        &self,
+        features: impl Into<Features<'f>>,
+        directions: &[[f64; 3]],
+    ) -> Vec<FlankPlace> {
         let features = features.into();
-        self.without_point
+        directions
             .iter()
             .filter_map(|direction| self.first_met(features, Vector3::from(*direction)))
             .collect()
@@ -112,10 +118,12 @@ impl Sight<'_> {
 /// Rays that meet the cells of a zone in one view, and points that lie in them.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RayCounts {
-    /// With and without a point.
+    /// All of them.
     pub rays: Vec<u32>,
-    /// Those without.
-    pub lost: Vec<u32>,
+    /// Those along which no fringes came back.
+    pub dark: Vec<u32>,
+    /// Those that brought light, but no point.
+    pub undecoded: Vec<u32>,
     pub points: Vec<u32>,
     /// Mean tangent of the angle between the rays and the flank's normal.
     pub slant: f64,
@@ -125,7 +133,8 @@ impl RayCounts {
     pub fn new(cells: usize) -> Self {
         Self {
             rays: vec![0; cells],
-            lost: vec![0; cells],
+            dark: vec![0; cells],
+            undecoded: vec![0; cells],
             points: vec![0; cells],
             slant: 0.0,
         }
@@ -137,7 +146,10 @@ impl RayCounts {
 struct Block {
     rays: u32,
     points: u32,
-    lost: u32,
+    dark: u32,
+    undecoded: u32,
+    /// More are dark than by chance, were those of the whole zone spread evenly over it.
+    is_shadow: bool,
 }
 
 /// How well each cell of a zone was seen: of all views, by the one that brought most points from it and the cells around it.
@@ -159,15 +171,27 @@ impl Visibility {
             all.fold(Block::default(), |sum, c| Block {
                 rays: sum.rays + counts.rays[c],
                 points: sum.points + counts.points[c],
-                lost: sum.lost + counts.lost[c],
+                dark: sum.dark + counts.dark[c],
+                undecoded: sum.undecoded + counts.undecoded[c],
+                is_shadow: false,
             })
+        };
+        let sum = |of: &[u32]| f64::from(of.iter().sum::<u32>());
+        let dark_ratio = sum(&counts.dark) / sum(&counts.rays).max(1.0);
+        let is_shadow = |block: &Block| {
+            let expected = dark_ratio * f64::from(block.rays);
+            let sigma = (expected * (1.0 - dark_ratio)).sqrt();
+            block.dark >= LEAST_DARK && f64::from(block.dark) > expected + ALLOWED_SIGMAS * sigma
         };
         let blocks = (0..counts.points.len())
             .map(|cell| {
-                if seen(&cell) {
-                    block(cell)
-                } else {
-                    Block::default()
+                if !seen(&cell) {
+                    return Block::default();
+                }
+                let block = block(cell);
+                Block {
+                    is_shadow: is_shadow(&block),
+                    ..block
                 }
             })
             .collect();
@@ -194,24 +218,32 @@ impl Visibility {
 
     /// Of each cell, what lies in the shadow of a wall: the share of its rays for which no point lies there.
     ///
-    /// A ray without any point says nothing of what it met. Of the others the point may lie elsewhere, but beside its place on
-    /// the CAD by its depth times the slant, so that of every border some pairs of ray and point lie on both sides: as many as
-    /// points lie within that distance of it. They count as independent, three standard deviations are allowed, and one ray
-    /// more. Where the surface falls away from the camera its points lie farther apart: what lies deeper on one side and is
-    /// seen there is not hidden. What those may hide is an opening as wide as they are, which begins where the deepest cell about it ends.
+    /// A ray along which no fringes came back says nothing of what it met; where light is scarce some are dark everywhere, and only
+    /// what lies together counts. Light of which no point could be made met something: on bare steel its second reflections are
+    /// why. Such rays count where more are missing than a strip as wide as points lie apart. Of the others the point may lie
+    /// elsewhere, but beside its place on the CAD by its depth times the slant, so that of every border some pairs of ray and
+    /// point lie on both sides: as many as points lie within that distance of it. They count as independent, three standard
+    /// deviations are allowed, and one ray more. Where the surface falls away from the camera its points lie farther apart: what
+    /// lies deeper on one side and is seen there is not hidden. What those may hide is an opening as wide as they are, which
+    /// begins where the deepest cell about it ends.
     pub fn shadows(&self, field: &Field, noise_scale: f64) -> Vec<Unseen> {
         let shadow = |(cell, block): (usize, &Block)| {
             if block.points == 0 {
                 return Unseen::default();
             }
-            let lost = Unseen {
-                share: match block.lost < LEAST_LOST {
-                    true => 0.0,
-                    false => f64::from(block.lost) / f64::from(block.rays),
-                },
-                depth_mm: f64::INFINITY,
+            let share = |count: u32| f64::from(count) / f64::from(block.rays);
+            let dark = if block.is_shadow {
+                share(block.dark)
+            } else {
+                0.0
             };
-            lost.or(self.moved(field, cell, block, noise_scale))
+            let undecoded = share(block.undecoded) - 1.0 / f64::from(block.points).sqrt();
+            let without_point = Unseen {
+                share: dark + undecoded.max(0.0),
+                depth_mm: f64::INFINITY,
+                behind_walls: dark > 0.0,
+            };
+            without_point.or(self.moved(field, cell, block, noise_scale))
         };
         self.blocks.iter().enumerate().map(shadow).collect()
     }
@@ -222,17 +254,16 @@ impl Visibility {
         let points = f64::from(block.points);
         // On a slope that falls away from the camera points lie as much farther apart.
         let slope = field.slope(cell) * self.slant;
-        let rays = f64::from(block.rays - block.lost) / (1.0 + slope);
+        let rays = f64::from(block.rays - block.dark - block.undecoded) / (1.0 + slope);
         let depths = || {
             let all = field.window(cell, 1).map(|c| field.wear_mm[c]);
             all.filter(|wear| wear.is_finite())
         };
         let count = depths().count() as f64;
-        let mean_mm = depths().sum::<f64>() / count;
-        let squares_mm2: f64 = depths().map(|wear| (wear - mean_mm).powi(2)).sum();
+        let square_mm2 = depths().map(|wear| wear * wear).sum::<f64>() / count;
         // Of single points, of which each cell has so many.
         let noise_mm2 = noise_scale * noise_scale * field.variance_mm2[cell] * points / count;
-        let off_mm = self.slant * (squares_mm2 / count + noise_mm2).sqrt();
+        let off_mm = self.slant * (square_mm2 + noise_mm2).sqrt();
         let crossing = 2.0 * points * (off_mm / block_mm).min(1.0);
         if rays - points < 1.0 + ALLOWED_SIGMAS * (1.0 + crossing).sqrt() {
             return Unseen::default();
@@ -318,7 +349,8 @@ mod tests {
             let sight = Sight {
                 surface: &surface,
                 camera_mm,
-                without_point: &directions,
+                dark: &directions,
+                undecoded: &[],
                 range_mm: [15.0, 30.0],
             };
             let near = |place: &FlankPlace| {
@@ -327,7 +359,7 @@ mod tests {
                     && (place.profile_mm - gear.profile_mm(radius)).abs() < 0.015
                     && (place.height_mm - height).abs() < 0.015
             };
-            let met = sight.lost_places(&gear);
+            let met = sight.places_along(&gear, sight.dark);
             assert!(met.len() == 1 && near(&met[0]), "{met:?}");
             // The same ray with a point 60 µm under the flank: its foot lies a tenth of a millimetre off, the ray's place not.
             let slant = sight.slant(at, &surface.closest(at));
@@ -344,10 +376,7 @@ mod tests {
                 closest: &closest,
                 ..NO_POINTS
             };
-            let sight = Sight {
-                without_point: &[],
-                ..sight
-            };
+            let sight = Sight { dark: &[], ..sight };
             let met = sight.ray_places(&gear, measured, &[place]);
             assert!(met.len() == 1 && near(&met[0]), "{met:?}");
         }
@@ -356,10 +385,11 @@ mod tests {
         let sight = Sight {
             surface: &surface,
             camera_mm,
-            without_point: &away,
+            dark: &away,
+            undecoded: &[],
             range_mm: [15.0, 30.0],
         };
-        assert!(sight.lost_places(&gear).is_empty());
+        assert!(sight.places_along(&gear, sight.dark).is_empty());
     }
 
     #[test]
@@ -406,5 +436,36 @@ mod tests {
         counts.points[50..60].fill(0);
         field.wear_mm[50..60].fill(f64::NAN);
         assert!(shares(&counts, &field).iter().all(|&s| s == 0.0));
+    }
+
+    #[test]
+    fn dark_rays_count_where_they_lie_together_and_undecoded_ones_beyond_a_strip() {
+        let mut field = Field::unmeasured([1.0, 1.0], 0.1);
+        field.wear_mm.fill(0.0);
+        field.variance_mm2.fill(0.0);
+        let share = |dark: fn(usize) -> u32, undecoded: fn(usize) -> u32, cell: usize| {
+            let mut counts = RayCounts::new(100);
+            counts.rays.fill(10);
+            for at in 0..100 {
+                counts.dark[at] = dark(at);
+                counts.undecoded[at] = undecoded(at);
+                counts.points[at] = 10 - dark(at) - undecoded(at);
+            }
+            Visibility::of(&counts, &field).shadows(&field, 1.0)[cell]
+        };
+        let none = |_| 0;
+        // Four of a cell, and none elsewhere: the nine cells about it have lost four of ninety, and nothing says what is there.
+        let found = share(|at| if at == 55 { 4 } else { 0 }, none, 55);
+        assert!((found.share - 4.0 / 90.0).abs() < 1e-12, "{found:?}");
+        assert_eq!(found.depth_mm, f64::INFINITY);
+        // As many in every cell, as of a dim surface.
+        assert_eq!(share(|_| 2, none, 55).share, 0.0);
+        // Of a surface that sends light over a second one a tenth is forgiven, of a third of them what one row of points is not.
+        assert_eq!(share(none, |_| 1, 55).share, 0.0);
+        let found = share(none, |_| 3, 55);
+        assert!(
+            (found.share - (0.3 - 1.0 / 63f64.sqrt())).abs() < 1e-12,
+            "{found:?}"
+        );
     }
 }

@@ -40,8 +40,19 @@ const LEAST_SEEN_OF_OTHERS: f64 = 0.5;
 pub struct Ray {
     /// Unit direction.
     pub direction: [f64; 3],
-    /// Distance of the point that it brought, mm; none where it brought none.
-    pub range_mm: Option<f64>,
+    /// What came back along it.
+    pub brought: Brought,
+}
+
+/// What came back along a ray.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Brought {
+    /// A point at this distance, mm.
+    Point(f64),
+    /// No fringes.
+    Nothing,
+    /// Light of which no point could be made: something is there.
+    Light,
 }
 
 /// A tooth that does not stand, over a part of its height.
@@ -124,11 +135,11 @@ pub fn missing_teeth(
         let step = steps.entry(tooth).or_default().entry(step_at(at.z));
         let step = step.or_default();
         step.rays += 1;
-        match ray.range_mm.map(|range_mm| range_mm - along_mm) {
-            None => step.nothing += 1,
-            Some(beyond_mm) if beyond_mm.abs() <= near_mm => step.on_land += 1,
-            Some(beyond_mm) if beyond_mm > near_mm => step.behind += 1,
-            Some(_) => {}
+        match ray.brought {
+            Brought::Point(mm) if (mm - along_mm).abs() <= near_mm => step.on_land += 1,
+            Brought::Point(mm) if mm - along_mm > near_mm => step.behind += 1,
+            Brought::Nothing => step.nothing += 1,
+            Brought::Point(_) | Brought::Light => {}
         }
     }
     for (hit, place) in closest.iter().zip(places) {
@@ -204,6 +215,17 @@ mod tests {
         brings: impl Fn(u32, f64) -> Option<f64>,
         sound: impl Fn(u32, f64) -> bool,
     ) -> Vec<MissingTooth> {
+        view_of(
+            |tooth, height| brings(tooth, height).map_or(Brought::Nothing, Brought::Point),
+            sound,
+        )
+    }
+
+    /// The same of everything that may come back; points by their distance beyond the land, mm.
+    fn view_of(
+        brings: impl Fn(u32, f64) -> Brought,
+        sound: impl Fn(u32, f64) -> bool,
+    ) -> Vec<MissingTooth> {
         let gear = ring84();
         let mut rays = Vec::new();
         let (mut closest, mut places) = (Vec::new(), Vec::new());
@@ -218,7 +240,10 @@ mod tests {
                 let tooth = gear.tooth_at(angle);
                 rays.push(Ray {
                     direction: to.normalize().into(),
-                    range_mm: brings(tooth, height).map(|beyond| to.norm() + beyond),
+                    brought: match brings(tooth, height) {
+                        Brought::Point(beyond) => Brought::Point(to.norm() + beyond),
+                        other => other,
+                    },
                 });
                 if sound(tooth, height) {
                     let point = gear.flank_point(tooth, Flank::Left, 41.4, height).unwrap();
@@ -245,6 +270,12 @@ mod tests {
         let bright = |tooth, _| (tooth != 2).then_some(0.0);
         assert_eq!(view(bright, |_, _| true), []);
         assert_eq!(view(|_, _| None, |_, _| false), []);
+        // Bare steel under coarse fringes: light from a whole tooth, of which no point can be made.
+        let undecoded = |tooth, _| match tooth {
+            2 => Brought::Light,
+            _ => Brought::Point(0.0),
+        };
+        assert_eq!(view_of(undecoded, |tooth, _| tooth != 2), []);
         let flake = |tooth, height: f64| {
             let there = tooth == 2 && (33.05..33.45).contains(&height);
             Some(if there { 1.5 } else { 0.0 })

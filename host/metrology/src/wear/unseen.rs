@@ -9,12 +9,13 @@
 //! A camera that looks along a flank at an angle of tangent t to its normal sees down to w / t into an opening of width w: where
 //! the floor is not seen, depths from nought to w / t come back, evenly, from the far wall. Where they pile up at the deepest,
 //! that is a floor. An opening's hidden floor is supposed [`DEPTH_PER_WIDTH`] times as deep as the opening is wide, and never
-//! deeper than the settings suppose of a hole. What no evidence shows is in docs/study: texture of openings narrower than some
-//! 0.03 mm scatters no more than a rough surface does.
+//! deeper than the settings suppose of a hole. What no evidence shows is in docs/formats.md: texture of openings narrower than
+//! some 0.03 mm scatters no more than a rough surface does.
 
 use flankscope_foundation::order::quantile;
 
-use super::field::{Field, Sample};
+use super::disc::Discs;
+use super::field::Sample;
 use super::sight::Visibility;
 
 /// Depth over width that is supposed of an opening whose floor is not seen: scores, pits and V grooves of worn dies are not
@@ -45,6 +46,8 @@ pub(super) struct Unseen {
     pub share: f64,
     /// Loss that is supposed there, mm, a hole's at most: infinite where nothing bounds it.
     pub depth_mm: f64,
+    /// Whether walls hide it; else it only brought no points.
+    pub behind_walls: bool,
 }
 
 impl Unseen {
@@ -53,6 +56,7 @@ impl Unseen {
         Self {
             share: share.clamp(0.0, 1.0),
             depth_mm: rim_mm + DEPTH_PER_WIDTH * width_mm,
+            behind_walls: true,
         }
     }
 
@@ -69,74 +73,48 @@ impl Unseen {
 
 /// Of every cell, what was not seen of it. `scale` says how many times larger than stated the cells' noise is.
 pub(super) fn of_cells(
-    field: &Field,
-    samples: &[Sample],
+    discs: &Discs<'_>,
     visibility: Option<&Visibility>,
     scale: f64,
 ) -> Vec<Unseen> {
-    let cells = Cells::new(field, samples);
+    let field = discs.field();
     let slant = visibility.map_or(SLANT, Visibility::slant);
-    let mut all = textures(field, &cells, slant);
+    let mut all = textures(discs, slant);
     if let Some(visibility) = visibility {
-        let deepest = |cell: usize| cells.deepest_mm(cell);
-        let grooves = field.grooves(slant, scale, deepest);
-        for (unseen, groove) in all.iter_mut().zip(grooves) {
-            *unseen = unseen.or(groove);
-        }
-        for (unseen, shadow) in all.iter_mut().zip(visibility.shadows(field, scale)) {
-            *unseen = unseen.or(shadow);
+        let deepest_mm = |cell: usize| {
+            let wears = discs.of_cell(cell).map(|sample| sample.wear_mm);
+            wears.fold(f64::NEG_INFINITY, f64::max)
+        };
+        let grooves = field.grooves(slant, scale, deepest_mm);
+        let shadows = visibility.shadows(field, scale);
+        for ((unseen, groove), shadow) in all.iter_mut().zip(grooves).zip(shadows) {
+            *unseen = unseen.or(groove).or(shadow);
         }
     }
     all
 }
 
-/// The points of a zone by cells.
-struct Cells<'a> {
-    of: Vec<Vec<&'a Sample>>,
-}
-
-impl<'a> Cells<'a> {
-    fn new(field: &Field, samples: &'a [Sample]) -> Self {
-        let mut of = vec![Vec::new(); field.wear_mm.len()];
-        for sample in samples {
-            if let Some(cell) = field.cell_at(sample.at_mm) {
-                of[cell].push(sample);
-            }
-        }
-        Self { of }
+/// Variance of a cell's points about their plane, less that of their noise, over the quantile that chi-squared of as many
+/// degrees of freedom has at [`SMOOTH_RATIO`], mm2; none of a cell with too few points.
+fn scatter_mm2(points: &[&Sample]) -> Option<f64> {
+    let count: f64 = points.iter().map(|p| p.merged).sum();
+    let freedom = count - 3.0;
+    if points.len() < 4 || freedom < 2.0 {
+        return None;
     }
-
-    fn deepest_mm(&self, cell: usize) -> f64 {
-        let wears = self.of[cell].iter().map(|sample| sample.wear_mm);
-        wears.fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// Variance of a cell's points about their plane, less that of their noise, over the quantile that chi-squared of as many
-    /// degrees of freedom has at [`SMOOTH_RATIO`], mm2; none of a cell with too few points.
-    fn scatter_mm2(&self, cell: usize) -> Option<f64> {
-        let points = &self.of[cell];
-        let count: f64 = points.iter().map(|p| p.merged).sum();
-        let freedom = count - 3.0;
-        if points.len() < 4 || freedom < 2.0 {
-            return None;
-        }
-        let noise_mm2 = points
-            .iter()
-            .map(|p| p.variance_mm2 * p.merged)
-            .sum::<f64>()
-            / count;
-        let squares =
-            squares_about_plane(points)? + points.iter().map(|p| p.within_mm2).sum::<f64>();
-        // Wilson and Hilferty 1931.
-        let ninth = 2.0 / (9.0 * freedom);
-        let quantile = (1.0 - ninth + SMOOTH_DEVIATE * ninth.sqrt()).powi(3);
-        let noise_mm2 = if noise_mm2.is_finite() {
-            noise_mm2
-        } else {
-            0.0
-        };
-        Some(squares / freedom / quantile - noise_mm2)
-    }
+    let of_noise = points.iter().map(|p| p.variance_mm2 * p.merged);
+    let noise_mm2 = of_noise.sum::<f64>() / count;
+    let within_mm2: f64 = points.iter().map(|p| p.within_mm2).sum();
+    let squares = squares_about_plane(points)? + within_mm2;
+    // Wilson and Hilferty 1931.
+    let ninth = 2.0 / (9.0 * freedom);
+    let quantile = (1.0 - ninth + SMOOTH_DEVIATE * ninth.sqrt()).powi(3);
+    let noise_mm2 = if noise_mm2.is_finite() {
+        noise_mm2
+    } else {
+        0.0
+    };
+    Some(squares / freedom / quantile - noise_mm2)
 }
 
 /// Sum of squares of points about the plane that fits them best, each counted as often as points were merged into it, mm2;
@@ -160,9 +138,11 @@ fn squares_about_plane(points: &[&Sample]) -> Option<f64> {
 
 /// Texture of openings narrower than a cell: points of one cell scatter by their noise and the surface's roughness, or there is
 /// structure below the cell.
-fn textures(field: &Field, cells: &Cells<'_>, slant: f64) -> Vec<Unseen> {
+fn textures(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
+    let field = discs.field();
     let count = field.wear_mm.len();
-    let scatters: Vec<Option<f64>> = (0..count).map(|cell| cells.scatter_mm2(cell)).collect();
+    let scatter = |cell| scatter_mm2(&discs.of_cell(cell).collect::<Vec<_>>());
+    let scatters: Vec<Option<f64>> = (0..count).map(scatter).collect();
     (0..count)
         .map(|cell| {
             let window = || field.window(cell, WINDOW);
@@ -175,7 +155,7 @@ fn textures(field: &Field, cells: &Cells<'_>, slant: f64) -> Vec<Unseen> {
                 return Unseen::default();
             }
             let mut wears: Vec<f64> = window()
-                .flat_map(|c| cells.of[c].iter().map(|p| p.wear_mm))
+                .flat_map(|c| discs.of_cell(c).map(|p| p.wear_mm))
                 .collect();
             let mean_mm = wears.iter().sum::<f64>() / wears.len() as f64;
             let [land_mm, deepest_mm] = [LAND_RATIO, DEEPEST_RATIO]
@@ -190,6 +170,7 @@ fn textures(field: &Field, cells: &Cells<'_>, slant: f64) -> Vec<Unseen> {
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use super::super::field::Field;
     use super::super::sight::RayCounts;
     use super::super::{FlankWear, Settings};
     use super::*;
@@ -201,7 +182,7 @@ pub(crate) mod tests {
     /// Ripple of the projector's cores and photon noise, of which the second is stated, mm.
     const RIPPLE_MM: f64 = 1e-3;
     const NOISE_MM: f64 = 0.4e-3;
-    /// Step of the march along a ray and accuracy of where it ends, mm.
+    /// Step of the march along a ray, mm.
     const STEP_MM: f64 = 4e-3;
 
     /// A zone as the camera sees it that looks along x at an angle of tangent `slant` to the normal: every ray is followed until
@@ -255,11 +236,19 @@ pub(crate) mod tests {
         let step = STEP_MM / slant;
         // Proud material meets the ray before the drawing does.
         let mut depth = -0.03;
-        while depth < depth_mm([x + slant * depth, y]) {
+        let is_above = |depth: f64| depth < depth_mm([x + slant * depth, y]);
+        while is_above(depth) {
             depth += step;
             if depth > 1.0 {
                 return None;
             }
+        }
+        // Between the last two steps, to a hundredth of a micrometre.
+        let mut half = 0.5 * step;
+        depth -= half;
+        while half > 1e-5 {
+            half *= 0.5;
+            depth += if is_above(depth) { half } else { -half };
         }
         Some(depth)
     }
@@ -269,7 +258,8 @@ pub(crate) mod tests {
     /// Share of the cells that have an unseen part that a disc's verdict would feel.
     fn flagged(wear: &FlankWear) -> f64 {
         let scale = wear.field.noise_scale();
-        let unseen = of_cells(&wear.field, &wear.samples, wear.visibility.as_ref(), scale);
+        let discs = Discs::new(&wear.field, &wear.samples, Settings::default().area_mm2);
+        let unseen = of_cells(&discs, wear.visibility.as_ref(), scale);
         let count = unseen
             .iter()
             .filter(|of| of.share * of.depth_mm > 20e-3)

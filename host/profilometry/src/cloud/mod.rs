@@ -164,6 +164,9 @@ pub struct Decoded {
     pub cells: usize,
     /// Numbers of the cells without a point, in row order: [`crate::decode::Decoder::direction`] says where they look.
     pub without_point: Vec<u32>,
+    /// Of each of them, whether no fringes came back that tell a place within the measuring volume; else there was light, of which
+    /// no point could be made.
+    pub is_dark: Vec<bool>,
     /// Cells without a point.
     pub rejected: Rejected,
     /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and

@@ -584,6 +584,7 @@ impl Decoder {
             .count();
         let mut cloud = Cloud::with_capacity(points);
         let mut without_point = Vec::with_capacity(results.len() - points);
+        let mut is_dark = Vec::with_capacity(results.len() - points);
         for row in 0..grid.rows() {
             for (cell, (place, _)) in grid.cells(row).zip(grid.places(row)) {
                 let result = &results[cell];
@@ -613,12 +614,20 @@ impl Decoder {
                 };
                 *counter += 1;
                 without_point.push(cell as u32);
+                is_dark.push(matches!(
+                    result.fate,
+                    Fate::LowContrast
+                        | Fate::LowModulation
+                        | Fate::UncertainOrder
+                        | Fate::OutsideVolume
+                ));
             }
         }
         Decoded {
             cloud,
             cells: results.len(),
             without_point,
+            is_dark,
             rejected,
             frame_noise_ratio: 1.0,
             light: None,

@@ -9,12 +9,12 @@ use flankscope_metrology::wear::standing::MissingTooth;
 
 use super::evidence::{Evidence, Phasors};
 use super::identity::ToothIdentity;
-use super::in_view::{FlankInView, Neighbourhood, ViewReference};
+use super::in_view::{FlankInView, Neighbourhood};
 use super::outcome::ViewOutcome;
 use super::plan::ViewPlan;
 use super::result::{Feature, FlankMap, ViewRegistration};
 use super::verdict::{self, Judged};
-use crate::baseline::{Baseline, Reference};
+use crate::baseline::{Baseline, Reference, ViewReference};
 
 /// What a check found.
 #[derive(Debug)]

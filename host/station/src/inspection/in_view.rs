@@ -11,11 +11,11 @@ use flankscope_metrology::verdict::flank::{Decision, judge_in_view};
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::standing::MissingTooth;
 use flankscope_metrology::wear::{FlankWear, PoseEvidence};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::feature_id::FeatureId;
 use super::flank_decision::FlankCriteria;
-use crate::baseline::Reference;
+use crate::baseline::{Reference, ViewReference};
 
 /// A tooth with fewer points in the judged zone is not in view.
 const LEAST_POINTS: usize = 100;
@@ -63,18 +63,6 @@ impl FlankInView {
 pub(crate) struct Finding {
     pub verdict: Verdict,
     pub sentence: String,
-}
-
-/// A baseline's record of what a view showed beside its own tooth.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ViewReference {
-    /// Tooth in the middle of the view.
-    pub view: u32,
-    /// Deviation of the neighbours' flanks from CAD.
-    pub flanks: Vec<Reference>,
-    /// What the view says of its pose about the axis, as it acts on each neighbour.
-    pub poses: Vec<PoseEvidence>,
 }
 
 /// What one view shows beside its own tooth.
@@ -125,18 +113,19 @@ impl InView {
         captures: &[Vec<FlankWear>],
         criteria: &FlankCriteria,
     ) -> Self {
-        for missing in again.missing {
-            if self
-                .missing
-                .iter()
-                .all(|other| other.tooth != missing.tooth)
-            {
-                self.missing.push(missing);
-            }
-        }
+        add_missing(&mut self.missing, again.missing);
         Self {
             recorded: self.recorded,
             ..Self::of_view(tooth, captures, self.missing, criteria)
+        }
+    }
+}
+
+/// Adds teeth that are not there yet.
+fn add_missing(all: &mut Vec<MissingTooth>, more: Vec<MissingTooth>) {
+    for missing in more {
+        if all.iter().all(|there| there.tooth != missing.tooth) {
+            all.push(missing);
         }
     }
 }
@@ -261,15 +250,7 @@ impl Neighbourhood {
                 None => self.flanks.push(flank),
             }
         }
-        for missing in of_view.missing {
-            if self
-                .missing
-                .iter()
-                .all(|there| there.tooth != missing.tooth)
-            {
-                self.missing.push(missing);
-            }
-        }
+        add_missing(&mut self.missing, of_view.missing);
     }
 
     /// In the order of the teeth.

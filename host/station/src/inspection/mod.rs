@@ -11,7 +11,9 @@
 //! | `views` | one view's sums to points, pose and wear |
 //! | `exposures` | whether the exposures of a view show one scene |
 //! | `outcome` | what became of a view, captured once or more often |
-//! | `datum` | points inside a patch's datum |
+//! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
+//! | `die_size` | whether the die in view is of its drawing's size |
+//! | `maps` | deviation maps for a report |
 //! | `feature_id` | which flank or patch a figure is of |
 //! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
@@ -25,6 +27,7 @@
 //! | `result` | the JSON document and the report's material |
 
 mod datum;
+mod die_size;
 mod evidence;
 mod exposures;
 mod failure;
@@ -36,6 +39,7 @@ mod head_error;
 mod identity;
 mod in_view;
 mod job;
+mod maps;
 mod outcome;
 mod patch_view;
 mod place;
@@ -56,7 +60,7 @@ pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub use identity::{IdentifiedBy, ToothIdentity};
-pub use in_view::{FlankInView, InView, ViewReference};
+pub use in_view::{FlankInView, InView};
 pub(crate) use job::peak_memory_mb;
 pub use job::{InspectError, Station, Subject};
 pub use outcome::ViewOutcome;

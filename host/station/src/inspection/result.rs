@@ -11,7 +11,7 @@ use flankscope_metrology::wear::standing::MissingTooth;
 use flankscope_profilometry::decode::{LightMedians, Projectors, Rejected};
 use serde::Serialize;
 
-use crate::baseline::{Baseline, BaselineError, Reference};
+use crate::baseline::{Baseline, BaselineError, Reference, ViewReference};
 use crate::die::DieKey;
 use crate::kinematics::Moves;
 use crate::origin::Origin;
@@ -19,7 +19,7 @@ use crate::origin::Origin;
 use super::evidence::{Evidence, Phasors, Recipe};
 use super::feature_id::FeatureId;
 use super::identity::ToothIdentity;
-use super::in_view::{FlankInView, ViewReference};
+use super::in_view::FlankInView;
 use crate::acquisition::{Activity, Counts, Picture};
 use flankscope_frames::Frame;
 

@@ -44,7 +44,9 @@ impl Judged {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
         let Decision { verdict, cause } = judge(wear, limits);
         let rule = limits.wear;
-        let at_least_um = wear.at_least_mm().and_then(finite_um);
+        // What walls may hide of a flank that passes changes nothing of that, and dim light looks like their shadow.
+        let at_least_mm = wear.at_least_mm().filter(|_| !verdict.word().passes());
+        let at_least_um = at_least_mm.and_then(finite_um);
         let conformity = probability_below(rule.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
         Self {
             id: FeatureId {
@@ -227,11 +229,10 @@ pub fn of_tool(
     beside: &[Finding],
 ) -> (Word, String) {
     let of_flanks = flanks.iter().map(|flank| flank.verdict.clone());
-    let mut verdict = combine(of_flanks.clone());
     // Without flanks there is nothing to say, whatever else is in view.
-    if !flanks.is_empty() {
-        verdict = combine(of_flanks.chain(beside.iter().map(|of| of.verdict.clone())));
-    }
+    let counted = if flanks.is_empty() { &[] } else { beside };
+    let beside_flanks = counted.iter().map(|of| of.verdict.clone());
+    let mut verdict = combine(of_flanks.chain(beside_flanks));
     if let Some(why) = stopped {
         verdict = verdict.withheld(why);
     }

@@ -4,24 +4,21 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Instant;
 
-use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::feature::Features;
 use flankscope_metrology::gear::{Flank, FlankPlace};
-use flankscope_metrology::registration::{Options, Prior, Registration, Status, register, scale};
+use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
-use flankscope_metrology::wear::standing::{MissingTooth, Ray, missing_teeth};
+use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
 use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
-use super::datum;
 use super::exposures::exposures_disagree;
-use super::feature_id::FeatureId;
 use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
@@ -31,8 +28,9 @@ use super::outcome::ViewOutcome;
 use super::place::Place;
 use super::plan::ViewPlan;
 use super::pose_sensitivity::Fitted;
-use super::result::{FlankMap, Light, ViewRegistration, WeakDirection};
+use super::result::{Light, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
+use super::{datum, die_size, maps};
 use crate::baseline::Reference;
 use crate::poses::StatedPoses;
 use crate::settings::Stages;
@@ -47,12 +45,8 @@ const MARGIN_MM: f64 = 2.0;
 const MOST_INCONSISTENT: f64 = 0.1;
 /// Cosine of the angle to the normal below which a ray grazes.
 const GRAZING: f64 = 0.05;
-/// Expansion of steel per kelvin.
-const STEEL_PER_K: f64 = 11.5e-6;
 /// Teeth are missed within this part of the field's radius: at its rim light and optics end.
 const NOT_THE_RIM: f64 = 0.85;
-/// Cell of the report's deviation maps, mm.
-const MAP_CELL_MM: f64 = 0.1;
 
 /// Why a subject cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
@@ -262,11 +256,18 @@ impl Evaluator {
             .collect();
         let closest = place.surface.closest_many(&located);
         laps.lap("deviation");
+        let places = wear::places(self.features(), &closest);
         let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
-        let without_point: Vec<[f64; 3]> =
-            rays_without_point(&self.decoder, &decoded, &cold.dropped)
-                .map(|direction| (tool_from_cloud * Vector3::from(direction).normalize()).into())
-                .collect();
+        // The points that stand alone come last: there was light.
+        let is_dark = decoded.is_dark.iter().copied();
+        let is_dark = is_dark.chain(std::iter::repeat(false));
+        let (mut dark, mut undecoded) = (Vec::new(), Vec::new());
+        let directions = rays_without_point(&self.decoder, &decoded, &cold.dropped);
+        for (direction, is_dark) in directions.zip(is_dark) {
+            let along = tool_from_cloud * Vector3::from(direction).normalize();
+            let rays = if is_dark { &mut dark } else { &mut undecoded };
+            rays.push(along.into());
+        }
         let light = Light {
             rejected: decoded.rejected,
             contrast: decoded.contrast.clone(),
@@ -281,13 +282,14 @@ impl Evaluator {
             sight: Some(Sight {
                 surface: &place.surface,
                 camera_mm: tool_from_cloud.translation.vector.into(),
-                without_point: &without_point,
+                dark: &dark,
+                undecoded: &undecoded,
                 range_mm: self.field.range_mm,
             }),
         };
         let assessed = match (&fit.registration.status, &self.scale) {
             (_, Err(reason)) => self.not_assessed(place, reason),
-            (Status::Registered, Ok(_)) => self.assess(place, &fit, measured),
+            (Status::Registered, Ok(_)) => self.assess(place, &fit, measured, &places),
             (Status::Indeterminate(reason), Ok(_)) => {
                 self.not_assessed(place, &Reason::Registration(reason.clone()))
             }
@@ -299,11 +301,12 @@ impl Evaluator {
             .map(Reference::of)
             .collect();
         laps.lap("wear");
-        let (maps, deviations_um) = self.draw(place, &closest);
+        let (tooth, zone) = (place.tooth, &place.zone);
+        let (maps, deviations_um) = maps::draw(self.features(), tooth, zone, &closest, &places);
         laps.lap("maps");
         let points = cold.points.len();
         let captures = vec![assessed.wears];
-        let missing = self.missing_teeth(&fit, measured, &cold.points);
+        let missing = self.missing_teeth(&fit, measured, &places, &cold.points);
         ViewOutcome {
             flanks: assessed.flanks,
             in_view: InView::of_view(place.tooth, &captures, missing, &self.criteria),
@@ -392,13 +395,19 @@ impl Evaluator {
     }
 
     /// Wear and decision of both flanks of the middle tooth, and wear of its neighbours in view.
-    fn assess(&self, place: &Place, fit: &Fit, measured: Measured<'_>) -> Assessed {
+    fn assess(
+        &self,
+        place: &Place,
+        fit: &Fit,
+        measured: Measured<'_>,
+        places: &[Option<FlankPlace>],
+    ) -> Assessed {
         let (features, settings) = (self.features(), &self.criteria.settings);
-        let places = wear::places(features, measured.closest);
-        if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, &places) {
+        if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, places) {
             return self.not_assessed(place, &why);
         }
-        let scale_mm = match self.scale_mm(place, measured.closest, &places) {
+        let scale_mm = match die_size::scale_mm(features, place, measured.closest, places, settings)
+        {
             Ok(scale_mm) => scale_mm,
             Err(why) => return self.not_assessed(place, &why),
         };
@@ -412,18 +421,18 @@ impl Evaluator {
             closest: measured.closest,
             used: &fit.used,
             datum_bands_mm: &self.datum_bands_mm,
-            places: &places,
+            places,
             temperature: self.criteria.tool.temperature.as_ref(),
             form_in_doubt: settings.as_built_mm > 0.0,
         };
         let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);
         let mut teeth = vec![place.tooth];
-        teeth.extend(in_view::others(features, &places, in_zone, &self.asked));
+        teeth.extend(in_view::others(features, places, in_zone, &self.asked));
         let (mut sensitivities, measured) = rayon::join(
             || fitted.on(&teeth),
             || {
                 let (zone, of) = (&place.zone, Some(&fit.registration));
-                wear::evaluate_placed(features, zone, &teeth, measured, &places, of, settings)
+                wear::evaluate_placed(features, zone, &teeth, measured, places, of, settings)
             },
         );
         for of in &mut sensitivities {
@@ -457,6 +466,7 @@ impl Evaluator {
         &self,
         fit: &Fit,
         measured: Measured<'_>,
+        places: &[Option<FlankPlace>],
         points: &[[f64; 3]],
     ) -> Vec<MissingTooth> {
         let (Features::Gear(gear), Status::Registered, Some(sight)) =
@@ -470,52 +480,19 @@ impl Evaluator {
             let point = Vector3::from(point);
             Ray {
                 direction: (tool_from_cloud.rotation * point.normalize()).into(),
-                range_mm: Some(point.norm()),
+                brought: Brought::Point(point.norm()),
             }
         });
-        let without = sight.without_point.iter().map(|&direction| Ray {
-            direction,
-            range_mm: None,
-        });
-        let least_cos = 1.0 / 1f64.hypot(NOT_THE_RIM * self.field.slope);
-        let rays = of_points.chain(without);
-        let rays = rays.filter(|ray| Vector3::from(ray.direction).dot(&axis) >= least_cos);
-        let places = wear::places(self.features(), measured.closest);
-        missing_teeth(gear, sight.camera_mm, rays, measured.closest, &places)
-    }
-
-    /// Standard uncertainty that a scale of the die leaves in its flanks' wear, mm, where the teeth in view agree on one that the
-    /// calibration may explain. From one side a larger bore is one that stands farther away: nothing else tells.
-    ///
-    /// # Errors
-    /// The die in view is not of the drawing's size.
-    fn scale_mm(
-        &self,
-        place: &Place,
-        closest: &[Closest],
-        places: &[Option<FlankPlace>],
-    ) -> Result<f64, Reason> {
-        let settings = &self.criteria.settings;
-        let known = settings.cad_mm.hypot(settings.as_built_mm);
-        let known_mm = [known.hypot(settings.drift_mm), settings.calibration_mm];
-        let of_gear = |gear| scale::of_view(gear, place.tooth, closest, places, known_mm);
-        let gear = self.features().gear();
-        let (Some(gear), Some(found)) = (gear, gear.and_then(of_gear)) else {
-            return Ok(0.0);
+        let without = |directions: &'_ [[f64; 3]], brought| {
+            let ray = move |&direction| Ray { direction, brought };
+            directions.iter().map(ray).collect::<Vec<_>>()
         };
-        if found.is_shown() {
-            let why = other_size(place.tooth, found.value, COVERAGE_95 * found.u);
-            return Err(Reason::instrument(Code::OtherDie, why));
-        }
-        // Scaling moves every flank along its normal by its distance from the base circle's tangent point.
-        let radius_mm = 0.5 * (place.zone.radius_mm[0] + place.zone.radius_mm[1]);
-        let base_mm = gear.base_radius_mm();
-        let per_scale_mm = (radius_mm * radius_mm - base_mm * base_mm).max(0.0).sqrt();
-        Ok(if found.is_told() {
-            found.value.abs() * per_scale_mm
-        } else {
-            0.0
-        })
+        let dark = without(sight.dark, Brought::Nothing);
+        let undecoded = without(sight.undecoded, Brought::Light);
+        let least_cos = 1.0 / 1f64.hypot(NOT_THE_RIM * self.field.slope);
+        let rays = of_points.chain(dark).chain(undecoded);
+        let rays = rays.filter(|ray| Vector3::from(ray.direction).dot(&axis) >= least_cos);
+        missing_teeth(gear, sight.camera_mm, rays, measured.closest, places)
     }
 
     /// Why there is neither.
@@ -553,50 +530,6 @@ impl Evaluator {
             Datum::All => true,
         };
         points.iter().map(is_datum).collect()
-    }
-
-    /// The deviation maps of a tooth's two flanks or of a patch, and the deviations in them.
-    fn draw(&self, place: &Place, closest: &[Closest]) -> (Vec<FlankMap>, Vec<f64>) {
-        let (features, tooth) = (self.features(), place.tooth);
-        let sides = features.sides();
-        let [from, to] = place.zone.radius_mm.map(|radius| features.along_mm(radius));
-        let [low, high] = place.zone.height_mm;
-        let size_mm = [to - from, high - low];
-        let [columns, rows] =
-            size_mm.map(|length| ((length / MAP_CELL_MM).ceil() as usize).clamp(1, 4096));
-        let mut sums = vec![vec![(0.0_f64, 0_u32); columns * rows]; sides.len()];
-        let mut deviations_um = Vec::new();
-        for hit in closest {
-            let Some(at) = features.place(hit).filter(|at| at.tooth == tooth) else {
-                continue;
-            };
-            let along = (at.profile_mm - from) / size_mm[0];
-            let down = (high - at.height_mm) / size_mm[1];
-            if !(0.0..1.0).contains(&along) || !(0.0..1.0).contains(&down) {
-                continue;
-            }
-            let cell = (down * rows as f64) as usize * columns + (along * columns as f64) as usize;
-            let um = hit.signed_distance_mm * 1e3;
-            // Left comes first, and a patch has one side.
-            let sum = &mut sums[usize::from(at.flank == Flank::Right)][cell];
-            *sum = (sum.0 + um, sum.1 + 1);
-            deviations_um.push(um);
-        }
-        let maps = sides.iter().zip(sums).map(|(flank, sums)| FlankMap {
-            id: FeatureId {
-                tooth,
-                flank: flank.to_string(),
-                patch: features.patch(tooth).map(|patch| patch.name.clone()),
-            },
-            columns,
-            rows,
-            size_mm,
-            deviation_um: sums
-                .iter()
-                .map(|&(sum, count)| sum / f64::from(count))
-                .collect(),
-        });
-        (maps.collect(), deviations_um)
     }
 
     fn unmeasured(
@@ -682,19 +615,6 @@ impl Laps {
         self.elapsed_ms.insert(what, elapsed_ms);
         self.clock = Instant::now();
     }
-}
-
-/// Why a view in which everything agrees on another size is not judged.
-fn other_size(tooth: u32, scale: f64, u95: f64) -> String {
-    format!(
-        "the die in view of tooth {tooth} is {:.3} ± {:.3} % {} than the drawing: tips, roots and both flanks of the teeth beside it \
-         say so together, which wear does not; it is of another drawing, or steel that is {:.0} K {} than supposed",
-        100.0 * scale.abs(),
-        100.0 * u95,
-        if scale > 0.0 { "larger" } else { "smaller" },
-        scale.abs() / STEEL_PER_K,
-        if scale > 0.0 { "warmer" } else { "colder" },
-    )
 }
 
 /// Why nothing is made of a view in which too many cells' frames contradict each other.

@@ -85,7 +85,9 @@ impl<'a> Laid<'a> {
             sight: Some(Sight {
                 surface: self.surface,
                 camera_mm: self.tool_from_camera.translation.vector.into(),
-                without_point: &without_point,
+                // Their light is not kept: nothing bounds what they met.
+                dark: &without_point,
+                undecoded: &[],
                 range_mm,
             }),
         };

@@ -30,7 +30,8 @@ struct FlankPlace {
     on: usize,
     under: usize,
     rays: usize,
-    lost: usize,
+    dark: usize,
+    undecoded: usize,
     slant: f64,
 }
 
@@ -77,12 +78,14 @@ impl Patches {
                 on: seen.on.len(),
                 under: seen.under.len(),
                 rays: seen.rays.len(),
-                lost: seen.lost.len(),
+                dark: seen.dark.len(),
+                undecoded: seen.undecoded.len(),
                 slant: seen.slant,
             };
             self.write(bytemuck::cast_slice(&seen.under))?;
             self.write(bytemuck::cast_slice(&seen.rays))?;
-            self.write(bytemuck::cast_slice(&seen.lost))?;
+            self.write(bytemuck::cast_slice(&seen.dark))?;
+            self.write(bytemuck::cast_slice(&seen.undecoded))?;
             kept.insert(key, place);
         }
         let place = Place {
@@ -124,20 +127,23 @@ impl Patches {
         let Some(of) = place.flanks.get(&key) else {
             return Ok(None);
         };
-        let mut points = vec![FlankPoint::zeroed(); of.on + of.under + of.rays + of.lost];
+        let count = of.on + of.under + of.rays + of.dark + of.undecoded;
+        let mut points = vec![FlankPoint::zeroed(); count];
         let read = self
             .file
             .read_exact_at(bytemuck::cast_slice_mut(&mut points), of.offset);
         read.map_err(|error| self.trouble(error))?;
         let mut under = points.split_off(of.on);
         let mut rays = under.split_off(of.under);
-        let lost = rays.split_off(of.rays);
+        let mut dark = rays.split_off(of.rays);
+        let undecoded = dark.split_off(of.dark);
         let motion = tool_from_camera * place.tool_from_camera.inverse();
         let seen = FlankView {
             on: points,
             under,
             rays,
-            lost,
+            dark,
+            undecoded,
             slant: of.slant,
         };
         Ok(Some((seen, motion)))

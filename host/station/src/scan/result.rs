@@ -121,7 +121,7 @@ impl Scan {
     pub(super) fn take_size_sigma(&mut self, sigma_mm: f64) {
         self.size_sigma_mm = Some(sigma_mm);
         if let Some(form) = &mut self.form {
-            form.size_u95_um = Some(1.96e3 * sigma_mm);
+            form.size_u95_um = Some(1e3 * COVERAGE_95 * sigma_mm);
         }
     }
 
