@@ -67,10 +67,13 @@ fn grooves(width: f64, pitch: f64, depth: f64) -> impl Fn([f64; 2]) -> f64 {
     }
 }
 
+/// Loss by radius and height, mm.
+type Loss = Box<dyn Fn([f64; 2]) -> f64>;
+
 #[test]
 fn texture_below_a_cell_is_never_passed() {
     // Along the height, along the profile, pits, V grooves; mm.
-    let cases: [(&str, [f64; 2], Box<dyn Fn([f64; 2]) -> f64>); 4] = [
+    let cases: [(&str, [f64; 2], Loss); 4] = [
         ("scored", [2e-3, 0.5], Box::new(grooves(0.04, 0.07, 0.15))),
         (
             "pits",
