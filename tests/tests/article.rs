@@ -5,10 +5,10 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 use flankscope_gear_cad::Flank;
+use flankscope_instrument::acquisition::Recording;
 use flankscope_metrology::io::{Unit, cloud};
 use flankscope_profilometry::FrameKind;
 use flankscope_profilometry::io::images::load_grey;
-use flankscope_station::acquisition::Recording;
 use flankscope_test_requisites::dear;
 use flankscope_tests::{Run, demo_gear, flankscope, run};
 use serde_json::Value;

@@ -3,8 +3,8 @@
 
 use std::fs::OpenOptions;
 
+use flankscope_instrument::controller::Link;
 use flankscope_protocol::{FlowControl, Line, LineRecord, Parity};
-use flankscope_station::controller::Link;
 use flankscope_test_requisites::{board_image, workspace};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{ControlModes, InputModes, tcgetattr};

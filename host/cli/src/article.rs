@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_station::acquisition::Recording;
-use flankscope_station::inspection::Subject;
-use flankscope_station::report::ReportFolder;
-use flankscope_station::scan::{Article, FinishedScan, MethodResult};
-use flankscope_station::sink::ResultSink;
+use flankscope_instrument::acquisition::Recording;
+use flankscope_jobs::scan::{Article, FinishedScan, MethodResult};
+use flankscope_jobs::subject::Subject;
+use flankscope_record::sink::ResultSink;
+use flankscope_report::ReportFolder;
 
 use crate::bench_link::{ArticleBench, seed};
 use crate::geometry::tell;

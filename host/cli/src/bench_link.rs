@@ -13,11 +13,11 @@ use flankscope_bench::link::CameraLink;
 use flankscope_bench::process::{Farewell, Hello};
 use flankscope_bench::world::Carries;
 use flankscope_frames::SharedRoot;
-use flankscope_station::controller::ClientSettings;
-use flankscope_station::kinematics::Moves;
-use flankscope_station::origin::Link;
-use flankscope_station::scan::{Grid, Scanner};
-use flankscope_station::settings::{Stages, StationSettings};
+use flankscope_instrument::controller::ClientSettings;
+use flankscope_instrument::settings::{Stages, StationSettings};
+use flankscope_jobs::scan::{Grid, Scanner};
+use flankscope_metrology::kinematics::Moves;
+use flankscope_record::origin::Link;
 
 use crate::camera_process::CameraProcess;
 use crate::instrument::{Instrument, Scene};
@@ -204,7 +204,7 @@ pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
     }
     if let Some(mesh) = &bench.die_mesh {
         // Another content under the same name is another die; what cannot be read is refused by the bench.
-        let content = std::fs::read(mesh).map(|bytes| flankscope_station::files::hash(&bytes));
+        let content = std::fs::read(mesh).map(|bytes| flankscope_foundation::files::hash(&bytes));
         what_stands += &format!(", mesh {}", content.unwrap_or_default());
     }
     what_stands

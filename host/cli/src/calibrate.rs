@@ -8,15 +8,15 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use flankscope_foundation::date::{self, Date};
 use flankscope_frames::SharedRoot;
-use flankscope_profilometry::HeadModel;
-use flankscope_profilometry::calibrate::{Captures, Target};
-use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
-use flankscope_station::calibration::{
+use flankscope_jobs::calibration::{
     Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
     save_self_test,
 };
-use flankscope_station::origin::{Link, Setting};
-use flankscope_station::seal::{Kind, toml_document};
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::calibrate::{Captures, Target};
+use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
+use flankscope_record::origin::{Link, Setting};
+use flankscope_record::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::bench_link::{BenchArgs, demo_target};

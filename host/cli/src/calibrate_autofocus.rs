@@ -4,8 +4,8 @@
 use std::io::Write;
 use std::path::Path;
 
+use flankscope_jobs::calibration::Focused;
 use flankscope_profilometry::head::CalibrationRecord;
-use flankscope_station::calibration::Focused;
 use serde::Serialize;
 
 use crate::calibrate::Made;

@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use flankscope_foundation::date::{self, Date};
+use flankscope_jobs::calibration::BoardFolder;
 use flankscope_profilometry::calibrate::board::{BoardAdjusted, Parameter, PoseReport};
 use flankscope_profilometry::head::CalibrationRecord;
-use flankscope_station::calibration::BoardFolder;
-use flankscope_station::seal::Kind;
+use flankscope_record::seal::Kind;
 use serde::Serialize;
 
 use crate::instrument::seals;

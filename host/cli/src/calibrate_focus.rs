@@ -4,10 +4,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use flankscope_foundation::date::{self, Date};
+use flankscope_jobs::calibration::save_head;
 use flankscope_profilometry::calibrate::FocusSeries;
 use flankscope_profilometry::head::CalibrationRecord;
-use flankscope_station::calibration::save_head;
-use flankscope_station::seal::{Kind, toml_document};
+use flankscope_record::seal::{Kind, toml_document};
 use serde::Serialize;
 
 use crate::instrument::seals;

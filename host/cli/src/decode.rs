@@ -164,13 +164,13 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let done = Instant::now();
 
     let cloud = &decoded.cloud;
-    flankscope_station::files::stream_whole(&args.output, |file| {
+    flankscope_foundation::files::stream_whole(&args.output, |file| {
         write_cloud(Format::of(&args.output), file, cloud, args.light_parts)
     })
     .with_context(|| format!("cannot write {}", args.output.display()))?;
     if let Some(path) = &args.phase {
         let maps = decoder.maps(&accumulator, &decoded)?;
-        flankscope_station::files::stream_whole(path, |file| write_maps(file, &maps))
+        flankscope_foundation::files::stream_whole(path, |file| write_maps(file, &maps))
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
     let milliseconds = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e3;

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use flankscope_frames::{FrameReceiver, FrameSource, default_base};
+use flankscope_instrument::doctor::{self, Finding, healthy};
+use flankscope_jobs::readiness;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
-use flankscope_station::doctor::{self, Finding, healthy};
-use flankscope_station::origin::Link;
-use flankscope_station::seal::Seals;
+use flankscope_record::origin::Link;
+use flankscope_record::seal::Seals;
 use serde::Serialize;
 use serde_json::json;
 
@@ -73,7 +74,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let mut findings = vec![program()];
     let seals = Seals::default_folder().and_then(|folder| Seals::open(&folder));
-    findings.push(doctor::key(&seals));
+    findings.push(readiness::key(&seals));
     let seals = seals.ok();
     let own = scratch()?;
     let tool = args.tool(&site, own.path());
@@ -86,7 +87,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .as_ref()
         .or(site.settings.history.file.as_ref());
     if let (Some(path), Some(seals)) = (history, &seals) {
-        let (finding, last) = doctor::history(path, seals);
+        let (finding, last) = readiness::history(path, seals);
         findings.push(finding);
         made.extend(last.map(|day| ("the last check of the history", day)));
     }
@@ -154,7 +155,7 @@ impl Args {
             Err(why) => return refused(why),
         };
         let tool = Tool::load(&folder);
-        let finding = doctor::tool(&tool);
+        let finding = readiness::tool(&tool);
         Looked {
             folder: tool.is_ok().then_some(folder),
             tool: tool.ok(),
@@ -194,7 +195,7 @@ impl Args {
                 .map(|of| ("the head's calibration", of.date)),
         );
         let fits = site.takes_head(&head).map_err(|why| in_words(&why));
-        Some(doctor::head(&path, &head, fits, seals))
+        Some(readiness::head(&path, &head, fits, seals))
     }
 
     /// Controller, stages, press and camera, by the bench where there is one.

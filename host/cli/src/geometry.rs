@@ -133,7 +133,7 @@ pub fn write_file(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> anyhow::Result<()> {
-    flankscope_station::files::stream_whole(path, write)
+    flankscope_foundation::files::stream_whole(path, write)
         .with_context(|| format!("cannot write {}", path.display()))
 }
 

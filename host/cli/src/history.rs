@@ -4,10 +4,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_foundation::files::stream_whole;
 use flankscope_foundation::normal::COVERAGE_95;
-use flankscope_station::files::stream_whole;
-use flankscope_station::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
-use flankscope_station::report::{Words, figure, history_html, rate, remaining};
+use flankscope_record::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
+use flankscope_report::{Words, figure, history_html, rate, remaining};
 use serde_json::json;
 
 use crate::help;
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     #[cfg(feature = "parquet")]
     if let Some(path) = &args.parquet {
-        write_whole(path, &flankscope_station::history::parquet(&checks)?)?;
+        write_whole(path, &flankscope_record::history::parquet(&checks)?)?;
     }
     if let Some(folder) = &args.report {
         std::fs::create_dir_all(folder)

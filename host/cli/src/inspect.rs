@@ -3,12 +3,13 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use flankscope_instrument::acquisition::{FrameIndex, Recording};
+use flankscope_jobs::inspection::recording_id;
 use flankscope_metrology::verdict::Word;
-use flankscope_station::acquisition::{FrameIndex, Recording};
-use flankscope_station::inspection::{FeatureId, Inspection};
-use flankscope_station::origin::{Link, Origin};
-use flankscope_station::report::{ReportFolder, Words, figure};
-use flankscope_station::sink::ResultSink;
+use flankscope_record::document::{FeatureId, Inspection};
+use flankscope_record::origin::{Link, Origin};
+use flankscope_record::sink::ResultSink;
+use flankscope_report::{ReportFolder, Words, figure};
 
 use crate::bench_link::BenchArgs;
 use crate::help;
@@ -26,7 +27,7 @@ static AFTER_HELP: std::sync::LazyLock<String> = std::sync::LazyLock::new(|| {
         The exit code is the verdict's, also when a report cannot be written; that is said on standard error.\n\
         Exit code: 0 go, 1 no-go, 2 indeterminate, 3 could not run, 4 warn\n\n{}",
         help::INSPECT_EXAMPLE,
-        flankscope_station::report::DEFINITIONS
+        flankscope_report::DEFINITIONS
     )
 });
 
@@ -65,7 +66,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
         Some(recording) => {
-            let link = Link::Recorded(recording.id());
+            let link = Link::Recorded(recording_id(recording));
             args.source.place.of_recording(link)?
         }
         None => args.source.site()?,

@@ -6,26 +6,26 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_frames::{RunFolder, SharedRoot, default_base};
+use flankscope_instrument::acquisition::Recording;
+use flankscope_instrument::controller::ClientSettings;
+use flankscope_instrument::patterns::Adaptive;
+use flankscope_jobs::inspection::{RecordedCheck, Station, ViewPlan};
+use flankscope_jobs::subject::Subject;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
-use flankscope_station::acquisition::Recording;
-use flankscope_station::baseline::Baseline;
-use flankscope_station::controller::ClientSettings;
-use flankscope_station::history::{History, HistoryWriter, Retention};
-use flankscope_station::inspection::{RecordedCheck, Station, Subject};
-use flankscope_station::origin::Link;
-use flankscope_station::patterns::Adaptive;
-use flankscope_station::seal::{Kind, SealError, Seals};
+use flankscope_record::baseline::Baseline;
+use flankscope_record::history::{History, HistoryWriter, Retention};
+use flankscope_record::origin::Link;
+use flankscope_record::seal::{Kind, SealError, Seals};
 
 use crate::bench_link::{
     Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
 };
 use crate::camera_process::CameraProcess;
 use crate::grid::Grid;
-use crate::help;
-use crate::interrupt;
 use crate::output::say;
 use crate::site::{Place, Site, station_file, user_name};
+use crate::{help, interrupt};
 
 /// Which tool is looked at through which controller.
 #[derive(clap::Args, Clone, Debug)]
@@ -232,7 +232,8 @@ impl Instrument {
                 let light = match &source.adaptive {
                     Some(folder) => {
                         let pictures = Adaptive::open(folder)?;
-                        Some(pictures.light(&subject.tool, &subject.head, teeth)?)
+                        let views = ViewPlan::new(&subject.tool, &subject.head, teeth)?.views;
+                        Some(pictures.light(&subject.tool, &subject.head, &views)?)
                     }
                     None => None,
                 };
@@ -484,7 +485,7 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(S
     for (name, path) in files {
         let bytes =
             std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        hashes.insert(name, flankscope_station::files::hash(&bytes));
+        hashes.insert(name, flankscope_foundation::files::hash(&bytes));
     }
     let subject = Subject {
         tool: Arc::new(tool),

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use flankscope_frames::SharedRoot;
-use flankscope_station::controller::ClientSettings;
-use flankscope_station::origin::Link;
-use flankscope_station::settings::{Stages, StationSettings};
+use flankscope_instrument::controller::ClientSettings;
+use flankscope_instrument::settings::{Stages, StationSettings};
+use flankscope_record::origin::Link;
 
 use crate::instrument::Scene;
 

@@ -6,8 +6,8 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use flankscope_metrology::verdict::Word;
-use flankscope_station::report::ReportFolder;
-use flankscope_station::sink::{DocumentFile, ResultSink};
+use flankscope_record::sink::{DocumentFile, ResultSink};
+use flankscope_report::ReportFolder;
 
 use crate::terminal::Terminal;
 
@@ -90,7 +90,7 @@ impl Common {
 /// # Errors
 /// Names the path when it cannot be written (missing folder, no permission, disk full); the old file, if any, is then untouched.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    flankscope_station::files::write_whole(path, bytes)
+    flankscope_foundation::files::write_whole(path, bytes)
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
@@ -99,7 +99,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
 /// # Errors
 /// Names the path and why it cannot be written.
 pub fn try_place(path: &Path) -> anyhow::Result<()> {
-    flankscope_station::files::try_place(path)
+    flankscope_foundation::files::try_place(path)
         .with_context(|| format!("cannot write {}", path.display()))
 }
 

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use flankscope_jobs::scan::{Denoise, Hinz2019Settings};
 use flankscope_metrology::cloud::merge::check_voxel_size;
 use flankscope_metrology::deviation::Order;
-use flankscope_station::scan::{Denoise, Hinz2019Settings};
 
 use crate::geometry::{MinkowskiOrder, pose_of_pairs};
 

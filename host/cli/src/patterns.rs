@@ -4,15 +4,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_instrument::patterns::{
+    Adaptive, CaptureTime, Manifest, Packing, Passes, Region, best_density, write, write_adaptive,
+};
+use flankscope_instrument::settings::Timing;
+use flankscope_jobs::inspection::ViewPlan;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::head::{Arrangement, HeadModel, Mirrors};
 use flankscope_profilometry::pattern::{Axis, NAMED, PatternSet};
 use flankscope_profilometry::plan::Plan;
-use flankscope_station::inspection::PlannedView;
-use flankscope_station::patterns::{
-    Adaptive, CaptureTime, Manifest, Packing, Passes, Region, best_density, write, write_adaptive,
-};
-use flankscope_station::settings::Timing;
 
 use crate::bench_link::demo_tool;
 use crate::help;
@@ -149,7 +149,7 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
             .context("the head file names no pattern_set: choose one with --set or --plan")?,
         _ => args.sets(&head)?.swap_remove(0),
     };
-    let mut views = PlannedView::of_teeth(&tool, &[tooth])?;
+    let mut views = ViewPlan::nominal(&tool, &[tooth])?;
     let mut view = views.swap_remove(0);
     view.vertical_mm = args.height.unwrap_or(view.vertical_mm);
     anyhow::ensure!(

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use flankscope_station::acquisition::Progress;
+use flankscope_instrument::acquisition::Progress;
 
 use crate::output::say;
 

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use flankscope_station::history::{Difference, History, Replay, ReplayError};
-use flankscope_station::inspection::Subject;
+use flankscope_jobs::replay::{Difference, Replay, ReplayError};
+use flankscope_jobs::subject::Subject;
+use flankscope_record::history::History;
 use serde_json::json;
 
 use crate::help;

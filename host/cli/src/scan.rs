@@ -7,19 +7,20 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_foundation::seal::Seal;
-use flankscope_metrology::deviation::Statistics;
-use flankscope_metrology::io::points::Format;
-use flankscope_station::acquisition::{FrameIndex, Recording};
-use flankscope_station::inspection::Subject;
-use flankscope_station::kinematics::Moves;
-use flankscope_station::origin::Link;
-use flankscope_station::report::{ReportFolder, figure, scan_mesh};
-use flankscope_station::scan::{
+use flankscope_instrument::acquisition::{FrameIndex, Recording};
+use flankscope_jobs::inspection::recording_id;
+use flankscope_jobs::scan::{
     CloudIndex, CloudRecording, CloudScan, FinishedScan, Grid, Hinz2019Settings, Method,
     MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner, percent,
 };
-use flankscope_station::seal::Kind;
-use flankscope_station::sink::ResultSink;
+use flankscope_jobs::subject::Subject;
+use flankscope_metrology::deviation::Statistics;
+use flankscope_metrology::io::points::Format;
+use flankscope_metrology::kinematics::Moves;
+use flankscope_record::origin::Link;
+use flankscope_record::seal::Kind;
+use flankscope_record::sink::ResultSink;
+use flankscope_report::{ReportFolder, figure, scan_mesh};
 
 use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
 use crate::gear::write_evaluation;
@@ -167,7 +168,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let clouds = args.clouds.as_deref().map(CloudRecording::open);
     let clouds = clouds.transpose()?;
     let recorded = match (&recording, &clouds) {
-        (Some(frames), _) => Some(Link::Recorded(frames.id())),
+        (Some(frames), _) => Some(Link::Recorded(recording_id(frames))),
         (None, Some(clouds)) => Some(Link::Clouds(clouds.id())),
         (None, None) => None,
     };
@@ -446,7 +447,7 @@ pub fn show(progress: Progress) {
 
 fn print(scan: &Scan) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    let registered = |r: &&flankscope_station::scan::ScanRegistration| r.status == "registered";
+    let registered = |r: &&flankscope_jobs::scan::ScanRegistration| r.status == "registered";
     writeln!(
         out,
         "\n{} of {} views, {} % of the bore seen, {}",
@@ -522,13 +523,13 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
         "drift µm",
         "time s"
     )?;
-    let spread = |of: Option<flankscope_station::scan::Spread>| {
+    let spread = |of: Option<flankscope_jobs::scan::Spread>| {
         of.map_or("-".into(), |s| {
             format!("{:.1} ± {:.1}", s.mean_um, s.std_um)
         })
     };
     for of in methods {
-        let form = |value: fn(&flankscope_station::scan::Form) -> f64| {
+        let form = |value: fn(&flankscope_jobs::scan::Form) -> f64| {
             of.form
                 .as_ref()
                 .map_or("-".into(), |form| format!("{:.1}", value(form)))

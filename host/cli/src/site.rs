@@ -4,11 +4,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_instrument::settings::StationSettings;
+use flankscope_jobs::subject::Subject;
+use flankscope_metrology::kinematics::Moves;
 use flankscope_profilometry::HeadModel;
-use flankscope_station::inspection::Subject;
-use flankscope_station::kinematics::Moves;
-use flankscope_station::origin::{Link, Setting};
-use flankscope_station::settings::StationSettings;
+use flankscope_record::origin::{Link, Setting};
 
 use crate::help;
 
@@ -96,7 +96,7 @@ pub fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Opt
     };
     let settings = StationSettings::load(path)?;
     let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok((settings, Some(flankscope_station::files::hash(&bytes))))
+    Ok((settings, Some(flankscope_foundation::files::hash(&bytes))))
 }
 
 /// Where it is looked, for whom, and with what instrument.

@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 
 use flankscope_metrology::verdict::Word;
-use flankscope_station::report::with_micro;
+use flankscope_report::with_micro;
 
 /// What standard output, or standard error, goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

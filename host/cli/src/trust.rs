@@ -4,8 +4,8 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use flankscope_station::history::History;
-use flankscope_station::seal::{Kind, Seals, toml_document};
+use flankscope_record::history::History;
+use flankscope_record::seal::{Kind, Seals, toml_document};
 use serde_json::{Value, json};
 
 use crate::instrument::seals;

@@ -6,11 +6,11 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use flankscope_foundation::date;
+use flankscope_jobs::watch::{Checked, WatchEvent, WatchSettings};
 use flankscope_metrology::verdict::{Shown, Word};
-use flankscope_station::inspection::Inspection;
-use flankscope_station::report::{Pages, ReportFolder, figure};
-use flankscope_station::sink::LinesFile;
-use flankscope_station::watch::{Checked, WatchEvent, WatchSettings};
+use flankscope_record::document::Inspection;
+use flankscope_record::sink::LinesFile;
+use flankscope_report::{Pages, ReportFolder, figure};
 use serde_json::{Value, json};
 
 use crate::bench_link::{BenchArgs, PressArgs};

@@ -43,7 +43,7 @@ fn every_set_gets_images_for_the_heads_mirrors_and_a_manifest() {
                 .join(name)
                 .join(picture["file"].as_str().unwrap());
             let content = std::fs::read(path).unwrap();
-            let blake3 = flankscope_station::files::hash(&content);
+            let blake3 = flankscope_foundation::files::hash(&content);
             assert_eq!(picture["blake3"], blake3);
         }
         assert!(

@@ -2,7 +2,9 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`activity`] | when each device was active during a capture |
 //! | [`date`] | calendar days and moments, ISO 8601, UTC |
+//! | [`files`] | files that appear whole or not at all, and their digests |
 //! | [`textfile`] | files that people write: size limit, TOML, complaints with file and line |
 //! | [`order`] | quantiles and medians |
 //! | [`rigid`] | frames of reference and the rigid transforms between them |
@@ -22,8 +24,10 @@
 //! # Ok::<(), flankscope_foundation::date::NoDate>(())
 //! ```
 
+pub mod activity;
 pub mod date;
 pub mod display;
+pub mod files;
 pub mod normal;
 pub mod npz;
 pub mod order;

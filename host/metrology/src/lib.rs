@@ -4,6 +4,8 @@
 //!  space         boxes, normals, order in space
 //!  io            other people's meshes and clouds, checked where they enter
 //!  cloud         points by themselves: neighbours, outliers, merging
+//!  kinematics    from commanded stages to the pose of the camera
+//!  view          where a view is taken
 //!  surface       triangles: exact signed distance, random points
 //!  gear          teeth and flanks, ISO 1328 evaluation
 //!  patch         any other parts of the CAD, each with a frame of its own
@@ -39,6 +41,7 @@ pub mod deviation;
 pub mod feature;
 pub mod gear;
 pub mod io;
+pub mod kinematics;
 pub mod multiview;
 pub mod patch;
 mod random;
@@ -48,4 +51,5 @@ pub mod space;
 pub mod surface;
 pub mod tool;
 pub mod verdict;
+pub mod view;
 pub mod wear;

@@ -273,3 +273,14 @@ pub enum FrameError {
         limit_dn: f64,
     },
 }
+
+/// The lit part of a frame as a grey picture.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Row by row.
+    pub grey: Vec<u8>,
+}

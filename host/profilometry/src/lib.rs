@@ -63,6 +63,6 @@ pub mod unwrap;
 pub use accumulate::{Accumulator, PhasorsError};
 pub use bend::Bend;
 pub use decode::{Cloud, DecodeError, DecodeOptions, Decoded, Decoder};
-pub use frame::{FrameError, FrameKind, FrameLevel, FrameView};
+pub use frame::{FrameError, FrameKind, FrameLevel, FrameView, Picture};
 pub use head::HeadModel;
 pub use pattern::{FringeSet, PatternSet};

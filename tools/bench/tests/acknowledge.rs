@@ -6,9 +6,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use flankscope_bench::devices::{Exposure, ExposureSink, InstrumentConfig, run};
+use flankscope_instrument::controller::{Client, ClientError, ClientSettings};
+use flankscope_jobs::doctor::{self, Health};
 use flankscope_protocol::{Command, Event, Fault, Refusal, StageConfig, StageName, State};
-use flankscope_station::controller::{Client, ClientError, ClientSettings};
-use flankscope_station::doctor::{self, Health};
 
 struct Unlit;
 

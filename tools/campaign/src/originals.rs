@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, ensure};
+use flankscope_foundation::files;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::io::{Unit, cloud};
-use flankscope_station::files;
 
 use crate::mutate::Structure;
 

@@ -13,10 +13,10 @@ use anyhow::{Context, Result, ensure};
 use flankscope_bench::demo as die;
 use flankscope_bench::world::{Mount, PatternSpec, World};
 use flankscope_demo as demo;
+use flankscope_jobs::scan::{Grid, Kept, Processing};
+use flankscope_jobs::subject::Subject;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::{FrameView, HeadModel};
-use flankscope_station::inspection::Subject;
-use flankscope_station::scan::{Grid, Kept, Processing};
 
 /// Times that every view is processed; the first is not counted.
 const PASSES: usize = 4;
@@ -35,7 +35,7 @@ fn main() -> Result<()> {
         station: Arc::default(),
         baseline: None,
         head_seal: None,
-        seals: flankscope_station::seal::Seals::passing()?,
+        seals: flankscope_record::seal::Seals::passing()?,
         hashes: BTreeMap::new(),
     };
     let grid: Grid = "84x7".parse()?;

@@ -4,10 +4,10 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::files::write_whole;
 use flankscope_profilometry::calibrate::{
     CapturedView, Captures, Plate, StageOffset, StagePose, Target,
 };
-use flankscope_station::files::write_whole;
 
 use crate::target::target;
 use flankscope_bench::demo::StageErrors;

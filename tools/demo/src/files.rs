@@ -6,12 +6,12 @@ use std::path::Path;
 use flankscope_bench::demo::{CHORD_ERROR_MM, HEIGHT_MM, gear};
 use flankscope_bench::files::{MadeHead, OPTICS_FILE};
 use flankscope_bench::world::{HeadDesign, LiquidLens, Pinhole};
+use flankscope_foundation::files::{stream_whole, write_whole};
 use flankscope_gear_cad::{GearSpec, Meshing};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::head::{
     self, DepthRange, Fringes, ImageCircle, LensDrive, RigidTransform, SecondProjector, Sensor,
 };
-use flankscope_station::files::{stream_whole, write_whole};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 use crate::tile::core_map_file;

@@ -6,12 +6,12 @@ use std::path::Path;
 use flankscope_bench::demo::carrier;
 use flankscope_bench::files::{self, MadeHead, Placement, TargetFile};
 use flankscope_bench::world::{HeadDesign, WorldConfig};
+use flankscope_foundation::files::write_whole;
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{
     Dots, Partner, Plate, Sphere, StageOffset, Target, TestPlace,
 };
 use flankscope_profilometry::head::Limits;
-use flankscope_station::files::write_whole;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 use crate::files::{head_of, transform_file, transform_of, write_optics};

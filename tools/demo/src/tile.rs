@@ -6,10 +6,10 @@ use anyhow::Context;
 use flankscope_bench::demo::{gear, tile};
 use flankscope_bench::world::{HeadDesign, PatternSpec, World, WorldConfig};
 use flankscope_foundation::date::Date;
+use flankscope_foundation::files::{hash, write_whole};
 use flankscope_profilometry::FrameView;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::head::{CoreMap, CoreMapFile};
-use flankscope_station::files::{hash, write_whole};
 
 use crate::files::head_of;
 

@@ -9,6 +9,7 @@ use flankscope_bench::demo as die;
 use flankscope_bench::world::{HeadOptics, PatternSpec, ViewState, World, WorldConfig};
 use flankscope_demo::{self as demo, TargetView};
 use flankscope_foundation::date::Date;
+use flankscope_jobs::calibration::CaptureFolder;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::calibrate::{
     SelfTestError, Sighting, SphereAt, StagePose, Target, adjust, hold_out,
@@ -21,7 +22,6 @@ use flankscope_profilometry::triangulate::Triangulator;
 use flankscope_profilometry::{
     Accumulator, Cloud, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel, PatternSet,
 };
-use flankscope_station::calibration::CaptureFolder;
 use nalgebra::{Matrix3, Point3, Translation3, Vector3};
 
 /// Standard uncertainty of stages that err by ±15 mdeg and ±5 µm, evenly distributed.

@@ -4,8 +4,8 @@ use flankscope_gear_cad::Flank as CadFlank;
 use flankscope_metrology::tool::{Temperature, Tool};
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_station::baseline::Baseline;
-use flankscope_station::inspection::Feature;
+use flankscope_record::baseline::Baseline;
+use flankscope_record::document::Feature;
 use serde::Serialize;
 
 use super::calibration::{Calibrated, Rig};

@@ -2,7 +2,7 @@
 
 use flankscope_gear_cad::Flank;
 use flankscope_profilometry::decode::GridKind;
-use flankscope_station::inspection::Feature;
+use flankscope_record::document::Feature;
 
 use super::calibration::Calibrated;
 use super::capture::{Instrument, Trouble, judged};

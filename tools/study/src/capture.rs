@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_jobs::inspection::{Evaluator, ViewOutcome, ViewPlan};
+use flankscope_jobs::subject::Subject;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{
     Accumulator, DecodeOptions, Decoder, FrameKind, FrameView, HeadModel,
 };
-use flankscope_station::baseline::Baseline;
-use flankscope_station::inspection::{Evaluator, Feature, Subject, ViewOutcome, ViewPlan};
+use flankscope_record::baseline::Baseline;
+use flankscope_record::document::Feature;
 
 use flankscope_bench::damage::Random;
 use flankscope_bench::world::{PatternSpec, ViewState, World};
@@ -107,7 +109,7 @@ impl Instrument {
             station: Arc::default(),
             baseline: baseline.map(Arc::new),
             head_seal: None,
-            seals: flankscope_station::seal::Seals::passing()?,
+            seals: flankscope_record::seal::Seals::passing()?,
             hashes: std::collections::BTreeMap::new(),
         };
         let plan = Arc::new(ViewPlan::new(tool, head, Some(&[tooth]))?);

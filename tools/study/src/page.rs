@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use flankscope_bench::config::SurfaceKind;
-use flankscope_station::files::write_whole;
+use flankscope_foundation::files::write_whole;
 use serde::Serialize;
 
 use super::calibration::LENS_ERROR_UM;

@@ -2,8 +2,8 @@
 
 use flankscope_bench::devices::Exposure;
 use flankscope_frames::{Arm, FrameHeader, FrameLabel};
+use flankscope_instrument::acquisition::pair;
 use flankscope_protocol::{CapturePlan, Event, Trigger};
-use flankscope_station::acquisition::pair;
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 

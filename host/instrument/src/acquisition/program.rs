@@ -1,0 +1,300 @@
+//! What stages, pattern projector and camera are to do, and how that is put to the controller.
+
+use flankscope_profilometry::PatternSet;
+use flankscope_profilometry::head::LensDrive;
+use flankscope_protocol::{
+    CapturePlan, Focus, FringeSet, LensCounts, Limits, Micrometres, Microradians, Microseconds,
+    Milliamps, StageConfig, Timeouts, View,
+};
+
+use crate::settings::{Light, Stages, Timing};
+
+/// Where the stages stand for a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StagePosition {
+    /// Commanded angle of the rotary stage, rad.
+    pub rotation_rad: f64,
+    /// Commanded position of the vertical stage, mm.
+    pub vertical_mm: f64,
+}
+
+impl StagePosition {
+    /// Where the axes stand for a die turned by `turn_rad` before the head: what turns is the station's, and an angle beyond the
+    /// travel is taken a whole turn back where that lies within. At home where they carry neither.
+    #[must_use]
+    pub fn of(turn_rad: f64, vertical_mm: f64, stages: &Stages) -> Self {
+        let Some(axis_rad) = stages.moves.axis_rad(turn_rad) else {
+            return Self {
+                rotation_rad: stages.rotation.home_deg.to_radians(),
+                vertical_mm: stages.vertical.home_mm,
+            };
+        };
+        let [from, to] = stages.rotation.travel_deg.map(f64::to_radians);
+        let back_rad = match axis_rad {
+            angle if angle > to => angle - std::f64::consts::TAU,
+            angle if angle < from => angle + std::f64::consts::TAU,
+            angle => angle,
+        };
+        let within = back_rad >= from && back_rad <= to;
+        Self {
+            rotation_rad: if within { back_rad } else { axis_rad },
+            vertical_mm,
+        }
+    }
+}
+
+/// All views of a run and how each is exposed.
+#[derive(Clone, Debug)]
+pub struct Program {
+    /// Where the stages stand for each view.
+    pub positions: Vec<StagePosition>,
+    /// Fringe patterns.
+    pub patterns: PatternSet,
+    /// Share of all mirrors' light that each pass gives, where the patterns are shown in passes; empty: once, by all mirrors.
+    pub lit_ratios: Vec<f64>,
+    /// Exposure times, ascending, µs.
+    pub exposures_us: Vec<u32>,
+    /// Vertical position of the retracted head, mm.
+    pub retract_mm: f64,
+    /// How long everything settles.
+    pub timing: Timing,
+    /// How bright it is.
+    pub light: Light,
+    /// What moves.
+    pub stage: StageConfig,
+    /// The head's liquid lens, if it has one.
+    pub lens: Option<LensDrive>,
+    /// How many projectors share the passes, one after the other.
+    pub projectors: usize,
+}
+
+/// What a capture plan cannot say.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProgramError {
+    /// More than it holds.
+    #[error("{got} {what} are too many for one capture; at most {limit}")]
+    TooMany {
+        /// Views, exposures or fringe sets.
+        what: &'static str,
+        /// How many were asked for.
+        got: usize,
+        /// How many a plan holds.
+        limit: usize,
+    },
+    /// The controller shows fringes only.
+    #[error(
+        "pattern set \"{set}\" has a Gray code, which the controller's capture plan cannot ask for: recorded frames (--frames) may have one"
+    )]
+    GrayCode {
+        /// The set.
+        set: String,
+    },
+}
+
+impl StagePosition {
+    /// In the wire's units.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View {
+            rotation: Microradians((self.rotation_rad * 1e6).round() as i32),
+            vertical: Micrometres((self.vertical_mm * 1e3).round() as i32),
+        }
+    }
+}
+
+impl Program {
+    /// Time for the frames of a view: an exposure with the pattern before it, or the readout of the frame before where that takes
+    /// longer, s.
+    #[must_use]
+    pub fn exposure_s(&self) -> f64 {
+        let patterns: u32 = self.patterns.sets.iter().map(|set| set.steps).sum();
+        let frame_us = |&exposure_us: &u32| {
+            let shown_us = exposure_us.saturating_add(self.timing.pattern_settle_us);
+            f64::from(shown_us.max(self.timing.camera_readout_us))
+        };
+        let dark_us = self.exposures_us.first().map_or(0.0, frame_us);
+        let fringes_us: f64 = self.exposures_us.iter().map(frame_us).sum();
+        (dark_us + fringes_us * f64::from(patterns) * self.passes() as f64) / 1e6
+    }
+
+    /// How often the patterns are shown.
+    #[must_use]
+    pub fn passes(&self) -> usize {
+        self.lit_ratios.len().max(1)
+    }
+
+    /// Time for what moved to stand still, s.
+    #[must_use]
+    pub fn settling_s(&self) -> f64 {
+        f64::from(self.timing.settle_ms) / 1e3
+    }
+
+    /// The capture plan for some of its views, under a session number of its own.
+    ///
+    /// # Errors
+    /// More views, sets or exposures than a plan holds, or a code.
+    pub(super) fn capture_plan(
+        &self,
+        views: &[usize],
+        limits: &Limits,
+    ) -> Result<CapturePlan, ProgramError> {
+        if self.patterns.code.is_some() {
+            return Err(ProgramError::GrayCode {
+                set: self.patterns.name.clone(),
+            });
+        }
+        let timing = &self.timing;
+        let mut plan = CapturePlan {
+            session: flankscope_frames::monotonic_ns() as u32,
+            views: Default::default(),
+            exposures: Default::default(),
+            fringes: Default::default(),
+            led: Milliamps(self.light.led_ma).min(limits.led_max),
+            settle: Microseconds::from_millis(timing.settle_ms),
+            dmd_settle: Microseconds(timing.pattern_settle_us),
+            camera_readout: Microseconds(timing.camera_readout_us),
+            retract: Micrometres((self.retract_mm * 1e3).round() as i32),
+            timeouts: Timeouts {
+                motion: Timeouts::default().motion.max(self.stage.motion_timeout()),
+                ..Timeouts::default()
+            },
+            focus: self.lens.map(|lens| Focus {
+                counts: LensCounts(lens.counts),
+                settle: Microseconds::from_millis(lens.settle_ms),
+            }),
+            projectors: u8::try_from(self.projectors).unwrap_or(u8::MAX),
+        };
+        let too_many = |what, got, limit| ProgramError::TooMany { what, got, limit };
+        let limit = plan.views.capacity();
+        for at in views.iter().filter_map(|&view| self.positions.get(view)) {
+            let pushed = plan.views.push(at.view());
+            pushed.map_err(|_| too_many("views", views.len(), limit))?;
+        }
+        let limit = plan.exposures.capacity();
+        for &exposure in &self.exposures_us {
+            let pushed = plan.exposures.push(Microseconds(exposure));
+            pushed.map_err(|_| too_many("exposures", self.exposures_us.len(), limit))?;
+        }
+        let limit = plan.fringes.capacity();
+        let sets = &self.patterns.sets;
+        // The controller lets each projector show them all.
+        let times = self.passes() / self.projectors.max(1);
+        let shown = std::iter::repeat_n(sets, times).flatten();
+        for set in shown {
+            let set = FringeSet {
+                periods: set.periods.round().clamp(0.0, f64::from(u16::MAX)) as u16,
+                steps: u8::try_from(set.steps).unwrap_or(u8::MAX),
+            };
+            let pushed = plan.fringes.push(set);
+            pushed.map_err(|_| too_many("fringe sets", times * sets.len(), limit))?;
+        }
+        Ok(plan)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flankscope_metrology::kinematics::Moves;
+
+    fn program(views: usize) -> Program {
+        Program {
+            positions: (0..views)
+                .map(|view| StagePosition {
+                    rotation_rad: 1e-3 * view as f64,
+                    vertical_mm: 33.0,
+                })
+                .collect(),
+            patterns: PatternSet::named("article8").unwrap(),
+            lit_ratios: Vec::new(),
+            exposures_us: vec![10_000],
+            retract_mm: 86.0,
+            timing: Timing::default(),
+            light: Light::default(),
+            stage: StageConfig::DEFAULT,
+            lens: None,
+            projectors: 1,
+        }
+    }
+
+    #[test]
+    fn a_second_projector_is_commanded_and_its_patterns_are_told_once() {
+        let one = program(1);
+        let two = Program {
+            lit_ratios: vec![1.0; 2],
+            projectors: 2,
+            ..program(1)
+        };
+        let plan = |program: &Program| program.capture_plan(&[0], &Limits::DEFAULT).unwrap();
+        let (one, by_two) = (plan(&one), plan(&two));
+        assert_eq!((one.projectors, by_two.projectors), (1, 2));
+        assert_eq!(by_two.fringes, one.fringes);
+        // As many frames as the host adds up, pass by pass.
+        assert_eq!(
+            by_two.frames_per_view(),
+            1 + 2 * (one.frames_per_view() - 1)
+        );
+        assert_eq!(two.passes(), 2);
+    }
+
+    #[test]
+    fn views_are_put_to_the_controller_in_its_units_and_too_many_are_named() {
+        let limit = flankscope_protocol::plan::MAX_VIEWS;
+        let program = program(limit + 1);
+        let plan = program.capture_plan(&[3, 1], &Limits::DEFAULT).unwrap();
+        let at: Vec<i32> = plan.views.iter().map(|view| view.rotation.get()).collect();
+        assert_eq!(at, [3_000, 1_000]);
+        assert_eq!(plan.retract, Micrometres(86_000));
+        let all: Vec<usize> = (0..=limit).collect();
+        let error = program.capture_plan(&all, &Limits::DEFAULT).unwrap_err();
+        let named = format!(
+            "{} views are too many for one capture; at most {limit}",
+            limit + 1
+        );
+        assert_eq!(error.to_string(), named);
+    }
+
+    #[test]
+    fn angles_beyond_the_travel_are_taken_a_turn_back_where_that_lies_within() {
+        let mut stages = Stages::default();
+        let at = |turn_deg: f64, stages: &Stages| {
+            let at = StagePosition::of(turn_deg.to_radians(), 33.0, stages);
+            at.rotation_rad.to_degrees().round()
+        };
+        assert_eq!(at(-181.0, &stages), -181.0);
+        stages.rotation.travel_deg = [-180.0, 180.0];
+        assert_eq!(at(-181.0, &stages), 179.0);
+        stages.moves = Moves::Head;
+        assert_eq!(at(-170.0, &stages), 170.0);
+        assert_eq!(at(-181.0, &stages), -179.0);
+        // What no turn takes within stays as it is, and is refused by name.
+        stages.rotation.travel_deg = [-90.0, 90.0];
+        assert_eq!(at(170.0, &stages), -170.0);
+        let mut program = program(1);
+        program.positions[0].rotation_rad = -2.97;
+        program.stage = stages.config();
+        let limits = Limits::DEFAULT.within(&program.stage);
+        let plan = program.capture_plan(&[0], &limits).unwrap();
+        let refused = plan.validate(&limits).unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            "rotation -2970000 urad is outside -1570796 urad .. 1570796 urad"
+        );
+    }
+
+    #[test]
+    fn a_code_is_refused_by_name() {
+        let mut program = program(1);
+        let code = flankscope_profilometry::gray::GrayCode {
+            bits: 6,
+            stripes: 48.0,
+            origin_px: -0.5,
+            complement: false,
+        };
+        program.patterns = program.patterns.with_code(Some(code)).unwrap();
+        let error = program.capture_plan(&[0], &Limits::DEFAULT).unwrap_err();
+        let set = "article8".to_owned();
+        assert_eq!(error, ProgramError::GrayCode { set });
+    }
+}

@@ -1,0 +1,636 @@
+//! The capture thread: takes each frame where it lies, adds it to its view's phasors, gives the slot back.
+//!
+//! Frames are summed while the next ones are exposed, so that after a view's last exposure only the solving is left.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, Sender, TryRecvError};
+use std::time::{Duration, Instant};
+
+use flankscope_profilometry::head::Sensor;
+use flankscope_profilometry::{FrameView, Picture};
+
+use super::error::{CameraError, ViewError};
+use super::recording::{SavedCapture, Saver};
+use super::sums::{PlannedFrame, ViewSums};
+use flankscope_frames::{Arm, BorrowedFrame, FrameHeader, FrameSource, Ready, ReceiveError};
+
+/// How long the thread sleeps for a frame before it looks for orders.
+const PATIENCE: Duration = Duration::from_millis(5);
+
+/// A frame that does not come for so long after the last trigger is lost: its readout takes 13 ms, a busy camera process
+/// some tens more.
+const LAST_FRAME_PATIENCE: Duration = Duration::from_millis(500);
+
+/// A frame that nobody triggered follows the last one within two readouts, or is not this capture's.
+const EXTRA_FRAME_PATIENCE: Duration = Duration::from_millis(30);
+
+/// A camera that has not said for so long that it is armed is not there: a process takes a second to come, a camera some
+/// tenths to drain.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(5);
+
+/// So many sessions are remembered: a frame of one of them is late, of any other foreign.
+const EARLIER_SESSIONS: usize = 16;
+
+/// What the job tells the recorder.
+#[derive(Debug)]
+pub enum Order {
+    /// Frames of this plan follow.
+    Arm(Arm),
+    /// All triggers of the armed plan were fired: whatever is still open is incomplete.
+    Close,
+    /// Sums that may be used again.
+    Recycle(ViewSums),
+    /// Frames are also written to files from here on.
+    Save(Saver),
+}
+
+/// All frames of one view, summed.
+#[derive(Debug)]
+pub struct CapturedView {
+    /// View number in the session.
+    pub view: u16,
+    /// The sums.
+    pub sums: ViewSums,
+    /// Headers of the frames, in order of arrival.
+    pub frames: Vec<FrameHeader>,
+    /// From hand-over by the camera process to sight by the host, per frame, ns.
+    pub handover_ns: Vec<u64>,
+    /// Why it cannot be used.
+    pub problem: Option<ViewError>,
+    /// Its frames on the disk, where they are saved.
+    pub saved: Option<SavedCapture>,
+}
+
+/// What the recorder tells the job.
+#[derive(Debug)]
+pub enum Recorded {
+    /// A view's last frame was added, or the view was given up.
+    View(Box<CapturedView>),
+    /// After [`Order::Arm`]: the camera is armed and drained, or why it cannot be used.
+    Armed(Result<(), CameraError>),
+    /// After [`Order::Close`]: nothing is open any more.
+    Closed,
+    /// A frame for the report.
+    Picture(Picture),
+}
+
+/// Which frame to keep for the report.
+#[derive(Clone, Copy, Debug)]
+pub struct Keepsake {
+    /// Exposure step.
+    pub exposure: u16,
+    /// Pattern, 1.. .
+    pub pattern: u16,
+}
+
+/// How frames are judged and kept.
+#[derive(Clone, Copy, Debug)]
+pub struct RecorderSettings {
+    /// What is brighter counts as lit, DN.
+    pub lit_dn: f64,
+    /// The frame that the report shows.
+    pub keepsake: Keepsake,
+    /// Full scale of the sensor, DN.
+    pub full_scale_dn: u16,
+    /// What the head file says of the camera.
+    pub camera: HeadCamera,
+}
+
+/// The camera by the head's file.
+#[derive(Clone, Copy, Debug)]
+pub struct HeadCamera {
+    /// Width and height, px.
+    pub size_px: [u32; 2],
+    /// Bits, offset and gain of its sensor, where the file has one.
+    pub sensor: Option<Sensor>,
+}
+
+/// What a camera's gain may differ from the calibrated one: a maker states it to some per cent.
+const GAIN_TOLERANCE: f64 = 0.1;
+/// The same of the offset, DN: it drifts with temperature.
+const OFFSET_TOLERANCE_DN: f64 = 20.0;
+
+impl HeadCamera {
+    /// Compares what the camera says of itself; what it does not say is not compared.
+    fn fits(&self, word: &Ready) -> Result<(), CameraError> {
+        let differs = |of: &'static str, got: String, expected: String| CameraError::Differs {
+            model: word.model(),
+            of,
+            got,
+            expected,
+        };
+        let size_px = [word.width_px, word.height_px];
+        if size_px != self.size_px {
+            let words = |[width, height]: [u32; 2]| format!("{width} x {height}");
+            return Err(differs("px", words(size_px), words(self.size_px)));
+        }
+        let Some(sensor) = self.sensor else {
+            return Ok(());
+        };
+        if word.bits != 0 && word.bits != sensor.bits {
+            let (got, expected) = (word.bits.to_string(), sensor.bits.to_string());
+            return Err(differs("bits", got, expected));
+        }
+        let (gain, calibrated) = (word.gain_e_per_dn, sensor.gain_e_per_dn);
+        if (gain - calibrated).abs() > GAIN_TOLERANCE * calibrated {
+            return Err(differs(
+                "electrons per count",
+                format!("{gain:.3}"),
+                format!("{calibrated:.3}"),
+            ));
+        }
+        let (offset, calibrated) = (word.offset_dn, sensor.offset_dn);
+        if (offset - calibrated).abs() > OFFSET_TOLERANCE_DN {
+            return Err(differs(
+                "counts in the dark",
+                format!("{offset:.1}"),
+                format!("{calibrated:.1}"),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// The thread's state.
+pub struct Recorder<'a, S: FrameSource> {
+    source: S,
+    settings: RecorderSettings,
+    planned: Vec<PlannedFrame>,
+    orders: Receiver<Order>,
+    events: tokio::sync::mpsc::UnboundedSender<Recorded>,
+    fresh: Box<dyn Fn() -> ViewSums + 'a>,
+    spare: Vec<ViewSums>,
+    arm: Option<Arm>,
+    /// Frames since arming.
+    arrived: u32,
+    open: Option<CapturedView>,
+    kept: Option<S::Frame>,
+    saver: Option<Saver>,
+    /// Sessions before this one, the latest last: frames of them come late.
+    earlier: VecDeque<u32>,
+}
+
+impl<'a, S: FrameSource> Recorder<'a, S> {
+    /// A recorder of frames from `source`; `planned` are a view's frames in their order, `fresh` makes empty sums.
+    pub fn new(
+        source: S,
+        settings: RecorderSettings,
+        planned: Vec<PlannedFrame>,
+        orders: Receiver<Order>,
+        events: tokio::sync::mpsc::UnboundedSender<Recorded>,
+        fresh: impl Fn() -> ViewSums + 'a,
+    ) -> Self {
+        let spare = vec![fresh(), fresh()];
+        Self {
+            source,
+            settings,
+            planned,
+            orders,
+            events,
+            fresh: Box::new(fresh),
+            spare,
+            arm: None,
+            arrived: 0,
+            open: None,
+            kept: None,
+            saver: None,
+            earlier: VecDeque::new(),
+        }
+    }
+
+    /// Runs until the job hangs up.
+    pub fn run(mut self) {
+        loop {
+            match self.orders.try_recv() {
+                Ok(Order::Arm(arm)) => self.start(arm),
+                Ok(Order::Close) => {
+                    self.drain();
+                    self.close();
+                    self.show();
+                    let _ = self.events.send(Recorded::Closed);
+                }
+                Ok(Order::Recycle(mut sums)) => {
+                    sums.reset();
+                    self.spare.push(sums);
+                }
+                Ok(Order::Save(saver)) => self.saver = Some(saver),
+                Err(TryRecvError::Empty) => {}
+                Err(TryRecvError::Disconnected) => return,
+            }
+            match self.source.receive(PATIENCE) {
+                Ok(Some(frame)) => self.add(frame),
+                Ok(None) => {}
+                Err(error) => self.fail(error.into()),
+            }
+        }
+    }
+
+    fn start(&mut self, arm: Arm) {
+        self.close();
+        if let Some(before) = self.arm.replace(arm) {
+            if self.earlier.len() == EARLIER_SESSIONS {
+                self.earlier.pop_front();
+            }
+            self.earlier.push_back(before.session);
+        }
+        self.arrived = 0;
+        let armed = self.arm_camera(arm);
+        let _ = self.events.send(Recorded::Armed(armed));
+    }
+
+    /// Tells the camera what comes, and waits for its word that it is armed and drained. Frames that still come are of an
+    /// earlier session.
+    fn arm_camera(&mut self, arm: Arm) -> Result<(), CameraError> {
+        let unreachable = |error: ReceiveError| CameraError::Unreachable {
+            reason: error.to_string(),
+        };
+        self.source.arm(arm).map_err(unreachable)?;
+        let end = Instant::now() + CAMERA_PATIENCE;
+        let mut heard = None;
+        while Instant::now() < end {
+            if let Some(word) = self.source.ready().map_err(unreachable)? {
+                heard = Some(word.session);
+                if word.session == arm.session {
+                    return self.settings.camera.fits(&word);
+                }
+            }
+            match self.source.receive(PATIENCE) {
+                Ok(late) => drop(late),
+                Err(error) => tracing::warn!(%error, "a frame before arming"),
+            }
+        }
+        Err(CameraError::NotReady {
+            patience_ms: CAMERA_PATIENCE.as_millis(),
+            state: match heard {
+                Some(0) => {
+                    "its process is there, but cannot arm it, and says why on standard error"
+                }
+                Some(_) => "its process is there, but armed for another capture",
+                None => "its process has not come, or has ended",
+            },
+        })
+    }
+
+    fn add(&mut self, frame: S::Frame) {
+        let header = *frame.header();
+        let Some(arm) = self.arm else { return }; // nobody asked for this frame
+        if header.session != arm.session && self.earlier.contains(&header.session) {
+            tracing::debug!(header.session, header.counter, "a late frame is dropped");
+            return;
+        }
+        self.arrived += 1;
+        if self
+            .open
+            .as_ref()
+            .is_some_and(|open| open.view != header.label.view)
+        {
+            self.close();
+        }
+        if self.open.is_none() {
+            let sums = self.spare.pop().unwrap_or_else(|| (self.fresh)());
+            self.open = Some(CapturedView {
+                view: header.label.view,
+                sums,
+                frames: Vec::with_capacity(self.planned.len()),
+                handover_ns: Vec::with_capacity(self.planned.len()),
+                problem: None,
+                saved: self.saver.as_mut().map(Saver::begin),
+            });
+        }
+        let settings = self.settings;
+        let Some(open) = self.open.as_mut() else {
+            return;
+        };
+        open.frames.push(header);
+        open.handover_ns.push(
+            frame
+                .received_monotonic_ns()
+                .saturating_sub(header.published_monotonic_ns),
+        );
+        if open.problem.is_none() {
+            open.problem = match self.planned.get(usize::from(header.label.in_view)) {
+                _ if header.session != arm.session => Some(ViewError::Session {
+                    got: header.session,
+                    expected: arm.session,
+                }),
+                None => Some(ViewError::Incomplete {
+                    got: open.frames.len(),
+                    planned: self.planned.len(),
+                }),
+                Some(&planned) => {
+                    let added = open.sums.add(view_of(&frame), planned);
+                    added.err().map(ViewError::from)
+                }
+            };
+        }
+        if let (Some(saver), Some(saved)) = (&mut self.saver, &mut open.saved) {
+            saver.add(saved, &frame);
+        }
+        if (header.label.exposure, header.label.pattern)
+            == (settings.keepsake.exposure, settings.keepsake.pattern)
+            && self.kept.is_none()
+        {
+            self.kept = Some(frame);
+        }
+        if open.frames.len() == self.planned.len() && open.problem.is_none() {
+            self.close();
+        }
+    }
+
+    /// Takes the frames that are still on their way, and looks whether more come than were triggered.
+    fn drain(&mut self) {
+        let planned = self.arm.map_or(0, |arm| arm.frames());
+        loop {
+            let patience = if self.arrived < planned {
+                LAST_FRAME_PATIENCE
+            } else {
+                EXTRA_FRAME_PATIENCE
+            };
+            match self.source.receive(patience) {
+                Ok(Some(frame)) => self.add(frame),
+                Ok(None) => return,
+                Err(error) => self.fail(error.into()),
+            }
+        }
+    }
+
+    /// Hands the open view to the job.
+    fn close(&mut self) {
+        let Some(mut view) = self.open.take() else {
+            return;
+        };
+        if view.problem.is_none() && view.frames.len() < self.planned.len() {
+            view.problem = Some(ViewError::Incomplete {
+                got: view.frames.len(),
+                planned: self.planned.len(),
+            });
+        }
+        let _ = self.events.send(Recorded::View(Box::new(view)));
+    }
+
+    fn fail(&mut self, error: ViewError) {
+        match self.open.as_mut() {
+            Some(open) => drop(open.problem.get_or_insert(error)),
+            None => tracing::warn!(%error, "a frame outside any view"),
+        }
+    }
+
+    /// Draws the kept frame's bright part out of the shared memory, as 8-bit grey, and releases it.
+    fn show(&mut self) {
+        let Some(frame) = self.kept.take() else {
+            return;
+        };
+        let _ = self
+            .events
+            .send(Recorded::Picture(picture(view_of(&frame), self.settings)));
+    }
+}
+
+/// A frame as an image, where it lies.
+fn view_of(frame: &impl BorrowedFrame) -> FrameView<'_> {
+    let header = frame.header();
+    FrameView {
+        pixels: frame.pixels(),
+        width: header.width_px as usize,
+        height: header.height_px as usize,
+        stride: header.stride_px as usize,
+    }
+}
+
+/// Crops a frame to where it is lit and spreads its counts over 8 bits; reads the frame where it lies.
+fn picture(view: FrameView<'_>, settings: RecorderSettings) -> Picture {
+    let row = |y: usize| {
+        view.pixels
+            .get(y * view.stride..)
+            .and_then(|rest| rest.get(..view.width))
+            .unwrap_or_default()
+    };
+    let lit = |dn: u16| f64::from(dn) > settings.lit_dn;
+    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
+    let mut histogram = vec![0_usize; usize::from(settings.full_scale_dn) + 1];
+    for y in 0..view.height {
+        for (x, &dn) in row(y).iter().enumerate().filter(|&(_, &dn)| lit(dn)) {
+            low = [low[0].min(x), low[1].min(y)];
+            high = [high[0].max(x + 1), high[1].max(y + 1)];
+            histogram[usize::from(dn.min(settings.full_scale_dn))] += 1;
+        }
+    }
+    if low[0] > high[0] {
+        return Picture {
+            width: 1,
+            height: 1,
+            grey: vec![0],
+        };
+    }
+    // White is the count that one pixel in a thousand exceeds: highlights and hot pixels do not darken the rest.
+    let mut brighter = histogram.iter().sum::<usize>() / 1000;
+    let white = histogram.iter().rposition(|&count| {
+        let here = brighter < count;
+        brighter = brighter.saturating_sub(count);
+        here
+    });
+    let black = settings.lit_dn.min(f64::from(settings.full_scale_dn));
+    let span = (white.unwrap_or(0) as f64 - black).max(1.0);
+    let grey = |dn: u16| ((f64::from(dn) - black) / span * 255.0).clamp(0.0, 255.0) as u8;
+    let grey = (low[1]..high[1])
+        .flat_map(|y| row(y)[low[0]..high[0]].iter().map(|&dn| grey(dn)))
+        .collect();
+    Picture {
+        width: high[0] - low[0],
+        height: high[1] - low[1],
+        grey,
+    }
+}
+
+/// The sending ends that the job keeps.
+pub type Orders = Sender<Order>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_picture_shows_the_lit_part_in_full_contrast() {
+        // 8 x 6 px with padding; a lit patch of 3 x 2 at (2, 1), one glaring pixel in it.
+        let (width, height, stride) = (8, 6, 10);
+        let mut pixels = vec![100_u16; stride * height];
+        for (x, y, dn) in [
+            (2, 1, 1000),
+            (3, 1, 2000),
+            (4, 1, 3000),
+            (2, 2, 1000),
+            (3, 2, 4095),
+            (4, 2, 1000),
+        ] {
+            pixels[y * stride + x] = dn;
+        }
+        let keepsake = Keepsake {
+            exposure: 0,
+            pattern: 1,
+        };
+        let settings = RecorderSettings {
+            lit_dn: 140.0,
+            keepsake,
+            full_scale_dn: 4095,
+            camera: HeadCamera {
+                size_px: [8, 6],
+                sensor: None,
+            },
+        };
+        let picture = picture(
+            FrameView {
+                pixels: &pixels,
+                width,
+                height,
+                stride,
+            },
+            settings,
+        );
+        assert_eq!((picture.width, picture.height), (3, 2));
+        assert_eq!(picture.grey[4], 255, "the brightest is white");
+        let expected = |dn: f64| ((dn - 140.0) / (4095.0 - 140.0) * 255.0) as u8;
+        assert_eq!(
+            picture.grey[..3],
+            [expected(1000.0), expected(2000.0), expected(3000.0)]
+        );
+    }
+
+    /// A camera that says a word after so many looks.
+    struct Spoken {
+        words: Vec<Ready>,
+        armed: Vec<u32>,
+    }
+
+    struct NoFrame;
+
+    impl BorrowedFrame for NoFrame {
+        fn header(&self) -> &FrameHeader {
+            unreachable!("there is none")
+        }
+        fn pixels(&self) -> &[u16] {
+            &[]
+        }
+        fn received_monotonic_ns(&self) -> u64 {
+            0
+        }
+    }
+
+    impl FrameSource for Spoken {
+        type Frame = NoFrame;
+        fn arm(&mut self, arm: Arm) -> Result<(), ReceiveError> {
+            self.armed.push(arm.session);
+            Ok(())
+        }
+        fn ready(&mut self) -> Result<Option<Ready>, ReceiveError> {
+            Ok(self.words.pop())
+        }
+        fn receive(&mut self, _: Duration) -> Result<Option<NoFrame>, ReceiveError> {
+            Ok(None)
+        }
+    }
+
+    fn arm_with(words: &[Ready], sensor: Option<Sensor>) -> Result<(), CameraError> {
+        let settings = RecorderSettings {
+            lit_dn: 140.0,
+            keepsake: Keepsake {
+                exposure: 0,
+                pattern: 1,
+            },
+            full_scale_dn: 4095,
+            camera: HeadCamera {
+                size_px: [8, 6],
+                sensor,
+            },
+        };
+        let source = Spoken {
+            words: words.iter().rev().copied().collect(),
+            armed: Vec::new(),
+        };
+        let (_orders, receiver) = std::sync::mpsc::channel();
+        let (events, _recorded) = tokio::sync::mpsc::unbounded_channel();
+        let mut recorder = Recorder {
+            source,
+            settings,
+            planned: Vec::new(),
+            orders: receiver,
+            events,
+            fresh: Box::new(|| unreachable!("nothing is summed")),
+            spare: Vec::new(),
+            arm: None,
+            arrived: 0,
+            open: None,
+            kept: None,
+            saver: None,
+            earlier: VecDeque::new(),
+        };
+        recorder.arm_camera(Arm {
+            session: 7,
+            ..Arm::default()
+        })
+    }
+
+    #[test]
+    fn nothing_moves_before_the_heads_camera_is_armed_for_this_capture() {
+        let sensor = Sensor {
+            full_well_e: 32_400.0,
+            gain_e_per_dn: 7.91,
+            read_noise_e: 7.0,
+            offset_dn: 100.0,
+            bits: 12,
+        };
+        let of = |session| Ready {
+            session,
+            width_px: 8,
+            height_px: 6,
+            bits: 12,
+            model: Ready::text("F 1"),
+            ..Ready::default()
+        };
+        let told = Ready {
+            offset_dn: 95.0,
+            gain_e_per_dn: 8.0,
+            ..of(7)
+        };
+        for words in [&[of(7)][..], &[of(0), of(3), of(7)], &[told]] {
+            assert_eq!(arm_with(words, Some(sensor)), Ok(()));
+        }
+        for (word, said) in [
+            (
+                Ready {
+                    width_px: 6,
+                    height_px: 8,
+                    ..of(7)
+                },
+                "F 1 has 6 x 8 px, the head file says 8 x 6",
+            ),
+            (
+                Ready { bits: 8, ..of(7) },
+                "F 1 has 8 bits, the head file says 12",
+            ),
+            (
+                Ready {
+                    gain_e_per_dn: 0.5,
+                    ..of(7)
+                },
+                "0.500 electrons per count",
+            ),
+            (
+                Ready {
+                    offset_dn: 0.0,
+                    ..of(7)
+                },
+                "0.0 counts in the dark",
+            ),
+        ] {
+            let error = arm_with(&[word], Some(sensor)).unwrap_err().to_string();
+            assert!(error.contains(said), "{said}: {error}");
+        }
+        for (words, state) in [
+            (&[][..], "has not come"),
+            (&[of(3)], "armed for another capture"),
+        ] {
+            let error = arm_with(words, Some(sensor)).unwrap_err().to_string();
+            assert!(error.contains(state), "{error}");
+        }
+    }
+}

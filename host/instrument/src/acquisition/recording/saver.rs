@@ -1,0 +1,146 @@
+//! Frames written out of the shared memory while they are summed, for a check of them later.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use flankscope_frames::{BorrowedFrame, Frame, FrameHeader};
+use flankscope_protocol::Trigger;
+
+use super::index::IndexedView;
+use flankscope_foundation::files;
+
+/// Writes frames into a folder: one below it for each capture of a view, one binary PGM for each frame.
+///
+/// A frame takes 10 ms at 1920 x 1200 pixels, most of it for the digest: less than its readout.
+#[derive(Debug)]
+pub struct Saver {
+    folder: PathBuf,
+    full_scale_dn: u16,
+    captures: usize,
+    file: Vec<u8>,
+}
+
+/// A capture of a view as it lies on the disk.
+#[derive(Debug)]
+pub struct SavedCapture {
+    folder: PathBuf,
+    name: String,
+    session: u32,
+    exposed_us: Vec<[u64; 2]>,
+    /// The camera says how long.
+    lengths_measured: bool,
+    blake3: Vec<String>,
+    failed: Option<io::Error>,
+}
+
+/// A capture whose frames and triggers pair.
+#[derive(Debug)]
+pub struct SavedView {
+    /// View of the plan.
+    pub view: usize,
+    /// Session in which it was captured.
+    pub session: u32,
+    /// Its part of the index, but for where the stages stood.
+    pub index: IndexedView,
+    /// Why its frames are not all there.
+    pub failed: Option<io::Error>,
+}
+
+impl Saver {
+    /// Writes into `folder`, which is there; counts reach up to `full_scale_dn`.
+    pub fn new(folder: &Path, full_scale_dn: u16) -> Self {
+        Self {
+            folder: folder.to_owned(),
+            full_scale_dn,
+            captures: 0,
+            file: Vec::new(),
+        }
+    }
+
+    /// A folder for the next capture.
+    pub fn begin(&mut self) -> SavedCapture {
+        self.captures += 1;
+        let name = format!("capture-{:04}", self.captures);
+        let folder = self.folder.join(&name);
+        let failed = std::fs::create_dir(&folder).err();
+        SavedCapture {
+            folder,
+            name,
+            session: 0,
+            exposed_us: Vec::new(),
+            lengths_measured: true,
+            blake3: Vec::new(),
+            failed,
+        }
+    }
+
+    /// Writes one more frame of a capture; after a failure none.
+    pub fn add(&mut self, capture: &mut SavedCapture, frame: &impl BorrowedFrame) {
+        if capture.failed.is_some() {
+            return;
+        }
+        let header = frame.header();
+        let (width, height) = (header.width_px as usize, header.height_px as usize);
+        self.file.clear();
+        self.file
+            .extend(format!("P5\n{width} {height}\n{}\n", self.full_scale_dn).bytes());
+        let rows = frame
+            .pixels()
+            .chunks(header.stride_px as usize)
+            .take(height);
+        for row in rows {
+            let counts = row.get(..width).unwrap_or(row);
+            Frame::count_copied(counts);
+            self.file
+                .extend(counts.iter().flat_map(|dn| dn.to_be_bytes()));
+        }
+        let path = capture
+            .folder
+            .join(format!("frame-{:04}.pgm", capture.blake3.len()));
+        capture.session = header.session;
+        capture.failed = std::fs::write(path, &self.file).err();
+        capture.blake3.push(files::hash(&self.file));
+        let length = header.measured & FrameHeader::EXPOSURE_MEASURED != 0;
+        capture
+            .exposed_us
+            .push([header.exposure_start_us, header.exposure_end_us]);
+        capture.lengths_measured &= length;
+    }
+}
+
+impl SavedCapture {
+    /// Keeps it as a capture of a view that these triggers exposed.
+    pub fn of_view(self, view: usize, triggers: &[Trigger]) -> SavedView {
+        let triggered = triggers.iter().map(|t| [t.camera_at.0, t.end_at.0]);
+        let mut exposed_us = self.exposed_us;
+        if !self.lengths_measured {
+            // Then they are what was commanded.
+            for (exposed, trigger) in exposed_us.iter_mut().zip(triggers) {
+                exposed[0] = exposed[1].saturating_sub(trigger.end_at.0 - trigger.camera_at.0);
+            }
+        }
+        SavedView {
+            view,
+            session: self.session,
+            index: IndexedView {
+                folder: self.name.into(),
+                triggered_us: triggered.collect(),
+                exposed_us,
+                blake3: self.blake3,
+                ..IndexedView::default()
+            },
+            failed: self.failed,
+        }
+    }
+
+    /// Session in which it was captured.
+    pub fn session(&self) -> u32 {
+        self.session
+    }
+
+    /// Removes it again: its frames cannot be trusted.
+    pub fn discard(self) {
+        // What stays is in no index.
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}

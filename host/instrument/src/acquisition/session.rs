@@ -1,0 +1,162 @@
+//! The instrument's host side: the threads that frames and sums pass through, whatever is measured.
+
+use std::path::Path;
+use std::sync::{Arc, mpsc};
+use std::thread::JoinHandle;
+
+use flankscope_frames::FrameSource;
+use flankscope_profilometry::head::LensDrive;
+use flankscope_profilometry::{Accumulator, Decoder};
+use tokio::sync::mpsc as channel;
+
+use super::error::AcquisitionError;
+use super::program::Program;
+use super::recorder::{HeadCamera, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
+use super::recording::{SavedView, Saver};
+use super::sums::{ViewSums, planned_frames};
+
+/// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
+///
+/// Made before the camera process starts, so that the services are there when it comes.
+#[derive(Debug)]
+pub struct Acquisition<O> {
+    pub(super) program: Program,
+    orders: Option<Orders>,
+    pub(super) recorded: channel::UnboundedReceiver<Recorded>,
+    capture: Option<JoinHandle<()>>,
+    pub(super) work: Option<mpsc::Sender<(usize, ViewSums)>>,
+    pub(super) outcomes: channel::UnboundedReceiver<(usize, Box<O>)>,
+    compute: Option<JoinHandle<()>>,
+    /// Captures whose frames lie on the disk, where that was asked for.
+    pub(super) saved: Vec<SavedView>,
+}
+
+impl<O: Send + 'static> Acquisition<O> {
+    /// Starts the capture thread with the frames of `source`, and the compute thread with what it makes of a view's sums.
+    ///
+    /// # Errors
+    /// The source, such as shared memory, or a thread is refused.
+    pub fn start<S: FrameSource>(
+        program: Program,
+        decoder: &Arc<Decoder>,
+        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
+        mut evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, AcquisitionError> {
+        let settings = RecorderSettings {
+            lit_dn: decoder.dark_limit_dn(),
+            keepsake: Keepsake {
+                exposure: program.exposures_us.len() as u16 / 2,
+                // The last of the finest fringes.
+                pattern: program
+                    .patterns
+                    .sets
+                    .iter()
+                    .map(|set| set.steps as u16)
+                    .sum(),
+            },
+            full_scale_dn: decoder.full_scale_dn(),
+            camera: HeadCamera {
+                size_px: decoder.size_px(),
+                sensor: Some(decoder.sensor()),
+            },
+        };
+        let (order_sender, order_receiver) = mpsc::channel();
+        let (recorded_sender, recorded) = channel::unbounded_channel();
+        let (ready_sender, ready) = mpsc::channel();
+        let capture_decoder = Arc::clone(decoder);
+        let lit_ratios = program.lit_ratios.clone();
+        // Ports stay on the thread that made them.
+        let capture = std::thread::Builder::new()
+            .name("capture".into())
+            .spawn(move || {
+                let source = match source() {
+                    Ok(source) => source,
+                    Err(error) => return drop(ready_sender.send(Err(error))),
+                };
+                let _ = ready_sender.send(Ok(()));
+                let fresh = || ViewSums::new(&capture_decoder, lit_ratios.len());
+                Recorder::new(
+                    source,
+                    settings,
+                    planned_frames(&capture_decoder, &lit_ratios),
+                    order_receiver,
+                    recorded_sender,
+                    fresh,
+                )
+                .run();
+            });
+        let capture = capture.map_err(|_| AcquisitionError::Thread { thread: "capture" })?;
+        ready
+            .recv()
+            .map_err(|_| AcquisitionError::Thread { thread: "capture" })??;
+        let (work, to_do) = mpsc::channel::<(usize, ViewSums)>();
+        let (outcome_sender, outcomes) = channel::unbounded_channel();
+        let recycle = order_sender.clone();
+        let compute_decoder = Arc::clone(decoder);
+        let compute = std::thread::Builder::new()
+            .name("compute".into())
+            .spawn(move || {
+                while let Ok((view, mut sums)) = to_do.recv() {
+                    let outcome = evaluate(view, sums.joined(&compute_decoder));
+                    let _ = recycle.send(Order::Recycle(sums));
+                    if outcome_sender.send((view, Box::new(outcome))).is_err() {
+                        return;
+                    }
+                }
+            });
+        let compute = compute.map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
+        Ok(Self {
+            program,
+            orders: Some(order_sender),
+            recorded,
+            capture: Some(capture),
+            work: Some(work),
+            outcomes,
+            compute: Some(compute),
+            saved: Vec::new(),
+        })
+    }
+
+    /// How the lens is driven from the next capture on.
+    pub fn drive(&mut self, lens: LensDrive) {
+        self.program.lens = Some(lens);
+    }
+
+    /// What stages, projector and camera are to do.
+    pub fn program(&self) -> &Program {
+        &self.program
+    }
+
+    /// Has all frames that follow written into `folder`, beside being summed.
+    pub fn save_frames(&self, folder: &Path, full_scale_dn: u16) -> Result<(), AcquisitionError> {
+        self.order(Order::Save(Saver::new(folder, full_scale_dn)))
+    }
+
+    /// The captures that were written since this was last asked, in their order.
+    pub fn take_saved(&mut self) -> Vec<SavedView> {
+        std::mem::take(&mut self.saved)
+    }
+
+    pub(super) fn order(&self, order: Order) -> Result<(), AcquisitionError> {
+        let gone = AcquisitionError::Thread { thread: "capture" };
+        self.orders.as_ref().ok_or(gone).and_then(|orders| {
+            orders
+                .send(order)
+                .map_err(|_| AcquisitionError::Thread { thread: "capture" })
+        })
+    }
+}
+
+impl<O> Drop for Acquisition<O> {
+    fn drop(&mut self) {
+        // The threads end when their orders end.
+        self.orders = None;
+        self.work = None;
+        for thread in [self.compute.take(), self.capture.take()]
+            .into_iter()
+            .flatten()
+        {
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! The light of a pattern set as shown: in passes, or once by all mirrors.
+
+use flankscope_profilometry::{Bend, HeadModel};
+
+/// What a check must know of the light of its patterns.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PatternLight {
+    /// Share of all mirrors' light that each pass gives; none: the patterns are shown once, by all mirrors.
+    pub lit_ratios: Vec<f64>,
+    /// How fringes are bent.
+    pub bend: Option<Bend>,
+}
+
+impl PatternLight {
+    /// All mirrors of every projector, one projector after the other.
+    #[must_use]
+    pub fn of(head: &HeadModel) -> Self {
+        let lit_ratios = match head.projectors() {
+            1 => Vec::new(),
+            several => vec![1.0; several],
+        };
+        Self {
+            lit_ratios,
+            bend: None,
+        }
+    }
+}

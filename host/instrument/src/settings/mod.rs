@@ -1,0 +1,578 @@
+//! What of an instrument is no law of nature: `station.toml`, and the values that hold without one.
+//!
+//! | section | says |
+//! |---|---|
+//! | `controller` | port and patience |
+//! | `camera` | the process that brings its frames |
+//! | `press` | how long it may be held, and how often it is asked again |
+//! | `light` | current of the LED |
+//! | `timing` | settling of stages and pattern projector, readout of the camera |
+//! | `stages` | what they promise of an approach, what is left of their mounting, how far the head clears the die; their line, axes, travel, dynamics and homing |
+//! | `history` | where checks are stored |
+//! | `report` | where they are written for people |
+
+mod axes;
+
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
+use flankscope_metrology::multiview::adjustment::Local;
+use flankscope_protocol::StageConfig;
+use serde::{Deserialize, Serialize};
+
+pub use axes::{Flow, Home, ParityBit, Rotation, StageLine, Vertical};
+
+use crate::controller::ClientSettings;
+use crate::poses::PoseSettings;
+use flankscope_metrology::kinematics::Moves;
+
+/// A station's file; without one, [`StationSettings::default`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StationSettings {
+    /// Name in every result.
+    pub name: Option<String>,
+    /// The controller.
+    pub controller: Controller,
+    /// The camera.
+    pub camera: Camera,
+    /// The press.
+    pub press: Press,
+    /// The light.
+    pub light: Light,
+    /// Waits of a capture.
+    pub timing: Timing,
+    /// The stages.
+    pub stages: Stages,
+    /// Where checks are stored.
+    pub history: Store,
+    /// Where they are written for people.
+    pub report: Output,
+}
+
+/// The controller's port.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Controller {
+    /// Its port, or `sim` or `qemu`, as `--link` has it.
+    pub link: Option<String>,
+    /// Wait for an answer before the same order is sent again, ms.
+    pub answer_ms: u64,
+    /// Longest time by which triggers and frames may be late, ms.
+    pub stall_ms: u64,
+}
+
+/// The camera's process.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Camera {
+    /// Program and arguments; the folder of the shared memory comes last. Empty: somebody else starts it.
+    pub command: Vec<String>,
+}
+
+/// The handshake with the press.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Press {
+    /// A watch never holds it longer than this, s.
+    pub hold_limit_s: f64,
+    /// Longest wait for the next opening, s: beyond it the press stands still.
+    pub opening_patience_s: f64,
+    /// Openings that are tried for a repeated view: each may be over before the order arrives.
+    pub openings: u32,
+}
+
+/// The light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Light {
+    /// Current of the LED, mA; never more than the controller allows.
+    pub led_ma: u16,
+}
+
+/// Waits of a capture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Timing {
+    /// From in position to light, ms.
+    pub settle_ms: u32,
+    /// From a shown pattern to the camera's trigger, µs.
+    pub pattern_settle_us: u32,
+    /// Readout of a frame, µs.
+    pub camera_readout_us: u32,
+}
+
+/// The stages, as their data sheets have them. Errors are limits, evenly distributed within.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stages {
+    /// What the rotary axis turns.
+    pub moves: Moves,
+    /// Who says where the camera stands, if not they.
+    pub poses: PoseSettings,
+    /// Largest error of the rotary stage, millidegrees.
+    pub rotation_error_mdeg: f64,
+    /// Largest error of the vertical stage, µm.
+    pub vertical_error_um: f64,
+    /// Standard uncertainty of where the head is mounted, each way, µm.
+    pub mount_um: f64,
+    /// The same of its tilt, about each axis, mrad.
+    pub mount_mrad: f64,
+    /// Run-out of the rotary stage, standard deviation in any direction, µm.
+    pub runout_um: f64,
+    /// Its wobble, standard deviation about any axis, µrad.
+    pub wobble_urad: f64,
+    /// The retracted head stands this far above the die's upper face, mm.
+    pub clearance_mm: f64,
+    /// The line to their controller.
+    pub line: StageLine,
+    /// The axis that turns die or head.
+    pub rotation: Rotation,
+    /// The axis that raises the head.
+    pub vertical: Vertical,
+}
+
+/// Where checks are stored.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Store {
+    /// The history; `--history` names another one. A path that is not absolute is beside the station's file.
+    pub file: Option<PathBuf>,
+    /// A go gives its phasors up after so many later checks.
+    pub keep_phasors: u32,
+    /// Phasors take at most so much room, GB; those of no-gos alone may take more.
+    pub keep_phasors_gb: f64,
+}
+
+/// Where results are written for people.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Output {
+    /// The folder; `--report` names another one. A path that is not absolute is beside the station's file.
+    pub folder: Option<PathBuf>,
+}
+
+impl Default for Controller {
+    /// A quarter of a second for an answer: a hundred times a frame's time on the wire.
+    fn default() -> Self {
+        Self {
+            link: None,
+            answer_ms: 250,
+            stall_ms: 2_000,
+        }
+    }
+}
+
+impl Default for Press {
+    /// A press that does not open for 5 s stands still, or strokes fewer than 12 times a minute.
+    fn default() -> Self {
+        Self {
+            hold_limit_s: 12.0,
+            opening_patience_s: 5.0,
+            openings: 3,
+        }
+    }
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self { led_ma: 1_000 }
+    }
+}
+
+impl Default for Timing {
+    /// After 100 ms the ringing of die and head at 20 Hz and more has died down (10 periods of 100 Hz); mirrors settle within
+    /// tens of µs; a frame of 1920 x 1200 pixels at 16 bit takes 12.5 ms over USB 3, and 4 % for the link's other traffic.
+    fn default() -> Self {
+        Self {
+            settle_ms: 100,
+            pattern_settle_us: 200,
+            camera_readout_us: 13_000,
+        }
+    }
+}
+
+impl Default for Stages {
+    /// ±15 mdeg and ±5 µm (data sheets); a mounting by its calibration, an estimate; run-out and wobble of an air or
+    /// cross-roller bearing.
+    fn default() -> Self {
+        Self {
+            moves: Moves::Die,
+            poses: PoseSettings::default(),
+            rotation_error_mdeg: 15.0,
+            vertical_error_um: 5.0,
+            mount_um: 10.0,
+            mount_mrad: 0.2,
+            runout_um: 0.3,
+            wobble_urad: 5.0,
+            clearance_mm: 20.0,
+            line: StageLine::default(),
+            rotation: Rotation::default(),
+            vertical: Vertical::default(),
+        }
+    }
+}
+
+impl Default for Store {
+    fn default() -> Self {
+        Self {
+            file: None,
+            keep_phasors: 1_000,
+            keep_phasors_gb: 10.0,
+        }
+    }
+}
+
+/// Half the width of an even distribution over its standard deviation.
+const SQRT_3: f64 = 1.732_050_807_568_877_2;
+
+impl Stages {
+    /// What the controller is told of them.
+    #[must_use]
+    pub fn config(&self) -> StageConfig {
+        axes::config(&self.line, &self.rotation, &self.vertical)
+    }
+
+    /// Standard uncertainty of the rotary stage's angle after an approach, rad.
+    #[must_use]
+    pub fn rotation_sigma_rad(&self) -> f64 {
+        self.rotation_error_rad() / SQRT_3
+    }
+
+    /// Standard uncertainty of the vertical stage's height after an approach, mm.
+    #[must_use]
+    pub fn vertical_sigma_mm(&self) -> f64 {
+        self.vertical_error_um / 1e3 / SQRT_3
+    }
+
+    /// Standard uncertainty of where the head is mounted: each way (mm) and about each axis (rad).
+    #[must_use]
+    pub fn mount_sigma(&self) -> (f64, f64) {
+        (self.mount_um / 1e3, self.mount_mrad / 1e3)
+    }
+
+    /// How a single view of a scan may lie from what all share; the form of the piece is no stage's matter.
+    #[must_use]
+    pub fn of_single_view(&self) -> Local {
+        let even = 1.0 / 3f64.sqrt();
+        Local {
+            rotation_rad: self.rotation_error_rad() * even,
+            vertical_mm: self.vertical_error_um / 1e3 * even,
+            runout_mm: self.runout_um / 1e3,
+            wobble_rad: self.wobble_urad / 1e6,
+            ..Local::default()
+        }
+    }
+
+    fn rotation_error_rad(&self) -> f64 {
+        self.rotation_error_mdeg / 1e3 * std::f64::consts::PI / 180.0
+    }
+}
+
+impl StationSettings {
+    /// Reads a station's file.
+    ///
+    /// # Errors
+    /// It cannot be read, or says something wrong: file, line, and what would be right.
+    pub fn load(path: &Path) -> Result<Self, TextFileError> {
+        let (mut settings, _) = textfile::load_toml(path, textfile::MAX_BYTES, Self::check)?;
+        let beside = |of: &mut Option<PathBuf>| {
+            if let Some(place) = of {
+                *place = path.with_file_name("").join(&*place);
+            }
+        };
+        beside(&mut settings.history.file);
+        beside(&mut settings.report.folder);
+        beside(&mut settings.stages.poses.file);
+        Ok(settings)
+    }
+
+    /// How patiently the controller is talked to.
+    #[must_use]
+    pub fn client(&self) -> ClientSettings {
+        ClientSettings {
+            answer: Duration::from_millis(self.controller.answer_ms),
+            stall: Some(Duration::from_millis(self.controller.stall_ms)),
+            ..ClientSettings::default()
+        }
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        if self
+            .name
+            .as_ref()
+            .is_some_and(|name| name.trim().is_empty())
+        {
+            return Err(BadValue::new("name", "", "a name, or no such line"));
+        }
+        self.controller.check()?;
+        if self.camera.command.first().is_some_and(String::is_empty) {
+            let right = "the program and its arguments, such as [\"flankscope-camera\", \"folder\", \"DIR\"]";
+            return Err(BadValue::new("camera.command", &self.camera.command, right));
+        }
+        self.press.check()?;
+        self.light.check()?;
+        self.timing.check()?;
+        let room = "more than 0 and at most 1000000 GB";
+        up_to(
+            "history.keep_phasors_gb",
+            self.history.keep_phasors_gb,
+            1e6,
+            room,
+        )?;
+        self.stages.check()
+    }
+}
+
+/// More than nothing, and at most so much; what is no number is refused as well.
+fn up_to(key: &str, value: f64, most: f64, expected: &'static str) -> Result<(), BadValue> {
+    if value > 0.0 && value <= most {
+        Ok(())
+    } else {
+        Err(BadValue::new(key, value, expected))
+    }
+}
+
+fn within(
+    key: &str,
+    value: impl Into<u64>,
+    range: RangeInclusive<u64>,
+    expected: &'static str,
+) -> Result<(), BadValue> {
+    let value = value.into();
+    if range.contains(&value) {
+        Ok(())
+    } else {
+        Err(BadValue::new(key, value, expected))
+    }
+}
+
+impl Controller {
+    fn check(&self) -> Result<(), BadValue> {
+        let wait = "1 to 60000 ms";
+        within("controller.answer_ms", self.answer_ms, 1..=60_000, wait)?;
+        within("controller.stall_ms", self.stall_ms, 1..=60_000, wait)
+    }
+}
+
+impl Press {
+    fn check(&self) -> Result<(), BadValue> {
+        let seconds = "more than 0 and at most 600 seconds";
+        up_to("press.hold_limit_s", self.hold_limit_s, 600.0, seconds)?;
+        let patience_s = self.opening_patience_s;
+        up_to("press.opening_patience_s", patience_s, 600.0, seconds)?;
+        within("press.openings", self.openings, 1..=100, "1 to 100")
+    }
+}
+
+impl Light {
+    fn check(&self) -> Result<(), BadValue> {
+        let current = "1 to 65535 mA; the controller has its own limit below";
+        within("light.led_ma", self.led_ma, 1..=65_535, current)
+    }
+}
+
+impl Timing {
+    fn check(&self) -> Result<(), BadValue> {
+        let (ms, us) = ("0 to 60000 ms", "0 to 1000000 us");
+        within("timing.settle_ms", self.settle_ms, 0..=60_000, ms)?;
+        for (key, value_us) in [
+            ("timing.pattern_settle_us", self.pattern_settle_us),
+            ("timing.camera_readout_us", self.camera_readout_us),
+        ] {
+            within(key, value_us, 0..=1_000_000, us)?;
+        }
+        Ok(())
+    }
+}
+
+impl Stages {
+    fn check(&self) -> Result<(), BadValue> {
+        let mdeg = "more than 0 and at most 1000 millidegrees";
+        let rotation_mdeg = self.rotation_error_mdeg;
+        up_to("stages.rotation_error_mdeg", rotation_mdeg, 1e3, mdeg)?;
+        let um = "more than 0 and at most 1000 um";
+        up_to("stages.vertical_error_um", self.vertical_error_um, 1e3, um)?;
+        up_to("stages.mount_um", self.mount_um, 1e3, um)?;
+        up_to("stages.runout_um", self.runout_um, 1e3, um)?;
+        let mrad = "more than 0 and at most 100 mrad";
+        up_to("stages.mount_mrad", self.mount_mrad, 100.0, mrad)?;
+        let urad = "more than 0 and at most 10000 urad";
+        up_to("stages.wobble_urad", self.wobble_urad, 1e4, urad)?;
+        let mm = "more than 0 and at most 1000 mm";
+        up_to("stages.clearance_mm", self.clearance_mm, 1e3, mm)?;
+        let poses = &self.poses;
+        let seconds = "more than 0 and at most 600 seconds";
+        up_to("stages.poses.limit_s", poses.limit_s, 600.0, seconds)?;
+        if poses.file.is_some() && !poses.command.is_empty()
+            || poses.command.first().is_some_and(String::is_empty)
+        {
+            let right = "a file, or the program and its arguments; one of both";
+            return Err(BadValue::new("stages.poses.command", &poses.command, right));
+        }
+        if self.moves == Moves::Outside && !poses.is_some() {
+            let right = "[stages.poses] beside it, with the file or command that says where the head stands";
+            return Err(BadValue::new("stages.moves", "outside", right));
+        }
+        axes::check(&self.line, &self.rotation, &self.vertical)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(text: &str) -> Result<StationSettings, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("station.toml");
+        std::fs::write(&path, text).unwrap();
+        StationSettings::load(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_a_file_leaves_out_is_as_without_one() {
+        assert_eq!(load("").unwrap(), StationSettings::default());
+        let slow = load("[timing]\nsettle_ms = 250\n").unwrap();
+        assert_eq!(slow.timing.settle_ms, 250);
+        assert_eq!(slow.timing.camera_readout_us, 13_000);
+        let written = toml::to_string(&StationSettings::default()).unwrap();
+        assert_eq!(load(&written).unwrap(), StationSettings::default());
+    }
+
+    /// The figures that were once compiled in, to the last bit.
+    #[test]
+    fn without_a_file_the_stages_are_those_of_the_data_sheets() {
+        let stages = Stages::default();
+        let pi = std::f64::consts::PI;
+        assert_eq!(stages.rotation_sigma_rad(), 15e-3 * pi / 180.0 / SQRT_3);
+        assert_eq!(stages.vertical_sigma_mm(), 5e-3 / SQRT_3);
+        assert_eq!(stages.mount_sigma(), (10e-3, 0.2e-3));
+        let (one, usual) = (stages.of_single_view(), Local::default());
+        assert_eq!(format!("{one:?}"), format!("{usual:?}"));
+    }
+
+    #[test]
+    fn wrong_values_are_named_with_line_and_what_would_be_right() {
+        for (text, named) in [
+            (
+                "[stages]\nmount_um = -1.0\n",
+                ["station.toml:2: ", "mount_um", "at most 1000 um"],
+            ),
+            (
+                "\n[stages]\nrunout_um = nan\n",
+                ["station.toml:3: ", "runout_um", "NaN"],
+            ),
+            (
+                "[press]\nhold_limit_s = 0.0\n",
+                ["station.toml:2: ", "hold_limit_s", "600 seconds"],
+            ),
+            (
+                "[light]\nled_ma = 0\n",
+                ["station.toml:2: ", "led_ma", "1 to 65535 mA"],
+            ),
+            (
+                "[stages]\nmuont_um = 1.0\n",
+                ["station.toml:2: ", "muont_um", "mount_um"],
+            ),
+            (
+                "[stages.rotation]\naxis = 1\nspeed_deg_s = 80\n",
+                ["station.toml:1: ", "missing field", "acceleration_deg_s2"],
+            ),
+            (
+                "[controller]\nanswer_ms = \"soon\"\n",
+                ["station.toml:2: ", "string", "u64"],
+            ),
+        ] {
+            let error = load(text).unwrap_err();
+            for word in named {
+                assert!(error.contains(word), "{word}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_the_controller_would_refuse_is_refused_in_the_words_of_the_file() {
+        let vertical = "[stages.vertical]\naxis = 2\nspeed_mm_s = 100\nacceleration_mm_s2 = 800\n\
+            travel_mm = [-150, 150]\nhome_mm = 100\nhome_speed_mm_s = 100\nhome_at = \"switch\"\n";
+        assert!(load(vertical).is_ok());
+        for (was, is, said) in [
+            (
+                "speed_mm_s = 100",
+                "speed_mm_s = 301",
+                "station.toml:3: stages.vertical.speed_mm_s = 301.0: 0.001 to 300 mm/s",
+            ),
+            (
+                "speed_mm_s = 100",
+                "speed_mm_s = -5",
+                "station.toml:3: stages.vertical.speed_mm_s = -5.0: 0.001 to 300 mm/s",
+            ),
+            (
+                "acceleration_mm_s2 = 800",
+                "acceleration_mm_s2 = inf",
+                "station.toml:4: stages.vertical.acceleration_mm_s2 = inf: a finite number of mm/s2",
+            ),
+            (
+                "[-150, 150]",
+                "[-150, nan]",
+                "station.toml:5: stages.vertical.travel_mm = NaN: a finite number of mm at the upper end",
+            ),
+            (
+                "[-150, 150]",
+                "[150, -150]",
+                "station.toml:5: stages.vertical.travel_mm = -150.0: an upper end above the lower one, 150 mm at the upper end",
+            ),
+            (
+                "[-150, 150]",
+                "[-150, 400]",
+                "station.toml:5: stages.vertical.travel_mm = 400.0: 0 to 150 mm at the upper end",
+            ),
+            (
+                "home_mm = 100",
+                "home_mm = 151",
+                "station.toml:6: stages.vertical.home_mm = 151.0: -150 to 150 mm, within the travel",
+            ),
+            (
+                "axis = 2",
+                "axis = 4",
+                "station.toml:2: stages.vertical.axis = 4.0: 1 to 3",
+            ),
+            (
+                "axis = 2",
+                "axis = 1",
+                "station.toml:2: stages.vertical.axis = 1: another number than that of the rotary axis",
+            ),
+            (
+                "home_speed_mm_s = 100",
+                "home_speed_mm_s = 1",
+                "station.toml:7: stages.vertical.home_speed_mm_s = 1.0: a speed at which the whole travel, and a quarter of it, \
+                 takes at most 60 s; at this one it takes 375 s",
+            ),
+        ] {
+            let error = load(&vertical.replacen(was, is, 1)).unwrap_err();
+            assert!(error.ends_with(said), "{error}");
+        }
+        let line = load("[stages.line]\nbaud = 300\n").unwrap_err();
+        assert!(
+            line.ends_with("stages.line.baud = 300.0: 1200 to 921600 baud"),
+            "{line}"
+        );
+        let even = load("[stages.line]\nbaud = 19200\nparity = \"even\"\n").unwrap_err();
+        assert!(
+            even.contains("19200 8E1") && even.contains("no parity"),
+            "{even}"
+        );
+    }
+
+    #[test]
+    fn places_are_beside_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("station.toml");
+        let text = "[history]\nfile = \"press.db\"\n[report]\nfolder = \"/srv/reports\"\n";
+        std::fs::write(&path, text).unwrap();
+        let settings = StationSettings::load(&path).unwrap();
+        assert_eq!(settings.history.file, Some(folder.path().join("press.db")));
+        assert_eq!(settings.report.folder, Some("/srv/reports".into()));
+    }
+}

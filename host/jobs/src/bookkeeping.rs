@@ -1,0 +1,31 @@
+//! Frames and memory of a run, as documents state them.
+
+use flankscope_frames::Frame;
+use flankscope_instrument::acquisition::Counts;
+use flankscope_record::document::{FrameCount, Handover};
+
+/// Frame bookkeeping of a run.
+pub(crate) fn frame_count(mut counts: Counts) -> FrameCount {
+    FrameCount {
+        triggered: counts.triggered,
+        received: counts.received,
+        bytes_copied: Frame::bytes_copied(),
+        recaptured_views: counts.recaptured,
+        late_ms: (counts.late_ms > 0.0).then_some(counts.late_ms),
+        handover_us: Handover::of(&mut counts.handover_ns),
+    }
+}
+
+/// High-water mark of this process's resident memory, from the kernel.
+pub(crate) fn peak_memory_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    kilobytes
+        .trim()
+        .trim_end_matches(" kB")
+        .parse::<f64>()
+        .ok()
+        .map(|kb| kb / 1024.0)
+}

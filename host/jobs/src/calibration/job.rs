@@ -1,0 +1,354 @@
+//! From captures to a head: cores first, then dots and their adjustment.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::{BadValue, TextFileError};
+use flankscope_profilometry::calibrate::cores::{self, FindError, FlatField};
+use flankscope_profilometry::calibrate::{
+    Adjusted, CalibrateError, NotSharp, SelfTestError, Sighting, StagePose, Target, adjust,
+    hold_out,
+};
+use flankscope_profilometry::cloud::CellColumn;
+use flankscope_profilometry::decode::GridKind;
+use flankscope_profilometry::head::CoreMap;
+use flankscope_profilometry::head::{ApartRecord, CalibrationRecord, HoldOut};
+use flankscope_profilometry::io::images::ImageError;
+use flankscope_profilometry::{
+    Accumulator, DecodeError, DecodeOptions, Decoder, FrameError, HeadModel,
+};
+use serde::Serialize;
+
+use super::survey::{SurveyError, Surveyor};
+use super::views::{self, PlateView};
+use flankscope_foundation::files;
+use flankscope_frames::SharedRoot;
+use flankscope_instrument::acquisition::Progress;
+use flankscope_instrument::controller::ClientSettings;
+use flankscope_instrument::settings::{Stages, StationSettings};
+use flankscope_record::origin::Link;
+
+/// Why there is no calibration.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrationError {
+    /// No captures.
+    #[error(transparent)]
+    Survey(#[from] SurveyError),
+    /// A view cannot be decoded.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// No cores.
+    #[error(transparent)]
+    Cores(#[from] FindError),
+    /// No head from these captures.
+    #[error(transparent)]
+    Calibrate(#[from] CalibrateError),
+    /// No self-test from these captures.
+    #[error(transparent)]
+    SelfTest(#[from] SelfTestError),
+    /// No focus from these captures.
+    #[error(transparent)]
+    NotSharp(#[from] NotSharp),
+    /// Nothing to focus with.
+    #[error("the head's file has no [lens]: its focus is not driven")]
+    NoLens,
+    /// A setting that the lens is not driven to.
+    #[error("{}: {}", .0.got, .0.expected)]
+    Focus(BadValue),
+    /// A manifest or a plan.
+    #[error(transparent)]
+    File(#[from] TextFileError),
+    /// An image.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// A frame that does not belong to its view.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// The starting head cannot count electrons.
+    #[error("the starting head says nothing about its sensor: give [sensor]")]
+    NoSensor,
+}
+
+/// The head cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SaveError {
+    /// The operating system refused.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// Not a TOML document.
+    #[error("the head cannot be put into words: {0}")]
+    Toml(#[from] toml::ser::Error),
+}
+
+/// Writes a file whole or not at all.
+pub(super) fn write(path: PathBuf, bytes: &[u8]) -> Result<(), SaveError> {
+    files::write_whole(&path, bytes).map_err(|source| SaveError::Write { path, source })
+}
+
+/// The search for the bundle's cores on the blank plate, photographed pixel by pixel.
+#[derive(Debug)]
+pub struct CoreSearch(Surveyor<Result<FlatField, FindError>>);
+
+impl CoreSearch {
+    /// Starts the threads, with frames arriving below `root`.
+    ///
+    /// # Errors
+    /// The head is unfit, or shared memory is refused.
+    pub fn open(
+        start: &HeadModel,
+        target: &Target,
+        station: &StationSettings,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let sensor = start.sensor.ok_or(CalibrationError::NoSensor)?;
+        let (head, options) = for_cores(start);
+        let at = [views::facing(&target.blank)];
+        let to_flat =
+            move |_: &Decoder, sums: &Accumulator| FlatField::of_view(sums, sensor.offset_dn);
+        Ok(Self(Surveyor::open(
+            &head,
+            options,
+            target,
+            &at,
+            (station, root),
+            to_flat,
+        )?))
+    }
+
+    /// Photographs the plate and finds the cores.
+    ///
+    /// # Errors
+    /// The capture failed, or shows no cores.
+    pub fn find(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<CoreMap, CalibrationError> {
+        let flats = self.0.survey(port, settings, watch)?;
+        let flat = flats.into_iter().next().unwrap_or(Err(FindError::NoFrame));
+        Ok(cores::find(&flat?)?)
+    }
+}
+
+/// How a view is summed to show the cores.
+pub(super) fn for_cores(start: &HeadModel) -> (HeadModel, DecodeOptions) {
+    // Cores lie up to the bundle's rim, wherever the drawing puts it, and shine in anybody's light.
+    let head = HeadModel {
+        image_circle: None,
+        second_projector: None,
+        ..start.clone()
+    };
+    let options = DecodeOptions {
+        grid: GridKind::Pixel,
+        binning: 1,
+        ..DecodeOptions::for_head(&head)
+    };
+    (head, options)
+}
+
+/// The capture of all plates, and the head that follows from it.
+#[derive(Debug)]
+pub struct PlateSurvey {
+    surveyor: Surveyor<Result<Vec<Vec<CellColumn>>, DecodeError>>,
+    start: HeadModel,
+    target: Target,
+    views: Vec<PlateView>,
+    stages: Stages,
+}
+
+impl PlateSurvey {
+    /// Starts the threads, with frames arriving below `root`; `start` knows its cores by now, if it has any.
+    ///
+    /// # Errors
+    /// The head is unfit, or shared memory is refused.
+    pub fn open(
+        start: HeadModel,
+        target: Target,
+        station: &StationSettings,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, CalibrationError> {
+        let views = views::of_target(&target);
+        let blank = views::facing(&target.blank);
+        let at: Vec<StagePose> = [blank]
+            .into_iter()
+            .chain(views.iter().map(|view| view.at))
+            .collect();
+        let options = DecodeOptions::for_head(&start);
+        let to_cells = |decoder: &Decoder, sums: &Accumulator| decoder.columns_of_each(sums);
+        Ok(Self {
+            surveyor: Surveyor::open(&start, options, &target, &at, (station, root), to_cells)?,
+            stages: station.stages.clone(),
+            start,
+            target,
+            views,
+        })
+    }
+
+    /// Photographs all plates and adjusts the head to them.
+    ///
+    /// # Errors
+    /// A capture failed, dots are not found, or do not determine the head.
+    pub fn calibrate(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        watch: impl FnMut(Progress),
+    ) -> Result<Calibrated, CalibrationError> {
+        let Self {
+            surveyor,
+            start,
+            target,
+            views,
+            stages,
+        } = self;
+        let mut captured = surveyor.survey(port, settings, watch)?.into_iter();
+        let blank = captured.next().unwrap_or(Ok(Vec::new()))?;
+        let views = views.iter().zip(captured);
+        let views = views.map(|(view, cells)| Ok((*view, cells?)));
+        Calibrated::of_views(start, target, stages, &blank, views)
+    }
+}
+
+/// One view of a printed plate.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ViewReport {
+    /// Plate of the target.
+    pub plate: usize,
+    /// Angle told to the rotary stage.
+    pub rotation_deg: f64,
+    /// Height told to the vertical stage.
+    pub vertical_mm: f64,
+    /// Dots found.
+    pub dots: usize,
+    /// Whether it took no part in the adjustment.
+    pub kept_aside: bool,
+}
+
+/// A head, and how it came about.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// The adjustment.
+    pub adjusted: Adjusted,
+    /// Plates kept aside, measured with the head, and with the one without residual fields.
+    pub hold_out: [Option<HoldOut>; 2],
+    /// Name of the target.
+    pub target: String,
+    /// How well two projectors go together.
+    pub apart: Option<ApartRecord>,
+    /// What was seen in each view.
+    pub views: Vec<ViewReport>,
+}
+
+impl Calibrated {
+    /// Adjusts a head to views of printed plates, each by every projector. `blank` shows how much light each cell gets.
+    pub(super) fn of_views(
+        start: &HeadModel,
+        target: &Target,
+        stages: &Stages,
+        blank: &[Vec<CellColumn>],
+        views: impl Iterator<Item = Result<(PlateView, Vec<Vec<CellColumn>>), CalibrationError>>,
+    ) -> Result<Self, CalibrationError> {
+        let flat = |cells: &Vec<CellColumn>| cells.iter().map(|cell| cell.mean_e).collect();
+        let flat_e: Vec<Vec<f64>> = blank.iter().map(flat).collect();
+        let (mut sightings, mut kept_aside, mut reports) = (Vec::new(), Vec::new(), Vec::new());
+        for (number, view) in views.enumerate() {
+            let (view, cells) = view?;
+            let plate = view.plate;
+            let sighting = Sighting::new(number, plate, view.at, &cells, &flat_e, target, start)?;
+            reports.push(ViewReport {
+                plate,
+                rotation_deg: view.at.rotation_rad.to_degrees(),
+                vertical_mm: view.at.vertical_mm,
+                dots: sighting.marks.len(),
+                kept_aside: view.kept_aside,
+            });
+            if view.kept_aside {
+                kept_aside.push((sighting, cells));
+            } else {
+                sightings.push(sighting);
+            }
+        }
+        let stage_sigma = [stages.rotation_sigma_rad(), stages.vertical_sigma_mm()];
+        let adjusted = adjust(start, target, &sightings, stage_sigma)?;
+        let by_first: Vec<_> = kept_aside
+            .iter()
+            .filter_map(|(sighting, cells)| Some((sighting.clone(), cells.first()?.clone())))
+            .collect();
+        Ok(Self {
+            hold_out: [&adjusted.head, &adjusted.without_field]
+                .map(|head| hold_out(head, target, &by_first)),
+            apart: ApartRecord::of(&adjusted, target, &kept_aside),
+            adjusted,
+            target: target.name.clone(),
+            views: reports,
+        })
+    }
+
+    /// Cores of the bundle, for a head that has one.
+    #[must_use]
+    pub fn cores(&self) -> Option<usize> {
+        let map = self.adjusted.head.core_map.as_ref()?;
+        Some(map.positions_px.len())
+    }
+
+    /// Writes the head's file, and beside it its core map, if it has one; returns what the file says of the calibration:
+    /// also through which link it was made, or nothing of that for images from elsewhere.
+    ///
+    /// # Errors
+    /// [`SaveError`].
+    pub fn save(
+        &self,
+        path: &Path,
+        link: Option<&Link>,
+        date: Date,
+        valid_days: u32,
+    ) -> Result<CalibrationRecord, SaveError> {
+        save_head(self.adjusted.head.clone(), path, date, |head| {
+            CalibrationRecord {
+                link: link.map(Link::to_string),
+                simulated: link.map(Link::is_simulated),
+                ..CalibrationRecord::new(
+                    &self.adjusted,
+                    head,
+                    &self.target,
+                    self.hold_out,
+                    self.apart,
+                    date,
+                    valid_days,
+                )
+            }
+        })
+    }
+}
+
+/// Writes a head's file, and beside it its core map, if it has one, with the record of the geometry that it then has.
+///
+/// # Errors
+/// [`SaveError`].
+pub fn save_head(
+    mut head: HeadModel,
+    path: &Path,
+    date: Date,
+    record: impl FnOnce(&HeadModel) -> CalibrationRecord,
+) -> Result<CalibrationRecord, SaveError> {
+    if let Some(map) = &head.core_map {
+        let name = path.with_extension("cores.csv");
+        let name = PathBuf::from(name.file_name().unwrap_or_default());
+        let (csv, reference) = map.to_csv(&name, date);
+        write(path.with_file_name(&name), csv.as_bytes())?;
+        head.cores = Some(reference);
+    }
+    let record = record(&head);
+    head.calibration = Some(record.clone());
+    write(path.to_owned(), head.to_toml()?.as_bytes())?;
+    Ok(record)
+}

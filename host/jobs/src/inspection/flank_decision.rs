@@ -1,0 +1,92 @@
+//! What decides a flank: everything that was measured of it, once or several times, against limits and baseline.
+
+use std::sync::Arc;
+
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::flank::{Limits, judge};
+use flankscope_metrology::verdict::{Code, Reason, Verdict, repeating_could_decide};
+use flankscope_metrology::wear::{Figure, FlankWear, Settings};
+
+use super::verdict::{Judged, unmeasured_flank};
+use flankscope_record::baseline::Baseline;
+use flankscope_record::document::Expanded;
+
+/// What flanks are judged by.
+#[derive(Debug)]
+pub(crate) struct FlankCriteria {
+    pub tool: Arc<Tool>,
+    pub limits: Limits,
+    pub settings: Settings,
+    pub baseline: Option<Arc<Baseline>>,
+}
+
+impl FlankCriteria {
+    /// What is judged of a flank: its loss since the baseline where there is one, else its deviation from CAD.
+    ///
+    /// # Errors
+    /// Why the baseline cannot be used for it.
+    fn judged_wear(&self, wear: &FlankWear) -> Result<FlankWear, Reason> {
+        let Some(baseline) = &self.baseline else {
+            return Ok(wear.clone());
+        };
+        let lacks = || {
+            let sentence = "the baseline lacks this flank; record it again with this tooth";
+            Reason::instrument(Code::BaselineLacks, sentence)
+        };
+        let reference = baseline.field(wear.tooth, wear.flank).ok_or_else(lacks)?;
+        let before = baseline.pose(wear.tooth);
+        let since = wear.clone().since(reference, before, &self.settings);
+        since.map_err(|mismatch| Reason::instrument(Code::BaselineMismatch, mismatch))
+    }
+
+    /// Judges a flank by everything that was measured of it.
+    pub fn flank(&self, tooth: u32, flank: Flank, captures: &[Vec<FlankWear>]) -> Option<Judged> {
+        let measured: Vec<&FlankWear> = captures
+            .iter()
+            .flatten()
+            .filter(|wear| (wear.tooth, wear.flank) == (tooth, flank))
+            .collect();
+        let together = FlankWear::together(&measured, &self.settings)?;
+        let absolute = Figure {
+            value: together.wear_mm,
+            u: together.u_mm,
+        };
+        Some(match self.judged_wear(&together) {
+            Ok(wear) => {
+                let judged = Judged::of_wear(&wear, absolute, &self.limits).named(&self.tool);
+                if measured.len() > 1 {
+                    judged.from_captures(measured.iter().map(|wear| self.figure(wear)).collect())
+                } else {
+                    judged
+                }
+            }
+            Err(why) => unmeasured_flank(tooth, flank, &self.tool, &why),
+        })
+    }
+
+    /// A single measurement's figure, µm.
+    fn figure(&self, wear: &FlankWear) -> Option<Expanded> {
+        let wear = self.judged_wear(wear).ok()?;
+        let (value, u95) = (1e3 * wear.wear_mm, 1e3 * wear.u95_mm());
+        (value.is_finite() && u95.is_finite()).then_some(Expanded { value, u95 })
+    }
+
+    /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
+    pub fn is_open(&self, wear: &FlankWear) -> bool {
+        self.judged_wear(wear).is_ok_and(|wear| {
+            let um = [
+                wear.wear_mm,
+                wear.budget.noise_mm,
+                wear.budget.systematic_mm(),
+            ];
+            matches!(
+                judge(&wear, &self.limits).verdict,
+                Verdict::NoGo
+                    | Verdict::Indeterminate {
+                        reason: Reason::Undecidable { .. }
+                    }
+            ) && repeating_could_decide(um.map(|mm| 1e3 * mm), &self.limits.wear)
+        })
+    }
+}

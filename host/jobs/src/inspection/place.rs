@@ -1,0 +1,74 @@
+//! Where a view is taken from, and how well that is known before anything was seen.
+
+use std::sync::Arc;
+
+use flankscope_foundation::rigid::{Camera, Cloud, Rigid, Tool as ToolFrame};
+use flankscope_metrology::registration::Prior;
+use flankscope_metrology::surface::Surface;
+use flankscope_metrology::wear::Zone;
+use nalgebra::Matrix6;
+
+use flankscope_instrument::settings::Stages;
+
+/// Where a view is taken from, and the surface it can see.
+#[derive(Clone)]
+pub(super) struct Place {
+    pub tooth: u32,
+    /// What is judged of its sides.
+    pub zone: Zone,
+    pub tool_from_camera: Rigid<ToolFrame, Camera>,
+    pub surface: Arc<Surface>,
+    /// Standard uncertainties of a pose that was stated: mm, mrad. The stages' otherwise.
+    pub stated: Option<[f64; 2]>,
+}
+
+impl Place {
+    /// The expected pose against a tool that is `scale` times as large as its CAD.
+    pub fn tool_from_cold_camera(&self, scale: f64) -> Rigid<ToolFrame, Cloud> {
+        let mut pose = *self.tool_from_camera.isometry();
+        pose.translation.vector /= scale;
+        Rigid::from_isometry(pose)
+    }
+
+    /// What is known of the pose before anything was seen.
+    pub fn prior(&self, expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
+        match self.stated {
+            Some([u_mm, u_mrad]) => Prior::independent(expected, [u_mrad / 1e3; 3], [u_mm; 3]),
+            None => stage_prior(expected, stages),
+        }
+    }
+
+    /// Of it, what every approach draws anew: of a stated pose nobody knows.
+    pub fn approach(&self, stages: &Stages) -> Matrix6<f64> {
+        match self.stated {
+            Some(_) => Matrix6::zeros(),
+            None => approach_covariance(stages),
+        }
+    }
+}
+
+/// What the stages say of a view's pose.
+fn stage_prior(expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
+    let (mount_mm, mount_rad) = stages.mount_sigma();
+    Prior::independent(
+        expected,
+        [
+            mount_rad,
+            mount_rad,
+            stages.rotation_sigma_rad().hypot(mount_rad),
+        ],
+        [
+            mount_mm,
+            mount_mm,
+            stages.vertical_sigma_mm().hypot(mount_mm),
+        ],
+    )
+}
+
+/// Of its covariance, what the stages draw anew with every approach; the rest is how head and die are mounted.
+fn approach_covariance(stages: &Stages) -> Matrix6<f64> {
+    let mut covariance = Matrix6::zeros();
+    covariance[(2, 2)] = stages.rotation_sigma_rad() * stages.rotation_sigma_rad();
+    covariance[(5, 5)] = stages.vertical_sigma_mm() * stages.vertical_sigma_mm();
+    covariance
+}

@@ -1,0 +1,36 @@
+//! The recipe of a check: what of a plan its files do not say, so that a replay makes the same plan.
+
+use flankscope_record::document::{Recipe, RecordedRecipe};
+
+use super::plan::ViewPlan;
+use crate::subject::Subject;
+
+/// Recipe of a check of `subject` by `plan`.
+pub(crate) fn recipe(subject: &Subject, plan: &ViewPlan) -> Recipe {
+    let grid = if subject.head.core_map.is_some() {
+        "core"
+    } else {
+        "pixel"
+    };
+    let teeth: Vec<u32> = plan.views.iter().map(|view| view.tooth).collect();
+    let by_files = ViewPlan::new(&subject.tool, &subject.head, Some(&teeth));
+    let light = plan.light();
+    let by_files = by_files.is_ok_and(|by_files| by_files.lit(light.clone()) == *plan);
+    let recorded = (!by_files).then(|| RecordedRecipe {
+        views: plan.views.clone(),
+        patterns: plan.patterns.clone(),
+        dark_frame: plan.dark_frame,
+        sensor: plan.sensor,
+        poses: plan.stated.all(),
+    });
+    Recipe {
+        teeth,
+        bend: light.bend.filter(|_| by_files),
+        recorded,
+        pattern_set: plan.patterns.name.clone(),
+        lit_ratios: light.lit_ratios,
+        exposures_us: plan.exposures_us.clone(),
+        grid: grid.into(),
+        temperature_degc: subject.temperature_degc,
+    }
+}

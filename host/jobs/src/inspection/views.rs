@@ -1,0 +1,695 @@
+//! One captured view to its flanks or its patch: points, pose, deviation, wear.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Instant;
+
+use flankscope_foundation::rigid::{Camera, Rigid, RigidError, Stage};
+use flankscope_metrology::cloud::outlier;
+use flankscope_metrology::feature::Features;
+use flankscope_metrology::gear::{Flank, FlankPlace};
+use flankscope_metrology::registration::{Options, Prior, Registration, Status, register};
+use flankscope_metrology::surface::Closest;
+use flankscope_metrology::tool::Datum;
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_metrology::wear::leakage::Leakage;
+use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
+use flankscope_profilometry::{Accumulator, Decoded, Decoder};
+use nalgebra::{Isometry3, Vector3};
+
+use super::exposures::exposures_disagree;
+use super::field::FieldOfView;
+use super::flank_decision::FlankCriteria;
+use super::head_error::calibration_um;
+use super::in_view::{self, InView};
+use super::outcome::ViewOutcome;
+use super::place::Place;
+use super::plan::ViewPlan;
+use super::pose_sensitivity::Fitted;
+use super::verdict::Judged;
+use super::{datum, die_size, maps};
+use crate::subject::Subject;
+use flankscope_instrument::poses::StatedPoses;
+use flankscope_instrument::settings::Stages;
+use flankscope_record::baseline::Reference;
+use flankscope_record::document::{Light, ViewRegistration, WeakDirection};
+
+/// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
+/// standard deviations stands alone.
+pub(crate) const OUTLIER_NEIGHBOURS: usize = 8;
+pub(crate) const OUTLIER_RATIO: f64 = 3.0;
+/// The registered surface reaches this far beyond the field of view, mm: no point then has its foot on the cut.
+const MARGIN_MM: f64 = 2.0;
+/// Noise alone makes one cell in a thousand inconsistent, edges and highlights a few more; vibration nearly all.
+const MOST_INCONSISTENT: f64 = 0.1;
+/// Cosine of the angle to the normal below which a ray grazes.
+const GRAZING: f64 = 0.05;
+/// Teeth are missed within this part of the field's radius: at its rim light and optics end.
+const NOT_THE_RIM: f64 = 0.85;
+
+/// Why a subject cannot be evaluated.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluatorError {
+    /// No gear, nothing to inspect, or no hand-eye.
+    #[error("{what} is missing; a check needs it (see docs/formats.md)")]
+    Missing {
+        /// What.
+        what: &'static str,
+    },
+    /// The hand-eye is no rigid motion.
+    #[error("the head's stage_from_camera: {0}")]
+    HandEye(#[from] RigidError),
+    /// The camera would look past the die.
+    #[error("the CAD has no surface where the head looks at tooth {tooth}")]
+    NothingThere {
+        /// Tooth of the view.
+        tooth: u32,
+    },
+    /// A band of the datum that a view does not show.
+    #[error(
+        "inspect.datum_height_mm of the tool file: the view of tooth {tooth} shows its flanks from {:.1} to {:.1} mm of height, not all \
+         of the band {} to {} mm; name a band within, and judge a zone that leaves room for it (inspect.zone_height_mm)",
+        seen_mm[0], seen_mm[1], band_mm[0], band_mm[1]
+    )]
+    DatumOutsideField {
+        /// Tooth of the view.
+        tooth: u32,
+        /// The band, mm.
+        band_mm: [f64; 2],
+        /// What is seen, mm.
+        seen_mm: [f64; 2],
+    },
+}
+
+/// Everything that does not change from check to check.
+pub struct Evaluator {
+    criteria: Arc<FlankCriteria>,
+    datum: Datum,
+    /// Bands of height that the pose rests on instead, mm; none where it does not.
+    datum_bands_mm: Vec<[f64; 2]>,
+    decoder: Arc<Decoder>,
+    places: Vec<Place>,
+    /// Teeth that have a view of their own.
+    asked: BTreeSet<u32>,
+    /// Where the camera stood instead.
+    stated: StatedPoses,
+    field: FieldOfView,
+    stages: Stages,
+    /// Size of the tool relative to its CAD, or why it cannot be judged.
+    scale: Result<f64, Reason>,
+}
+
+impl Evaluator {
+    /// Prepares the surface and the expected pose of every view.
+    ///
+    /// # Errors
+    /// The tool or the head lacks what a check needs.
+    pub fn new(
+        subject: &Subject,
+        decoder: Arc<Decoder>,
+        plan: &ViewPlan,
+    ) -> Result<Self, EvaluatorError> {
+        let missing = |what| EvaluatorError::Missing { what };
+        let tool = Arc::clone(&subject.tool);
+        if tool.gear.is_none() && tool.patches.is_empty() {
+            return Err(missing("[gear] or [[patch]] in the tool file"));
+        }
+        let limits = tool.limits().ok_or(missing("[inspect] in the tool file"))?;
+        let inspect = tool.inspect.as_ref();
+        let datum = inspect.map(|inspect| inspect.datum).unwrap_or_default();
+        let datum_bands_mm = inspect.map(|inspect| inspect.datum_height_mm.clone());
+        let datum_bands_mm = datum_bands_mm.unwrap_or_default();
+        let stage_from_camera = hand_eye(subject)?;
+        let field = FieldOfView::of(&subject.head)?;
+        let volume = subject
+            .head
+            .volume
+            .ok_or(missing("[volume] in the head file"))?;
+        let field_mm = volume.far_mm * field.slope;
+        let places = plan
+            .views
+            .iter()
+            .map(|view| {
+                let tool_from_camera = view.tool_from_camera(stage_from_camera);
+                if let Some(gear) = &tool.gear {
+                    let bands = &datum_bands_mm;
+                    datum::check_in_field(bands, gear, view.tooth, tool_from_camera, &field)?;
+                }
+                let corners = [volume.near_mm, volume.far_mm].map(|depth| {
+                    [-1.0, 1.0].map(|x| {
+                        [-1.0, 1.0]
+                            .map(|y| tool_from_camera.apply([x * field_mm, y * field_mm, depth]))
+                    })
+                });
+                let corners = corners.as_flattened().as_flattened();
+                let low: [f64; 3] = std::array::from_fn(|axis| {
+                    corners
+                        .iter()
+                        .map(|corner| corner[axis])
+                        .fold(f64::INFINITY, f64::min)
+                        - MARGIN_MM
+                });
+                let high: [f64; 3] = std::array::from_fn(|axis| {
+                    corners
+                        .iter()
+                        .map(|corner| corner[axis])
+                        .fold(f64::NEG_INFINITY, f64::max)
+                        + MARGIN_MM
+                });
+                let seen = tool.surface.restrict(|facet| {
+                    (0..3)
+                        .all(|axis| facet.low[axis] <= high[axis] && facet.high[axis] >= low[axis])
+                });
+                let surface = seen.ok_or(EvaluatorError::NothingThere { tooth: view.tooth })?;
+                let zone = tool.zone_of(view.tooth);
+                Ok(Place {
+                    tooth: view.tooth,
+                    zone: zone.ok_or(missing("[inspect] in the tool file"))?,
+                    tool_from_camera,
+                    surface: Arc::new(surface),
+                    stated: None,
+                })
+            })
+            .collect::<Result<_, EvaluatorError>>()?;
+        // What the first verdict need not wait for.
+        wear::prepare();
+        let settings = Settings {
+            calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
+            ..tool.wear_settings()
+        };
+        let temperature = tool.temperature.as_ref();
+        let scale = temperature.map_or(Ok(1.0), |t| t.scale(subject.temperature_degc));
+        let criteria = FlankCriteria {
+            tool,
+            limits,
+            settings,
+            baseline: subject.baseline.clone(),
+        };
+        Ok(Self {
+            criteria: Arc::new(criteria),
+            datum,
+            datum_bands_mm,
+            decoder,
+            places,
+            asked: plan.views.iter().map(|view| view.tooth).collect(),
+            stated: plan.stated.clone(),
+            field,
+            stages: subject.station.stages.clone(),
+            scale,
+        })
+    }
+
+    /// What of the tool is judged.
+    fn features(&self) -> Features<'_> {
+        self.criteria.tool.features()
+    }
+
+    /// Where the camera stood for a view: as planned, or as somebody said.
+    fn place(&self, view: usize) -> Place {
+        let planned = self.places[view].clone();
+        let stated = self.stated.of(view);
+        // Checked when it was stated.
+        let pose = stated.and_then(|of| Some((of.rigid().ok()?, [of.u_mm, of.u_mrad])));
+        match pose {
+            Some((tool_from_camera, u)) => Place {
+                tool_from_camera,
+                stated: Some(u),
+                ..planned
+            },
+            None => planned,
+        }
+    }
+
+    /// Evaluates one view's sums.
+    #[must_use]
+    pub fn evaluate(&self, view: usize, accumulator: &Accumulator) -> ViewOutcome {
+        let place = &self.place(view);
+        let mut laps = Laps::begin();
+        let decoded = match self.decoder.finish(accumulator) {
+            Ok(decoded) => decoded,
+            Err(error) => {
+                let why = Reason::instrument(Code::Decoding, error);
+                return self.unmeasured(place, &why, 0.0, laps.elapsed_ms);
+            }
+        };
+        laps.lap("decode");
+        let inconsistent_ratio = inconsistent_ratio(&decoded);
+        if let Some(why) = shaken(inconsistent_ratio) {
+            return self.unmeasured(place, &why, inconsistent_ratio, laps.elapsed_ms);
+        }
+        if let Some(why) = exposures_disagree(&decoded) {
+            return ViewOutcome {
+                retake: true,
+                ..self.unmeasured(place, &why, inconsistent_ratio, laps.elapsed_ms)
+            };
+        }
+        let cold = self.cold(&decoded);
+        laps.lap("outliers");
+        let fit = self.fit(place, &cold.points);
+        laps.lap("registration");
+        let located: Vec<[f64; 3]> = cold
+            .points
+            .iter()
+            .map(|&p| fit.registration.tool_from_cloud.apply(p))
+            .collect();
+        let closest = place.surface.closest_many(&located);
+        laps.lap("deviation");
+        let places = wear::places(self.features(), &closest);
+        let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
+        // The points that stand alone come last: there was light.
+        let is_dark = decoded.is_dark.iter().copied();
+        let is_dark = is_dark.chain(std::iter::repeat(false));
+        let (mut dark, mut undecoded) = (Vec::new(), Vec::new());
+        let directions = rays_without_point(&self.decoder, &decoded, &cold.dropped);
+        for (direction, is_dark) in directions.zip(is_dark) {
+            let along = tool_from_cloud * Vector3::from(direction).normalize();
+            let rays = if is_dark { &mut dark } else { &mut undecoded };
+            rays.push(along.into());
+        }
+        let light = Light {
+            rejected: decoded.rejected,
+            contrast: decoded.contrast.clone(),
+            medians: decoded.light,
+            projectors: decoded.projectors,
+            other_order_ratio: self.other_order_ratio(&cold.points, tool_from_cloud, &closest),
+        };
+        let measured = Measured {
+            points: &located,
+            closest: &closest,
+            sigma_mm: Some(&cold.sigma),
+            sight: Some(Sight {
+                surface: &place.surface,
+                camera_mm: tool_from_cloud.translation.vector.into(),
+                dark: &dark,
+                undecoded: &undecoded,
+                range_mm: self.field.range_mm,
+            }),
+        };
+        let assessed = match (&fit.registration.status, &self.scale) {
+            (_, Err(reason)) => self.not_assessed(place, reason),
+            (Status::Registered, Ok(_)) => self.assess(place, &fit, measured, &places),
+            (Status::Indeterminate(reason), Ok(_)) => {
+                self.not_assessed(place, &Reason::Registration(reason.clone()))
+            }
+        };
+        let fields = assessed
+            .wears
+            .iter()
+            .filter(|wear| wear.tooth == place.tooth && wear.figures.is_some())
+            .map(Reference::of_flank)
+            .collect();
+        laps.lap("wear");
+        let (tooth, zone) = (place.tooth, &place.zone);
+        let (maps, deviations_um) = maps::draw(self.features(), tooth, zone, &closest, &places);
+        laps.lap("maps");
+        let points = cold.points.len();
+        let captures = vec![assessed.wears];
+        let missing = self.missing_teeth(&fit, measured, &places, &cold.points);
+        ViewOutcome {
+            flanks: assessed.flanks,
+            in_view: InView::of_view(place.tooth, &captures, missing, &self.criteria),
+            registration: vec![ViewRegistration {
+                leakage: assessed.leakage,
+                inconsistent_ratio,
+                light: Some(light),
+                ..summary(place, points, &fit.registration, laps.elapsed_ms)
+            }],
+            fields,
+            pose: assessed.pose,
+            maps,
+            deviations_um,
+            phasors: Vec::new(),
+            retake: false,
+            tooth: place.tooth,
+            captures,
+            criteria: Arc::clone(&self.criteria),
+        }
+    }
+
+    /// The points that do not stand alone, as they are when the die is cold: a warm die is laid on its CAD as it is then,
+    /// everything shrinks towards axis and seat, poses included.
+    fn cold(&self, decoded: &Decoded) -> ColdPoints {
+        let cloud = &decoded.cloud;
+        let kept = outlier::statistical(&cloud.points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+        let of_kept = |i: &usize| kept.get(*i).copied().unwrap_or(false);
+        let (chosen, dropped): (Vec<usize>, Vec<usize>) = (0..cloud.len()).partition(of_kept);
+        let scale = self.scale_or_one();
+        let cold = |&i: &usize| cloud.points_mm[i].map(|x| x / scale);
+        ColdPoints {
+            points: chosen.iter().map(cold).collect(),
+            sigma: chosen.iter().map(|&i| cloud.sigma_z_mm[i]).collect(),
+            dropped,
+        }
+    }
+
+    fn scale_or_one(&self) -> f64 {
+        self.scale.as_ref().copied().unwrap_or(1.0)
+    }
+
+    /// Part of the points with another fringe order than the drawing has along their ray.
+    fn other_order_ratio(
+        &self,
+        points: &[[f64; 3]],
+        tool_from_cloud: &Isometry3<f64>,
+        closest: &[Closest],
+    ) -> f64 {
+        let is_other = |(point, closest): (&[f64; 3], &Closest)| {
+            let ray = Vector3::from(*point);
+            let along = tool_from_cloud.rotation * ray.normalize();
+            let cosine = along.dot(&Vector3::from(closest.normal));
+            let drawn = ray - ray.normalize() * (closest.signed_distance_mm / cosine);
+            let apart = self.decoder.orders_between(*point, drawn.into());
+            // Where a ray grazes the surface nothing is expected of it.
+            cosine.abs() > GRAZING && apart.is_some_and(|orders| orders.abs() > 0.5)
+        };
+        let others = points.iter().zip(closest).filter(|pair| is_other(*pair));
+        others.count() as f64 / points.len().max(1) as f64
+    }
+
+    /// Lays the points on the CAD, from where the stages say they are.
+    fn fit(&self, place: &Place, points: &[[f64; 3]]) -> Fit {
+        let tool_from_camera = place.tool_from_cold_camera(self.scale_or_one());
+        let expected: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
+        let used = self.are_datum(place, &expected);
+        let datum: Vec<[f64; 3]> = points
+            .iter()
+            .zip(&used)
+            .filter(|(_, used)| **used)
+            .map(|(p, _)| *p)
+            .collect();
+        let prior = place.prior(tool_from_camera, &self.stages);
+        let options = Options {
+            initial: prior.tool_from_cloud,
+            prior: Some(prior.clone()),
+            teeth: self.features().gear().map(|gear| gear.teeth),
+            ..Options::default()
+        };
+        Fit {
+            registration: register(&*place.surface, &datum, None, &options),
+            used,
+            prior,
+            options,
+        }
+    }
+
+    /// Wear and decision of both flanks of the middle tooth, and wear of its neighbours in view.
+    fn assess(
+        &self,
+        place: &Place,
+        fit: &Fit,
+        measured: Measured<'_>,
+        places: &[Option<FlankPlace>],
+    ) -> Assessed {
+        let (features, settings) = (self.features(), &self.criteria.settings);
+        if let Some(why) = datum::unseen(&self.datum_bands_mm, &fit.used, places) {
+            return self.not_assessed(place, &why);
+        }
+        let scale_mm = match die_size::scale_mm(features, place, measured.closest, places, settings)
+        {
+            Ok(scale_mm) => scale_mm,
+            Err(why) => return self.not_assessed(place, &why),
+        };
+        let fitted = Fitted {
+            features,
+            zone: &place.zone,
+            registration: &fit.registration,
+            prior: &fit.prior,
+            approach: place.approach(&self.stages),
+            options: &fit.options,
+            closest: measured.closest,
+            used: &fit.used,
+            datum_bands_mm: &self.datum_bands_mm,
+            places,
+            temperature: self.criteria.tool.temperature.as_ref(),
+            form_in_doubt: settings.as_built_mm > 0.0,
+        };
+        let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);
+        let mut teeth = vec![place.tooth];
+        teeth.extend(in_view::others(features, places, in_zone, &self.asked));
+        let (mut sensitivities, measured) = rayon::join(
+            || fitted.on(&teeth),
+            || {
+                let (zone, of) = (&place.zone, Some(&fit.registration));
+                wear::evaluate_placed(features, zone, &teeth, measured, places, of, settings)
+            },
+        );
+        for of in &mut sensitivities {
+            of.temperature_mm = of.temperature_mm.hypot(scale_mm);
+        }
+        let leakage = features.sides().iter().zip(&sensitivities);
+        let leakage = leakage
+            .map(|(side, of)| (side.word(), of.leakage))
+            .collect();
+        // All sides of a tooth have one.
+        let evidence = sensitivities.first().and_then(|of| of.evidence.as_deref());
+        let pose = evidence.cloned();
+        let wears: Vec<FlankWear> = measured
+            .into_iter()
+            .zip(sensitivities)
+            .map(|(wear, sensitivity)| wear.with(sensitivity, settings))
+            .collect();
+        let captures = std::slice::from_ref(&wears);
+        let judged = |&flank: &Flank| self.criteria.flank(place.tooth, flank, captures);
+        Assessed {
+            flanks: features.sides().iter().filter_map(judged).collect(),
+            leakage,
+            pose,
+            wears,
+        }
+    }
+
+    /// Teeth that do not stand in a view that could be laid on the CAD, but not those at the rim of the field. `points` are in the
+    /// camera's frame.
+    fn missing_teeth(
+        &self,
+        fit: &Fit,
+        measured: Measured<'_>,
+        places: &[Option<FlankPlace>],
+        points: &[[f64; 3]],
+    ) -> Vec<MissingTooth> {
+        let (Features::Gear(gear), Status::Registered, Some(sight)) =
+            (self.features(), &fit.registration.status, measured.sight)
+        else {
+            return Vec::new();
+        };
+        let tool_from_cloud = fit.registration.tool_from_cloud.isometry();
+        let axis = tool_from_cloud.rotation * Vector3::z();
+        let of_points = points.iter().map(|&point| {
+            let point = Vector3::from(point);
+            Ray {
+                direction: (tool_from_cloud.rotation * point.normalize()).into(),
+                brought: Brought::Point(point.norm()),
+            }
+        });
+        let without = |directions: &'_ [[f64; 3]], brought| {
+            let ray = move |&direction| Ray { direction, brought };
+            directions.iter().map(ray).collect::<Vec<_>>()
+        };
+        let dark = without(sight.dark, Brought::Nothing);
+        let undecoded = without(sight.undecoded, Brought::Light);
+        let least_cos = 1.0 / 1f64.hypot(NOT_THE_RIM * self.field.slope);
+        let rays = of_points.chain(dark).chain(undecoded);
+        let rays = rays.filter(|ray| Vector3::from(ray.direction).dot(&axis) >= least_cos);
+        missing_teeth(gear, sight.camera_mm, rays, measured.closest, places)
+    }
+
+    /// Why there is neither.
+    fn not_assessed(&self, place: &Place, why: &Reason) -> Assessed {
+        Assessed {
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
+            leakage: BTreeMap::new(),
+            pose: None,
+            wears: Vec::new(),
+        }
+    }
+
+    /// Which points the fit may use. Judged flanks must stay out: their wear would pull the pose towards it and hide
+    /// itself (by a fifth, for 10 µm on one flank of the seven in view). Their tooth stays out as a whole: at the ends of a
+    /// flank its wear reaches into what would count as a land. Of a tool with patches those inside the judged one's datum may,
+    /// and where the tool names bands of height those on flanks within them, the judged tooth's as well.
+    ///
+    /// Where a point lies is taken from the stages' pose, which is off by hundredths of a millimetre.
+    fn are_datum(&self, place: &Place, points: &[[f64; 3]]) -> Vec<bool> {
+        let gear = match self.features() {
+            Features::Gear(gear) => gear,
+            Features::Patches(patches) => return datum::within(patches, place, points),
+        };
+        if !self.datum_bands_mm.is_empty() {
+            return datum::within_bands(&self.datum_bands_mm, gear, points);
+        }
+        let margin_mm = 0.05 * gear.module_mm;
+        let (low_mm, high_mm) = (
+            gear.tip_radius_mm.min(gear.root_radius_mm) + margin_mm,
+            gear.tip_radius_mm.max(gear.root_radius_mm) - margin_mm,
+        );
+        let is_datum = |&[x, y, _]: &[f64; 3]| match self.datum {
+            Datum::Neighbours => gear.tooth_at(y.atan2(x)) != place.tooth,
+            Datum::Lands => !(low_mm..high_mm).contains(&x.hypot(y)),
+            Datum::All => true,
+        };
+        points.iter().map(is_datum).collect()
+    }
+
+    fn unmeasured(
+        &self,
+        place: &Place,
+        why: &Reason,
+        inconsistent_ratio: f64,
+        elapsed_ms: BTreeMap<&'static str, f64>,
+    ) -> ViewOutcome {
+        ViewOutcome {
+            flanks: super::verdict::unmeasured(place.tooth, &self.criteria.tool, why),
+            in_view: InView::default(),
+            registration: vec![ViewRegistration {
+                tooth: place.tooth,
+                status: "indeterminate".into(),
+                reason: Some(why.to_string()),
+                points: 0,
+                inconsistent_ratio,
+                light: None,
+                inliers: 0,
+                rms_mm: 0.0,
+                iterations: 0,
+                shift_mm: [0.0; 3],
+                turn_rad: [0.0; 3],
+                leakage: BTreeMap::new(),
+                weak_directions: Vec::new(),
+                elapsed_ms,
+            }],
+            fields: Vec::new(),
+            pose: None,
+            maps: Vec::new(),
+            deviations_um: Vec::new(),
+            phasors: Vec::new(),
+            retake: false,
+            tooth: place.tooth,
+            captures: vec![Vec::new()],
+            criteria: Arc::clone(&self.criteria),
+        }
+    }
+}
+
+/// Points of a view on a cold die, camera frame (mm), each with its standard uncertainty (mm).
+struct ColdPoints {
+    points: Vec<[f64; 3]>,
+    sigma: Vec<f32>,
+    /// Points of the cloud that stand alone.
+    dropped: Vec<usize>,
+}
+
+/// A view laid on the CAD.
+struct Fit {
+    registration: Registration,
+    /// Of every point, whether the fit used it.
+    used: Vec<bool>,
+    prior: Prior,
+    options: Options,
+}
+
+/// What is said of both flanks of a view's middle tooth.
+struct Assessed {
+    flanks: Vec<Judged>,
+    leakage: BTreeMap<&'static str, Leakage>,
+    pose: Option<PoseEvidence>,
+    wears: Vec<FlankWear>,
+}
+
+/// How long each part took.
+struct Laps {
+    clock: Instant,
+    elapsed_ms: BTreeMap<&'static str, f64>,
+}
+
+impl Laps {
+    fn begin() -> Self {
+        Self {
+            clock: Instant::now(),
+            elapsed_ms: BTreeMap::new(),
+        }
+    }
+
+    fn lap(&mut self, what: &'static str) {
+        let elapsed_ms = self.clock.elapsed().as_secs_f64() * 1e3;
+        self.elapsed_ms.insert(what, elapsed_ms);
+        self.clock = Instant::now();
+    }
+}
+
+/// Why nothing is made of a view in which too many cells' frames contradict each other.
+fn shaken(inconsistent_ratio: f64) -> Option<Reason> {
+    let why = format_args!(
+        "the frames of {:.0} % of the points do not follow one fringe, at most {:.0} % may: the head or the press vibrates, \
+         or the light flickers",
+        100.0 * inconsistent_ratio,
+        100.0 * MOST_INCONSISTENT
+    );
+    (inconsistent_ratio > MOST_INCONSISTENT).then(|| Reason::instrument(Code::Inconsistent, why))
+}
+
+/// Where the cells without a point look, and those whose point was `dropped`: camera frame, at any length.
+pub(crate) fn rays_without_point<'a>(
+    decoder: &'a Decoder,
+    decoded: &'a Decoded,
+    dropped: &'a [usize],
+) -> impl Iterator<Item = [f64; 3]> + 'a {
+    let cells = decoded.without_point.iter();
+    let directions = cells.filter_map(|&cell| decoder.direction(cell).map(|[x, y]| [x, y, 1.0]));
+    directions.chain(dropped.iter().map(|&i| decoded.cloud.points_mm[i]))
+}
+
+/// Part of the cells with fringes whose frames contradict each other. Where frequencies disagree frames are not asked; the few
+/// cells that are left of such a view are not what it is like.
+fn inconsistent_ratio(decoded: &Decoded) -> f64 {
+    let [lost, disagreeing] = [decoded.rejected.inconsistent, decoded.rejected.disagreeing];
+    lost as f64 / (lost + disagreeing + decoded.cloud.len()).max(1) as f64
+}
+
+fn summary(
+    place: &Place,
+    points: usize,
+    registration: &Registration,
+    elapsed_ms: BTreeMap<&'static str, f64>,
+) -> ViewRegistration {
+    let moved =
+        registration.tool_from_cloud.isometry() * place.tool_from_camera.isometry().inverse();
+    // How far the middle of the cloud moved: the motion of the origin would show the turn times 40 mm.
+    let centre = nalgebra::Point3::from(registration.centre_mm);
+    let shift = centre - moved.inverse() * centre;
+    let (status, reason) = match &registration.status {
+        Status::Registered => ("registered", None),
+        Status::Indeterminate(reason) => ("indeterminate", Some(reason.to_string())),
+    };
+    let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
+    ViewRegistration {
+        tooth: place.tooth,
+        status: status.into(),
+        reason,
+        points,
+        inconsistent_ratio: 0.0,
+        light: None,
+        inliers: registration.inliers,
+        rms_mm: finite(registration.rms_mm),
+        iterations: registration.iterations,
+        shift_mm: [shift.x, shift.y, shift.z],
+        turn_rad: moved.rotation.scaled_axis().into(),
+        leakage: BTreeMap::new(),
+        weak_directions: registration
+            .weak_directions
+            .iter()
+            .map(|weak| WeakDirection {
+                direction: weak.vector,
+                prior_share: weak.prior_share,
+            })
+            .collect(),
+        elapsed_ms,
+    }
+}
+
+/// The hand-eye of the head file.
+pub(crate) fn hand_eye(subject: &Subject) -> Result<Rigid<Stage, Camera>, EvaluatorError> {
+    let hand_eye = subject.head.stage_from_camera;
+    let what = "stage_from_camera in the head file";
+    Ok(hand_eye.ok_or(EvaluatorError::Missing { what })?.rigid()?)
+}

@@ -1,0 +1,26 @@
+//! The jobs of the instrument, each from hello to result.
+//!
+//! ```text
+//!  sources: live frames, recorded frames,          ┌─ inspection ── verdict ──┐
+//!           recorded clouds, stored phasors  ──────┼─ scan ─────── map ───────┼──► record, then report
+//!                                                  └─ calibration ─ head ─────┘
+//! ```
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`subject`] | what a job looks at, and with what |
+//! | [`inspection`] | the check of a few critical teeth |
+//! | [`watch`] | a check every N cycles of the press |
+//! | [`scan`] | the whole die, view by view |
+//! | [`calibration`] | plates to a head file, and its self-test |
+//! | [`replay`] | a stored verdict, computed again from its phasors |
+//! | [`readiness`] | findings on what a station measures with: key, tool, head, history |
+
+mod bookkeeping;
+pub mod calibration;
+pub mod inspection;
+pub mod readiness;
+pub mod replay;
+pub mod scan;
+pub mod subject;
+pub mod watch;

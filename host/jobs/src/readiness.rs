@@ -1,0 +1,180 @@
+//! Findings of `doctor` on what a station measures with: its key, tool, head and history.
+
+use std::path::Path;
+
+use flankscope_foundation::date::Date;
+use flankscope_metrology::tool::{Tool, ToolError};
+use flankscope_profilometry::HeadModel;
+use serde_json::json;
+
+use flankscope_instrument::doctor::Finding;
+use flankscope_record::history::History;
+use flankscope_record::seal::Seals;
+
+/// A calibration that ends within so many days should be renewed.
+const SOON_DAYS: u32 = 14;
+
+/// The station's key, by which its results are known.
+#[must_use]
+pub fn key(seals: &Result<Seals, flankscope_record::seal::SealError>) -> Finding {
+    match seals {
+        Ok(seals) => {
+            let id = seals.station();
+            Finding::ok("key", format!("id {id}")).with(json!({ "id": id }))
+        }
+        Err(error) => Finding::failed(
+            "key",
+            error.to_string(),
+            "give it a private folder by FLANKSCOPE_STATE; what was signed before is believed again by flankscope trust",
+        ),
+    }
+}
+
+/// The tool that is looked at.
+#[must_use]
+pub fn tool(tool: &Result<Tool, ToolError>) -> Finding {
+    const CHECK: &str = "tool";
+    let tool = match tool {
+        Ok(tool) => tool,
+        Err(error) => {
+            return Finding::failed(
+                CHECK,
+                error.to_string(),
+                "correct its tool.toml (docs/formats.md)",
+            );
+        }
+    };
+    let triangles = tool.mesh.triangles.len();
+    let figures = json!({ "name": tool.name, "serial": tool.serial, "triangles": triangles });
+    let seen = format!(
+        "{} ({}), CAD of {triangles} triangles",
+        tool.name,
+        tool.path.display()
+    );
+    match &tool.inspect {
+        Some(inspect) => {
+            let teeth = inspect.teeth.len();
+            Finding::ok(CHECK, format!("{seen}, {teeth} teeth to check")).with(figures)
+        }
+        None => Finding::attention(
+            CHECK,
+            seen,
+            "give it an [inspect] section with limits, or nothing can be judged",
+        )
+        .with(figures),
+    }
+}
+
+/// The head that looks: whether this station believes it, and whether it may judge today. `fits` says whether it may be used
+/// with the link.
+#[must_use]
+pub fn head(
+    path: &Path,
+    head: &HeadModel,
+    fits: Result<(), String>,
+    seals: Option<&Seals>,
+) -> Finding {
+    const CHECK: &str = "head";
+    const CALIBRATE: &str = "flankscope calibrate -o HEAD.toml";
+    let record = head.calibration.as_ref();
+    let made = record.map(|made| (made.date, made.expires));
+    let due = head.self_test.as_ref().map(|test| test.due);
+    let figures = json!({
+        "name": head.name,
+        "file": path,
+        "calibrated": made.map(|(date, _)| date),
+        "expires": made.map(|(_, expires)| expires),
+        "self_test_due": due,
+        "simulated": record.and_then(|made| made.simulated),
+    });
+    let seen = match made {
+        Some((date, expires)) => format!(
+            "{} ({}), calibrated {date}, expires {expires}",
+            head.name,
+            path.display()
+        ),
+        None => format!("{} ({}), not calibrated", head.name, path.display()),
+    };
+    let finding = || -> Finding {
+        if let Err(why) = fits {
+            return Finding::failed(CHECK, why, "calibrate it where it is used");
+        }
+        let believed = seals.map(|seals| seals.head(path, made.is_some()));
+        let standing = match believed {
+            Some(Ok(standing)) => standing.words(),
+            Some(Err(error)) => {
+                let remedy = format!(
+                    "if it is right as it is: flankscope trust {} --name WHO",
+                    path.display()
+                );
+                return Finding::failed(CHECK, error.to_string(), remedy);
+            }
+            None => "whose word it is could not be asked".into(),
+        };
+        let today = Date::today();
+        if let Err(unfit) = head.fit_on(today) {
+            return Finding::failed(CHECK, format!("{seen}: {unfit}"), CALIBRATE);
+        }
+        let Some((_, expires)) = made else {
+            let seen = format!("{seen}: a drawing's values, {standing}");
+            return Finding::attention(CHECK, seen, CALIBRATE);
+        };
+        let seen = match due {
+            Some(due) => format!("{seen}, self-test due {due}, {standing}"),
+            None => format!("{seen}, {standing}"),
+        };
+        let soon = today.plus_days(SOON_DAYS);
+        match due {
+            _ if expires < soon => Finding::attention(CHECK, seen, CALIBRATE),
+            Some(due) if due <= today.plus_days(1) => {
+                let remedy = format!("flankscope calibrate --check {}", path.display());
+                Finding::attention(CHECK, seen, remedy)
+            }
+            _ => Finding::ok(CHECK, seen),
+        }
+    };
+    finding().with(figures)
+}
+
+/// The history, every link of its chain.
+#[must_use]
+pub fn history(path: &Path, seals: &Seals) -> (Finding, Option<Date>) {
+    const CHECK: &str = "history";
+    if !path.exists() {
+        let seen = format!(
+            "{} is not there yet: the first check makes it",
+            path.display()
+        );
+        return (Finding::ok(CHECK, seen), None);
+    }
+    let read = History::read(path, seals).and_then(|history| {
+        history.verify()?;
+        let ids = history.ids()?;
+        let last = ids.last().map(|id| history.check(*id)).transpose()?;
+        Ok((ids.len(), last))
+    });
+    match read {
+        Ok((checks, last)) => {
+            let seen = match &last {
+                Some(last) => format!(
+                    "{}, {checks} checks, the last of {}",
+                    path.display(),
+                    last.at
+                ),
+                None => format!("{}, no check yet", path.display()),
+            };
+            let date = last.and_then(|last| last.at.get(..10)?.parse().ok());
+            (
+                Finding::ok(CHECK, seen).with(json!({ "checks": checks })),
+                date,
+            )
+        }
+        Err(error) => {
+            let remedy = format!(
+                "look at it, then flankscope trust {} --name WHO",
+                path.display()
+            );
+            (Finding::failed(CHECK, error.to_string(), remedy), None)
+        }
+    }
+}

@@ -1,0 +1,399 @@
+//! A stored verdict, computed again from its phasors, and every difference by name.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_metrology::verdict::{Code, Reason, Word};
+use flankscope_profilometry::{DecodeError, PhasorsError};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+
+use crate::inspection::{
+    Evaluator, EvaluatorError, Findings, PlanningError, ViewOutcome, ViewPlan, recipe,
+};
+use crate::subject::Subject;
+use flankscope_record::baseline::Baseline;
+use flankscope_record::document::{Evidence, Recipe, unsaid};
+use flankscope_record::history::Check;
+use flankscope_record::history::History;
+use flankscope_record::history::HistoryError;
+
+/// Why a check cannot be computed again.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplayError {
+    /// Its row, its phasors or its baseline are not there, or not what was stored.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// The stored document lacks what a replay needs.
+    #[error("the document of check {id} cannot be read: {source}")]
+    Document {
+        /// Check.
+        id: i64,
+        /// Cause.
+        source: serde_json::Error,
+    },
+    /// The baseline is not the one that was stored.
+    #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
+    Baseline {
+        /// Check.
+        id: i64,
+        /// Its BLAKE3.
+        expected: String,
+    },
+    /// The phasors do not fit head and patterns.
+    #[error("phasors {blake3} of tooth {tooth}: {source}")]
+    Phasors {
+        /// Hash of the phasors.
+        blake3: String,
+        /// Tooth of the view.
+        tooth: u32,
+        /// Cause.
+        source: PhasorsError,
+    },
+    /// No views from this tool and head.
+    #[error(transparent)]
+    Planning(#[from] PlanningError),
+    /// The head model cannot decode.
+    #[error(transparent)]
+    Decode(#[from] DecodeError),
+    /// The tool cannot be evaluated.
+    #[error(transparent)]
+    Evaluator(#[from] EvaluatorError),
+}
+
+/// Something that is not as it was stored.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Where in the document, for example `features.0.wear_um`.
+    pub what: String,
+    /// Stored.
+    pub stored: Value,
+    /// Now.
+    pub now: Value,
+}
+
+/// A check computed again.
+#[derive(Clone, Debug, Serialize)]
+pub struct Replay {
+    /// Its number.
+    pub id: i64,
+    /// Where the check comes from, as its document says; empty where an earlier release stored it.
+    #[serde(flatten)]
+    pub origin: BTreeMap<&'static str, Value>,
+    /// The stored verdict.
+    pub stored_verdict: Word,
+    /// The verdict as computed now.
+    pub verdict: Word,
+    /// Its reason.
+    pub reason: String,
+    /// Captures that it was computed from.
+    pub captures: usize,
+    /// Releases that are not those of the check; they explain a difference, but are none.
+    pub versions: Vec<Difference>,
+    /// What differs; none when every figure is the same to the last bit.
+    pub differences: Vec<Difference>,
+}
+
+/// What a document says of where its check comes from.
+const ORIGIN: [&str; 8] = [
+    "link",
+    "simulated",
+    "recording",
+    "head",
+    "tool",
+    "station",
+    "operator",
+    "date",
+];
+
+/// What a replay reads of the stored document.
+#[derive(Deserialize)]
+struct Stored {
+    verdict: Word,
+    recipe: Recipe,
+    evidence: Vec<Evidence>,
+    stopped: Option<String>,
+    stopped_code: Option<Code>,
+    hashes: BTreeMap<String, String>,
+}
+
+impl Replay {
+    /// What the row of a check says otherwise than its document.
+    ///
+    /// # Errors
+    /// There is no such check, or its document is no JSON.
+    pub fn of_row(history: &History, id: i64) -> Result<Vec<Difference>, ReplayError> {
+        let in_document = |source| ReplayError::Document { id, source };
+        let document = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
+        let mut differences = Vec::new();
+        columns(&history.check(id)?, &document, &mut differences);
+        Ok(differences)
+    }
+
+    /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline
+    /// are those of the check.
+    ///
+    /// # Errors
+    /// Something that the verdict was computed from is missing or damaged.
+    pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
+        let in_document = |source| ReplayError::Document { id, source };
+        let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
+        let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
+        subject.temperature_degc = stored.recipe.temperature_degc;
+        if stored.recipe.grid == "pixel" {
+            Arc::make_mut(&mut subject.head).core_map = None;
+        }
+        if let Some(expected) = stored.hashes.get("baseline") {
+            let baseline = baseline(history, expected)?.ok_or_else(|| ReplayError::Baseline {
+                id,
+                expected: expected.clone(),
+            })?;
+            subject.hashes.insert("baseline", baseline.hash());
+            subject.baseline = Some(Arc::new(baseline));
+        }
+        let plan = ViewPlan::of_recipe(&subject.tool, &subject.head, &stored.recipe)?;
+        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
+        let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
+        let mut outcomes = BTreeMap::new();
+        let mut problems = BTreeMap::new();
+        let mut captures = 0;
+        let mut sums = decoder.begin();
+        for (view, evidence) in stored.evidence.iter().enumerate() {
+            if let Some(problem) = &evidence.problem {
+                problems.insert(view, Reason::from(problem));
+            }
+            for blake3 in &evidence.phasors {
+                let phasors = history.phasors(blake3, sums.byte_count())?;
+                sums.restore(&phasors.bytes)
+                    .map_err(|source| ReplayError::Phasors {
+                        blake3: blake3.clone(),
+                        tooth: evidence.tooth,
+                        source,
+                    })?;
+                captures += 1;
+                let mut outcome = evaluator.evaluate(view, &sums);
+                outcome.phasors.push(phasors);
+                let outcome = match outcomes.remove(&view) {
+                    Some(first) => ViewOutcome::with(first, outcome),
+                    None => outcome,
+                };
+                outcomes.insert(view, outcome);
+            }
+        }
+        let recipe = recipe(&subject, &plan);
+        subject.hashes.insert("recipe", recipe.hash());
+        let code = stored.stopped_code.unwrap_or_else(unsaid);
+        let stopped = stored.stopped.map(|why| Reason::instrument(code, why));
+        let found = Findings::of(
+            &subject.tool,
+            &plan,
+            outcomes,
+            &problems,
+            stopped.as_ref(),
+            subject.baseline.as_deref(),
+        );
+        let mut now = json!({
+            "verdict": found.verdict,
+            "reason": found.reason,
+            "features": found.features,
+            "registration": found.registration,
+            "evidence": found.evidence,
+            "recipe": recipe,
+            "hashes": subject.hashes,
+        });
+        for (key, said) in [
+            ("in_view", json!(found.in_view)),
+            ("missing_teeth", json!(found.missing_teeth)),
+            ("tooth_identity", json!(found.tooth_identity)),
+        ] {
+            // Absent where there is nothing to say.
+            let is_nothing = said.is_null() || said.as_array().is_some_and(Vec::is_empty);
+            if !is_nothing || document.get(key).is_some() {
+                now[key] = said;
+            }
+        }
+        let mut differences = Vec::new();
+        if let Some(now) = now.as_object() {
+            for (key, now) in now {
+                compare(key, &document[key], now, &mut differences);
+            }
+        }
+        columns(&history.check(id)?, &document, &mut differences);
+        let mut versions = Vec::new();
+        let host = json!(env!("CARGO_PKG_VERSION"));
+        compare(
+            "versions.host",
+            &document["versions"]["host"],
+            &host,
+            &mut versions,
+        );
+        let origin = ORIGIN.into_iter().filter_map(|key| {
+            let said = document.get(key)?;
+            Some((key, said.clone()))
+        });
+        Ok(Self {
+            id,
+            origin: origin.collect(),
+            stored_verdict: stored.verdict,
+            verdict: found.verdict,
+            reason: found.reason,
+            captures,
+            versions,
+            differences,
+        })
+    }
+}
+
+/// What the row of a check says beside its document: both were written from the same result.
+pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Difference>) {
+    let origin = &check.origin;
+    let head = origin.head.as_ref();
+    let mut told = |what: String, row: Value, said: &Value| {
+        if row != *said {
+            differences.push(Difference {
+                what: format!("column {what}"),
+                stored: row,
+                now: said.clone(),
+            });
+        }
+    };
+    for (what, row, said) in [
+        ("verdict", json!(check.verdict), &document["verdict"]),
+        ("reason", json!(check.reason), &document["reason"]),
+        ("tool", json!(check.tool), &document["tool"]),
+        ("serial", json!(check.serial), &document["die"]["serial"]),
+        (
+            "press_cycles",
+            json!(check.press_cycles),
+            &document["press_cycles"],
+        ),
+        (
+            "baseline",
+            json!(check.baseline),
+            &document["hashes"]["baseline"],
+        ),
+        ("link", json!(origin.link), &document["link"]),
+        ("simulated", json!(origin.simulated), &document["simulated"]),
+        ("station", json!(origin.station), &document["station"]),
+        ("operator", json!(origin.operator), &document["operator"]),
+        (
+            "head",
+            json!(head.map(|h| &h.name)),
+            &document["head"]["name"],
+        ),
+        (
+            "head_blake3",
+            json!(head.map(|h| &h.blake3)),
+            &document["head"]["blake3"],
+        ),
+        (
+            "head_seal",
+            json!(head.and_then(|h| h.seal.as_ref())),
+            &document["head"]["seal"],
+        ),
+    ] {
+        told(what.to_owned(), row, said);
+    }
+    let none = Vec::new();
+    let features = document["features"].as_array().unwrap_or(&none);
+    told(
+        "flanks".into(),
+        json!(check.flanks.len()),
+        &json!(features.len()),
+    );
+    for flank in &check.flanks {
+        let this =
+            |f: &&Value| f["tooth"] == flank.id.tooth && f["flank"] == flank.id.flank.as_str();
+        let feature = features.iter().find(this).unwrap_or(&Value::Null);
+        for (key, row) in [
+            ("wear_um", json!(flank.wear_um)),
+            ("u95_um", json!(flank.u95_um)),
+            ("warn_um", json!(flank.warn_um)),
+            ("limit_um", json!(flank.limit_um)),
+            ("verdict", json!(flank.verdict)),
+            ("code", json!(flank.code)),
+            ("patch", json!(flank.id.patch)),
+        ] {
+            let what = format!("{key} of {}", flank.id);
+            told(what, row, &feature[key]);
+        }
+    }
+}
+
+/// The baseline with this hash, if it is in the history as it was stored.
+fn baseline(history: &History, blake3: &str) -> Result<Option<Baseline>, HistoryError> {
+    let text = history.baseline(blake3)?;
+    let read = |text: String| serde_json::from_str::<Baseline>(&text).ok();
+    Ok(text.and_then(read).filter(|b| b.hash() == blake3))
+}
+
+/// Every leaf that is not the same. How long something took is no finding.
+fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Difference>) {
+    match (stored, now) {
+        (Value::Object(a), Value::Object(b)) => {
+            let keys: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+            for key in keys.into_iter().filter(|key| *key != "elapsed_ms") {
+                let at = |map: &serde_json::Map<String, Value>| {
+                    map.get(key).cloned().unwrap_or(Value::Null)
+                };
+                compare(&format!("{what}.{key}"), &at(a), &at(b), differences);
+            }
+        }
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            for (i, (a, b)) in a.iter().zip(b).enumerate() {
+                compare(&format!("{what}.{i}"), a, b, differences);
+            }
+        }
+        _ if same(stored, now) || unsaid_then(what, stored, now) => {}
+        _ => differences.push(Difference {
+            what: what.to_owned(),
+            stored: stored.clone(),
+            now: now.clone(),
+        }),
+    }
+}
+
+/// Earlier releases had one word for all that was not measured; a more exact one is no difference.
+fn unsaid_then(what: &str, stored: &Value, now: &Value) -> bool {
+    let is_code = what.ends_with(".code");
+    let exact = now
+        .as_str()
+        .is_some_and(|word| word.parse::<Code>().is_ok());
+    is_code && exact && stored.as_str() == Some(unsaid().word())
+}
+
+/// Numbers are compared as they are, to the last bit.
+fn same(a: &Value, b: &Value) -> bool {
+    match (a.as_f64(), b.as_f64()) {
+        (Some(a), Some(b)) => a.to_bits() == b.to_bits(),
+        _ => a == b,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_difference_is_named_and_times_are_none() {
+        let stored =
+            json!({ "a": [1.0, { "b": 2.5, "elapsed_ms": 7 }], "gone": "x", "same": null });
+        let now = json!({ "a": [1.0, { "b": f64::from_bits(2.5_f64.to_bits() + 1), "elapsed_ms": 9 }], "new": 1 });
+        let mut differences = Vec::new();
+        compare("r", &stored, &now, &mut differences);
+        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
+        assert_eq!(names, ["r.a.1.b", "r.gone", "r.new"]);
+        differences.clear();
+        compare("r", &json!([1, 2]), &json!([1]), &mut differences);
+        compare("r", &json!(0.0), &json!(-0.0), &mut differences);
+        assert_eq!(differences.len(), 2);
+        differences.clear();
+        let once = json!({ "code": "not_measured", "reason": "not_measured" });
+        let now = json!({ "code": "frames_missing", "reason": "frames_missing" });
+        compare("f", &once, &now, &mut differences);
+        compare("f", &now, &once, &mut differences);
+        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
+        assert_eq!(names, ["f.reason", "f.code", "f.reason"]);
+    }
+}

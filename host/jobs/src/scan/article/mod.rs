@@ -1,0 +1,397 @@
+//! The article's figures and tables of a scan's views, ours beside them.
+//!
+//! ```text
+//!  session folder ──► joint solve ────► poses ─┐
+//!        │                                     ├─► alignments, threshold curves, merging, overlays ──► document, page
+//!        └──► mask ─► denoise ─► 10 % ─► the article's poses
+//! ```
+//!
+//! | file | holds |
+//! |---|---|
+//! | `finished` | a scan's session folder, opened again |
+//! | `alignment` | the views by positions alone, one on the other, the article's way, ours: distances, maps (figures 4, 19, 20, 21) |
+//! | `serial` | one view on the one before, without CAD (figure 4b) |
+//! | `threshold` | the mask and its threshold (figure 14) |
+//! | `sections` | counts across the fringes, from recorded frames (figures 11 to 13) |
+//! | `overlay` | measured points on the article's reference points (figures 16, 17) |
+//! | `space` | toothing, cameras, the initial transformation, the final cloud (figures 5, 10, 15, 18) |
+//! | `merging` | one point per voxel, chosen in several ways (figure 9, section 10) |
+
+mod alignment;
+mod finished;
+mod merging;
+mod overlay;
+mod sections;
+mod serial;
+mod space;
+mod threshold;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use flankscope_foundation::date;
+use flankscope_metrology::deviation::SampleTree;
+use flankscope_metrology::multiview::adjustment::Stages;
+use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout};
+use flankscope_metrology::surface::sampling::centre_of_mass;
+use nalgebra::Isometry3;
+use serde::Serialize;
+
+pub use alignment::Alignment;
+pub use finished::{FinishedScan, FinishedScanError};
+pub use merging::Merging;
+pub use overlay::Overlay;
+pub use sections::{Sections, SectionsError};
+pub use serial::SerialLayer;
+pub use space::{InSpace, InitialTransformation};
+pub use threshold::{Left, MaskPicture};
+
+use super::comparison::{self, MethodResult};
+use super::hinz2019::{self, Drawing, Hinz2019Settings};
+use super::stitch::{Frame, first_information, stitch};
+use super::view::{Kept, coordinates, place};
+use flankscope_instrument::acquisition::Recording;
+
+/// Views of which every point is compared with the surface, for the threshold curves: at most so many, evenly among all.
+const RATED_VIEWS: usize = 12;
+/// Views of figure 17.
+const OVERLAID: usize = 3;
+/// Cells of the maps: per tooth, and their height, mm.
+const COLUMNS_PER_TOOTH: usize = 12;
+const ROW_MM: f64 = 0.5;
+
+/// How many points of a view each step leaves.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct DrawingSteps {
+    /// View, by its number.
+    pub view: usize,
+    /// Kept of the scan: without those that stood alone.
+    pub measured: usize,
+    /// That the mask left.
+    pub masked: usize,
+    /// That denoising left.
+    pub denoised: usize,
+    /// That were drawn.
+    pub drawn: usize,
+}
+
+/// The drawn points of a view, in its camera's frame.
+pub(super) struct Drawn {
+    pub xyz: Vec<[f64; 3]>,
+    pub centre_mm: [f64; 3],
+    /// Standard uncertainties, mm.
+    pub sigma_mm: Vec<f32>,
+    /// How much the fringes oscillate around them, counts.
+    pub fringes_dn: Vec<f32>,
+}
+
+impl Drawn {
+    fn of(points: &[Kept]) -> Option<Self> {
+        let xyz = coordinates(points, points.len());
+        Some(Self {
+            centre_mm: centre_of_mass(&xyz)?,
+            sigma_mm: points.iter().map(|point| point[3]).collect(),
+            fringes_dn: points.iter().map(|point| point[4]).collect(),
+            xyz,
+        })
+    }
+}
+
+/// The whole: serialised as article.json.
+#[derive(Clone, Debug, Serialize)]
+pub struct Article {
+    /// Tool name.
+    pub tool: String,
+    /// When it was made: ISO 8601, UTC.
+    pub date: String,
+    /// Whose views these are: grid, hashes, and what stood on a simulated bench.
+    pub of: BTreeMap<String, String>,
+    /// What the article's method was told.
+    pub settings: Hinz2019Settings,
+    /// Ours and the article's, as in a scan's document.
+    pub methods: Vec<MethodResult>,
+    /// Mean number of steps of the article's registrations.
+    pub mean_iterations: Option<f64>,
+    /// What each step leaves of every view.
+    pub steps: Vec<DrawingSteps>,
+    /// What thresholds of the mask leave.
+    pub threshold: Vec<Left>,
+    /// Where the article's method laid its first view before registering it (figure 10).
+    pub initial_transformation: Option<InitialTransformation>,
+    /// The views by positions alone, one on the other, the article's way, ours.
+    pub alignments: Vec<Alignment>,
+    /// One view laid on the one before, layer by layer; empty where views of a layer do not overlap.
+    pub serial: Vec<SerialLayer>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub serial_refused: Option<String>,
+    /// One point per voxel, at the article's poses and at ours.
+    pub merging: Vec<Merging>,
+    /// Cross-sections of the finest fringes; absent without recorded frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sections: Option<Sections>,
+    /// Where the time went, ms.
+    pub elapsed_ms: BTreeMap<&'static str, f64>,
+    /// The first view that the article's method laid: for picking pairs.
+    #[serde(skip)]
+    pub first_view: FirstView,
+    /// The mask over a view.
+    #[serde(skip)]
+    pub mask: MaskPicture,
+    /// Measured points on reference points.
+    #[serde(skip)]
+    pub overlays: Vec<Overlay>,
+    /// What the pictures in space show.
+    #[serde(skip)]
+    pub in_space: Option<InSpace>,
+    /// Distances of the first view's points to the nearest reference point of its window, µm.
+    #[serde(skip)]
+    pub one_view_um: Vec<f64>,
+    /// Cells of the maps.
+    #[serde(skip)]
+    pub layout: Layout,
+    /// Views around, and layers.
+    #[serde(skip)]
+    pub grid: [u32; 2],
+}
+
+impl Article {
+    /// Whether the views are a simulated bench's.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.of.contains_key(FinishedScan::BENCH)
+    }
+}
+
+/// A view in its camera's frame, mm.
+#[derive(Clone, Debug)]
+pub struct FirstView {
+    /// Its number.
+    pub view: usize,
+    /// Its points.
+    pub points: Vec<[f64; 3]>,
+    /// How much the fringes oscillate around each, counts.
+    pub fringes_dn: Vec<f64>,
+}
+
+impl FinishedScan {
+    /// Makes the article's figures, told `settings`, and which share of the pairs counts where a view is laid on the one before;
+    /// without that, nine tenths of what neighbours have in common.
+    ///
+    /// # Errors
+    /// No view lies on the CAD, the folder cannot be read, or there is no common solution.
+    pub fn article(
+        &mut self,
+        settings: &Hinz2019Settings,
+        serial_inlier_ratio: Option<f64>,
+    ) -> Result<Article, FinishedScanError> {
+        let mut elapsed_ms = BTreeMap::new();
+        let mut clock = Instant::now();
+        let mut lap = |what| {
+            let took = clock.elapsed();
+            elapsed_ms.insert(what, took.as_secs_f64() * 1e3);
+            clock = Instant::now();
+            took
+        };
+        let (session, plan) = (&self.session, &self.plan);
+        let (tool, planned) = (&self.subject.tool, &self.plan.views);
+        let first = first_information(session, tool, plan)?;
+        let frame = Frame {
+            layout: super::cell_observations::layout(&self.gear),
+            field: self.field,
+            single: self.subject.station.stages.of_single_view(),
+        };
+        lap("open");
+        let (nominal, patches) = (&self.nominal, &mut self.patches);
+        let joint = stitch(session, patches, first, tool, nominal, &frame)?;
+        let took = lap("surface");
+        let ours = comparison::of_surface(&joint, session, tool, planned, took)?;
+        let map = CylinderMap::new(frame.layout);
+        lap("figures of surface");
+        let paper = hinz2019::stitch(session, tool, plan, nominal, map, settings)?;
+        let took = lap("paper");
+        let shared = &joint.adjustment.stages;
+        let theirs = comparison::of_hinz2019(&paper, shared, settings, planned, took);
+
+        let joint_poses: BTreeMap<usize, Isometry3<f64>> = joint
+            .views
+            .iter()
+            .zip(&joint.adjustment.poses)
+            .map(|((view, _), pose)| (*view, *pose))
+            .collect();
+        let paper_poses: BTreeMap<usize, Isometry3<f64>> = paper
+            .views
+            .iter()
+            .map(|of| (of.view, of.tool_from_camera))
+            .collect();
+        let Some((&first_view, &first_pose)) = paper_poses.first_key_value() else {
+            return Err(FinishedScanError::NothingLaid {
+                views: joint_poses.len(),
+            });
+        };
+
+        let mut steps = Vec::new();
+        let mut views = BTreeMap::new();
+        let mut rated = Vec::new();
+        let middle = joint.views.get(joint.views.len() / 2).map(|of| of.0);
+        let mut mask = None;
+        let every = joint_poses.len().div_ceil(RATED_VIEWS).max(1);
+        let mut first_points = None;
+        for (at, (&view, pose)) in joint_poses.iter().enumerate() {
+            let kept = session.points(view)?.points;
+            let drawing = Drawing::of_view(&kept, settings, view);
+            steps.push(DrawingSteps {
+                view,
+                measured: kept.len(),
+                masked: drawing.masked,
+                denoised: drawing.denoised,
+                drawn: drawing.points.len(),
+            });
+            views.extend(Drawn::of(&drawing.points).map(|drawn| (view, drawn)));
+            if at % every == 0 {
+                let laid = alignment::laid(&coordinates(&kept, kept.len()), pose);
+                let closest = tool.surface.closest_many(&laid);
+                rated.extend(threshold::rated(&kept, &closest, &frame.layout));
+            }
+            if Some(view) == middle {
+                mask = Some(threshold::picture(view, &kept));
+            }
+            if view == first_view {
+                first_points = Some(FirstView {
+                    view,
+                    points: coordinates(&kept, kept.len()),
+                    fringes_dn: kept.iter().map(|point| f64::from(point[4])).collect(),
+                });
+            }
+        }
+        let (Some(mask), Some(first_view)) = (mask, first_points) else {
+            return Err(FinishedScanError::NothingLaid {
+                views: joint_poses.len(),
+            });
+        };
+        let threshold = threshold::curve(rated);
+        lap("threshold");
+
+        let stages = Stages::nominal(Isometry3::identity());
+        let moved = |view: usize| stages.tool_from_camera(place(plan, view));
+        let camera = moved(first_view.view).inverse() * first_pose;
+        let by_positions: BTreeMap<usize, Isometry3<f64>> = joint_poses
+            .keys()
+            .map(|&view| (view, moved(view) * camera))
+            .collect();
+        let laid_on_each_other = serial::serial(
+            &views,
+            &joint_poses,
+            plan,
+            &settings.registration,
+            serial_inlier_ratio,
+        );
+        let (serial, serial_refused) = match laid_on_each_other {
+            Ok(serial) => (serial, None),
+            Err(why) => (serial::Serial::default(), Some(why)),
+        };
+        lap("serial");
+
+        let reference = hinz2019::whole_reference(tool, settings);
+        let reference = SampleTree::new(&reference)?;
+        let layout = Layout {
+            columns: COLUMNS_PER_TOOTH * self.gear.teeth as usize,
+            rows: ((frame.layout.height_mm[1] - frame.layout.height_mm[0]) / ROW_MM)
+                .ceil()
+                .clamp(1.0, 1e4) as usize,
+            height_mm: frame.layout.height_mm,
+            around: Around::Angle,
+        };
+        let by = alignment::Yardstick {
+            surface: &tool.surface,
+            reference: &reference,
+            order: settings.order,
+            layout,
+        };
+        let (mut alignments, mut in_space) = (Vec::new(), None);
+        for (name, poses) in [
+            ("positions", &by_positions),
+            ("serial", &serial.poses),
+            ("paper", &paper_poses),
+            ("surface", &joint_poses),
+        ] {
+            if poses.is_empty() {
+                continue;
+            }
+            let (of, points) = Alignment::of(name, &views, poses, planned.len(), &by);
+            if let ("paper", Some(initial)) = (name, &paper.initial) {
+                let cloud = points.into_iter().zip(of.nearest_um.iter().copied());
+                let (mesh, options) = (&tool.mesh, &settings.registration);
+                in_space = InSpace::of(mesh, &views, poses, initial, options, cloud.collect());
+            }
+            alignments.push(of);
+        }
+        lap("alignments");
+        let mut merging = Vec::new();
+        for (name, poses) in [("paper", &paper_poses), ("surface", &joint_poses)] {
+            merging.extend(merging::ways(
+                name,
+                &views,
+                poses,
+                settings.voxel_mm,
+                &tool.surface,
+            )?);
+        }
+        lap("merging");
+        let (overlays, one_view_um) =
+            overlay::overlays(&views, &paper_poses, &tool.mesh, settings, OVERLAID);
+        lap("overlays");
+        Ok(Article {
+            tool: tool.name.clone(),
+            date: date::now(),
+            of: self.of.clone(),
+            settings: settings.clone(),
+            mean_iterations: mean_of(&theirs),
+            methods: vec![ours, theirs],
+            steps,
+            threshold,
+            initial_transformation: paper.initial,
+            alignments,
+            serial: serial.layers,
+            serial_refused,
+            merging,
+            sections: None,
+            elapsed_ms,
+            first_view,
+            mask,
+            overlays,
+            in_space,
+            one_view_um,
+            layout,
+            grid: [self.grid.around, self.grid.layers],
+        })
+    }
+}
+
+impl FinishedScan {
+    /// Cross-sections of the fringes in the frames that were saved with this scan.
+    ///
+    /// # Errors
+    /// They are of another scan, or not what their plan and the head say.
+    pub fn sections(&self, recording: &Recording) -> Result<Sections, SectionsError> {
+        let scanned = self.grid.to_string();
+        match &recording.index.grid {
+            Some(recorded) if *recorded == scanned => Sections::of(recording, &self.subject.head),
+            recorded => Err(SectionsError::OtherScan {
+                recorded: recorded.clone().unwrap_or_else(|| "no grid".into()),
+                scanned,
+            }),
+        }
+    }
+}
+
+fn mean_of(theirs: &MethodResult) -> Option<f64> {
+    let steps: Vec<usize> = theirs
+        .iterations
+        .iter()
+        .flatten()
+        .flatten()
+        .copied()
+        .collect();
+    (!steps.is_empty()).then(|| steps.iter().sum::<usize>() as f64 / steps.len() as f64)
+}

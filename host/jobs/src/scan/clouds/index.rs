@@ -1,0 +1,152 @@
+//! `clouds.toml`: where the stages stood for each view of a folder of recorded clouds.
+
+use std::path::{Path, PathBuf};
+
+use flankscope_foundation::date::Date;
+use flankscope_foundation::textfile::{self, BadValue, TextFileError};
+use flankscope_metrology::io::Unit;
+use serde::{Deserialize, Serialize};
+
+use flankscope_instrument::acquisition::{IndexedView, stays_inside};
+
+/// The index of a folder of clouds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CloudIndex {
+    /// Whether no real die was looked at.
+    pub simulated: bool,
+    /// Day on which the clouds were taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taken: Option<Date>,
+    /// The head that looked, relative to the index.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub head: Option<PathBuf>,
+    /// Unit of the clouds; no format says it.
+    #[serde(default)]
+    pub unit: Unit,
+    /// Standard uncertainty of a point along its ray, micrometres, of clouds that do not state it point by point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_um: Option<f64>,
+    /// Grid of the scan that the views are of, as `scan --views` takes it; without it, a scan is of these views.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<String>,
+    /// The views, in the order in which they were taken.
+    #[serde(default)]
+    pub view: Vec<IndexedCloud>,
+}
+
+/// One view: where the stages stood, and its cloud.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IndexedCloud {
+    /// Its cloud in the camera's frame, in the index's folder.
+    pub file: PathBuf,
+    /// The tooth in its middle. Without an angle, it is where the drawing has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tooth: Option<u32>,
+    /// Angle told to the rotary stage.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation_rad: Option<f64>,
+    /// Height told to the vertical stage; without it, where the tool file has the head look.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vertical_mm: Option<f64>,
+    /// BLAKE3 of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blake3: Option<String>,
+}
+
+/// No point of a head is surer or less sure than this, µm.
+const SIGMA_UM: [f64; 2] = [1e-3, 1e3];
+
+impl CloudIndex {
+    /// The index's name in its folder.
+    pub const FILE: &str = "clouds.toml";
+
+    /// Reads a folder's index. Returns its text too, which tells this recording from others.
+    ///
+    /// # Errors
+    /// [`TextFileError`] with file, line and what would be right.
+    pub fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
+        let path = folder.join(Self::FILE);
+        textfile::load_toml(&path, textfile::MAX_BYTES * 16, Self::check)
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        if self.view.is_empty() {
+            let expected = "must be one table [[view]] for each view";
+            return Err(BadValue::new("view", 0, expected));
+        }
+        if let Some(sigma_um) = self.sigma_um
+            && !(SIGMA_UM[0]..=SIGMA_UM[1]).contains(&sigma_um)
+        {
+            let expected = "must be micrometres, 0.001 to 1000";
+            return Err(BadValue::new("sigma_um", sigma_um, expected));
+        }
+        self.view.iter().enumerate().try_for_each(|(at, view)| {
+            let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
+                Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
+            };
+            view.place().check(at)?;
+            if !stays_inside(&view.file) {
+                let expected = "must be a file in the folder of clouds.toml, without ..";
+                return bad("file", &view.file, expected);
+            }
+            let is_hash = |t: &str| t.len() == 64 && t.bytes().all(|b| b.is_ascii_hexdigit());
+            match view.blake3.as_deref().filter(|text| !is_hash(text)) {
+                Some(text) => bad("blake3", &text, "must be 64 hexadecimal digits"),
+                None => Ok(()),
+            }
+        })
+    }
+}
+
+impl IndexedCloud {
+    /// Where the stages stood, as an index of frames says it.
+    pub(in crate::scan) fn place(&self) -> IndexedView {
+        IndexedView {
+            tooth: self.tooth,
+            rotation_rad: self.rotation_rad,
+            vertical_mm: self.vertical_mm,
+            ..IndexedView::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mistake_is_named_with_its_line_and_what_would_be_right() {
+        let view = "simulated = true\n[[view]]\nfile = \"a.ply\"\ntooth = 40\n";
+        for (text, line, word) in [
+            ("simulated = true\n".to_owned(), 1, "[[view]]"),
+            (
+                "simulated = true\n[[view]]\ntooth = 40\n".to_owned(),
+                2,
+                "file",
+            ),
+            (
+                "simulated = true\n[[view]]\nfile = \"a.ply\"\n".to_owned(),
+                2,
+                "rotation_rad",
+            ),
+            (view.replace("a.ply", "../a.ply"), 3, "without .."),
+            (view.replace("a.ply", "/a.ply"), 3, "without .."),
+            (format!("{view}vertical_mm = nan\n"), 5, "millimetres"),
+            (format!("{view}blake3 = \"12\"\n"), 5, "64 hexadecimal"),
+            (format!("{view}folder = \"a\"\n"), 5, "vertical_mm"),
+            (format!("sigma_um = 0.0\n{view}"), 1, "micrometres"),
+            (format!("sigma_um = nan\n{view}"), 1, "micrometres"),
+            (format!("unit = \"furlong\"\n{view}"), 1, "inch"),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            std::fs::write(folder.path().join(CloudIndex::FILE), &text).unwrap();
+            let said = CloudIndex::load(folder.path()).unwrap_err().to_string();
+            assert!(
+                said.contains(&format!("clouds.toml:{line}: ")) && said.contains(word),
+                "{text}\n{said}"
+            );
+        }
+    }
+}

@@ -1,0 +1,660 @@
+//! What a scan says of the wear of every flank: the same measurand, judged by the same rules as in a check between strokes.
+//!
+//! ```text
+//!  points of every view by flank (patches) ─► moved to the adjustment's poses ─► zone by zone: wear ─┐
+//!  what each view may hide or leave open (pose) ──────────────────────────────────────────────────────┤
+//!  medians of all flanks: what a turn of the die may hide ────────────────────────────────────────────┴─► judge
+//! ```
+//!
+//! A die that is put down by hand has no known turn, and a bore that is larger all around looks like a head farther from the
+//! wall: what a scan knows of one side of all teeth, and of all flanks together, is what the flanks themselves say. Wear is
+//! against the CAD: ovality, taper and pitch as built count as wear, as in a check without a baseline.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
+use flankscope_foundation::rigid::Rigid;
+use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
+use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
+use flankscope_metrology::multiview::tooth_identity::FlankMean;
+use flankscope_metrology::registration::{Contact, Options, Prior, Response};
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
+use flankscope_metrology::wear::leakage::{Leakage, of_feature};
+use flankscope_metrology::wear::{
+    Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
+};
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use rayon::prelude::*;
+
+use super::coverage::ASKED_PER_FIELD;
+use super::job::{ScanError, Scanner};
+use super::session::SessionError;
+use super::stitch::Stitched;
+use super::view::{SAMPLE, coordinates};
+use super::view_pipeline::Store;
+use crate::inspection::{Judged, calibration_um, unmeasured_flank};
+use flankscope_metrology::view::PlannedView;
+use flankscope_record::document::Feature;
+
+/// A view is asked for no more than its round field shows of a flank that lies off its middle, even where die and head stand
+/// off by so much (mm) together.
+const PUT_DOWN_MM: f64 = 1.0;
+/// The outermost part of a flank at the end faces, in modules, is not judged: as at the tip, an edge blurs there.
+const END_PER_MODULE: f64 = 0.1;
+/// Of a flank that was not asked for, less than this share of a zone says nothing.
+const LEAST_SEEN: f64 = 0.02;
+/// Turns of the die on its table, as wear, among which nothing but the flanks tells: standard deviation, mm. Wider than any
+/// wear that is still a gear, narrow enough for the integral's steps to stay below a micrometre.
+const ANY_TURN_MM: f64 = 0.1;
+/// The lower quartile of a normal distribution lies so many standard deviations below its median; and the standard error of
+/// that of n values is this many over the root of n.
+const QUARTILE_SIGMAS: f64 = 0.674_5;
+const QUARTILE_ERROR: f64 = 1.362_6;
+/// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
+/// the adjustment counts them.
+const PATCHES: f64 = 80.0;
+const FORM_MM: f64 = 10e-3;
+/// A flank with fewer of a view's sample lies at its rim.
+const LEAST_OF_SAMPLE: usize = 25;
+
+type Key = (u32, Flank);
+
+/// What is said of the flanks.
+#[derive(Default)]
+pub(super) struct JudgedFlanks {
+    pub features: Vec<Feature>,
+    pub verdicts: Vec<Verdict>,
+    /// Mean deviation of every flank that was seen, asked for or not.
+    pub means: Vec<FlankMean>,
+    /// Share of the heights of those that were asked for.
+    pub height_ratio: f64,
+}
+
+/// What one view's pose may do to the flanks of its middle tooth.
+#[derive(Clone)]
+struct Held {
+    tooth: u32,
+    vertical_mm: f64,
+    /// Left, right.
+    leakage: Vec<Leakage>,
+    /// Standard uncertainty of either flank's deviation by the pose, mm.
+    sigma_mm: [f64; 2],
+    /// Flanks in view.
+    flanks: usize,
+}
+
+/// How far above and below its middle a view is asked for its middle tooth, mm.
+fn reach_mm(gear: &GearData, view: &PlannedView, field_mm: f64) -> f64 {
+    let radius_mm = 0.5 * field_mm;
+    let off_rad = gear.tooth_centre_rad(view.tooth) + view.rotation_rad;
+    let off_rad = off_rad - TAU * (off_rad / TAU).round();
+    let half_rad =
+        gear.half_tooth_rad(gear.pitch_radius_mm()).unwrap_or(0.0) + 0.25 * gear.pitch_rad();
+    let across_mm = (off_rad.abs() + half_rad) * gear.pitch_radius_mm() + PUT_DOWN_MM;
+    let squared = radius_mm * radius_mm - across_mm * across_mm;
+    squared.max(0.0).sqrt().min(ASKED_PER_FIELD * field_mm)
+}
+
+/// The heights that a plan asks for, tooth by tooth: around every view's middle; of a scan of all teeth, joined where layers
+/// are near each other or the end of the toothing is.
+fn asked(planned: &[PlannedView], gear: &GearData, field_mm: f64) -> BTreeMap<u32, Vec<[f64; 2]>> {
+    let mut views: BTreeMap<u32, Vec<[f64; 2]>> = BTreeMap::new();
+    for view in planned {
+        let of = [view.vertical_mm, reach_mm(gear, view, field_mm)];
+        views.entry(view.tooth).or_default().push(of);
+    }
+    let [bottom, top] = gear.height_mm;
+    let all = views.len() >= gear.teeth as usize;
+    let of_tooth = |(tooth, mut at): (u32, Vec<[f64; 2]>)| {
+        at.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let mut zones: Vec<[f64; 2]> = Vec::new();
+        for (i, &[middle, reach]) in at.iter().enumerate() {
+            let reach = |to_edge_mm: f64| {
+                if all && to_edge_mm <= ASKED_PER_FIELD * field_mm {
+                    to_edge_mm
+                } else {
+                    reach
+                }
+            };
+            let below = i.checked_sub(1).map(|j| 0.5 * (middle - at[j][0]));
+            let above = at.get(i + 1).map(|next| 0.5 * (next[0] - middle));
+            let low = middle - reach(below.unwrap_or(middle - bottom));
+            let high = middle + reach(above.unwrap_or(top - middle));
+            match zones.last_mut() {
+                Some(last) if low - last[1] < 1e-6 => last[1] = last[1].max(high),
+                _ => zones.push([low, high]),
+            }
+        }
+        (tooth, zones)
+    };
+    views.into_iter().map(of_tooth).collect()
+}
+
+/// Share of the judged heights of the teeth that were asked for.
+fn height_ratio(asked: &BTreeMap<u32, Vec<[f64; 2]>>, [bottom, top]: [f64; 2]) -> f64 {
+    let zones = asked.values().flatten();
+    let judged: f64 = zones
+        .map(|&[low, high]| (high.min(top) - low.max(bottom)).max(0.0))
+        .sum();
+    judged / ((top - bottom) * asked.len().max(1) as f64)
+}
+
+/// How the form of a die's flanks scatters about the median of each side, mm.
+fn scatter_mm(flanks: &[SeenFlank]) -> f64 {
+    let off = Flank::BOTH.into_iter().flat_map(|side| {
+        let of_side = || flanks.iter().filter(move |flank| flank.flank == side);
+        let middle = median_of(of_side().map(|flank| flank.median_mm)).unwrap_or(0.0);
+        of_side().map(move |flank| (flank.median_mm - middle).abs())
+    });
+    SIGMA_PER_MAD * median_of(off).unwrap_or(0.0)
+}
+
+/// What all flanks say of a turn of the die, of which nothing else is known; and how well the form of a die whose flanks
+/// scatter by this is known from as many, mm.
+///
+/// Each side counts by its lower quartile, lifted to where the median of a side without wear is: damage of up to three
+/// quarters of a side does not reach it, nor does material that sticks to less than a quarter.
+fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
+    let mut fewest = f64::INFINITY;
+    let sides = Flank::BOTH.into_iter().filter_map(|side| {
+        let of_side = flanks.iter().filter(|flank| flank.flank == side);
+        let mut mm: Vec<f64> = of_side.map(|flank| flank.median_mm).collect();
+        mm.sort_by(f64::total_cmp);
+        fewest = fewest.min(mm.len() as f64);
+        Some(SeenFlank {
+            tooth: None,
+            flank: side,
+            median_mm: mm.get(mm.len() / 4)? + QUARTILE_SIGMAS * scatter_mm,
+            per_turn: side.sign(),
+        })
+    });
+    let evidence = PoseEvidence {
+        tooth: None,
+        flanks: sides.collect(),
+        stages_mm: 0.0,
+        approach_sigma_mm: ANY_TURN_MM,
+        mount_sigma_mm: 0.0,
+        stages_both_mm: 0.0,
+        both_sigma_mm: f64::INFINITY,
+        mount_mm: [0.0; 3],
+    };
+    (
+        evidence,
+        QUARTILE_ERROR * scatter_mm / fewest.max(1.0).sqrt(),
+    )
+}
+
+/// Row by which a small motion about `centre` acts on the deviation of a point with this normal.
+fn row(point: [f64; 3], normal: [f64; 3], centre: Vector3<f64>) -> Vector6<f64> {
+    let normal = Vector3::from(normal);
+    let turn = (Vector3::from(point) - centre).cross(&normal);
+    Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z)
+}
+
+/// What the flanks of a scan are judged from and by.
+struct Judging<'a> {
+    gear: &'a GearData,
+    tool: &'a Tool,
+    planned: &'a [PlannedView],
+    store: &'a Store,
+    nominal: &'a Stages,
+    single: Local,
+    field_mm: f64,
+    /// Standard uncertainty of a flank's deviation by the head's calibration, mm.
+    calibration_mm: f64,
+}
+
+impl Scanner {
+    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
+        let subject = &self.subject;
+        let judging = Judging {
+            gear: &self.gear,
+            tool: &subject.tool,
+            planned: &self.plan.views,
+            store: &self.store,
+            nominal: &self.nominal,
+            single: subject.station.stages.of_single_view(),
+            field_mm: self.field.width_mm,
+            calibration_mm: 1e-3 * calibration_um(&subject.tool, &subject.head),
+        };
+        judging.flanks(stitched)
+    }
+}
+
+impl Judging<'_> {
+    /// Wear and verdict of every flank that was asked for, and of others that show damage.
+    fn flanks(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
+        let (tool, planned) = (self.tool, self.planned);
+        let asked = asked(planned, self.gear, self.field_mm);
+        let Some((limits, zone)) = tool.limits().zip(tool.zone()) else {
+            let why = "[inspect] is missing in the tool file: there are no limits to judge by";
+            let why = Reason::instrument(Code::NoLimits, why);
+            let none = |&tooth: &u32| Flank::BOTH.map(|f| unmeasured_flank(tooth, f, tool, &why));
+            let judged = asked.keys().flat_map(none).collect::<Vec<_>>();
+            return Ok(JudgedFlanks {
+                verdicts: judged.iter().map(|of| of.verdict().clone()).collect(),
+                features: judged.into_iter().map(Feature::from).collect(),
+                ..JudgedFlanks::default()
+            });
+        };
+        let settings = Settings {
+            calibration_mm: self.calibration_mm,
+            ..tool.wear_settings()
+        };
+        let end_mm = END_PER_MODULE * self.gear.module_mm;
+        let [bottom, top] = self.gear.height_mm;
+        let judged_mm = [bottom + end_mm, top - end_mm];
+        let held = self.held(stitched, &zone)?;
+        let zones = self.zones(&asked, zone.radius_mm, judged_mm);
+        let measured = self.measured(stitched, &zones, &held, &settings)?;
+        let is_asked = |wear: &FlankWear| asked.contains_key(&wear.tooth);
+        let seen: Vec<SeenFlank> = measured
+            .iter()
+            .filter(|(_, wear)| is_asked(wear) && wear.coverage >= limits.least_coverage)
+            .filter_map(|(_, wear)| {
+                Some(SeenFlank {
+                    tooth: Some(wear.tooth),
+                    flank: wear.flank,
+                    median_mm: median_of(wear.field.wear_mm.iter().copied())?,
+                    per_turn: wear.flank.sign(),
+                })
+            })
+            .collect();
+        let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
+        let evidence = Arc::new(evidence);
+        let judged = measured.into_par_iter().map(|(zone, wear)| {
+            let sensitivity = self.sensitivity(&held, &zone, &wear, &evidence, form_scatter_mm);
+            let wear = match sensitivity {
+                Some(sensitivity) => wear.with(sensitivity, &settings),
+                None => wear,
+            };
+            judge(wear, &zone, &limits)
+        });
+        let judged: Vec<OfZone> = judged.collect();
+        Ok(JudgedFlanks {
+            height_ratio: height_ratio(&asked, judged_mm),
+            ..of_flanks(&judged, |tooth| asked.contains_key(&tooth))
+        })
+    }
+
+    /// The zones of the flanks that were asked for, and of any other that a view saw, within the heights that are judged.
+    fn zones(
+        &self,
+        asked: &BTreeMap<u32, Vec<[f64; 2]>>,
+        radius_mm: [f64; 2],
+        [bottom, top]: [f64; 2],
+    ) -> Vec<(Key, Zone)> {
+        let mut everywhere: Vec<[f64; 2]> = asked.values().flatten().copied().collect();
+        everywhere.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+        everywhere.dedup();
+        let asked_for = |&tooth: &u32| Flank::BOTH.map(|flank| (tooth, flank));
+        let mut keys: BTreeSet<Key> = self.store.patches.flanks().collect();
+        keys.extend(asked.keys().flat_map(asked_for));
+        let zone_of = |[low, high]: [f64; 2]| Zone {
+            radius_mm,
+            height_mm: [low.max(bottom), high.min(top)],
+        };
+        keys.into_iter()
+            .flat_map(|key| {
+                let heights = asked.get(&key.0).unwrap_or(&everywhere);
+                heights.iter().map(move |height| (key, zone_of(*height)))
+            })
+            .collect()
+    }
+
+    /// Wear of zones from all views that saw them.
+    fn measured(
+        &self,
+        stitched: &Stitched,
+        zones: &[(Key, Zone)],
+        held: &[Held],
+        settings: &Settings,
+    ) -> Result<Vec<(Zone, FlankWear)>, SessionError> {
+        let poses = &stitched.adjustment.poses;
+        let views = stitched.views.iter().zip(poses);
+        let views: Vec<(usize, &Isometry3<f64>)> =
+            views.map(|((view, _), pose)| (*view, pose)).collect();
+        let steps = [stitched.steps.around, stitched.steps.up];
+        // Of two views that lie a step apart each has its share.
+        let steps_mm = steps
+            .into_iter()
+            .flatten()
+            .map(|step| 1e-3 * step.after_um / 2f64.sqrt())
+            .fold(0.0, f64::max);
+        zones
+            .par_iter()
+            .map(|&(key, zone)| {
+                let mut all = Gathered::new(self.gear, zone, key, settings);
+                for &(view, pose) in &views {
+                    let Some((seen, motion)) = self.store.patches.flank(view, key, pose)? else {
+                        continue;
+                    };
+                    let back = pose.inverse();
+                    all.add(&seen, &motion, |foot| {
+                        let in_camera = back * Point3::from(foot);
+                        stitched.quality.variance_mm2(in_camera.into())
+                    });
+                }
+                let registration_mm = of_zone(held, key, &zone)
+                    .map(|(of, side)| of.sigma_mm[side])
+                    .fold(steps_mm, worse);
+                Ok((zone, all.wear(registration_mm, settings)))
+            })
+            .collect()
+    }
+
+    /// What the poses of the views do to the flanks that they were asked for.
+    fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
+        let nominal = Solution::prior(self.nominal.clone(), self.single);
+        let views: Vec<_> = stitched
+            .views
+            .iter()
+            .zip(&stitched.adjustment.poses)
+            .collect();
+        let held: Result<Vec<Option<Held>>, SessionError> = views
+            .into_par_iter()
+            .map(|((view, info), pose)| {
+                let sample = coordinates(&self.store.session.sample(*view, SAMPLE)?, SAMPLE);
+                let planned = &self.planned[*view];
+                let covariance = stitched.adjustment.pose_covariance(info);
+                // Nothing is taken as known of die and head but what the files say: the views could have been moved by the
+                // wear of all of them.
+                let prior = nominal.predict(info.at);
+                Ok(covariance.map(|covariance| {
+                    self.held_by(planned, zone, info, (&sample, pose), (&prior, &covariance))
+                }))
+            })
+            .collect();
+        Ok(held?.into_iter().flatten().collect())
+    }
+
+    fn held_by(
+        &self,
+        planned: &PlannedView,
+        zone: &Zone,
+        info: &ViewInformation,
+        (sample, pose): (&[[f64; 3]], &Isometry3<f64>),
+        (prior, covariance): (&Prior, &Matrix6<f64>),
+    ) -> Held {
+        let located: Vec<[f64; 3]> = sample
+            .iter()
+            .map(|&p| (pose * Point3::from(p)).into())
+            .collect();
+        let closest = self.tool.surface.closest_many(&located);
+        let contacts: Vec<Contact> = closest
+            .iter()
+            .map(|hit| Contact {
+                point: hit.point,
+                normal: hit.normal,
+                weight: FORM_MM.powi(-2),
+            })
+            .collect();
+        let places = places(self.gear, &closest);
+        let centre = Vector3::from(info.centre_mm);
+        let squares: f64 = contacts
+            .iter()
+            .map(|of| (Vector3::from(of.point) - centre).norm_squared())
+            .sum();
+        let count = contacts.len().max(1) as f64;
+        let options = Options {
+            correlated_points: count / PATCHES,
+            ..Options::default()
+        };
+        // The expected pose is where the view is: what is asked is how deviations would move it.
+        let prior = Prior {
+            tool_from_cloud: Rigid::from_isometry(*pose),
+            ..prior.clone()
+        };
+        let at = (info.centre_mm, (squares / count).sqrt());
+        let response = Response::of_points(&contacts, at, Some(&prior), &options);
+        let heights = Zone {
+            radius_mm: zone.radius_mm,
+            height_mm: [-ASKED_PER_FIELD, ASKED_PER_FIELD]
+                .map(|share| planned.vertical_mm + share * self.field_mm),
+        };
+        let mut seen: BTreeMap<Key, usize> = BTreeMap::new();
+        for place in places.iter().flatten() {
+            *seen.entry((place.tooth, place.flank)).or_default() += 1;
+        }
+        let tooth = planned.tooth;
+        let leakage = of_feature(self.gear, &heights, tooth, &response, &contacts, &places);
+        let sigma_mm = Flank::BOTH.map(|flank| {
+            let own = |place: &Option<FlankPlace>| {
+                place.is_some_and(|of| (of.tooth, of.flank) == (planned.tooth, flank))
+            };
+            contacts
+                .iter()
+                .zip(&places)
+                .filter(|(_, place)| own(place))
+                .map(|(of, _)| {
+                    let row = row(of.point, of.normal, centre);
+                    row.dot(&(covariance * row)).max(0.0).sqrt()
+                })
+                .fold(0.0, f64::max)
+        });
+        Held {
+            tooth: planned.tooth,
+            vertical_mm: planned.vertical_mm,
+            leakage,
+            sigma_mm,
+            flanks: seen.values().filter(|n| **n >= LEAST_OF_SAMPLE).count(),
+        }
+    }
+
+    /// What acts on a flank beside its points: the worst of the views that were asked for it.
+    fn sensitivity(
+        &self,
+        held: &[Held],
+        zone: &Zone,
+        wear: &FlankWear,
+        evidence: &Arc<PoseEvidence>,
+        form_scatter_mm: f64,
+    ) -> Option<PoseSensitivity> {
+        let (worst, side) = of_zone(held, (wear.tooth, wear.flank), zone).reduce(|a, b| {
+            let leaks = |(of, side): (&Held, usize)| of.leakage[side].worst();
+            if leaks(b) > leaks(a) || leaks(b).is_nan() {
+                b
+            } else {
+                a
+            }
+        })?;
+        let leakage = worst.leakage[side];
+        // Growing towards the axis by what a thermometer leaves: a flank feels the part along its normal, at most all of it
+        // that its normal's angle lets through. That the poses may take it up is not counted on.
+        let temperature_mm = self.tool.temperature.map_or(0.0, |t| {
+            let radius_mm = 0.5 * (zone.radius_mm[0] + zone.radius_mm[1]);
+            let cos = (self.gear.base_radius_mm() / radius_mm).min(1.0);
+            t.expansion_per_k * t.u_k * radius_mm * (1.0 - cos * cos).sqrt()
+        });
+        Some(PoseSensitivity {
+            leakage,
+            evidence: Some(Arc::clone(evidence)),
+            form_scatter_mm,
+            // Every other flank in view passes on as much as this one.
+            others_form: leakage.uniform * (worst.flanks.saturating_sub(1) as f64).sqrt(),
+            temperature_mm,
+        })
+    }
+}
+
+/// The views that were asked for a zone of a flank, and which of their flanks it is; all of them for one that nobody asked
+/// for.
+fn of_zone<'a>(
+    held: &'a [Held],
+    (tooth, flank): Key,
+    zone: &Zone,
+) -> impl Iterator<Item = (&'a Held, usize)> {
+    let side = usize::from(flank == Flank::Right);
+    let [low, high] = zone.height_mm;
+    let own = move |of: &&Held| of.tooth == tooth && (low..high).contains(&of.vertical_mm);
+    let any = !held.iter().any(|of| own(&of));
+    held.iter()
+        .filter(move |of| any || own(of))
+        .map(move |of| (of, side))
+}
+
+/// The larger; no number at all where one is none.
+fn worse(a: f64, b: f64) -> f64 {
+    if b > a || b.is_nan() { b } else { a }
+}
+
+/// One zone of a flank with its verdict.
+struct OfZone {
+    key: Key,
+    mean_mm: f64,
+    /// Measured area, as a number of cells.
+    cells: usize,
+    all_cells: usize,
+    judged: Judged,
+}
+
+fn judge(wear: FlankWear, zone: &Zone, limits: &Limits) -> OfZone {
+    let absolute = Figure {
+        value: wear.wear_mm,
+        u: wear.u_mm,
+    };
+    OfZone {
+        key: (wear.tooth, wear.flank),
+        mean_mm: wear.mean_mm,
+        cells: wear.field.measured().count(),
+        all_cells: wear.field.wear_mm.len(),
+        judged: Judged::of_wear(&wear, absolute, limits).over(zone.height_mm),
+    }
+}
+
+/// Zones to flanks: of several zones of a flank, the one behind its verdict stands for it.
+fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
+    let mut all = JudgedFlanks::default();
+    for of_flank in zones.chunk_by(|a, b| a.key == b.key) {
+        let [cells, all_cells] = [|z: &OfZone| z.cells, |z: &OfZone| z.all_cells]
+            .map(|count| of_flank.iter().map(count).sum::<usize>() as f64);
+        let key @ (tooth, flank) = of_flank[0].key;
+        let share = cells / all_cells.max(1.0);
+        let seen = share >= LEAST_SEEN;
+        if !is_asked(tooth) && !seen {
+            continue;
+        }
+        let measured = || of_flank.iter().filter(|z| z.mean_mm.is_finite());
+        let mean_mm = measured().map(|z| z.cells as f64 * z.mean_mm).sum::<f64>()
+            / measured().map(|z| z.cells as f64).sum::<f64>();
+        if mean_mm.is_finite() {
+            all.means.push(FlankMean {
+                tooth,
+                flank,
+                deviation_um: -1e3 * mean_mm,
+            });
+        }
+        let worst = of_flank.iter().max_by(|a, b| {
+            let rank = |z: &OfZone| z.judged.verdict().word();
+            let wear = |z: &OfZone| z.judged.wear_um().unwrap_or(f64::NEG_INFINITY);
+            rank(a).cmp(&rank(b)).then(wear(a).total_cmp(&wear(b)))
+        });
+        let Some(worst) = worst else { continue };
+        // Nobody asked for it: what is missing of it is no fault, what it shows is one.
+        let shows = matches!(worst.judged.verdict().word(), Word::NoGo | Word::Warn);
+        if !is_asked(key.0) && !shows {
+            continue;
+        }
+        all.verdicts.push(worst.judged.verdict().clone());
+        let mut feature = Feature::from(worst.judged.clone());
+        feature.coverage_ratio = share;
+        feature.mean_um = mean_mm.is_finite().then_some(1e3 * mean_mm);
+        all.features.push(feature);
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gear() -> GearData {
+        GearData {
+            kind: flankscope_metrology::gear::Kind::Internal,
+            teeth: 84,
+            module_mm: 1.0,
+            pressure_angle_deg: 20.0,
+            tip_radius_mm: 41.0,
+            root_radius_mm: 43.25,
+            first_tooth_centre_deg: 180.0 / 84.0,
+            height_mm: [0.0, 66.0],
+            radial_threshold_mm: 50.0,
+        }
+    }
+
+    /// Heights of tooth 7 when a scan of some teeth looks so far beside each.
+    fn zones(teeth: u32, layers: u32, beside_pitches: f64) -> Vec<[f64; 2]> {
+        let gear = gear();
+        let mut plan = Vec::new();
+        for layer in 0..layers {
+            plan.extend((7..7 + teeth).map(|tooth| PlannedView {
+                tooth,
+                rotation_rad: beside_pitches * gear.pitch_rad() - gear.tooth_centre_rad(tooth),
+                vertical_mm: 66.0 * (f64::from(layer) + 0.5) / f64::from(layers),
+            }));
+        }
+        asked(&plan, &gear, 10.0)[&7].clone()
+    }
+
+    #[test]
+    fn near_layers_of_all_teeth_are_asked_for_whole_flanks_and_others_for_their_fields() {
+        let whole = zones(84, 9, 0.0);
+        assert_eq!(whole.len(), 1);
+        assert!(whole[0][0].abs() < 1e-9 && (whole[0][1] - 66.0).abs() < 1e-9);
+        assert_eq!(zones(12, 8, 0.0).len(), 8);
+        // Layers 9.43 mm apart: seven bands of 8 mm, 56 of 66 mm.
+        let bands = zones(84, 7, 0.0);
+        assert_eq!(bands.len(), 7);
+        let share = height_ratio(&BTreeMap::from([(7, bands)]), [0.0, 66.0]);
+        assert!((share - 56.0 / 66.0).abs() < 1e-9, "{share}");
+        assert_eq!(zones(84, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
+        assert_eq!(zones(12, 2, 0.0), [[12.5, 20.5], [45.5, 53.5]]);
+        // Beside the middle, the round field shows less of the height.
+        let [low, high] = zones(12, 1, 0.5)[0];
+        assert!((4.0..7.0).contains(&(high - low)), "{low} {high}");
+    }
+
+    fn flank(tooth: u32, flank: Flank, median_mm: f64) -> SeenFlank {
+        SeenFlank {
+            tooth: Some(tooth),
+            flank,
+            median_mm,
+            per_turn: flank.sign(),
+        }
+    }
+
+    /// What is known of a turn when all left and all right flanks read these, each with its own 3 um.
+    fn turn_um(left_um: f64, right_um: f64, proud_um: f64) -> [f64; 2] {
+        let own = |tooth: u32| if tooth.is_multiple_of(2) { 2e-3 } else { -2e-3 };
+        let mut flanks: Vec<SeenFlank> = (1..=84)
+            .flat_map(|tooth| {
+                [
+                    flank(tooth, Flank::Left, 1e-3 * left_um + own(tooth)),
+                    flank(tooth, Flank::Right, 1e-3 * right_um + own(tooth / 2)),
+                ]
+            })
+            .collect();
+        flanks[20].median_mm -= 1e-3 * proud_um;
+        let (evidence, form_mm) = evidence(&flanks, scatter_mm(&flanks));
+        let turn = evidence.turn(None, 2e-3_f64.hypot(form_mm), 2e-3);
+        [turn.mean_mm, turn.u_mm].map(|mm| 1e3 * mm)
+    }
+
+    #[test]
+    fn sound_flanks_pin_the_turn_and_one_sided_wear_of_all_leaves_it_open() {
+        let [mean, u] = turn_um(0.0, 0.0, 0.0);
+        assert!(mean.abs() < 1.0 && u < 3.0, "{mean} {u}");
+        // Stuck material on one flank changes nothing.
+        let [mean, u] = turn_um(0.0, 0.0, 80.0);
+        assert!(mean.abs() < 1.0 && u < 3.0, "{mean} {u}");
+        // 55 um off one side of all, shared out by the turn: nobody knows how much of it either side has lost or gained.
+        let [mean, u] = turn_um(27.5, 27.5, 0.0);
+        assert!(mean.abs() < 2.0, "{mean}");
+        assert!(1.96 * u > 55.0, "{u}");
+    }
+}

@@ -1,0 +1,559 @@
+//! The scan from hello to result: captures of as many views as a plan holds, kept one by one, stitched at the end.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use flankscope_foundation::date::Date;
+use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
+use flankscope_metrology::gear::GearData;
+use flankscope_metrology::io::points::Format;
+use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
+use flankscope_metrology::multiview::cylinder::CylinderMap;
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_profilometry::Accumulator;
+use flankscope_profilometry::head::Unfit;
+
+use super::bore_size::size_sigma_mm;
+use super::cell_observations::layout;
+use super::clouds::CloudsError;
+use super::comparison::{self, Method};
+use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
+use super::fine_map::{self, FineMapError};
+use super::full_cloud::{self, CloudError};
+use super::gear::{self, ScanGearError};
+use super::grid::{Grid, GridError};
+use super::hinz2019::{self, Hinz2019Settings};
+use super::metrics::{self, MetricsError};
+use super::reference::{Reference, ReferenceError};
+use super::result::Scan;
+use super::session::SessionError;
+use super::stitch::{Frame, stitch};
+use super::view::ScannedView;
+use super::view_pipeline::{Kept, PlannedScan, Store, ViewPipeline};
+use crate::bookkeeping::{frame_count, peak_memory_mb};
+use crate::inspection::{
+    self, EvaluatorError, FieldOfView, InspectError, RecordError, RecordingNotes, ViewPlan,
+    calibration_um, hand_eye,
+};
+use crate::subject::Subject;
+use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
+use flankscope_instrument::acquisition::{
+    Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
+};
+use flankscope_instrument::controller::{Client, ClientSettings};
+use flankscope_record::document::Timing;
+use flankscope_record::origin::Setting;
+
+/// Why there is no scan.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ScanError {
+    /// The instrument does not work.
+    #[error(transparent)]
+    Instrument(#[from] InspectError),
+    /// Controller or camera cannot be worked with.
+    #[error(transparent)]
+    Acquisition(#[from] AcquisitionError),
+    /// The session folder is unusable.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// Recorded clouds that cannot be used.
+    #[error(transparent)]
+    Clouds(#[from] CloudsError),
+    /// The recording's grid is none.
+    #[error("grid of the recording: {0}")]
+    Grid(#[from] GridError),
+    /// Bands of a datum, which hold the pose of a single view.
+    #[error(
+        "inspect.datum_height_mm of the tool file names {bands} bands that the pose of a check rests on; a scan lays all its views \
+         on the whole die and cannot use them: scan with a tool file that leaves the key out"
+    )]
+    DatumBands {
+        /// How many.
+        bands: usize,
+    },
+    /// A view of a recording that is not of its grid.
+    #[error(
+        "view {view} of the recording was not taken from a place of its grid {grid}; leave grid out for views of any place"
+    )]
+    OffGrid {
+        /// View, from 1.
+        view: usize,
+        /// The grid.
+        grid: String,
+    },
+    /// A recording whose views stood where no stages say.
+    #[error(
+        "poses = {:?} in frames.toml: a scan lays its views together by the errors of two stages, not by a table of poses; leave it out \
+         where stages moved, or use inspect --frames",
+        poses.display()
+    )]
+    PosesFromTable {
+        /// The table.
+        poses: PathBuf,
+    },
+    /// No common solution.
+    #[error(transparent)]
+    Adjustment(#[from] AdjustmentError),
+    /// Somebody stopped it.
+    #[error(
+        "interrupted after {done} of {of} views; they are in {folder}: scan into it again to go on"
+    )]
+    Interrupted {
+        /// Views that are kept.
+        done: usize,
+        /// Of how many.
+        of: usize,
+        /// Session folder.
+        folder: PathBuf,
+    },
+    /// No merged cloud.
+    #[error(transparent)]
+    Merge(#[from] MergeError),
+}
+
+/// How far a scan is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// Views that are done, of how many, and the time that the others will take at this pace.
+    Views {
+        /// Done.
+        done: usize,
+        /// Of how many.
+        of: usize,
+        /// Remaining.
+        remaining: Duration,
+    },
+    /// A view is captured again.
+    Recapture(usize),
+    /// All views are laid on the CAD together.
+    Stitching,
+}
+
+/// The instrument's host side for scans, with its session folder open.
+#[derive(Debug)]
+pub struct Scanner {
+    pub(super) subject: Subject,
+    pub(super) setting: Setting,
+    pub(super) plan: Arc<ViewPlan>,
+    pub(super) acquisition: Acquisition<ScannedView>,
+    full_scale_dn: u16,
+    pub(super) store: Store,
+    /// What the views are called.
+    pub(super) views: String,
+    pub(super) gear: GearData,
+    pub(super) nominal: Stages,
+    pub(super) field: FieldOfView,
+    pub(super) resumed: usize,
+    method: Method,
+    hinz2019: Hinz2019Settings,
+    reference: Option<Reference>,
+}
+
+impl Scanner {
+    /// Opens the session folder, where an earlier part of the same scan may lie, and starts the threads. `of` names what
+    /// else must be the same for the scan to go on, beside grid, tool, CAD and head. The result says that it comes from
+    /// `setting`.
+    ///
+    /// # Errors
+    /// The subject is unfit, the folder is another scan's or damaged, or shared memory is refused.
+    pub fn open(
+        subject: Subject,
+        setting: Setting,
+        grid: Grid,
+        folder: &Path,
+        of: &BTreeMap<String, String>,
+        root: Arc<SharedRoot>,
+    ) -> Result<Self, ScanError> {
+        let planned = PlannedScan::of(grid, &subject)?;
+        let source = move || Ok(FrameReceiver::create(&root)?);
+        Self::fed_by(source, subject, setting, planned, (folder, of))
+    }
+
+    /// The same with frames from any source.
+    pub(super) fn fed_by<S: FrameSource>(
+        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
+        subject: Subject,
+        setting: Setting,
+        planned: PlannedScan,
+        (folder, of): (&Path, &BTreeMap<String, String>),
+    ) -> Result<Self, ScanError> {
+        let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
+        let what = "[gear] in the tool file";
+        let gear = subject.tool.gear.clone();
+        let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
+        let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
+        let field = FieldOfView::of(&subject.head).map_err(unfit)?;
+        let name = planned.name.clone();
+        let ViewPipeline {
+            plan,
+            decoder,
+            mut views,
+            store,
+        } = ViewPipeline::open(&subject, planned, folder, of)?;
+        let resumed = store.known.len();
+        let full_scale_dn = decoder.full_scale_dn();
+        let scan = move |view, sums: &Accumulator| views.scan(view, sums);
+        let acquisition =
+            Acquisition::start(plan.program(&subject.station), &decoder, source, scan)?;
+        Ok(Self {
+            subject,
+            setting,
+            plan,
+            acquisition,
+            store,
+            full_scale_dn,
+            views: name,
+            gear,
+            nominal,
+            field,
+            resumed,
+            method: Method::default(),
+            hinz2019: Hinz2019Settings::default(),
+            reference: None,
+        })
+    }
+
+    /// Compares with an earlier scan of the same die: whether it was put down turned by whole teeth since.
+    ///
+    /// # Errors
+    /// The earlier result cannot be used.
+    pub fn against(&mut self, earlier: Option<&Path>) -> Result<(), ReferenceError> {
+        let cad = self.subject.hashes.get("cad").map(String::as_str);
+        let simulated = Some(self.setting.link.is_simulated());
+        let load = |path: &Path| Reference::load(path, cad, simulated, &self.subject.seals);
+        self.reference = earlier.map(load).transpose()?;
+        Ok(())
+    }
+
+    /// Chooses how the views are stitched; the captured views are the same for every method.
+    ///
+    /// # Errors
+    /// The voxel size is none.
+    pub fn by_method(
+        &mut self,
+        method: Method,
+        hinz2019: Hinz2019Settings,
+    ) -> Result<(), ScanError> {
+        check_voxel_size(hinz2019.voxel_mm)?;
+        (self.method, self.hinz2019) = (method, hinz2019);
+        Ok(())
+    }
+
+    /// Captures what is missing and stitches everything.
+    ///
+    /// # Errors
+    /// The scan could not begin, the session folder cannot be written, or the views have no common solution. Views that
+    /// are lost on the way are holes in the map.
+    pub fn scan(
+        &mut self,
+        port: &Path,
+        settings: ClientSettings,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Scan, ScanError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
+        let begun_ns = monotonic_ns();
+        // What a head that must not judge would measure is not worth hours.
+        let unfit = self.subject.head.fit_on(Date::today()).err();
+        let (run, lost, firmware) = runtime.block_on(async {
+            let client = Client::connect(port, settings).await;
+            let mut client = client.map_err(AcquisitionError::from)?;
+            self.acquisition
+                .make_ready(&mut client, &mut |_| {})
+                .await?;
+            let (run, lost) = match &unfit {
+                Some(_) => (Run::new(Vec::new(), None), BTreeMap::new()),
+                None => self.capture_all(&mut client, &mut watch).await?,
+            };
+            Ok::<_, ScanError>((run, lost, client.identity().firmware))
+        })?;
+        let [major, minor, patch] = firmware;
+        let mut scan = self.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)?;
+        scan.versions
+            .insert("firmware", format!("{major}.{minor}.{patch}"));
+        Ok(scan)
+    }
+
+    /// The result of a run.
+    pub(super) fn conclude(
+        &mut self,
+        run: Run<ScannedView>,
+        lost: &BTreeMap<usize, Reason>,
+        unfit: Option<&Unfit>,
+        begun_ns: u64,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Scan, ScanError> {
+        let mut scan = match unfit {
+            Some(why) => self.nothing(&inspection::unfit(why))?,
+            None => {
+                watch(Progress::Stitching);
+                self.stitch_all(lost)?
+            }
+        };
+        let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
+        scan.timing_ms = Timing {
+            total: since(begun_ns),
+            positioning: run.timeline.positioning_ms(),
+            exposure: run.timeline.exposure_ms(),
+            last_exposure_to_verdict: if run.counts.last_exposure_ns > 0 {
+                since(run.counts.last_exposure_ns)
+            } else {
+                0.0
+            },
+        };
+        scan.last_view_to_result_ms = scan.timing_ms.last_exposure_to_verdict;
+        scan.frames = frame_count(run.counts);
+        scan.peak_memory_mb = peak_memory_mb();
+        Ok(scan)
+    }
+
+    /// Adds to a finished scan what the article's metrics say of it, and with `raster` its unrolled comparison.
+    ///
+    /// # Errors
+    /// The CAD has no surface where the gear is, or the session folder cannot be read.
+    pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
+        let tool = &self.subject.tool;
+        scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
+        Ok(())
+    }
+
+    /// Adds profile, helix and pitch of every tooth to a finished scan, from every point of every registered view.
+    ///
+    /// # Errors
+    /// The views stand on nothing, their uncertainty is not known, or the session folder cannot be read.
+    pub fn evaluate_gear(&self, scan: &mut Scan) -> Result<(), ScanGearError> {
+        scan.gear = Some(gear::evaluate(scan, &self.store.session, &self.gear)?);
+        Ok(())
+    }
+
+    /// Whether a mesh of this gear can have this spacing.
+    ///
+    /// # Errors
+    /// It cannot.
+    pub fn check_spacing(&self, spacing_mm: f64) -> Result<(), FineMapError> {
+        fine_map::layout(&self.gear, spacing_mm).map(drop)
+    }
+
+    /// The map of a finished scan in cells of `spacing_mm` along the toothing's profile and its axis.
+    ///
+    /// # Errors
+    /// The spacing is none, or the session folder cannot be read.
+    pub fn fine_map(&self, scan: &Scan, spacing_mm: f64) -> Result<CylinderMap, FineMapError> {
+        let layout = fine_map::layout(&self.gear, spacing_mm)?;
+        let tool = &self.subject.tool;
+        Ok(fine_map::merged(scan, &self.store.session, tool, layout)?)
+    }
+
+    /// Writes every point of every registered view of a finished scan, in its final pose; returns their number.
+    ///
+    /// # Errors
+    /// The session folder cannot be read, or `out` not be written.
+    pub fn write_cloud(
+        &self,
+        scan: &Scan,
+        format: Format,
+        out: &mut dyn Write,
+    ) -> Result<u64, CloudError> {
+        full_cloud::write(scan, &self.store.session, format, out)
+    }
+
+    /// Captures every view that the session folder lacks, some at a time; returns why views stayed lost.
+    async fn capture_all(
+        &mut self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<(Run<ScannedView>, BTreeMap<usize, Reason>), ScanError> {
+        let of = self.plan.views.len();
+        let held: Vec<usize> = self.store.session.views().map(|(view, _)| view).collect();
+        let wanted: Vec<usize> = (0..of).filter(|view| !held.contains(view)).collect();
+        let mut run = Run::new(wanted.clone(), None);
+        let mut lost = BTreeMap::new();
+        let begun = Instant::now();
+        for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
+            let store = &mut self.store;
+            let keep = |run: &mut Run<ScannedView>, views: &[usize], stopped: Option<&Stop>| {
+                keep(store, &mut lost, run, views, stopped)
+            };
+            let mut again = |progress: CheckProgress| {
+                if let CheckProgress::Recapture(view) = progress {
+                    watch(Progress::Recapture(view));
+                }
+            };
+            let captured = self.acquisition.capture_settled(
+                client,
+                &mut run,
+                views,
+                AfterStop::GoOn,
+                keep,
+                &mut again,
+            );
+            if let Some(Stop::Interrupted) = captured.await? {
+                return Err(ScanError::Interrupted {
+                    done: self.store.session.views().count(),
+                    of,
+                    folder: self.store.session.folder().to_path_buf(),
+                });
+            }
+            let done = self.store.session.views().count() + lost.len();
+            let new = done.saturating_sub(self.resumed).max(1);
+            let pace = begun.elapsed() / new as u32;
+            watch(Progress::Views {
+                done,
+                of,
+                remaining: pace * (of - done) as u32,
+            });
+        }
+        Ok((run, lost))
+    }
+
+    /// What the views are laid on each other in.
+    fn frame(&self) -> Frame {
+        Frame {
+            layout: layout(&self.gear),
+            field: self.field,
+            single: self.subject.station.stages.of_single_view(),
+        }
+    }
+
+    /// A scan without a view, and why.
+    fn nothing(&mut self, why: &Reason) -> Result<Scan, ScanError> {
+        let frame = self.frame();
+        let none = BTreeMap::new();
+        let empty = stitch(
+            &self.store.session,
+            &mut self.store.patches,
+            none,
+            &self.subject.tool,
+            &self.nominal,
+            &frame,
+        )?;
+        let mut scan = self.describe(empty, &BTreeMap::new())?;
+        scan.invalidate(why);
+        Ok(scan)
+    }
+
+    /// Stitches by our method, and by the article's if it was asked for.
+    fn stitch_all(&mut self, lost: &BTreeMap<usize, Reason>) -> Result<Scan, ScanError> {
+        let first = std::mem::take(&mut self.store.known);
+        let (tool, plan) = (&self.subject.tool, &self.plan);
+        let (session, nominal, planned) = (&self.store.session, &self.nominal, &plan.views);
+        let frame = self.frame();
+        let begun = Instant::now();
+        let ours = stitch(
+            session,
+            &mut self.store.patches,
+            first,
+            tool,
+            nominal,
+            &frame,
+        )?;
+        let took = begun.elapsed();
+        let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
+        let shared = ours.adjustment.stages.clone();
+        let stretch = stretch_of_views(&ours, session, tool)?;
+        let mut scan = self.describe(ours, lost)?;
+        scan.teeth_stretch_ratio = stretch;
+        let lateral_mm = 1e-3 * calibration_um(tool, &self.subject.head);
+        let half_field_mm = 0.5 * self.field.width_mm;
+        scan.take_size_sigma(size_sigma_mm(
+            &self.gear,
+            stretch,
+            lateral_mm,
+            half_field_mm,
+        ));
+        let turned = turned_rad(&shared, nominal, planned, self.field.reach_mm);
+        scan.teeth_turned_deg = turned.to_degrees();
+        let other_die = stretch.and_then(|stretch| unlike_teeth(stretch, &self.gear));
+        if let Some(why) = other_die.or_else(|| ambiguous_teeth(turned, &self.gear)) {
+            scan.invalidate(&why);
+            return Ok(scan);
+        }
+        if let Some(reference) = &self.reference {
+            let placement = reference.compare(&scan.flank_means, self.gear.teeth);
+            let objection = placement.objection();
+            scan.placement = Some(placement);
+            if let Some(why) = objection {
+                scan.invalidate(&why);
+                return Ok(scan);
+            }
+        }
+        scan.methods.push(figures);
+        if self.method == Method::Surface {
+            return Ok(scan);
+        }
+        let begun = Instant::now();
+        let map = CylinderMap::new(frame.layout);
+        let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
+        let took = begun.elapsed();
+        let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
+        if self.method == Method::Hinz2019 {
+            scan.show_instead(laid, &figures);
+        }
+        scan.methods.push(figures);
+        Ok(scan)
+    }
+}
+
+impl Scanner {
+    /// Has the frames of every capture that follows written into `folder`, which is there, beside being scanned.
+    ///
+    /// # Errors
+    /// A thread ended early.
+    pub fn save_frames(&mut self, folder: &Path) -> Result<(), ScanError> {
+        Ok(self.acquisition.save_frames(folder, self.full_scale_dn)?)
+    }
+
+    /// Makes a recording of the frames that were saved for a scan. `head` is the head's file in the same folder.
+    ///
+    /// # Errors
+    /// Something was not written.
+    pub fn record(&mut self, folder: &Path, head: &Path) -> Result<(), RecordError> {
+        let saved = self.acquisition.take_saved();
+        let notes = RecordingNotes {
+            subject: &self.subject,
+            setting: &self.setting,
+            plan: &self.plan,
+            teeth: None,
+            grid: Some(self.views.clone()),
+            press_cycles: None,
+        };
+        notes.write(folder, head, saved)
+    }
+}
+
+/// Keeps what came of these views; returns those that are lost so far, and says why.
+pub(super) fn keep(
+    store: &mut Store,
+    lost: &mut BTreeMap<usize, Reason>,
+    run: &mut Run<ScannedView>,
+    views: &[usize],
+    stopped: Option<&Stop>,
+) -> Result<Vec<usize>, ScanError> {
+    let mut open = Vec::new();
+    for &view in views {
+        let why = match run.outcomes.remove(&view) {
+            Some(scanned) => match store.keep(view, scanned)? {
+                Kept::Kept => {
+                    lost.remove(&view);
+                    continue;
+                }
+                Kept::Refused(why) => why,
+            },
+            None => match (run.problems.get(&view), stopped) {
+                (Some(problem), _) => inspection::view_lost(problem),
+                (None, Some(stopped)) => inspection::stopped(stopped),
+                (None, None) => Reason::instrument(Code::NotCaptured, "the view was not captured"),
+            },
+        };
+        lost.insert(view, why);
+        open.push(view);
+    }
+    store.session.commit()?;
+    Ok(open)
+}

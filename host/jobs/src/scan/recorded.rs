@@ -1,0 +1,198 @@
+//! The scan of recorded frames: everything after the camera as in a live one, and nothing before it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+use flankscope_foundation::date::Date;
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
+
+use super::grid::Grid;
+use super::job::{Progress, ScanError, Scanner, keep};
+use super::result::Scan;
+use super::view::ScannedView;
+use super::view_pipeline::PlannedScan;
+use crate::inspection::{InspectError, PlanningError, ViewPlan, tooth_in_middle};
+use crate::subject::Subject;
+use flankscope_frames::monotonic_ns;
+use flankscope_instrument::acquisition::{
+    AcquisitionError, IndexedView, Playback, RecordedView, Recording, Run,
+};
+use flankscope_metrology::view::PlannedView;
+use flankscope_record::origin::Setting;
+
+/// Two places nearer to each other than this are one: rad and mm, far below what a stage resolves.
+const SAME_PLACE: f64 = 1e-9;
+
+/// The host's side for a scan of recorded frames, with its session folder open.
+#[derive(Debug)]
+pub struct RecordedScan {
+    /// What stitches and describes, as in a live scan.
+    pub scanner: Scanner,
+    playback: Playback,
+    /// Every capture with its view of the plan, in the order in which they were taken.
+    captures: Vec<(usize, RecordedView)>,
+    taken: Option<Date>,
+}
+
+impl RecordedScan {
+    /// Prepares a scan of these frames, kept in `folder`, where an earlier part of it may lie. The result says that it comes
+    /// from `setting`.
+    ///
+    /// # Errors
+    /// The subject is unfit, the folder is another scan's, or an image is not there or not what plan and head say.
+    pub fn open(
+        subject: Subject,
+        setting: Setting,
+        recording: &Recording,
+        folder: &Path,
+    ) -> Result<Self, ScanError> {
+        if let Some(poses) = recording.poses() {
+            return Err(ScanError::PosesFromTable { poses });
+        }
+        let recorded = recording.views(&subject.head);
+        let recorded = recorded.map_err(InspectError::from)?;
+        let (tool, index) = (&subject.tool, &recording.index);
+        let (views, of) = planned(tool, index.grid.as_deref(), &index.view)?;
+        let name = name_of(index.grid.as_deref(), &views);
+        let planned = PlannedScan {
+            name,
+            plan: ViewPlan::of_recording(recording, views, tool, &subject.head),
+        };
+        let camera = &subject.head.camera;
+        let size_px = [camera.width_px, camera.height_px];
+        let sensor = recording.sensor(&subject.head);
+        let full_scale_dn = sensor.map_err(InspectError::from)?.full_scale_dn();
+        let (playback, source) = Playback::new(size_px, full_scale_dn, &planned.plan.exposures_us);
+        let same = BTreeMap::from([("recording".to_owned(), recording.blake3.clone())]);
+        Ok(Self {
+            scanner: Scanner::fed_by(
+                move || Ok(source),
+                subject,
+                setting,
+                planned,
+                (folder, &same),
+            )?,
+            playback,
+            captures: of.into_iter().zip(recorded).collect(),
+            taken: recording.index.taken,
+        })
+    }
+
+    /// Sums what the session folder lacks and stitches everything.
+    ///
+    /// # Errors
+    /// The session folder cannot be written, or the views have no common solution. Views without frames are holes in the map.
+    pub fn scan(&mut self, mut watch: impl FnMut(Progress)) -> Result<Scan, ScanError> {
+        let begun_ns = monotonic_ns();
+        let day = self.taken.unwrap_or_else(Date::today);
+        let unfit = self.scanner.subject.head.fit_on(day).err();
+        let mut run = Run::new(Vec::new(), None);
+        let mut lost = BTreeMap::new();
+        if unfit.is_none() {
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .build();
+            let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
+            runtime.block_on(self.play(&mut run, &mut lost, &mut watch))?;
+        }
+        let scanner = &mut self.scanner;
+        scanner.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)
+    }
+
+    /// Every capture in the order in which it was taken; a further one of a view counts where none before it was kept.
+    async fn play(
+        &mut self,
+        run: &mut Run<ScannedView>,
+        lost: &mut BTreeMap<usize, Reason>,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<(), ScanError> {
+        let of = self.scanner.plan.views.len();
+        for view in 0..of {
+            if !self.is_kept(view) {
+                let why = format!("the recording has no frames of view {}", view + 1);
+                lost.insert(view, Reason::instrument(Code::NotCaptured, why));
+            }
+        }
+        let resumed = of - lost.len();
+        let begun = Instant::now();
+        let mut rest = std::mem::take(&mut self.captures).into_iter().peekable();
+        while rest.peek().is_some() {
+            let mut some: Vec<(usize, RecordedView)> = Vec::new();
+            while let Some((view, _)) = rest.peek()
+                && some.len() < flankscope_protocol::plan::MAX_VIEWS
+                && some.iter().all(|(other, _)| other != view)
+            {
+                some.extend(rest.next().filter(|(view, _)| !self.is_kept(*view)));
+            }
+            let views: Vec<usize> = some.iter().map(|(view, _)| *view).collect();
+            let acquisition = &mut self.scanner.acquisition;
+            acquisition
+                .play(&self.playback, run, &some, &mut |_| {})
+                .await?;
+            keep(&mut self.scanner.store, lost, run, &views, None)?;
+            let done = (0..of).filter(|&view| self.is_kept(view)).count();
+            let new = done.saturating_sub(resumed).max(1);
+            watch(Progress::Views {
+                done,
+                of,
+                remaining: begun.elapsed() / new as u32 * (of - done) as u32,
+            });
+        }
+        Ok(())
+    }
+
+    fn is_kept(&self, view: usize) -> bool {
+        self.scanner.store.session.pose(view).is_some()
+    }
+}
+
+/// The views of a recorded scan, those of its grid or else those that its index says; and for each of the index's, which of them
+/// it is.
+pub(super) fn planned(
+    tool: &Tool,
+    grid: Option<&str>,
+    index: &[IndexedView],
+) -> Result<(Vec<PlannedView>, Vec<usize>), ScanError> {
+    let gear = tool.gear.as_ref();
+    let gear = gear.ok_or(InspectError::from(PlanningError::NoGear))?;
+    let mut views: Vec<PlannedView> = Vec::new();
+    if let Some(grid) = grid {
+        views = grid.parse::<Grid>()?.views(gear);
+    }
+    let mut of = Vec::with_capacity(index.len());
+    for (at, said) in index.iter().enumerate() {
+        let tooth = tooth_in_middle(gear, at, said).map_err(InspectError::from)?;
+        let nominal = ViewPlan::nominal(tool, &[tooth]);
+        let nominal = nominal.map_err(InspectError::from)?.swap_remove(0);
+        let stood = PlannedView {
+            tooth,
+            rotation_rad: said.rotation_rad.unwrap_or(nominal.rotation_rad),
+            vertical_mm: said.vertical_mm.unwrap_or(nominal.vertical_mm),
+        };
+        let same = |view: &PlannedView| {
+            (view.rotation_rad - stood.rotation_rad).abs() < SAME_PLACE
+                && (view.vertical_mm - stood.vertical_mm).abs() < SAME_PLACE
+        };
+        of.push(match (views.iter().position(same), grid) {
+            (Some(place), _) => place,
+            (None, None) => {
+                views.push(stood);
+                views.len() - 1
+            }
+            (None, Some(grid)) => {
+                return Err(ScanError::OffGrid {
+                    view: at + 1,
+                    grid: grid.to_owned(),
+                });
+            }
+        });
+    }
+    Ok((views, of))
+}
+
+/// What views of a recording are called.
+pub(super) fn name_of(grid: Option<&str>, views: &[PlannedView]) -> String {
+    grid.map_or_else(|| format!("{} recorded views", views.len()), str::to_owned)
+}

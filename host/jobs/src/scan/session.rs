@@ -1,0 +1,317 @@
+//! What is kept of a scan: a folder with one file of points per view and a manifest with their hashes.
+//!
+//! Files appear whole or not at all, a view's points before the manifest that names them: whenever the scan is killed, the
+//! folder says what is done.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use flankscope_foundation::rigid::{Camera, Rigid, Tool};
+use flankscope_foundation::seal::Seal;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::view::{Kept, KeptView};
+use flankscope_foundation::files::{hash, write_whole};
+use flankscope_record::seal::{Kind, SealError, Seals};
+
+const MANIFEST: &str = "manifest.json";
+const FORMAT: u32 = 3;
+
+/// Why a session folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SessionError {
+    /// The operating system refuses.
+    #[error("{path}: {error}")]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// The manifest is none.
+    #[error("{path} is no scan manifest: {error}; scan into an empty folder")]
+    Manifest {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        error: serde_json::Error,
+    },
+    /// Another scan's folder.
+    #[error(
+        "{path} holds another scan: its {what} is {got}, this scan's is {expected}; scan into an empty folder"
+    )]
+    Other {
+        /// The manifest.
+        path: PathBuf,
+        /// What differs.
+        what: String,
+        /// There.
+        got: String,
+        /// Here.
+        expected: String,
+    },
+    /// A file that is not what was written.
+    #[error(
+        "{path} is damaged: its BLAKE3 is {got}, the manifest says {expected}; remove the file to have the view captured again"
+    )]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Of the file.
+        got: String,
+        /// Of the manifest.
+        expected: String,
+    },
+    /// Not this station's word, nor somebody's whom it trusts.
+    #[error(transparent)]
+    Seal(#[from] SealError),
+    /// A pose that is none.
+    #[error("{path}: the pose of view {view} is no rigid motion")]
+    Pose {
+        /// The manifest.
+        path: PathBuf,
+        /// View.
+        view: usize,
+    },
+}
+
+/// A view that is done.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Entry {
+    /// Of the points' file.
+    blake3: String,
+    /// Points in it, before the rays without a point.
+    pub points: usize,
+    /// First pose, rows of tool frame from camera frame.
+    tool_from_camera: [[f64; 4]; 4],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Manifest {
+    format: u32,
+    /// What must be the same for the scan to go on: grid, tool, CAD, head, and what stands on the simulated bench.
+    of: BTreeMap<String, String>,
+    views: BTreeMap<usize, Entry>,
+}
+
+/// An open session folder.
+#[derive(Debug)]
+pub(super) struct Session {
+    folder: PathBuf,
+    manifest: Manifest,
+    seals: Seals,
+}
+
+impl Session {
+    /// Opens a folder, made if it is not there. Every file that the manifest names is checked; a missing one is captured
+    /// again.
+    pub fn open(
+        folder: &Path,
+        of: BTreeMap<String, String>,
+        seals: Seals,
+    ) -> Result<Self, SessionError> {
+        let io = |path: &Path| {
+            let path = path.to_path_buf();
+            move |error| SessionError::Io { path, error }
+        };
+        std::fs::create_dir_all(folder).map_err(io(folder))?;
+        let path = folder.join(MANIFEST);
+        let mut session = Self {
+            folder: folder.to_path_buf(),
+            manifest: Manifest {
+                format: FORMAT,
+                of,
+                views: BTreeMap::new(),
+            },
+            seals,
+        };
+        if !path.exists() {
+            return Ok(session);
+        }
+        let text = std::fs::read(&path).map_err(io(&path))?;
+        let no_manifest = |error| SessionError::Manifest {
+            path: path.clone(),
+            error,
+        };
+        let mut document: Value = serde_json::from_slice(&text).map_err(no_manifest)?;
+        let sealed = document.clone();
+        if let Some(map) = document.as_object_mut() {
+            map.remove(Seal::KEY);
+        }
+        let manifest: Manifest = serde_json::from_value(document).map_err(no_manifest)?;
+        let mut expected = session.manifest.of.clone();
+        expected.insert("format".into(), FORMAT.to_string());
+        let mut got = manifest.of.clone();
+        got.insert("format".into(), manifest.format.to_string());
+        let mut keys: Vec<&String> = expected.keys().chain(got.keys()).collect();
+        keys.sort();
+        for what in keys {
+            let value = |of: &BTreeMap<String, String>| match of.get(what) {
+                Some(value) => value.clone(),
+                None => "not named".into(),
+            };
+            let (got, expected) = (value(&got), value(&expected));
+            if got != expected {
+                let what = what.clone();
+                return Err(SessionError::Other {
+                    path,
+                    what,
+                    got,
+                    expected,
+                });
+            }
+        }
+        session.seals.believe(Kind::Session, &path, &sealed)?;
+        session.manifest = manifest;
+        let gone: Vec<usize> = session
+            .manifest
+            .views
+            .keys()
+            .copied()
+            .filter(|&view| !session.file(view).exists())
+            .collect();
+        for view in gone {
+            session.manifest.views.remove(&view);
+        }
+        for (&view, entry) in &session.manifest.views {
+            if Rigid::<Tool, Camera>::from_rows(&entry.tool_from_camera).is_err() {
+                return Err(SessionError::Pose { path, view });
+            }
+            session.points(view)?;
+        }
+        Ok(session)
+    }
+
+    /// What a folder's scan is of, before anything of it is believed.
+    pub fn identity(folder: &Path) -> Result<BTreeMap<String, String>, SessionError> {
+        #[derive(Deserialize)]
+        struct Named {
+            of: BTreeMap<String, String>,
+        }
+        let path = folder.join(MANIFEST);
+        let text = std::fs::read(&path).map_err(|error| {
+            let path = path.clone();
+            SessionError::Io { path, error }
+        })?;
+        let named: Named = serde_json::from_slice(&text)
+            .map_err(|error| SessionError::Manifest { path, error })?;
+        Ok(named.of)
+    }
+
+    fn file(&self, view: usize) -> PathBuf {
+        self.folder.join(format!("view-{view:04}.points"))
+    }
+
+    /// The views that are done.
+    pub fn views(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        self.manifest
+            .views
+            .iter()
+            .map(|(&view, entry)| (view, entry))
+    }
+
+    /// First pose of a view that is done.
+    pub fn pose(&self, view: usize) -> Option<nalgebra::Isometry3<f64>> {
+        let entry = self.manifest.views.get(&view)?;
+        let pose = Rigid::<Tool, Camera>::from_rows(&entry.tool_from_camera).ok()?;
+        Some(*pose.isometry())
+    }
+
+    /// Keeps a view's points and first pose.
+    pub fn keep(
+        &mut self,
+        view: usize,
+        kept: &KeptView,
+        tool_from_camera: nalgebra::Isometry3<f64>,
+    ) -> Result<(), SessionError> {
+        let points: &[u8] = bytemuck::cast_slice(&kept.points);
+        let bytes = [points, bytemuck::cast_slice(&kept.without_point)].concat();
+        let path = self.file(view);
+        write_whole(&path, &bytes).map_err(|error| SessionError::Io { path, error })?;
+        let pose = Rigid::<Tool, Camera>::from_isometry(tool_from_camera);
+        let entry = Entry {
+            blake3: hash(&bytes),
+            points: kept.points.len(),
+            tool_from_camera: pose.to_rows(),
+        };
+        self.manifest.views.insert(view, entry);
+        Ok(())
+    }
+
+    /// Writes the manifest: what was kept before is safe from here on.
+    pub fn commit(&self) -> Result<(), SessionError> {
+        let path = self.folder.join(MANIFEST);
+        let text = || -> serde_json::Result<Result<Vec<u8>, SealError>> {
+            let mut document = serde_json::to_value(&self.manifest)?;
+            match self.seals.seal(Kind::Session, &document) {
+                Ok(seal) => document[Seal::KEY] = serde_json::to_value(seal)?,
+                Err(error) => return Ok(Err(error)),
+            }
+            serde_json::to_vec_pretty(&document).map(Ok)
+        };
+        let text = text().map_err(|error| {
+            let path = path.clone();
+            SessionError::Manifest { path, error }
+        })??;
+        write_whole(&path, &text).map_err(|error| SessionError::Io { path, error })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// A fair sample of a view that is done: its first points. Not checked against the hash, which was when the session was
+    /// opened or the view was kept.
+    pub fn sample(&self, view: usize, most: usize) -> Result<Vec<Kept>, SessionError> {
+        let path = self.file(view);
+        let points = self
+            .manifest
+            .views
+            .get(&view)
+            .map_or(0, |entry| entry.points);
+        let most = most.min(points);
+        let mut bytes = Vec::with_capacity(most * size_of::<Kept>());
+        let read = std::fs::File::open(&path).and_then(|file| {
+            file.take((most * size_of::<Kept>()) as u64)
+                .read_to_end(&mut bytes)
+        });
+        read.map_err(|error| SessionError::Io { path, error })?;
+        Ok(read_all(&bytes))
+    }
+
+    /// The points of a view that is done, checked against their hash.
+    pub fn points(&self, view: usize) -> Result<KeptView, SessionError> {
+        let path = self.file(view);
+        let bytes = std::fs::read(&path).map_err(|error| {
+            let path = path.clone();
+            SessionError::Io { path, error }
+        })?;
+        let entry = self.manifest.views.get(&view);
+        let expected = entry.map_or("", |entry| entry.blake3.as_str());
+        let got = hash(&bytes);
+        if got != expected {
+            return Err(SessionError::Damaged {
+                path,
+                got,
+                expected: expected.into(),
+            });
+        }
+        let points = entry.map_or(0, |entry| entry.points) * size_of::<Kept>();
+        let (points, rays) = bytes.split_at(points.min(bytes.len()));
+        Ok(KeptView {
+            points: read_all(points),
+            without_point: read_all(rays),
+        })
+    }
+}
+
+fn read_all<T: bytemuck::AnyBitPattern>(bytes: &[u8]) -> Vec<T> {
+    let each = bytes.chunks_exact(size_of::<T>());
+    each.map(bytemuck::pod_read_unaligned).collect()
+}

@@ -1,0 +1,340 @@
+//! One captured view to points and a first pose, predicted from the views before it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_foundation::display::Number;
+use flankscope_foundation::rigid::Rigid;
+use flankscope_metrology::cloud::outlier;
+use flankscope_metrology::deviation::{Order, SampleTree};
+use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::multiview::adjustment::{
+    Local, Pose, Solution, Stages, ViewInformation, compress, solve,
+};
+use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
+use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_metrology::wear::FlankView;
+use flankscope_profilometry::{Accumulator, Decoder};
+use nalgebra::{Isometry3, Matrix6, Vector6};
+
+use super::cell_observations::{Laid, layout};
+use crate::inspection::{
+    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, ViewPlan, exposures_disagree,
+    hand_eye, rays_without_point,
+};
+use crate::subject::Subject;
+
+/// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
+pub(super) const SAMPLE: usize = 4_000;
+/// Points of the view's own registration.
+const FIRST_POSE: usize = 12_000;
+/// A view may bend to the form of the piece while it finds its own pose: shift (mm) and turn (rad) allowed for that.
+const BEND_MM: f64 = 30e-3;
+const BEND_RAD: f64 = 2e-3;
+/// A place known worse than this share of the pitch is searched for.
+const SEARCH_PITCH: f64 = 0.1;
+/// A first pose is good enough when its last step was shorter, mm.
+const NEARLY_MM: f64 = 10e-3;
+/// A view whose points lie farther from the CAD than this looks at another part, mm.
+const MOST_RMS_MM: f64 = 0.05;
+/// And so does one with fewer of its points on the CAD.
+const LEAST_SHARE: f64 = 0.6;
+/// Up to so many views each one renews the adjustment, then every so many.
+const EAGER_VIEWS: usize = 24;
+const LAZY_VIEWS: usize = 12;
+
+/// A point as it is kept: camera frame (mm), standard uncertainty (mm), and how much the fringes oscillate around it
+/// (smoothed standard deviation, counts), which the article's mask goes by.
+pub(super) type Kept = [f32; 5];
+
+/// What is kept of a view.
+#[derive(Clone, Debug, Default)]
+pub(super) struct KeptView {
+    /// Its points, in shuffled order.
+    pub points: Vec<Kept>,
+    /// Where the rays without a point look: x and y at z = 1, camera frame.
+    pub without_point: Vec<[f32; 2]>,
+}
+
+/// What became of one view.
+#[derive(Debug)]
+pub(super) struct ScannedView {
+    /// Its points.
+    pub kept: KeptView,
+    /// First pose, tool frame from camera frame.
+    pub tool_from_camera: Isometry3<f64>,
+    /// What became of it on the CAD, or why it must not be used.
+    pub laid: Result<LaidView, Reason>,
+}
+
+/// A view on the CAD.
+#[derive(Debug)]
+pub(crate) struct LaidView {
+    /// What it says about its pose, at the best one by what was known of the others at the time.
+    pub information: ViewInformation,
+    /// What it says of the map, there.
+    pub cell_observations: Vec<CellObservation>,
+    /// What it saw of every flank, there.
+    pub flanks: BTreeMap<(u32, Flank), FlankView>,
+}
+
+/// The compute thread's state.
+pub(super) struct ViewScanner {
+    tool: Arc<Tool>,
+    gear: GearData,
+    layout: Layout,
+    decoder: Arc<Decoder>,
+    plan: Arc<ViewPlan>,
+    adjustment: Solution,
+    /// How a view may lie from what all share.
+    single: Local,
+    field: FieldOfView,
+    known: BTreeMap<usize, ViewInformation>,
+}
+
+impl ViewScanner {
+    /// Starts with the views that are `known` from an earlier part of the scan.
+    pub fn new(
+        subject: &Subject,
+        decoder: Arc<Decoder>,
+        plan: Arc<ViewPlan>,
+        known: BTreeMap<usize, ViewInformation>,
+    ) -> Result<Self, EvaluatorError> {
+        let what = "[gear] in the tool file";
+        let gear = subject.tool.gear.as_ref();
+        let gear = gear.ok_or(EvaluatorError::Missing { what })?;
+        let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
+        let single = subject.station.stages.of_single_view();
+        let mut scanner = Self {
+            tool: Arc::clone(&subject.tool),
+            layout: layout(gear),
+            gear: gear.clone(),
+            decoder,
+            plan,
+            adjustment: Solution::prior(nominal, single),
+            single,
+            field: FieldOfView::of(&subject.head)?,
+            known,
+        };
+        scanner.solve();
+        Ok(scanner)
+    }
+
+    /// Decodes a view and lays it on the CAD.
+    pub fn scan(&mut self, view: usize, sums: &Accumulator) -> ScannedView {
+        let decoded = self.decoder.finish(sums);
+        let decoded = decoded.map_err(|error| Reason::instrument(Code::Decoding, error));
+        let decoded = decoded.and_then(|view| match exposures_disagree(&view) {
+            Some(why) => Err(why),
+            None => Ok(view),
+        });
+        let decoded_view = match decoded {
+            Ok(decoded) => decoded,
+            Err(why) => {
+                let expected = self.adjustment.predict(place(&self.plan, view));
+                return ScannedView {
+                    kept: KeptView::default(),
+                    tool_from_camera: *expected.tool_from_cloud.isometry(),
+                    laid: Err(why),
+                };
+            }
+        };
+        let decoded = &decoded_view.cloud;
+        let (order, dropped) = fair_order(&decoded.points_mm);
+        let without_point = rays_without_point(&self.decoder, &decoded_view, &dropped)
+            .map(|[x, y, z]| [(x / z) as f32, (y / z) as f32])
+            .collect();
+        let points: Vec<Kept> = order
+            .iter()
+            .map(|&at| {
+                let [x, y, z] = decoded.points_mm[at].map(|c| c as f32);
+                [x, y, z, decoded.sigma_z_mm[at], decoded.fringes_dn[at]]
+            })
+            .collect();
+        self.lay_on(
+            view,
+            KeptView {
+                points,
+                without_point,
+            },
+        )
+    }
+
+    /// Lays points on the CAD of which nothing is known but where they are, camera frame, and how sure each is. Of fringes they say
+    /// nothing, and a ray of the head without a point within half a cell saw nothing.
+    pub fn lay_cloud(
+        &mut self,
+        view: usize,
+        points_mm: &[[f64; 3]],
+        sigma_mm: &[f32],
+    ) -> ScannedView {
+        let (order, _) = fair_order(points_mm);
+        let points: Vec<Kept> = order
+            .iter()
+            .map(|&at| {
+                let [x, y, z] = points_mm[at].map(|c| c as f32);
+                [x, y, z, sigma_mm[at], f32::NAN]
+            })
+            .collect();
+        let without_point = rays_far_from(&self.decoder, &points);
+        self.lay_on(
+            view,
+            KeptView {
+                points,
+                without_point,
+            },
+        )
+    }
+
+    /// Lays a view on the CAD, from where the stages and the views before it say that it is.
+    fn lay_on(&mut self, view: usize, kept: KeptView) -> ScannedView {
+        let at = place(&self.plan, view);
+        let mut prior = self.adjustment.predict(at);
+        let expected = *prior.tool_from_cloud.isometry();
+        let first = coordinates(&kept.points, FIRST_POSE);
+        let surface = &self.tool.surface;
+        let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
+        let start =
+            if place_sigma_mm(&prior.covariance, self.field.reach_mm) > SEARCH_PITCH * pitch_mm {
+                search_phase(surface, &first, &expected, self.gear.teeth)
+            } else {
+                expected
+            };
+        let bend = [BEND_RAD, BEND_RAD, BEND_RAD, BEND_MM, BEND_MM, BEND_MM].map(|s| s * s);
+        prior.covariance += Matrix6::from_diagonal(&Vector6::from(bend));
+        let options = Options {
+            initial: Rigid::from_isometry(start),
+            prior: Some(prior),
+            teeth: Some(self.gear.teeth),
+            ..Options::default()
+        };
+        let registration = register(surface, &first, None, &options);
+        let tool_from_camera = *registration.tool_from_cloud.isometry();
+        let sample = coordinates(&kept.points, SAMPLE);
+        let information = compress(surface, &sample, at, tool_from_camera);
+        let laid = match (&registration.status, information) {
+            (Status::Indeterminate(reason), _) if !nearly_settled(reason) => {
+                Err(Reason::instrument(reason.into(), reason))
+            }
+            (_, None) => Err(off_cad("no point lies on the CAD")),
+            (_, Some(information)) => match unlike_cad(&information) {
+                Some(why) => Err(why),
+                None => Ok(self.lay(view, information, &kept)),
+            },
+        };
+        ScannedView {
+            kept,
+            tool_from_camera,
+            laid,
+        }
+    }
+
+    /// Adds a view to what is known of all, and lays its points where it then is.
+    fn lay(&mut self, view: usize, information: ViewInformation, kept: &KeptView) -> LaidView {
+        self.known.insert(view, information.clone());
+        if self.known.len() <= EAGER_VIEWS || self.known.len().is_multiple_of(LAZY_VIEWS) {
+            self.solve();
+        }
+        let settled = self.adjustment.settle(&information);
+        let tool_from_camera = settled.unwrap_or(information.tool_from_camera);
+        let laid = Laid::new(&self.tool.surface, tool_from_camera, kept);
+        let information = laid.information(information.at).unwrap_or(information);
+        self.known.insert(view, information.clone());
+        LaidView {
+            cell_observations: laid.cell_observations(&self.layout),
+            flanks: laid.flanks(&self.gear, self.field.range_mm),
+            information,
+        }
+    }
+
+    fn solve(&mut self) {
+        let views: Vec<ViewInformation> = self.known.values().cloned().collect();
+        // A solve that breaks down leaves the prediction as it was; the final one reports it.
+        if let Ok(adjustment) = solve(&self.adjustment.stages, &views, &[], self.single) {
+            self.adjustment = adjustment;
+        }
+    }
+}
+
+/// Points that do not stand alone, shuffled the same way every time, so that the first thousand are a fair sample of all; and those
+/// that do.
+fn fair_order(points_mm: &[[f64; 3]]) -> (Vec<usize>, Vec<usize>) {
+    let kept = outlier::statistical(points_mm, OUTLIER_NEIGHBOURS, OUTLIER_RATIO);
+    let (mut order, dropped): (Vec<usize>, Vec<usize>) =
+        (0..points_mm.len()).partition(|&i| kept.get(i).copied().unwrap_or(false));
+    order.sort_unstable_by_key(|&i| (i as u32).wrapping_mul(0x9E37_79B9));
+    (order, dropped)
+}
+
+/// Where the head's rays look that have none of these points within half a cell, at z = 1.
+fn rays_far_from(decoder: &Decoder, points: &[Kept]) -> Vec<[f32; 2]> {
+    let directions = (0..).map_while(|cell| decoder.direction(cell));
+    let rays: Vec<[f64; 3]> = directions.map(|[x, y]| [x, y, 0.0]).collect();
+    let seen: Vec<[f64; 3]> = coordinates(points, points.len())
+        .iter()
+        .map(|[x, y, z]| [x / z, y / z, 0.0])
+        .collect();
+    let far = match SampleTree::new(&seen) {
+        Ok(tree) => tree.distances(&rays, Order::Infinity),
+        // No point at all.
+        Err(_) => vec![f64::INFINITY; rays.len()],
+    };
+    let is_without = |(_, far): &(&[f64; 3], &f64)| **far > 0.5 * decoder.cell_by_depth();
+    let without = rays.iter().zip(&far).filter(is_without);
+    without
+        .map(|([x, y, _], _)| [*x as f32, *y as f32])
+        .collect()
+}
+
+/// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
+/// there.
+fn nearly_settled(reason: &registration::Reason) -> bool {
+    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+}
+
+/// A view that lies elsewhere.
+pub(super) fn off_cad(sentence: impl std::fmt::Display) -> Reason {
+    Reason::instrument(Code::OffCad, sentence)
+}
+
+/// Why a view cannot show the part of the CAD.
+pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
+    // What is no number fits nothing.
+    let fits = view.rms_mm <= MOST_RMS_MM && view.share >= LEAST_SHARE;
+    (!fits).then(|| {
+        off_cad(format_args!(
+            "the points do not fit the CAD: {:.0} % of them lie on it with {:.0} µm rms; at least {:.0} % and at most {:.0} µm are needed",
+            Number(100.0 * view.share),
+            Number(1e3 * view.rms_mm),
+            100.0 * LEAST_SHARE,
+            1e3 * MOST_RMS_MM,
+        ))
+    })
+}
+
+/// What the stages are told for a view.
+pub(super) fn place(plan: &ViewPlan, view: usize) -> Pose {
+    let planned = &plan.views[view];
+    Pose {
+        rotation_rad: planned.rotation_rad,
+        vertical_mm: planned.vertical_mm,
+    }
+}
+
+/// The first `most` points, mm.
+pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
+    points
+        .iter()
+        .take(most)
+        .map(|&[x, y, z, ..]| [x, y, z].map(f64::from))
+        .collect()
+}
+
+/// How well it is known where the head looks, mm.
+fn place_sigma_mm(covariance: &Matrix6<f64>, reach_mm: f64) -> f64 {
+    let turn: f64 = (0..3).map(|i| covariance[(i, i)]).sum();
+    let shift: f64 = (3..6).map(|i| covariance[(i, i)]).sum();
+    (turn * reach_mm * reach_mm + shift).sqrt()
+}

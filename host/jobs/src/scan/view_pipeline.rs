@@ -1,0 +1,195 @@
+//! What a scan does with a view once its frames are summed: points, pose, cells, all of it kept.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use flankscope_metrology::multiview::adjustment::ViewInformation;
+use flankscope_metrology::verdict::Reason;
+use flankscope_profilometry::decode::MaskOptions;
+use flankscope_profilometry::{Accumulator, Decoder, FrameView};
+
+use super::grid::Grid;
+use super::job::ScanError;
+use super::patches::Patches;
+use super::session::Session;
+use super::stitch::first_information;
+use super::view::{ScannedView, ViewScanner};
+use crate::inspection::{InspectError, ViewPlan};
+use crate::subject::Subject;
+use flankscope_instrument::acquisition::ViewError;
+
+/// Masks nothing, but has every point say how much the fringes oscillate around it (smoothed over two fibre cores).
+const FRINGES_ONLY: MaskOptions = MaskOptions {
+    threshold_dn: 0.0,
+    smoothing_px: 7.0,
+};
+
+/// What is kept of the views that are done.
+#[derive(Debug)]
+pub(super) struct Store {
+    pub session: Session,
+    pub patches: Patches,
+    /// What each says of its pose, where it was laid on.
+    pub known: BTreeMap<usize, ViewInformation>,
+}
+
+impl Store {
+    /// Keeps a view that lies on the CAD.
+    pub fn keep(&mut self, view: usize, scanned: ScannedView) -> Result<Kept, ScanError> {
+        let laid = match scanned.laid {
+            Ok(laid) => laid,
+            Err(why) => return Ok(Kept::Refused(why)),
+        };
+        self.session
+            .keep(view, &scanned.kept, scanned.tool_from_camera)?;
+        let pose = laid.information.tool_from_camera;
+        self.patches
+            .keep(view, pose, &laid.cell_observations, &laid.flanks)?;
+        self.known.insert(view, laid.information);
+        Ok(Kept::Kept)
+    }
+}
+
+/// What became of a view.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kept {
+    /// It lies on the CAD and is in the session folder.
+    Kept,
+    /// It cannot be used, for this reason.
+    Refused(Reason),
+}
+
+/// Which views a scan takes.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedScan {
+    pub plan: ViewPlan,
+    /// What they are called.
+    pub name: String,
+}
+
+impl PlannedScan {
+    /// Those of a grid, for tool and head of a subject.
+    pub fn of(grid: Grid, subject: &Subject) -> Result<Self, ScanError> {
+        let plan = grid.plan(&subject.tool, &subject.head);
+        Ok(Self {
+            plan: plan.map_err(InspectError::from)?,
+            name: grid.to_string(),
+        })
+    }
+}
+
+/// Everything that turns frames into kept views.
+pub(super) struct ViewPipeline {
+    pub plan: Arc<ViewPlan>,
+    pub decoder: Arc<Decoder>,
+    pub views: ViewScanner,
+    pub store: Store,
+}
+
+impl ViewPipeline {
+    /// Opens the session folder, where an earlier part of the same scan may lie; `further` has to be the same then.
+    pub fn open(
+        subject: &Subject,
+        PlannedScan { plan, name }: PlannedScan,
+        folder: &Path,
+        further: &BTreeMap<String, String>,
+    ) -> Result<Self, ScanError> {
+        let inspect = subject.tool.inspect.as_ref();
+        let bands = inspect.map_or(0, |inspect| inspect.datum_height_mm.len());
+        if bands > 0 {
+            return Err(ScanError::DatumBands { bands });
+        }
+        let plan = Arc::new(plan);
+        let mut of: BTreeMap<String, String> = subject
+            .hashes
+            .iter()
+            .map(|(&name, hash)| (name.to_string(), hash.clone()))
+            .collect();
+        of.insert("views".into(), name);
+        let points = match subject.head.core_map {
+            Some(_) => "cores",
+            None => "pixels",
+        };
+        of.insert("points".into(), points.into());
+        of.extend(further.clone());
+        let session = Session::open(folder, of, subject.seals.clone())?;
+        let patches = Patches::new(session.folder())?;
+        let known = first_information(&session, &subject.tool, &plan)?;
+        let decoder = plan.decoder(&subject.head, Some(FRINGES_ONLY));
+        let decoder = Arc::new(decoder.map_err(InspectError::from)?);
+        let (to_decode, planned) = (Arc::clone(&decoder), Arc::clone(&plan));
+        let views = ViewScanner::new(subject, to_decode, planned, known.clone());
+        Ok(Self {
+            plan,
+            decoder,
+            views: views.map_err(InspectError::from)?,
+            store: Store {
+                session,
+                patches,
+                known,
+            },
+        })
+    }
+}
+
+/// Views from recorded frames, without an instrument: summed, laid on the CAD and kept exactly as in a running scan, which
+/// can then stitch them from the session folder.
+pub struct Processing {
+    pipeline: ViewPipeline,
+    sums: Accumulator,
+}
+
+impl Processing {
+    /// Opens the session folder.
+    ///
+    /// # Errors
+    /// The subject is unfit, or the folder is another scan's or damaged.
+    pub fn open(subject: &Subject, grid: Grid, folder: &Path) -> Result<Self, ScanError> {
+        let planned = PlannedScan::of(grid, subject)?;
+        let pipeline = ViewPipeline::open(subject, planned, folder, &BTreeMap::new())?;
+        let sums = pipeline.decoder.begin();
+        Ok(Self { pipeline, sums })
+    }
+
+    /// Where the views are taken, and by which patterns and exposures.
+    #[must_use]
+    pub fn plan(&self) -> &ViewPlan {
+        &self.pipeline.plan
+    }
+
+    /// Processes the frames of a view, in their order of capture, and keeps it, if it lies on the CAD.
+    ///
+    /// # Errors
+    /// A frame does not fit the plan, or the session folder cannot be written.
+    pub fn view(&mut self, view: usize, frames: &[FrameView<'_>]) -> Result<Kept, ProcessingError> {
+        self.sums.reset();
+        for (frame, kind) in frames.iter().zip(self.pipeline.decoder.capture_order()) {
+            let level = self.sums.add(*frame, kind).map_err(ViewError::from)?;
+            let limit_dn = self.pipeline.decoder.dark_limit_dn();
+            level
+                .check_content(kind, limit_dn)
+                .map_err(ViewError::from)?;
+        }
+        let scanned = self.pipeline.views.scan(view, &self.sums);
+        let kept = self.pipeline.store.keep(view, scanned)?;
+        self.pipeline
+            .store
+            .session
+            .commit()
+            .map_err(ScanError::from)?;
+        Ok(kept)
+    }
+}
+
+/// Why recorded frames were not processed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProcessingError {
+    /// A frame does not fit the plan.
+    #[error(transparent)]
+    Frame(#[from] ViewError),
+    /// The scan's folder, tool or head.
+    #[error(transparent)]
+    Scan(#[from] ScanError),
+}

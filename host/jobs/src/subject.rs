@@ -1,0 +1,62 @@
+//! What a job looks at, and with what: tool, head, station, and who vouches for them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use flankscope_foundation::files;
+use flankscope_instrument::settings::StationSettings;
+use flankscope_record::baseline::Baseline;
+use flankscope_record::die::DieKey;
+use flankscope_record::origin::{HeadId, Origin, Setting};
+use flankscope_record::seal::Seals;
+
+/// What is inspected, with what.
+#[derive(Clone, Debug)]
+pub struct Subject {
+    /// The tool.
+    pub tool: Arc<flankscope_metrology::tool::Tool>,
+    /// The head.
+    pub head: Arc<flankscope_profilometry::HeadModel>,
+    /// Temperature of the tool, degrees C, where it is known.
+    pub temperature_degc: Option<f64>,
+    /// The tool as it was when new; wear is then the difference to it.
+    pub baseline: Option<Arc<Baseline>>,
+    /// The instrument that looks at it.
+    pub station: Arc<StationSettings>,
+    /// How the head is known, in words: signed, trusted by somebody, or unsigned.
+    pub head_seal: Option<String>,
+    /// The station's key, and what it believes.
+    pub seals: Seals,
+    /// BLAKE3 of the files they came from.
+    pub hashes: BTreeMap<&'static str, String>,
+}
+
+impl Subject {
+    /// What the die is known by.
+    #[must_use]
+    pub fn die(&self) -> DieKey {
+        // A gear is names and numbers: nothing of it can fail to be JSON.
+        let gear = serde_json::to_string(&self.tool.gear).unwrap_or_default();
+        let of = |cad: &String| files::hash(format!("{cad} {gear}").as_bytes());
+        DieKey {
+            tool: self.tool.name.clone(),
+            geometry: self.hashes.get("cad").map(of),
+            serial: self.tool.serial.clone(),
+        }
+    }
+
+    /// What a result says of where it comes from, found in this setting.
+    pub(crate) fn origin(&self, setting: &Setting) -> Origin {
+        Origin::new(Some(setting), self.head_id())
+    }
+
+    /// The head that looks, and how it is known.
+    #[must_use]
+    pub fn head_id(&self) -> HeadId {
+        HeadId {
+            name: self.head.name.clone(),
+            blake3: self.hashes.get("head").cloned().unwrap_or_default(),
+            seal: self.head_seal.clone(),
+        }
+    }
+}

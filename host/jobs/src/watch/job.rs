@@ -1,0 +1,293 @@
+//! Cycles in, checks at the right moment, verdicts out.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use flankscope_protocol::{Command, Event, FaultCode, Refusal};
+use tokio::time::Instant;
+
+use flankscope_metrology::verdict::{Latch, Shown};
+use serde::Serialize;
+
+use crate::inspection::{InspectError, Station};
+use flankscope_instrument::acquisition::AcquisitionError;
+use flankscope_instrument::controller::{Client, ClientError, ClientSettings};
+use flankscope_record::document::Inspection;
+use flankscope_record::history::{HistoryError, HistoryWriter, Hold};
+use flankscope_record::sink::ResultSink;
+
+/// When to check.
+#[derive(Clone, Copy, Debug)]
+pub struct WatchSettings {
+    /// Press cycles from check to check.
+    pub every: u32,
+    /// Stop after this many cycles; `None`: never.
+    pub cycles: Option<u32>,
+    /// The press is never held longer than this, by the controller's clock.
+    pub hold_limit: Duration,
+}
+
+/// One check of the watch; serialised as its line.
+#[derive(Debug, Serialize)]
+pub struct Checked {
+    /// Press cycles when it began.
+    pub cycle: u32,
+    /// What it found.
+    pub inspection: Inspection,
+    /// What the press is shown since.
+    #[serde(serialize_with = "word")]
+    pub shown: Shown,
+    /// Several checks in a row found nothing.
+    #[serde(skip)]
+    pub needs_maintenance: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn word<S: serde::Serializer>(shown: &Shown, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(shown.word())
+}
+
+/// What the watch tells.
+#[derive(Debug)]
+pub enum WatchEvent {
+    /// The press cycled.
+    Cycle(u32),
+    /// The press is held for a check.
+    Checking(u32),
+    /// The head was not let in at this cycle, for this reason.
+    Missed(u32, FaultCode),
+    /// A check is over.
+    Checked(Box<Checked>),
+    /// The watch goes on where an earlier one ended: this is still shown.
+    Resumed(Shown),
+    /// Somebody acknowledged.
+    Acknowledged,
+    /// An acknowledgement could not be noted, and does not count.
+    NotAcknowledged(HistoryError),
+}
+
+impl Station {
+    /// Watches the press until `settings.cycles` have passed or `tell` says stop (false); a message on `acknowledged`
+    /// clears a latched no-go, whoever sent it: a name, or nothing. Every check waits for `writer`, where there is one.
+    /// Returns what the press was shown last.
+    ///
+    /// # Errors
+    /// The watch cannot begin, or the link to the controller is gone.
+    pub fn watch(
+        &mut self,
+        port: &Path,
+        client: ClientSettings,
+        settings: &WatchSettings,
+        writer: Option<&mut HistoryWriter>,
+        acknowledged: &Receiver<String>,
+        tell: impl FnMut(WatchEvent) -> bool,
+    ) -> Result<Shown, WatchError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build();
+        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
+        runtime.block_on(async {
+            let mut client = Client::connect(port, client).await?;
+            self.acquisition
+                .make_ready(&mut client, &mut |_| {})
+                .await?;
+            let mut watch = Watch::begin(self, client, settings, writer, tell).await?;
+            let before = watch.latch.shown();
+            if before != Shown::Unchecked && watch.tell(WatchEvent::Resumed(before)).is_break() {
+                return Ok(before);
+            }
+            while watch.step(acknowledged).await?.is_continue() {}
+            Ok(watch.latch.shown())
+        })
+    }
+}
+
+/// Why there is no watch, or none any more.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WatchError {
+    /// Controller or camera cannot be worked with.
+    #[error(transparent)]
+    Acquisition(#[from] AcquisitionError),
+    /// A check could not begin.
+    #[error(transparent)]
+    Check(#[from] InspectError),
+    /// What stood at the press before is not known.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+}
+
+impl From<ClientError> for WatchError {
+    fn from(error: ClientError) -> Self {
+        AcquisitionError::from(error).into()
+    }
+}
+
+/// A watch between two events.
+struct Watch<'a, T> {
+    station: &'a mut Station,
+    client: Client,
+    settings: &'a WatchSettings,
+    writer: Option<&'a mut HistoryWriter>,
+    /// Says stop by false.
+    tell: T,
+    latch: Latch,
+    /// No other watch has this die.
+    _hold: Option<Hold>,
+    /// Press cycles by the controller's counter: when it began, now, and at the last check.
+    first: u32,
+    cycle: u32,
+    checked_at: u32,
+    /// A verdict that is not repeated goes stale, and a stale verdict is a no-go.
+    refresh: Duration,
+    next_refresh: Instant,
+}
+
+impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
+    async fn begin(
+        station: &'a mut Station,
+        mut client: Client,
+        settings: &'a WatchSettings,
+        writer: Option<&'a mut HistoryWriter>,
+        tell: T,
+    ) -> Result<Self, WatchError> {
+        let die = station.die();
+        let (hold, latch) = match &writer {
+            Some(writer) => (Some(writer.hold(&die)?), writer.latch(&die)?),
+            None => (None, Latch::default()),
+        };
+        let cycle = client.status().await?.press.cycles;
+        Ok(Self {
+            station,
+            settings,
+            writer,
+            tell,
+            latch,
+            _hold: hold,
+            first: cycle,
+            cycle,
+            checked_at: cycle,
+            refresh: Duration::from_micros(u64::from(client.identity().verdict_life.get())) / 4,
+            next_refresh: Instant::now(),
+            client,
+        })
+    }
+
+    /// Tells something; breaks when that is the last thing.
+    fn tell(&mut self, told: WatchEvent) -> ControlFlow<()> {
+        if (self.tell)(told) {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
+    }
+
+    /// From one event to the next.
+    async fn step(
+        &mut self,
+        acknowledged: &Receiver<String>,
+    ) -> Result<ControlFlow<()>, WatchError> {
+        if let Ok(name) = acknowledged.try_recv()
+            && self.acknowledge(&name).is_break()
+        {
+            return Ok(ControlFlow::Break(()));
+        }
+        if Instant::now() >= self.next_refresh {
+            self.show().await?;
+        }
+        let patience = self
+            .next_refresh
+            .saturating_duration_since(Instant::now())
+            .max(Duration::from_millis(1));
+        let mut opened = false;
+        let mut interrupt = self.client.interrupt();
+        let event = tokio::select! {
+            event = self.client.event(patience) => event,
+            () = interrupt.requested() => return Ok(ControlFlow::Break(())),
+        };
+        match event {
+            Ok(Event::Cycle { count, .. }) => {
+                self.cycle = count;
+                let most = self.settings.cycles;
+                let over = most.is_some_and(|most| count.wrapping_sub(self.first) >= most);
+                if self.tell(WatchEvent::Cycle(count)).is_break() || over {
+                    return Ok(ControlFlow::Break(()));
+                }
+            }
+            Ok(Event::PressOpen { open, .. }) => opened = open,
+            Ok(_) | Err(ClientError::NoEvent { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let since = self.cycle.wrapping_sub(self.checked_at);
+        if since >= self.settings.every.saturating_mul(2) && self.latch.shown().is_go() {
+            self.latch.expire();
+            self.next_refresh = Instant::now();
+        }
+        let due = since >= self.settings.every || self.latch.shown() == Shown::Unchecked;
+        if opened && due {
+            return self.check().await;
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Somebody has looked; that counts once it is noted.
+    fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
+        let noted = match &mut self.writer {
+            Some(writer) => writer.acknowledge(&self.station.die(), name),
+            None => Ok(()),
+        };
+        let told = match noted {
+            Ok(()) => {
+                self.latch.acknowledge();
+                // Check again at the next opening.
+                self.checked_at = self.cycle.wrapping_sub(self.settings.every);
+                WatchEvent::Acknowledged
+            }
+            Err(error) => WatchEvent::NotAcknowledged(error),
+        };
+        self.tell(told)
+    }
+
+    /// Shows the press what stands.
+    async fn show(&mut self) -> Result<(), WatchError> {
+        let go = self.latch.shown().is_go();
+        self.client.order(&Command::ShowVerdict { go }).await?;
+        self.next_refresh = Instant::now() + self.refresh;
+        Ok(())
+    }
+
+    /// Checks now, stores, latches and shows what was found.
+    async fn check(&mut self) -> Result<ControlFlow<()>, WatchError> {
+        if self.tell(WatchEvent::Checking(self.cycle)).is_break() {
+            return Ok(ControlFlow::Break(()));
+        }
+        let hold_limit = Some(self.settings.hold_limit);
+        let check = self
+            .station
+            .check(&mut self.client, hold_limit, &mut |_| {})
+            .await;
+        let mut inspection = match check {
+            // The press was faster than the order: the next opening will do.
+            Err(InspectError::Acquisition(AcquisitionError::Client(ClientError::Refused(
+                Refusal::Interlock { fault },
+            )))) => return Ok(self.tell(WatchEvent::Missed(self.cycle, fault))),
+            check => check?,
+        };
+        self.writer
+            .put(&mut inspection)
+            .map_err(InspectError::from)?;
+        self.cycle = self.cycle.max(inspection.press_cycles);
+        self.checked_at = inspection.press_cycles;
+        let shown = self.latch.take(inspection.verdict);
+        self.show().await?;
+        let checked = Checked {
+            cycle: self.checked_at,
+            inspection,
+            shown,
+            needs_maintenance: self.latch.needs_maintenance(),
+        };
+        Ok(self.tell(WatchEvent::Checked(Box::new(checked))))
+    }
+}

@@ -1,0 +1,137 @@
+//! Raw phasors beside the history: one compressed file per capture of a view, named by the hash of what is in it.
+//!
+//! A file is a zlib stream (RFC 1950) of the bytes in four parts: every fourth byte from the first, from the second, the
+//! third and the fourth. Exponents of neighbours are alike and mantissas are not; apart from each other they compress.
+
+use std::ffi::OsString;
+use std::fs::DirBuilder;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::DirBuilderExt;
+use std::path::PathBuf;
+
+use flate2::Compression;
+use flate2::read::ZlibDecoder;
+use flate2::write::ZlibEncoder;
+
+use flankscope_metrology::verdict::Word;
+
+use super::error::HistoryError;
+use super::store::History;
+use crate::document::Phasors;
+use flankscope_foundation::files;
+
+/// Compresses; fast, because the press waits.
+pub(super) fn pack(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let mut apart = Vec::with_capacity(bytes.len());
+    for part in 0..4 {
+        apart.extend(bytes.iter().skip(part).step_by(4));
+    }
+    let mut packed = ZlibEncoder::new(Vec::with_capacity(bytes.len()), Compression::fast());
+    packed.write_all(&apart)?;
+    packed.finish()
+}
+
+/// Undoes [`pack`]; reads no more than `length` bytes, whatever the file says.
+fn unpack(packed: &[u8], length: usize) -> io::Result<Vec<u8>> {
+    let mut apart = Vec::with_capacity(length);
+    ZlibDecoder::new(packed)
+        .take(length as u64 + 1)
+        .read_to_end(&mut apart)?;
+    let mut bytes = vec![0; apart.len()];
+    let mut rest = &apart[..];
+    for part in 0..4 {
+        let count = (apart.len() + 3 - part) / 4;
+        let (now, later) = rest.split_at(count);
+        for (byte, &value) in bytes.iter_mut().skip(part).step_by(4).zip(now) {
+            *byte = value;
+        }
+        rest = later;
+    }
+    Ok(bytes)
+}
+
+impl History {
+    /// Where the phasors are kept.
+    #[must_use]
+    pub fn phasors_folder(&self) -> PathBuf {
+        let mut name = OsString::from(self.path());
+        name.push(".phasors");
+        name.into()
+    }
+
+    fn phasors_file(&self, blake3: &str) -> PathBuf {
+        self.phasors_folder().join(format!("{blake3}.zz"))
+    }
+
+    /// Keeps packed phasors; when this returns, they are on the disk.
+    pub(super) fn keep_phasors(&self, blake3: &str, packed: &[u8]) -> Result<(), HistoryError> {
+        let path = self.phasors_file(blake3);
+        let folder = self.phasors_folder();
+        let keep = || {
+            DirBuilder::new()
+                .recursive(true)
+                .mode(0o750)
+                .create(&folder)?;
+            files::write_whole_with_mode(&path, packed, 0o640)?;
+            // The name is in the folder once that is on the disk, too.
+            std::fs::File::open(&folder)?.sync_all()
+        };
+        keep().map_err(|source| HistoryError::Phasors {
+            path: path.clone(),
+            source,
+        })
+    }
+
+    /// Removes phasors that are not needed any more; without a word where they are gone already.
+    pub(super) fn forget_phasors(&self, blake3: &str) {
+        let _ = std::fs::remove_file(self.phasors_file(blake3));
+    }
+
+    /// Whether a replay failed because its phasors were given up, as those of a no-go never are.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn gave_up_phasors(&self, id: i64, error: &HistoryError) -> Result<bool, HistoryError> {
+        let gone = matches!(error, HistoryError::Phasors { source, .. } if source.kind() == io::ErrorKind::NotFound);
+        Ok(gone && self.check(id)?.verdict != Word::NoGo)
+    }
+
+    /// The phasors with this hash, `length` bytes of them.
+    ///
+    /// # Errors
+    /// The file is missing, unreadable, or not what was stored.
+    pub fn phasors(&self, blake3: &str, length: usize) -> Result<Phasors, HistoryError> {
+        let path = self.phasors_file(blake3);
+        let read = || unpack(&std::fs::read(&path)?, length);
+        let bytes = read().map_err(|source| HistoryError::Phasors {
+            path: path.clone(),
+            source,
+        })?;
+        let got = files::hash(&bytes);
+        if got != blake3 {
+            return Err(HistoryError::Damaged {
+                path,
+                got,
+                expected: blake3.to_owned(),
+            });
+        }
+        Ok(Phasors { blake3: got, bytes })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_packed_comes_back_whatever_its_length() {
+        for length in [0, 1, 2, 3, 4, 5, 1023, 4096] {
+            let bytes: Vec<u8> = (0..length).map(|i| (i * i % 251) as u8).collect();
+            assert_eq!(unpack(&pack(&bytes).unwrap(), length).unwrap(), bytes);
+        }
+        // A stream that says it is longer is not followed.
+        let long = pack(&[0; 100_000]).unwrap();
+        assert_eq!(unpack(&long, 100).unwrap().len(), 101);
+        assert!(unpack(b"no stream", 100).is_err());
+    }
+}

@@ -1,0 +1,360 @@
+//! What is read of the file: checks, what each found, baselines, who acknowledged what.
+
+use std::str::FromStr;
+
+use flankscope_metrology::verdict::{Code, Word};
+use rusqlite::types::Type;
+use rusqlite::{OptionalExtension, Row, params};
+
+use super::error::HistoryError;
+use super::same_die::{columns, same, same_as_asked};
+use super::store::History;
+use crate::die::DieKey;
+use crate::document::FeatureId;
+use crate::origin::{HeadId, Origin};
+
+/// A stored check.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Check {
+    /// Number, from 1.
+    pub id: i64,
+    /// When it was stored: ISO 8601, UTC, by the host's clock.
+    pub at: String,
+    /// Name of the tool.
+    pub tool: String,
+    /// Press cycles that the tool has done.
+    pub tool_cycles: i64,
+    /// The controller's own counter, since its power-up.
+    pub press_cycles: i64,
+    /// BLAKE3 of the baseline that wear is the difference to; absent where it is the deviation from CAD.
+    pub baseline: Option<String>,
+    /// Its verdict.
+    pub verdict: Word,
+    /// Why.
+    pub reason: String,
+    /// Where it comes from; nothing is known of the checks of layout 1.
+    #[serde(flatten)]
+    pub origin: Origin,
+    /// Serial number of the tool, where its file names one.
+    pub serial: Option<String>,
+    /// One entry per inspected flank or patch.
+    pub flanks: Vec<FlankRow>,
+}
+
+/// A flank or patch of a stored check.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct FlankRow {
+    /// Which one.
+    #[serde(flatten)]
+    pub id: FeatureId,
+    /// Wear, µm; absent when it was not measured.
+    pub wear_um: Option<f64>,
+    /// Its expanded uncertainty (95 %), µm.
+    pub u95_um: Option<f64>,
+    /// Warn limit, µm.
+    pub warn_um: f64,
+    /// Stop limit, µm.
+    pub limit_um: f64,
+    /// Its verdict.
+    pub verdict: Word,
+    /// What kind of reason, where it is indeterminate.
+    pub code: Option<Code>,
+}
+
+/// Somebody took note of a verdict.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Acknowledgement {
+    /// When.
+    pub at: String,
+    /// Name of the tool.
+    pub tool: String,
+    /// Who.
+    pub who: String,
+    /// The check that stood at the press.
+    pub inspection: Option<i64>,
+}
+
+impl History {
+    /// Names of the tools, the one checked last first.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn tools(&self) -> Result<Vec<String>, HistoryError> {
+        self.rows(
+            "SELECT tool FROM inspection GROUP BY tool ORDER BY max(id) DESC",
+            [],
+            |row| row.get(0),
+        )
+    }
+
+    /// Every check of a tool, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn checks(&self, tool: &str) -> Result<Vec<Check>, HistoryError> {
+        self.checks_where("tool = ?1", tool)
+    }
+
+    /// The row of a check.
+    ///
+    /// # Errors
+    /// There is no such check, or the file cannot be read.
+    pub fn check(&self, id: i64) -> Result<Check, HistoryError> {
+        let found = self.checks_where("id = ?1", id)?;
+        found
+            .into_iter()
+            .next()
+            .ok_or_else(|| self.no_such_check(id))
+    }
+
+    /// Numbers of all checks, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn ids(&self) -> Result<Vec<i64>, HistoryError> {
+        self.rows("SELECT id FROM inspection ORDER BY id", [], |row| {
+            row.get(0)
+        })
+    }
+
+    fn checks_where(
+        &self,
+        condition: &str,
+        parameter: impl rusqlite::ToSql + Copy,
+    ) -> Result<Vec<Check>, HistoryError> {
+        // A file of layout 1 that is only read stays as it is.
+        let origin = match self.layout()? {
+            ..2 => "NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL",
+            2 => "link, simulated, head, head_blake3, station, operator, NULL, NULL",
+            _ => "link, simulated, head, head_blake3, station, operator, serial, head_seal",
+        };
+        let mut checks = self.rows(
+            &format!(
+                "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason, {origin} FROM inspection \
+                 WHERE {condition} ORDER BY id"
+            ),
+            [parameter],
+            |row| {
+                let (name, blake3): (Option<String>, Option<String>) = (row.get(10)?, row.get(11)?);
+                let head = name.map(|name| HeadId {
+                    name,
+                    blake3: blake3.unwrap_or_default(),
+                    seal: row.get(15).unwrap_or_default(),
+                });
+                Ok(Check {
+                    id: row.get(0)?,
+                    at: row.get(1)?,
+                    tool: row.get(2)?,
+                    tool_cycles: row.get(3)?,
+                    press_cycles: row.get(4)?,
+                    baseline: row.get(5)?,
+                    verdict: parsed(row, 6)?,
+                    reason: row.get(7)?,
+                    origin: Origin {
+                        link: row.get(8)?,
+                        simulated: row.get(9)?,
+                        head,
+                        station: row.get(12)?,
+                        operator: row.get(13)?,
+                        recording: None,
+                    },
+                    serial: row.get(14)?,
+                    flanks: Vec::new(),
+                })
+            },
+        )?;
+        let patch = if self.layout()? < 4 { "NULL" } else { "patch" };
+        let flanks = self.rows(
+            &format!(
+                "SELECT inspection, tooth, flank, {patch}, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
+                 JOIN inspection ON inspection.id = inspection WHERE {condition} ORDER BY inspection, tooth, flank"
+            ),
+            [parameter],
+            |row| {
+                let flank = FlankRow {
+                    id: FeatureId {
+                        tooth: row.get(1)?,
+                        flank: row.get(2)?,
+                        patch: row.get(3)?,
+                    },
+                    wear_um: row.get(4)?,
+                    u95_um: row.get(5)?,
+                    warn_um: row.get(6)?,
+                    limit_um: row.get(7)?,
+                    verdict: parsed(row, 8)?,
+                    code: parsed_or_none(row, 9)?,
+                };
+                Ok((row.get::<_, i64>(0)?, flank))
+            },
+        )?;
+        let mut flanks = flanks.into_iter().peekable();
+        for check in &mut checks {
+            while let Some((_, flank)) = flanks.next_if(|(id, _)| *id <= check.id) {
+                check.flanks.push(flank);
+            }
+        }
+        Ok(checks)
+    }
+
+    /// The result document of a check, as it was stored.
+    ///
+    /// # Errors
+    /// There is no such check, or the file cannot be read.
+    pub fn document(&self, id: i64) -> Result<String, HistoryError> {
+        let found = self
+            .connection
+            .query_row(
+                "SELECT document FROM inspection WHERE id = ?1",
+                [id],
+                |row| row.get(0),
+            )
+            .optional()
+            .map_err(self.because("read a check"))?;
+        found.ok_or_else(|| self.no_such_check(id))
+    }
+
+    fn no_such_check(&self, id: i64) -> HistoryError {
+        let last = "SELECT max(id) FROM inspection";
+        match self.connection.query_row(last, [], |row| row.get(0)) {
+            Ok(last) => HistoryError::NoSuchCheck {
+                path: self.path.clone(),
+                id,
+                last,
+            },
+            Err(source) => self.because("read a check")(source),
+        }
+    }
+
+    /// The text of a baseline, by its hash.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn baseline(&self, blake3: &str) -> Result<Option<String>, HistoryError> {
+        self.connection
+            .query_row(
+                "SELECT document FROM baseline WHERE blake3 = ?1",
+                [blake3],
+                |row| row.get(0),
+            )
+            .optional()
+            .map_err(self.because("read a baseline"))
+    }
+
+    /// The acknowledgements of a tool, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn acknowledgements(&self, tool: &str) -> Result<Vec<Acknowledgement>, HistoryError> {
+        self.rows(
+            "SELECT at, tool, who, inspection FROM acknowledgement WHERE tool = ?1 ORDER BY id",
+            [tool],
+            |row| {
+                Ok(Acknowledgement {
+                    at: row.get(0)?,
+                    tool: row.get(1)?,
+                    who: row.get(2)?,
+                    inspection: row.get(3)?,
+                })
+            },
+        )
+    }
+
+    /// The verdicts of a die that nobody has acknowledged, in order.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn open_verdicts(&self, die: &DieKey) -> Result<Vec<Word>, HistoryError> {
+        self.rows(
+            &format!(
+                "SELECT verdict FROM inspection WHERE {} AND NOT {} ORDER BY id",
+                same_as_asked("inspection"),
+                acknowledged()
+            ),
+            params![die.tool, die.geometry, die.serial],
+            |row| parsed(row, 0),
+        )
+    }
+
+    /// A no-go of any die that nobody has acknowledged: of which tool, and when.
+    pub(super) fn standing_no_go(&self) -> Result<Option<String>, HistoryError> {
+        let found = self.rows(
+            &format!(
+                "SELECT tool || ', check ' || id || ' of ' || at FROM inspection WHERE verdict = 'no-go' AND NOT {} \
+                 ORDER BY id DESC LIMIT 1",
+                acknowledged()
+            ),
+            [],
+            |row| row.get(0),
+        )?;
+        Ok(found.into_iter().next())
+    }
+
+    /// Refuses a head without a digest where a check was made with a signed one of its name.
+    ///
+    /// # Errors
+    /// [`HistoryError::Stripped`], or the file cannot be read.
+    pub fn takes_head(&self, head: &HeadId) -> Result<(), HistoryError> {
+        if head.seal.as_deref() != Some("unsigned") {
+            return Ok(());
+        }
+        let signed = self.rows(
+            "SELECT id, at FROM inspection WHERE head = ?1 AND head_seal = 'signed' ORDER BY id DESC LIMIT 1",
+            [&head.name],
+            |row| Ok((row.get(0)?, row.get(1)?)),
+        )?;
+        match signed.into_iter().next() {
+            None => Ok(()),
+            Some((id, at)) => Err(HistoryError::Stripped {
+                head: head.name.clone(),
+                id,
+                at,
+            }),
+        }
+    }
+
+    pub(super) fn rows<T>(
+        &self,
+        sql: &str,
+        parameters: impl rusqlite::Params,
+        row: impl FnMut(&rusqlite::Row<'_>) -> rusqlite::Result<T>,
+    ) -> Result<Vec<T>, HistoryError> {
+        let read = || -> rusqlite::Result<Vec<T>> {
+            let mut statement = self.connection.prepare(sql)?;
+            statement.query_map(parameters, row)?.collect()
+        };
+        read().map_err(self.because("read it"))
+    }
+}
+
+/// Whether somebody has taken note of a check: later, and of the same die.
+fn acknowledged() -> String {
+    let [checks, notes] = ["inspection", "noted"].map(columns);
+    let [a, b, c] = &checks;
+    let [d, e, f] = &notes;
+    format!(
+        "EXISTS (SELECT 1 FROM acknowledgement AS noted WHERE noted.inspection >= inspection.id AND {})",
+        same([a, b, c], [d, e, f])
+    )
+}
+
+/// A word of a closed list: one that is not in it is an error, never taken for another.
+fn parsed<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<T>
+where
+    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
+{
+    let word: String = row.get(column)?;
+    word.parse().map_err(|error| {
+        rusqlite::Error::FromSqlConversionFailure(column, Type::Text, Box::new(error))
+    })
+}
+
+/// The same where there may be none.
+fn parsed_or_none<T>(row: &Row<'_>, column: usize) -> rusqlite::Result<Option<T>>
+where
+    T: FromStr<Err: std::error::Error + Send + Sync + 'static>,
+{
+    match row.get_ref(column)? {
+        rusqlite::types::ValueRef::Null => Ok(None),
+        _ => parsed(row, column).map(Some),
+    }
+}

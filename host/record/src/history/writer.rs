@@ -1,0 +1,133 @@
+//! A check counts once it is stored: what cannot be kept is not said.
+
+use flankscope_metrology::verdict::{Code, Latch, Reason};
+use rayon::prelude::*;
+
+use super::error::HistoryError;
+use super::hold::{Hold, hold};
+use super::phasors::pack;
+use super::retention::Retention;
+use super::store::History;
+use crate::baseline::Baseline;
+use crate::die::DieKey;
+use crate::document::Inspection;
+use crate::sink::{ResultSink, SinkError};
+
+/// The sink that a verdict waits for.
+#[derive(Debug)]
+pub struct HistoryWriter {
+    history: History,
+    /// Cycles of the tool at the next check, where somebody said so.
+    tool_cycles: Option<u32>,
+    keep: Retention,
+    operator: String,
+}
+
+impl HistoryWriter {
+    /// Keeps checks in `history`. `tool_cycles` is what the tool has done until the next check, where that is known
+    /// better than from the last check. `operator` is who runs the instrument.
+    #[must_use]
+    pub fn new(
+        history: History,
+        tool_cycles: Option<u32>,
+        keep: Retention,
+        operator: String,
+    ) -> Self {
+        Self {
+            history,
+            tool_cycles,
+            keep,
+            operator,
+        }
+    }
+
+    /// What will be given up next, once the room for phasors is nearly full.
+    ///
+    /// # Errors
+    /// The history cannot be read.
+    pub fn room(&self) -> Result<Option<String>, HistoryError> {
+        self.history.room(self.keep)
+    }
+
+    /// Notes that the instrument begins to work with this tool, at the simulated bench or not, and keeps the baseline
+    /// that it judges by.
+    ///
+    /// # Errors
+    /// The history cannot be written, or is of the simulated bench where this is a press, or the other way around.
+    pub fn begin(
+        &mut self,
+        die: &DieKey,
+        simulated: bool,
+        baseline: Option<&Baseline>,
+    ) -> Result<(), HistoryError> {
+        self.history.takes(simulated)?;
+        if let Some(baseline) = baseline {
+            self.history
+                .keep_baseline(&baseline.hash(), &die.tool, &baseline.document())?;
+        }
+        let version = concat!("flankscope ", env!("CARGO_PKG_VERSION"));
+        self.history
+            .audit(&self.operator, "open", &format!("{version}, {}", die.tool))
+    }
+
+    /// Stores a check; its phasors first, so that a stored check always has them.
+    fn store(&mut self, inspection: &mut Inspection) -> Result<i64, HistoryError> {
+        let phasors = std::mem::take(&mut inspection.phasors);
+        let history = &self.history;
+        let packed: Vec<_> = phasors.par_iter().map(|p| pack(&p.bytes)).collect();
+        for (phasors, packed) in phasors.iter().zip(packed) {
+            let packed = packed.map_err(|source| HistoryError::Phasors {
+                path: history.phasors_folder(),
+                source,
+            })?;
+            history.keep_phasors(&phasors.blake3, &packed)?;
+        }
+        let id = self.history.record(inspection, self.tool_cycles)?;
+        // The check is stored; that old phasors stay as well does no harm.
+        if let Err(error) = self.history.give_up(id, self.keep) {
+            tracing::warn!(%error, "old phasors are not removed");
+        }
+        Ok(id)
+    }
+
+    /// Notes an acknowledgement, by the operator unless somebody gave a name.
+    pub fn acknowledge(&mut self, die: &DieKey, name: &str) -> Result<(), HistoryError> {
+        let who = if name.is_empty() {
+            self.operator.clone()
+        } else {
+            name.to_owned()
+        };
+        self.history.acknowledge(die, &who)
+    }
+
+    /// What stood at the press when the instrument was last switched off, without its go.
+    pub fn latch(&self, die: &DieKey) -> Result<Latch, HistoryError> {
+        Ok(Latch::resumed(&self.history.open_verdicts(die)?))
+    }
+
+    /// Holds a die for a watch, in a history of which every row is what was written.
+    ///
+    /// # Errors
+    /// Its chain is broken, or another watch holds the die.
+    pub fn hold(&self, die: &DieKey) -> Result<Hold, HistoryError> {
+        self.history.verify()?;
+        hold(self.history.path(), die, &self.operator)
+    }
+}
+
+impl ResultSink<Inspection> for HistoryWriter {
+    /// Stores a finished check and numbers it. What cannot be stored is no go and no warning any more; a no-go stays one.
+    fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
+        match self.store(inspection) {
+            Ok(id) => {
+                inspection.id = Some(id);
+                self.tool_cycles = None;
+            }
+            Err(error) => {
+                tracing::error!(%error, "the check is not stored");
+                inspection.withhold(&Reason::instrument(Code::NotStored, error));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,227 @@
+//! Where a result comes from: through which link, from a bench or a press, by which head, at which station, for whom.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use flankscope_foundation::date::Date;
+use serde::Serialize;
+
+/// What the instrument's controller is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// The simulated bench.
+    Sim,
+    /// The simulated bench, with the firmware image in the emulator.
+    Qemu,
+    /// A controller at a port.
+    Port(PathBuf),
+    /// None: the frames were recorded.
+    Recorded(RecordingId),
+    /// None: the clouds were recorded, and the frames are not there.
+    Clouds(RecordingId),
+}
+
+/// A recording of frames or clouds, by its index.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct RecordingId {
+    /// Day on which they were taken, where that is known.
+    pub taken: Option<Date>,
+    /// BLAKE3 of the index.
+    pub blake3: String,
+    /// Whether no real die was looked at.
+    #[serde(skip)]
+    pub simulated: bool,
+}
+
+/// Not a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "an empty text is no link; sim, qemu or the controller's port, such as /dev/ttyACM0, would be"
+)]
+pub struct NoLink;
+
+impl Link {
+    /// Whether there is no real die at its other end.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        match self {
+            Self::Sim | Self::Qemu => true,
+            Self::Port(_) => false,
+            Self::Recorded(of) | Self::Clouds(of) => of.simulated,
+        }
+    }
+}
+
+impl FromStr for Link {
+    type Err = NoLink;
+
+    fn from_str(text: &str) -> Result<Self, NoLink> {
+        match text {
+            "" => Err(NoLink),
+            "sim" => Ok(Self::Sim),
+            "qemu" => Ok(Self::Qemu),
+            port => Ok(Self::Port(port.into())),
+        }
+    }
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sim => f.write_str("sim"),
+            Self::Qemu => f.write_str("qemu"),
+            Self::Port(port) => port.display().fmt(f),
+            Self::Recorded(_) => f.write_str("recorded frames"),
+            Self::Clouds(_) => f.write_str("recorded clouds"),
+        }
+    }
+}
+
+/// Where an instrument works, and for whom.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Setting {
+    /// Its controller.
+    pub link: Link,
+    /// Name of the station.
+    pub station: String,
+    /// Who runs it, if that is known.
+    pub operator: Option<String>,
+}
+
+/// A head by name and file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct HeadId {
+    /// Its name, as its file says.
+    pub name: String,
+    /// BLAKE3 of its file.
+    pub blake3: String,
+    /// How it is known: signed, trusted by somebody, or unsigned; absent where an earlier release did not say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seal: Option<String>,
+}
+
+impl HeadId {
+    /// Its name, and how it is known.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match &self.seal {
+            Some(seal) => format!("{} ({seal})", self.name),
+            None => self.name.clone(),
+        }
+    }
+}
+
+/// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Origin {
+    /// `sim`, `qemu`, the controller's port, `recorded frames` or `recorded clouds`.
+    pub link: Option<String>,
+    /// Whether it is of the simulated bench: no real die was looked at.
+    pub simulated: Option<bool>,
+    /// The head.
+    pub head: Option<HeadId>,
+    /// Name of the station.
+    pub station: Option<String>,
+    /// Who ran it.
+    pub operator: Option<String>,
+    /// The recording, of recorded frames or clouds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<RecordingId>,
+}
+
+impl Origin {
+    /// Of a result that an instrument in this setting found with this head.
+    #[must_use]
+    pub fn new(setting: Option<&Setting>, head: HeadId) -> Self {
+        Self {
+            link: setting.map(|setting| setting.link.to_string()),
+            simulated: setting.map(|setting| setting.link.is_simulated()),
+            head: Some(head),
+            station: setting.map(|setting| setting.station.clone()),
+            operator: setting.and_then(|setting| setting.operator.clone()),
+            recording: match setting.map(|setting| &setting.link) {
+                Some(Link::Recorded(of) | Link::Clouds(of)) => Some(of.clone()),
+                _ => None,
+            },
+        }
+    }
+
+    /// Whether it is known to be of the simulated bench.
+    #[must_use]
+    pub fn is_simulated(&self) -> bool {
+        self.simulated == Some(true)
+    }
+
+    /// What was looked at, in words.
+    #[must_use]
+    pub fn place(&self) -> String {
+        let through = |what: &str| match &self.link {
+            Some(link) => format!("{what} ({link})"),
+            None => what.to_owned(),
+        };
+        match self.simulated {
+            Some(true) => through("simulated bench"),
+            Some(false) => through("press"),
+            None => "unknown: stored by an earlier release".into(),
+        }
+    }
+
+    /// Each particular with its name, for a table.
+    #[must_use]
+    pub fn particulars(&self) -> Vec<(&'static str, String)> {
+        let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "–".into());
+        let head = self.head.as_ref();
+        vec![
+            ("looked at", self.place()),
+            ("station", or_dash(&self.station)),
+            ("operator", or_dash(&self.operator)),
+            ("head", or_dash(&head.map(HeadId::words))),
+        ]
+    }
+}
+
+/// What is looked at, by whether it is simulated.
+pub fn looked_at(simulated: bool) -> &'static str {
+    if simulated {
+        "the simulated bench"
+    } else {
+        "a real press"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_read_and_say_whether_a_die_is_there() {
+        for (text, simulated) in [("sim", true), ("qemu", true), ("/dev/ttyACM0", false)] {
+            let link: Link = text.parse().unwrap();
+            assert_eq!(
+                (link.to_string().as_str(), link.is_simulated()),
+                (text, simulated)
+            );
+        }
+        assert!("".parse::<Link>().is_err());
+    }
+
+    #[test]
+    fn an_unknown_origin_says_so() {
+        let unknown = Origin::default();
+        assert!(unknown.place().contains("unknown") && !unknown.is_simulated());
+        let head = HeadId {
+            name: "head".into(),
+            blake3: String::new(),
+            seal: None,
+        };
+        let setting = Setting {
+            link: Link::Qemu,
+            station: "press 7".into(),
+            operator: None,
+        };
+        let known = Origin::new(Some(&setting), head);
+        assert_eq!(known.place(), "simulated bench (qemu)");
+        assert_eq!(known.simulated, Some(true));
+    }
+}

@@ -1,0 +1,154 @@
+//! The page of an in-situ check.
+
+use std::collections::BTreeSet;
+
+use askama::Template;
+use flankscope_metrology::verdict::{Code, Word};
+
+use super::{Fact, Words, chart, colour, facts, numbered, ring};
+use flankscope_profilometry::Picture;
+use flankscope_record::document::{FlankMap, Inspection};
+
+/// Pixels per millimetre of a map on the page.
+const PX_PER_MM: f64 = 30.0;
+/// Widest that the raw frame is kept, px: it is there to be looked at, not to be measured.
+const FRAME_WIDTH: usize = 480;
+
+#[derive(Template)]
+#[template(path = "report.html")]
+struct Page<'a> {
+    inspection: &'a Inspection,
+    simulated: bool,
+    facts: Vec<Fact>,
+    words: &'static Words,
+    /// What to do about what could not be decided.
+    remedies: BTreeSet<Code>,
+    /// Parts of the uncertainty that some flank has.
+    sources: BTreeSet<&'static str>,
+    ring: Option<String>,
+    maps: Vec<Map<'a>>,
+    colour_bar: String,
+    histogram: String,
+    timeline: String,
+    frame: Option<String>,
+    max_abs_um: f64,
+}
+
+/// A deviation map as a picture.
+struct Map<'a> {
+    map: &'a FlankMap,
+    verdict: Word,
+    picture: String,
+    width_px: f64,
+    height_px: f64,
+    /// Where most is lost: left and top of the disc, and its width and height, as percentages of the map's.
+    disc: Option<[f64; 4]>,
+}
+
+/// Writes the page of an inspection.
+///
+/// # Errors
+/// The template engine's, which formatting into memory never raises.
+pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
+    let limits = inspection.features.iter().map(|f| f.limit_um);
+    let limit_um = limits.fold(0.0, f64::max);
+    // Full scale: twice the stop limit, so that a limit violation is dark but not the end of the scale.
+    let full_um = if limit_um > 0.0 {
+        2.0 * limit_um
+    } else {
+        100.0
+    };
+    let pictures = &inspection.pictures;
+    let maps = pictures.maps.iter();
+    let limits_um = inspection.features.first().map(|f| [f.warn_um, f.limit_um]);
+    let details = inspection.features.iter().filter_map(|f| f.detail.as_ref());
+    let page = Page {
+        inspection,
+        simulated: inspection.origin.is_simulated(),
+        facts: facts(
+            &inspection.date,
+            &inspection.tool,
+            numbered(inspection.id),
+            Some(inspection.press_cycles.into()),
+            &inspection.origin,
+        ),
+        words: Words::of(inspection.features.iter().map(|f| &f.id)),
+        remedies: inspection.features.iter().filter_map(|f| f.code).collect(),
+        sources: details
+            .flat_map(|detail| detail.shown_budget())
+            .map(|(source, _)| source)
+            .collect(),
+        ring: pictures
+            .toothing
+            .as_ref()
+            .map(|toothing| ring::ring(toothing, &inspection.features)),
+        maps: maps.map(|map| draw(map, inspection, full_um)).collect(),
+        colour_bar: chart::colour_bar(full_um, limits_um),
+        histogram: chart::histogram(&pictures.deviations_um, full_um, limits_um),
+        timeline: chart::timeline(
+            &pictures.activities,
+            pictures.moves,
+            inspection.verdict,
+            inspection.timing_ms.last_exposure_to_verdict,
+        ),
+        frame: pictures.frame.as_ref().map(thumbnail),
+        max_abs_um: full_um,
+    };
+    page.render()
+}
+
+fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<'a> {
+    let pixels: Vec<[u8; 3]> = map
+        .deviation_um
+        .iter()
+        .enumerate()
+        .map(|(place, &um)| {
+            if um.is_finite() {
+                colour::diverging(um / full_um)
+            } else {
+                colour::unmeasured(place % map.columns, place / map.columns)
+            }
+        })
+        .collect();
+    let flank = inspection.features.iter().find(|f| f.id.is_same(&map.id));
+    let [wide_mm, high_mm] = map.size_mm;
+    let disc = flank.and_then(|f| f.detail.as_ref()).map(|detail| {
+        let [along, up] = detail.deepest_at_mm;
+        let radius_mm = (detail.area_mm2 / std::f64::consts::PI).sqrt();
+        let top_mm = high_mm - up - radius_mm;
+        let (across, left) = (2.0 * radius_mm, along - radius_mm);
+        [
+            left / wide_mm,
+            top_mm / high_mm,
+            across / wide_mm,
+            across / high_mm,
+        ]
+        .map(|share| 100.0 * share)
+    });
+    Map {
+        map,
+        verdict: flank.map_or(Word::Indeterminate, |f| f.verdict),
+        disc,
+        picture: colour::rgb_data_uri(map.columns, map.rows, &pixels),
+        width_px: wide_mm * PX_PER_MM,
+        height_px: high_mm * PX_PER_MM,
+    }
+}
+
+/// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise costs little.
+fn thumbnail(frame: &Picture) -> String {
+    let block = frame.width.div_ceil(FRAME_WIDTH).max(1);
+    let (width, height) = (frame.width / block, frame.height / block);
+    let grey: Vec<u8> = (0..width * height)
+        .map(|place| {
+            let (column, row) = (block * (place % width), block * (place / width));
+            let of_row = |row: usize| &frame.grey[row * frame.width + column..][..block];
+            let sum: u32 = (row..row + block)
+                .flat_map(|row| of_row(row).iter().map(|&grey| u32::from(grey)))
+                .sum();
+            // Below 256, as every pixel is.
+            (sum / (block * block) as u32) as u8 & 0xf8
+        })
+        .collect();
+    colour::grey_data_uri(width, height, &grey)
+}

@@ -1,0 +1,326 @@
+//! Results as files for people: a page per result, the newest under its own name, and an index of all, in one folder.
+//!
+//! ```text
+//!  index.html                        every page, the newest first
+//!  report.html                       the newest page
+//!  reports/DATE-NAME-VERDICT.html    every page, for good
+//!  inspection.json, flanks.csv, ...  the newest result's figures
+//! ```
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use askama::Template;
+use flankscope_metrology::io::ply::Column;
+use flankscope_metrology::io::points::{Format, PointFile};
+use flankscope_metrology::verdict::Word;
+
+use super::tables;
+use flankscope_foundation::files::{stream_whole, write_whole};
+use flankscope_jobs::scan::{Article, Scan};
+use flankscope_record::document::Inspection;
+use flankscope_record::sink::{ResultSink, SinkError, document_text};
+
+/// The newest page's name.
+const PAGE: &str = "report.html";
+/// The page of the article's figures.
+const ARTICLE: &str = "article.html";
+/// Pages that the index lists, the newest.
+const LISTED: usize = 500;
+
+/// A folder that is there.
+#[derive(Clone, Debug)]
+pub struct ReportFolder(PathBuf);
+
+/// The index of a folder's pages.
+#[derive(Template)]
+#[template(path = "index.html")]
+struct Index {
+    listed: Vec<Entry>,
+    beyond: usize,
+    has_history: bool,
+}
+
+/// A page by what its name says.
+#[derive(Clone, Debug, PartialEq)]
+struct Entry {
+    file: String,
+    date: String,
+    what: String,
+    verdict: Word,
+}
+
+impl Entry {
+    /// `20260131T120000Z-check-12-no-go.html`; none of any other name.
+    fn of(file: String) -> Option<Self> {
+        let stem = file.strip_suffix(".html")?;
+        let (date, rest) = stem.split_once('-')?;
+        let digits = |range: std::ops::Range<usize>| {
+            date.get(range)
+                .filter(|part| part.bytes().all(|b| b.is_ascii_digit()))
+        };
+        let (day, time) = (digits(0..8)?, digits(9..15)?);
+        // "no-go" ends with "go", too: the longest counts.
+        let ends = |word: &&Word| rest.ends_with(&format!("-{word}"));
+        let words = Word::ALL.iter().filter(ends);
+        let verdict = *words.max_by_key(|word| word.as_str().len())?;
+        let what = rest.strip_suffix(&format!("-{verdict}"))?.replace('-', " ");
+        let date = format!(
+            "{}-{}-{} {}:{}:{}",
+            &day[..4],
+            &day[4..6],
+            &day[6..],
+            &time[..2],
+            &time[2..4],
+            &time[4..]
+        );
+        Some(Self {
+            file,
+            date,
+            what,
+            verdict,
+        })
+    }
+}
+
+/// The name of a result's own page, without its ending: the date first, so that names sort by it.
+fn name_of(date: &str, what: &str, verdict: Word) -> String {
+    let date: String = date.chars().filter(char::is_ascii_alphanumeric).collect();
+    format!("{date}-{what}-{verdict}")
+}
+
+impl ReportFolder {
+    /// The folder of all pages, in it.
+    pub const PAGES: &'static str = "reports";
+    /// What a check writes into its folder.
+    pub const OF_CHECK: &'static [&'static str] = &[
+        PAGE,
+        "index.html",
+        "inspection.json",
+        "flanks.csv",
+        "cells.csv",
+    ];
+    /// What a scan writes into its folder.
+    pub const OF_SCAN: &'static [&'static str] = &[
+        PAGE,
+        "index.html",
+        "scan.json",
+        "map.ply",
+        "flanks.csv",
+        "views.csv",
+        "gear.csv",
+    ];
+    /// What the article's figures are written as.
+    pub const OF_ARTICLE: &'static [&'static str] = &[ARTICLE, "article.json", "first-view.ply"];
+    /// What a watch writes into its folder of every check.
+    pub const OF_WATCH: &'static [&'static str] = &[PAGE, "index.html"];
+
+    /// Writes into this folder.
+    #[must_use]
+    pub fn new(folder: &Path) -> Self {
+        Self(folder.to_owned())
+    }
+
+    /// Where the page is.
+    #[must_use]
+    pub fn page(&self) -> PathBuf {
+        self.0.join(PAGE)
+    }
+
+    /// Where the page of the article's figures is.
+    #[must_use]
+    pub fn article(&self) -> PathBuf {
+        self.0.join(ARTICLE)
+    }
+
+    fn write(&self, name: &str, text: &str) -> Result<(), SinkError> {
+        let path = self.0.join(name);
+        let written = write_whole(&path, text.as_bytes());
+        written.map_err(|source| SinkError::Write { path, source })
+    }
+
+    fn stream(
+        &self,
+        name: &str,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<(), SinkError> {
+        let path = self.0.join(name);
+        let written = stream_whole(&path, write);
+        written.map_err(|source| SinkError::Write { path, source })
+    }
+
+    fn remove(&self, name: &str) -> Result<(), SinkError> {
+        let path = self.0.join(name);
+        match std::fs::remove_file(&path) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                Err(SinkError::Write { path, source })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The page as the newest and for good, then the index. `date` is ISO 8601, UTC.
+    fn put_page(&self, page: &str, date: &str, what: &str, verdict: Word) -> Result<(), SinkError> {
+        self.write(PAGE, page)?;
+        let pages = self.0.join(Self::PAGES);
+        std::fs::create_dir_all(&pages).map_err(|source| SinkError::Write {
+            path: pages.clone(),
+            source,
+        })?;
+        let name = name_of(date, what, verdict);
+        // Two of a second keep both.
+        let (mut own, mut number) = (format!("{}/{name}.html", Self::PAGES), 1);
+        while self.0.join(&own).exists() {
+            number += 1;
+            let again = name_of(date, &format!("{what}-again-{number}"), verdict);
+            own = format!("{}/{again}.html", Self::PAGES);
+        }
+        // Links of the newest lead down to its tables and pages, those of its own page up.
+        let page = page.replace("href=\"./", "href=\"../");
+        self.write(&own, &page)?;
+        self.index()
+    }
+
+    /// Writes the index anew.
+    fn index(&self) -> Result<(), SinkError> {
+        let path = self.0.join(Self::PAGES);
+        let entries =
+            std::fs::read_dir(&path).map_err(|source| SinkError::Write { path, source })?;
+        let mut listed: Vec<Entry> = entries
+            .filter_map(|entry| Entry::of(entry.ok()?.file_name().into_string().ok()?))
+            .collect();
+        listed.sort_by(|a, b| b.file.cmp(&a.file));
+        let beyond = listed.len().saturating_sub(LISTED);
+        listed.truncate(LISTED);
+        let has_history = self.0.join("history.html").is_file();
+        let index = Index {
+            listed,
+            beyond,
+            has_history,
+        };
+        self.write("index.html", &index.render().map_err(no_page)?)
+    }
+
+    fn put_page_of(&self, check: &Inspection) -> Result<(), SinkError> {
+        let what = check
+            .id
+            .map_or_else(|| "check".into(), |id| format!("check-{id}"));
+        self.put_page(
+            &super::html(check).map_err(no_page)?,
+            &check.date,
+            &what,
+            check.verdict,
+        )
+    }
+}
+
+fn no_page(error: askama::Error) -> SinkError {
+    SinkError::Page(Box::new(error))
+}
+
+impl ResultSink<Inspection> for ReportFolder {
+    /// The document first: what it says cannot be drawn again.
+    fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
+        self.write("inspection.json", &document_text(inspection)?)?;
+        self.stream("flanks.csv", |out| {
+            tables::flanks(&inspection.features, out)
+        })?;
+        self.stream("cells.csv", |out| tables::cells(inspection, out))?;
+        self.put_page_of(inspection)
+    }
+}
+
+impl ResultSink<Scan> for ReportFolder {
+    /// The document first: what it says cannot be drawn again.
+    fn put(&mut self, scan: &mut Scan) -> Result<(), SinkError> {
+        self.write("scan.json", &document_text(scan)?)?;
+        self.stream("flanks.csv", |out| tables::flanks(&scan.features, out))?;
+        self.stream("views.csv", |out| tables::views(scan, out))?;
+        match &scan.gear {
+            Some(gear) => self.stream("gear.csv", |out| tables::gear(gear, out))?,
+            // An earlier scan's would pass for this one's.
+            None => self.remove("gear.csv")?,
+        }
+        self.stream("map.ply", |file| super::scan_ply(scan, file))?;
+        self.put_page(
+            &super::scan_html(scan).map_err(no_page)?,
+            &scan.date,
+            "scan",
+            scan.verdict,
+        )
+    }
+}
+
+impl ResultSink<Article> for ReportFolder {
+    /// The document first: what it says cannot be drawn again.
+    fn put(&mut self, article: &mut Article) -> Result<(), SinkError> {
+        self.write("article.json", &document_text(article)?)?;
+        self.stream("first-view.ply", |out| {
+            let first = &article.first_view;
+            let points = PointFile {
+                columns: &[Column::Float("fringes", &first.fringes_dn)],
+                ..PointFile::of(&first.points)
+            };
+            points.write(Format::Ply, out)
+        })?;
+        self.write(
+            ARTICLE,
+            &super::article::article_html(article).map_err(no_page)?,
+        )
+    }
+}
+
+/// The pages of checks alone.
+#[derive(Clone, Debug)]
+pub struct Pages(pub ReportFolder);
+
+impl ResultSink<Inspection> for Pages {
+    fn put(&mut self, inspection: &mut Inspection) -> Result<(), SinkError> {
+        self.0.put_page_of(inspection)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_say_what_the_index_lists() {
+        let named = name_of("2026-01-31T12:00:05Z", "check-12", Word::NoGo);
+        assert_eq!(named, "20260131T120005Z-check-12-no-go");
+        let entry = Entry::of(format!("{named}.html")).unwrap();
+        assert_eq!(
+            (entry.date.as_str(), entry.what.as_str(), entry.verdict),
+            ("2026-01-31 12:00:05", "check 12", Word::NoGo)
+        );
+        let foreign = [
+            "notes.html",
+            "20260131T120005Z-check.html",
+            "ä-go.html",
+            "20260131Tabcdef-go.html",
+        ];
+        for foreign in foreign {
+            assert_eq!(Entry::of(foreign.into()), None, "{foreign}");
+        }
+    }
+
+    #[test]
+    fn no_page_takes_the_place_of_another_and_the_index_lists_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let pages = ReportFolder::new(folder.path());
+        let text = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+        for (number, verdict) in [Word::Go, Word::Go, Word::NoGo].into_iter().enumerate() {
+            let page = format!("<a href=\"./flanks.csv\">page {number}</a>");
+            pages
+                .put_page(&page, "2026-01-31T12:00:05Z", "check", verdict)
+                .unwrap();
+        }
+        assert!(text("report.html").contains("./flanks.csv\">page 2"));
+        let first = text("reports/20260131T120005Z-check-go.html");
+        assert!(first.contains("../flanks.csv\">page 0"));
+        assert!(text("reports/20260131T120005Z-check-again-2-go.html").contains("page 1"));
+        let index = text("index.html");
+        assert_eq!(index.matches("<tr><td").count(), 3);
+        assert!(index.contains("reports/20260131T120005Z-check-no-go.html"));
+    }
+}

@@ -1,0 +1,147 @@
+//! Reports of checks, scans, histories and of the article's figures: each one HTML file that needs nothing else, for the screen, the
+//! mail and the printer.
+
+mod article;
+mod bars;
+mod chart;
+mod check;
+mod colour;
+mod folder;
+mod history;
+mod plot;
+mod ring;
+mod scan;
+mod scan_files;
+mod scenes;
+mod space;
+mod svg;
+mod tables;
+mod trend_chart;
+mod words;
+
+pub use check::html;
+pub use folder::{Pages, ReportFolder};
+pub use history::{history_html, rate, remaining};
+pub use scan::scan_html;
+pub use scan_files::{scan_mesh, scan_ply};
+pub use words::Words;
+
+use flankscope_record::document::{Feature, FlankDetail};
+use flankscope_record::origin::Origin;
+
+/// What the figures of a check are: the same words in reports, help texts and documentation.
+pub const DEFINITIONS: &str = "Wear of a flank is the largest mean loss over any disc of 0.25 mm² (inspect.wear_area_mm2) in \
+its zone; nothing is presumed of the damage's shape. U95 is its expanded uncertainty (95 %, coverage factor 1.96). The zone is \
+the judged part of a flank: zone_radius_mm by zone_height_mm in tool.toml. Proud is the largest mean height of material over \
+such a disc, cell the loss of the single cell that lost most (a cell is a fifth of the disc's diameter wide), tip the radius of \
+the tip edge's rounding. Detects is the least wear that is told from none with 5 % errors of both kinds: damage that takes less \
+than that off every disc of the stated area can hide.";
+
+/// A fact about where a result comes from, by its name.
+type Fact = (&'static str, String);
+
+/// What stands under every title.
+fn facts(date: &str, tool: &str, check: String, cycles: Option<i64>, origin: &Origin) -> Vec<Fact> {
+    let mut facts = vec![
+        ("date (UTC)", date.to_owned()),
+        ("tool", tool.to_owned()),
+        ("check", check),
+    ];
+    facts.extend(cycles.map(|cycles| ("cycles", cycles.to_string())));
+    facts.extend(origin.particulars());
+    facts
+}
+
+/// A check by its number in the history.
+fn numbered(id: Option<i64>) -> String {
+    id.map_or_else(
+        || "in no history".into(),
+        |id| format!("number {id} of its history"),
+    )
+}
+
+/// A figure in µm for a table: one decimal, no minus before zero, a dash where there is none.
+#[must_use]
+pub fn figure(value: Option<f64>) -> String {
+    // Adding zero turns the −0 that rounding may leave into 0.
+    value.filter(|um| um.is_finite()).map_or_else(
+        || "–".into(),
+        |um| format!("{:.1}", (um * 10.0).round() / 10.0 + 0.0),
+    )
+}
+
+/// Wear of a flank in µm with its claim: an interval, or a lower bound.
+#[must_use]
+pub fn wear_in_words(of: &Feature) -> String {
+    match of.at_least_um {
+        Some(um) => format!("≥ {}", figure(Some(um))),
+        None => format!("{} ± {}", figure(of.wear_um), figure(of.u95_um)),
+    }
+}
+
+/// A part of a flank's uncertainty for a table, a dash where it has none.
+fn part(detail: &FlankDetail, source: &str) -> String {
+    let shown = detail.shown_budget().into_iter();
+    let um = shown
+        .filter(|(name, _)| *name == source)
+        .map(|(_, um)| um)
+        .next();
+    um.map_or_else(|| "–".into(), |um| format!("{um:.2}"))
+}
+
+/// Sentences are plain ASCII; where µ can be shown, "um" becomes "µm" wherever it is a word of its own.
+#[must_use]
+pub fn with_micro(text: &str) -> String {
+    let mut shown = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("um") {
+        let (before, from) = rest.split_at(at);
+        let after = &from[2..];
+        let begins = before
+            .chars()
+            .last()
+            .is_none_or(|c| !c.is_alphabetic() && c != '_' && c != '-');
+        let ends = after
+            .chars()
+            .next()
+            .is_none_or(|c| !c.is_alphanumeric() && c != '_');
+        shown += before;
+        shown += if begins && ends { "µm" } else { "um" };
+        rest = after;
+    }
+    shown + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use flankscope_metrology::verdict::Code;
+
+    use super::*;
+
+    #[test]
+    fn documentation_and_report_define_the_figures_in_the_same_words() {
+        let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let formats = words(include_str!("../../../../docs/formats.md"));
+        assert!(formats.contains(&words(DEFINITIONS)));
+    }
+
+    #[test]
+    fn documentation_lists_every_reason_with_its_remedy() {
+        let formats = include_str!("../../../../docs/formats.md");
+        for code in Code::ALL {
+            let (begins, ends) = (format!("| `{code}` | "), format!(" | {} |", code.remedy()));
+            let of_code = |row: &str| row.starts_with(&begins) && row.ends_with(&ends);
+            assert!(formats.lines().any(of_code), "{code}");
+        }
+    }
+
+    #[test]
+    fn figures_have_one_decimal_and_no_negative_zero() {
+        let of = |um| figure(Some(um));
+        assert_eq!(
+            [of(-0.04), of(0.04), of(-0.06), of(79.96)],
+            ["0.0", "0.0", "-0.1", "80.0"]
+        );
+        assert_eq!(figure(None), "–");
+    }
+}

@@ -1,0 +1,284 @@
+//! The toothing seen from above, with every judged flank in the colour of its verdict.
+
+use std::fmt::Write as _;
+
+use flankscope_metrology::gear::{Flank, GearData, Kind};
+use flankscope_metrology::verdict::Word;
+
+use super::svg::{open, sign};
+use flankscope_record::document::{Feature, Toothing};
+
+const SIZE: f64 = 420.0;
+const MIDDLE: f64 = 0.5 * SIZE;
+/// Radius of the outermost circle of the toothing, px: numbers stand around it.
+const OUTER: f64 = 178.0;
+/// Places along a flank's profile.
+const STEPS: usize = 5;
+/// Every so many teeth carry a number where all were judged.
+const NUMBERED: usize = 6;
+
+/// Places from tip to root on a flank, mm from the axis and rad from the tooth's centre.
+fn profile(gear: &GearData, flank: Flank) -> Vec<[f64; 2]> {
+    let (tip, root) = (gear.tip_radius_mm, gear.root_radius_mm);
+    (0..=STEPS)
+        .map(|i| tip + (root - tip) * i as f64 / STEPS as f64)
+        .filter_map(|radius| Some([radius, flank.sign() * gear.half_tooth_rad(radius)?]))
+        .collect()
+}
+
+/// Where an angle and a radius are in the picture: seen from above, angles grow anticlockwise.
+fn at(scale: f64, [radius_mm, angle_rad]: [f64; 2]) -> [f64; 2] {
+    let (sin, cos) = angle_rad.sin_cos();
+    let r = radius_mm * scale;
+    [MIDDLE + r * cos, MIDDLE - r * sin]
+}
+
+fn path(points: impl Iterator<Item = [f64; 2]>) -> String {
+    let mut path = String::new();
+    for [x, y] in points {
+        let _ = write!(
+            path,
+            "{}{x:.1} {y:.1}",
+            if path.is_empty() { 'M' } else { 'L' }
+        );
+    }
+    path
+}
+
+/// What hovering over a flank says, and what stands beside it.
+pub(super) fn in_words(of: &Feature) -> String {
+    format!("{}: {} µm, {}", of.id, crate::wear_in_words(of), of.verdict)
+}
+
+/// The flank with the largest wear.
+pub(super) fn deepest(features: &[Feature]) -> Option<&Feature> {
+    let measured = features.iter().filter(|f| f.wear_um.is_some());
+    measured.max_by(|a, b| {
+        a.wear_um
+            .unwrap_or(0.0)
+            .total_cmp(&b.wear_um.unwrap_or(0.0))
+    })
+}
+
+/// The ring of teeth: outlines, judged flanks with numbers, and in its middle the tooth on which most is lost.
+pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
+    let gear = &of.gear;
+    let outer_mm = gear.root_radius_mm.max(gear.tip_radius_mm);
+    let scale = OUTER / outer_mm;
+    let mut svg = open(SIZE, SIZE, "Ring of teeth from above");
+    let [left, right] = Flank::BOTH.map(|flank| profile(gear, flank));
+    let outline = (1..=gear.teeth).flat_map(|tooth| {
+        let centre = gear.tooth_centre_rad(tooth);
+        let towards_tip = right.iter().rev().chain(&left);
+        towards_tip
+            .map(move |&[radius, angle]| at(scale, [radius, centre + angle]))
+            .collect::<Vec<_>>()
+    });
+    let _ = write!(svg, r#"<path d="{}z" class="tooth"/>"#, path(outline));
+    let mut teeth: Vec<(u32, Word)> = Vec::new();
+    for feature in features {
+        let side = if feature.id.flank == "left" {
+            &left
+        } else {
+            &right
+        };
+        let centre = gear.tooth_centre_rad(feature.id.tooth);
+        let line = side
+            .iter()
+            .map(|&[radius, angle]| at(scale, [radius, centre + angle]));
+        let _ = write!(
+            svg,
+            r#"<path d="{}" class="flank s-{}"><title>{}</title></path>"#,
+            path(line),
+            feature.verdict,
+            in_words(feature)
+        );
+        match teeth.last_mut() {
+            Some((tooth, worst)) if *tooth == feature.id.tooth => {
+                *worst = (*worst).max(feature.verdict)
+            }
+            _ => teeth.push((feature.id.tooth, feature.verdict)),
+        }
+    }
+    let few = teeth.len() <= 2 * NUMBERED;
+    let outward = match gear.kind {
+        Kind::Internal => 1.0,
+        Kind::External => -1.0,
+    };
+    for (place, &(tooth, worst)) in teeth.iter().enumerate() {
+        let centre = gear.tooth_centre_rad(tooth);
+        let mark = at(1.0, [OUTER - outward * 20.0, centre]);
+        if worst != Word::Go || few {
+            sign(
+                &mut svg,
+                worst,
+                mark,
+                5.0,
+                &format!("tooth {tooth}: {worst}"),
+            );
+        }
+        if few || worst != Word::Go || place % NUMBERED == 0 {
+            let [x, y] = at(1.0, [OUTER + 14.0, centre]);
+            let weight = if worst == Word::Go {
+                ""
+            } else {
+                r#" font-weight="700""#
+            };
+            let _ = write!(
+                svg,
+                r#"<text x="{x:.1}" y="{:.1}" text-anchor="middle"{weight}>{tooth}</text>"#,
+                y + 4.0
+            );
+        }
+    }
+    if let Some(worst) = deepest(features) {
+        enlarged(&mut svg, of, features, worst);
+    }
+    svg + "</svg>"
+}
+
+/// One tooth as the ring shows it at its top, larger: flanks by side, and where on its profile most is lost.
+fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Feature) {
+    let gear = &of.gear;
+    let (inner, outer) = (
+        gear.tip_radius_mm.min(gear.root_radius_mm),
+        gear.tip_radius_mm.max(gear.root_radius_mm),
+    );
+    let scale = 95.0 / (outer - inner).max(1e-9);
+    // Outwards is up, growing angles are to the left.
+    let place = |[radius, angle]: [f64; 2]| {
+        [
+            MIDDLE - scale * radius * angle.sin(),
+            MIDDLE + 45.0 - scale * (radius * angle.cos() - inner),
+        ]
+    };
+    let [left, right] = Flank::BOTH.map(|flank| profile(gear, flank));
+    let body = right.iter().rev().chain(&left).map(|&p| place(p));
+    let _ = write!(svg, r#"<path d="{}" class="tooth"/>"#, path(body));
+    for (name, side) in [("left", &left), ("right", &right)] {
+        let of_side = features
+            .iter()
+            .find(|f| f.id.tooth == worst.id.tooth && f.id.flank == name);
+        let shown = of_side.map_or_else(|| "none".into(), |f| f.verdict.to_string());
+        let said = of_side.map_or_else(|| format!("{name}: not judged"), in_words);
+        let _ = write!(
+            svg,
+            r#"<path d="{}" class="flank large s-{shown}"><title>{said}</title></path>"#,
+            path(side.iter().map(|&p| place(p)))
+        );
+        let Some([x, y]) = side.last().map(|&p| place(p)) else {
+            continue;
+        };
+        let (offset, anchor) = if name == "left" {
+            (14.0, "end")
+        } else {
+            (-14.0, "start")
+        };
+        let _ = write!(
+            svg,
+            r#"<text x="{:.1}" y="{:.1}" text-anchor="{anchor}">{name}</text>"#,
+            x + offset,
+            y - 6.0
+        );
+    }
+    let line = |svg: &mut String, y: f64, weight: u32, text: &str| {
+        let _ = write!(
+            svg,
+            r#"<text x="{MIDDLE}" y="{y}" text-anchor="middle" font-weight="{weight}">{text}</text>"#
+        );
+    };
+    line(
+        svg,
+        MIDDLE + 66.0,
+        700,
+        &format!("tooth {}, {}", worst.id.tooth, worst.id.flank),
+    );
+    line(
+        svg,
+        MIDDLE + 83.0,
+        400,
+        &format!("{} µm", crate::wear_in_words(worst)),
+    );
+    if let Some(detail) = &worst.detail {
+        let [along, up] = detail.deepest_at_mm;
+        let from = gear.profile_mm(of.zone_radius_mm[0]);
+        let radius = gear.radius_mm(from + along);
+        if let Some(half) = gear.half_tooth_rad(radius) {
+            let side = if worst.id.flank == "left" { 1.0 } else { -1.0 };
+            let [x, y] = place([radius, side * half]);
+            let _ = write!(
+                svg,
+                r#"<circle cx="{x:.1}" cy="{y:.1}" r="7" class="disc"><title>deepest disc: {along:.2} mm along the profile, {up:.2} mm up</title></circle>"#
+            );
+        }
+        line(
+            svg,
+            MIDDLE + 100.0,
+            400,
+            &format!("deepest {along:.1} mm along, {up:.1} mm up"),
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::bars::tests::feature;
+    use super::*;
+
+    fn toothing() -> Toothing {
+        Toothing {
+            gear: GearData {
+                kind: Kind::Internal,
+                teeth: 84,
+                module_mm: 1.0,
+                pressure_angle_deg: 20.0,
+                tip_radius_mm: 41.0,
+                root_radius_mm: 43.25,
+                first_tooth_centre_deg: 0.0,
+                height_mm: [0.0, 66.0],
+                radial_threshold_mm: 50.0,
+            },
+            zone_radius_mm: [41.2, 43.0],
+        }
+    }
+
+    /// First point of the first path of a class.
+    fn begin(svg: &str, class: &str) -> [f64; 2] {
+        let end = svg.find(&format!(r#"" class="{class}"#)).unwrap();
+        let from = svg[..end].rfind("d=\"M").unwrap() + 4;
+        let point = svg[from..end].split('L').next().unwrap();
+        let (x, y) = point.split_once(' ').unwrap();
+        [x.parse().unwrap(), y.parse().unwrap()]
+    }
+
+    /// Tooth 1 stands at 3 o'clock; seen from above, angles grow anticlockwise, so its left flank is the upper one.
+    #[test]
+    fn flanks_lie_where_the_die_has_them() {
+        let features = [
+            feature(1, "left", Some(80.0), Word::NoGo),
+            feature(1, "right", Some(1.0), Word::Go),
+        ];
+        let svg = ring(&toothing(), &features);
+        let (left, right) = (begin(&svg, "flank s-no-go"), begin(&svg, "flank s-go"));
+        assert!(left[1] < MIDDLE && MIDDLE < right[1], "{left:?} {right:?}");
+        let radius = |[x, y]: [f64; 2]| (x - MIDDLE).hypot(y - MIDDLE);
+        // Tips of an internal gear point inwards: 41 of 43.25 mm.
+        assert!((radius(left) - OUTER * 41.0 / 43.25).abs() < 0.2);
+        // In the enlarged tooth, left is on the left.
+        let (left, right) = (
+            begin(&svg, "flank large s-no-go"),
+            begin(&svg, "flank large s-go"),
+        );
+        assert!(left[0] < right[0]);
+        assert!(svg.contains(">1</text>") && svg.contains("tooth 1 left: 80.0 ± 4.0 µm, no-go"));
+    }
+
+    #[test]
+    fn a_whole_die_is_drawn_flank_by_flank() {
+        let features: Vec<Feature> = (1..=84)
+            .flat_map(|tooth| ["left", "right"].map(|f| feature(tooth, f, Some(1.0), Word::Go)))
+            .collect();
+        let svg = ring(&toothing(), &features);
+        assert_eq!(svg.matches(r#"class="flank s-go""#).count(), 168);
+    }
+}

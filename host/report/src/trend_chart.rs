@@ -1,0 +1,330 @@
+//! Wear against cycles: all flanks of a tool over each other, and one by one with the way to the stop limit.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use flankscope_foundation::normal::COVERAGE_95;
+use flankscope_metrology::verdict::Word;
+
+use super::figure;
+use super::svg::{about, open, sign};
+use flankscope_record::history::{Check, Forecast, Point};
+
+/// A trend is believed this many times as far ahead as the figures reach that it rests on.
+const AHEAD: f64 = 10.0;
+/// Steps of the band around the line.
+const STEPS: u32 = 12;
+/// Flanks that the overlay names: those that lost most.
+const NAMED: usize = 3;
+
+/// How far a trend may be drawn out, cycles from its last figure; none without a trend.
+pub(super) fn horizon_cycles(forecast: &Forecast) -> Option<f64> {
+    let trend = forecast.trend?;
+    let since = forecast.points.len().checked_sub(trend.points)?;
+    let (first, last) = (forecast.points.get(since)?, forecast.points.last()?);
+    Some(AHEAD * (last.cycles - first.cycles))
+}
+
+/// What else is known of the checks that the figures come from.
+pub(super) struct Checks<'a>(BTreeMap<i64, &'a Check>);
+
+impl<'a> Checks<'a> {
+    pub(super) fn of(checks: &'a [Check]) -> Self {
+        Self(checks.iter().map(|check| (check.id, check)).collect())
+    }
+
+    /// Verdict on the flank and date of a figure, as far as they are known.
+    fn of_figure(&self, of: &Forecast, point: &Point) -> (Word, &'a str) {
+        let Some(check) = self.0.get(&point.check) else {
+            return (Word::Indeterminate, "–");
+        };
+        let mut flanks = check.flanks.iter();
+        let flank = flanks.find(|f| f.id.is_same(&of.id));
+        (flank.map_or(Word::Indeterminate, |f| f.verdict), &check.at)
+    }
+}
+
+/// Where cycles and wear lie in a picture.
+struct Frame {
+    width: f64,
+    height: f64,
+    cycles: [f64; 2],
+    wear_um: [f64; 2],
+}
+
+const LEFT: f64 = 44.0;
+const RIGHT: f64 = 40.0;
+const TOP: f64 = 14.0;
+const BOTTOM: f64 = 50.0;
+
+impl Frame {
+    fn right(&self) -> f64 {
+        self.width - RIGHT
+    }
+
+    fn bottom(&self) -> f64 {
+        self.height - BOTTOM
+    }
+
+    fn x(&self, cycles: f64) -> f64 {
+        let [from, to] = self.cycles;
+        LEFT + (cycles - from) / (to - from).max(1.0) * (self.right() - LEFT)
+    }
+
+    fn y(&self, um: f64) -> f64 {
+        let [low, high] = self.wear_um;
+        self.bottom() - (um.clamp(low, high) - low) / (high - low).max(1.0) * (self.bottom() - TOP)
+    }
+
+    /// Axes, limits, and the dates of the first and the last figure below.
+    fn begin(&self, title: &str, limits_um: [f64; 2], dates: [(f64, &str); 2]) -> String {
+        let mut svg = open(self.width, self.height, title);
+        let (right, bottom) = (self.right(), self.bottom());
+        for tick in about(5.0, self.wear_um[0], self.wear_um[1]) {
+            let at = self.y(tick);
+            let _ = write!(
+                svg,
+                r#"<line x1="{LEFT}" y1="{at:.1}" x2="{right}" y2="{at:.1}" class="grid"/><text x="{:.1}" y="{:.1}" text-anchor="end">{tick}</text>"#,
+                LEFT - 6.0,
+                at + 4.0
+            );
+        }
+        for tick in about(self.width / 90.0, self.cycles[0], self.cycles[1]) {
+            let at = self.x(tick);
+            let _ = write!(
+                svg,
+                r#"<line x1="{at:.1}" y1="{TOP}" x2="{at:.1}" y2="{bottom}" class="grid"/><text x="{at:.1}" y="{:.1}" text-anchor="middle">{tick}</text>"#,
+                bottom + 15.0
+            );
+        }
+        for (um, name) in limits_um.into_iter().zip(["warn", "stop"]) {
+            let at = self.y(um);
+            let _ = write!(
+                svg,
+                r#"<line x1="{LEFT}" y1="{at:.1}" x2="{right}" y2="{at:.1}" class="mark {name}"/><text x="{:.1}" y="{:.1}" class="mark {name}">{name}</text>"#,
+                right + 4.0,
+                at + 4.0
+            );
+        }
+        let [first, last] =
+            dates.map(|(cycles, at)| (self.x(cycles), at.split('T').next().unwrap_or(at)));
+        let _ = write!(
+            svg,
+            r#"<text x="{LEFT}" y="{:.1}">wear / µm</text><text x="{:.1}" y="{y:.1}" text-anchor="start" class="date">{}</text>"#,
+            TOP - 3.0,
+            first.0,
+            first.1,
+            y = bottom + 29.0
+        );
+        // Where both dates fit below their figures.
+        if last.0 - first.0 > 150.0 {
+            let _ = write!(
+                svg,
+                r#"<text x="{:.1}" y="{:.1}" text-anchor="end" class="date">{}</text>"#,
+                last.0,
+                bottom + 29.0,
+                last.1
+            );
+        }
+        let _ = write!(
+            svg,
+            r#"<text x="{right}" y="{:.1}" text-anchor="end">cycles of the tool</text>"#,
+            self.height - 4.0
+        );
+        svg
+    }
+}
+
+fn range(points: &[Point]) -> [f64; 2] {
+    match (points.first(), points.last()) {
+        (Some(first), Some(last)) => [first.cycles, last.cycles.max(first.cycles + 1.0)],
+        _ => [0.0, 1.0],
+    }
+}
+
+/// Lowest and highest end of the figures' uncertainties, the stop limit inside.
+fn heights<'a>(points: impl Iterator<Item = &'a Point>, limit_um: f64) -> [f64; 2] {
+    points.fold([0.0, 1.15 * limit_um], |[low, high], p| {
+        let half = COVERAGE_95 * p.u_um;
+        [low.min(p.wear_um - half), high.max(p.wear_um + half)]
+    })
+}
+
+/// All flanks over each other: those that lost most by name, the others in grey.
+pub(super) fn overlay(forecasts: &[Forecast], checks: &Checks<'_>) -> String {
+    const COLOURS: [&str; NAMED] = ["#b2182b", "#2b6cb0", "#1b7f5c"];
+    const DASHES: [&str; NAMED] = ["none", "7 3", "2 2"];
+    let all = || forecasts.iter().flat_map(|f| &f.points);
+    let first = all().map(|p| p.cycles).fold(f64::INFINITY, f64::min);
+    let last = all().map(|p| p.cycles).fold(f64::NEG_INFINITY, f64::max);
+    let limit = |of: fn(&Forecast) -> f64| forecasts.iter().map(of).fold(0.0, f64::max);
+    let limits_um = [limit(|f| f.warn_um), limit(|f| f.limit_um)];
+    let frame = Frame {
+        width: 900.0,
+        height: 270.0,
+        cycles: if first.is_finite() {
+            [first, last.max(first + 1.0)]
+        } else {
+            [0.0, 1.0]
+        },
+        wear_um: heights(all(), limits_um[1]),
+    };
+    let mut dated = forecasts
+        .iter()
+        .flat_map(|f| f.points.iter().map(move |p| (f, p)));
+    let begun = dated
+        .clone()
+        .min_by(|a, b| a.1.cycles.total_cmp(&b.1.cycles));
+    let ended = dated
+        .by_ref()
+        .max_by(|a, b| a.1.cycles.total_cmp(&b.1.cycles));
+    let dates = [begun, ended]
+        .map(|of| of.map_or((0.0, "–"), |(f, p)| (p.cycles, checks.of_figure(f, p).1)));
+    let mut svg = frame.begin("Wear against cycles, all in one", limits_um, dates);
+    let mut order: Vec<&Forecast> = forecasts.iter().filter(|f| !f.points.is_empty()).collect();
+    let now = |f: &Forecast| f.points.last().map_or(0.0, |p| p.wear_um);
+    order.sort_by(|a, b| now(b).total_cmp(&now(a)));
+    // The named ones are drawn last, over the others.
+    for (place, of) in order.into_iter().enumerate().rev() {
+        let line: Vec<String> = of
+            .points
+            .iter()
+            .map(|p| format!("{:.1},{:.1}", frame.x(p.cycles), frame.y(p.wear_um)))
+            .collect();
+        let name = of.id.to_string();
+        let (colour, dash) = (
+            COLOURS.get(place).unwrap_or(&"#a8b0b8"),
+            DASHES.get(place).unwrap_or(&"none"),
+        );
+        let wide = if place < NAMED { 2.0 } else { 1.0 };
+        let _ = write!(
+            svg,
+            r#"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="{wide}" stroke-dasharray="{dash}"><title>{name}: {} µm now</title></polyline>"#,
+            line.join(" "),
+            figure(Some(now(of)))
+        );
+        if place < NAMED {
+            // Above the picture, beside the name of its axis.
+            let x = LEFT + 80.0 + 150.0 * place as f64;
+            let y = TOP - 3.0;
+            let _ = write!(
+                svg,
+                r#"<path d="M{x:.1} {:.1}h28" stroke="{colour}" stroke-width="2" stroke-dasharray="{dash}"/><text x="{:.1}" y="{y:.1}">{name}</text>"#,
+                y - 4.0,
+                x + 34.0
+            );
+        }
+    }
+    svg + "</svg>"
+}
+
+/// One flank: figures with U95 and the sign of their verdict, changes, the line and its band on the way to the limit.
+pub(super) fn one(of: &Forecast, checks: &Checks<'_>) -> String {
+    let [first, last] = range(&of.points);
+    let ahead = drawn_ahead(of);
+    let frame = Frame {
+        width: 440.0,
+        height: 240.0,
+        cycles: [first, last + ahead.unwrap_or(0.0)],
+        wear_um: heights(of.points.iter(), of.limit_um),
+    };
+    let title = format!("Wear of {} against cycles", of.id);
+    let date = |point: Option<&Point>| {
+        point.map_or((0.0, "–"), |p| (p.cycles, checks.of_figure(of, p).1))
+    };
+    let dates = [date(of.points.first()), date(of.points.last())];
+    let mut svg = frame.begin(&title, [of.warn_um, of.limit_um], dates);
+    for point in of.points.iter().filter(|p| of.changes.contains(&p.check)) {
+        let at = frame.x(point.cycles);
+        let _ = write!(
+            svg,
+            r#"<line x1="{at:.1}" y1="{TOP}" x2="{at:.1}" y2="{:.1}" class="change"/><text x="{at:.1}" y="{:.1}" text-anchor="middle" class="change">change</text>"#,
+            frame.bottom(),
+            TOP + 8.0
+        );
+    }
+    draw_trend(&mut svg, of, &frame, ahead);
+    // The more there are, the smaller.
+    let radius = if of.points.len() > 60 { 2.2 } else { 3.6 };
+    for point in &of.points {
+        let half = COVERAGE_95 * point.u_um;
+        let (verdict, at) = checks.of_figure(of, point);
+        let (x, y) = (frame.x(point.cycles), frame.y(point.wear_um));
+        let _ = write!(
+            svg,
+            r#"<path d="M{x:.1} {:.1}V{:.1}" class="whisker"/>"#,
+            frame.y(point.wear_um - half),
+            frame.y(point.wear_um + half)
+        );
+        let said = format!(
+            "check {}, {at}, cycle {}: {} ± {} µm, {verdict}",
+            point.check,
+            point.cycles,
+            figure(Some(point.wear_um)),
+            figure(Some(half))
+        );
+        sign(&mut svg, verdict, [x, y], radius, &said);
+    }
+    svg + "</svg>"
+}
+
+/// How far ahead of the last figure a line is drawn: to where it meets the limit, if that is in sight, and no farther than it
+/// is believed.
+fn drawn_ahead(of: &Forecast) -> Option<f64> {
+    let trend = of.trend?;
+    let horizon = horizon_cycles(of)?;
+    let to_limit = (of.limit_um - trend.now_um) / trend.rate_um;
+    let wanted = if to_limit > 0.0 { 1.1 * to_limit } else { 0.0 };
+    // A line that ends far away is drawn a little way only: the figures would be a dot.
+    let shown = if wanted > horizon {
+        0.1 * horizon
+    } else {
+        wanted
+    };
+    (shown > 0.0).then_some(shown)
+}
+
+fn draw_trend(svg: &mut String, of: &Forecast, frame: &Frame, ahead: Option<f64>) {
+    let Some(trend) = of.trend else {
+        return;
+    };
+    let on_line = |cycles: f64| trend.now_um + trend.rate_um * (cycles - trend.now_cycles);
+    let begin = of
+        .points
+        .len()
+        .checked_sub(trend.points)
+        .and_then(|at| of.points.get(at))
+        .map_or(trend.now_cycles, |p| p.cycles);
+    let end = trend.now_cycles + ahead.unwrap_or(0.0);
+    if let (Some(ahead), Some(last)) = (ahead, of.points.last()) {
+        let half = |cycles: f64| {
+            COVERAGE_95
+                * last
+                    .u_um
+                    .hypot(trend.u_rate_um() * (cycles - trend.now_cycles))
+        };
+        let places: Vec<f64> = (0..=STEPS)
+            .map(|i| trend.now_cycles + ahead * f64::from(i) / f64::from(STEPS))
+            .collect();
+        let place = |cycles: f64, side: f64| {
+            let um = on_line(cycles) + side * half(cycles);
+            format!("{:.1},{:.1}", frame.x(cycles), frame.y(um))
+        };
+        let upper = places.iter().map(|&cycles| place(cycles, 1.0));
+        let lower = places.iter().rev().map(|&cycles| place(cycles, -1.0));
+        let edge: Vec<String> = upper.chain(lower).collect();
+        let _ = write!(
+            svg,
+            r#"<polygon points="{}" class="band"><title>where the wear will be, 95 %</title></polygon>"#,
+            edge.join(" ")
+        );
+    }
+    let _ = write!(
+        svg,
+        r#"<line x1="{:.1}" y1="{:.1}" x2="{:.1}" y2="{:.1}" class="trend"/>"#,
+        frame.x(begin),
+        frame.y(on_line(begin)),
+        frame.x(end),
+        frame.y(on_line(end))
+    );
+}
