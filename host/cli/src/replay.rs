@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use flankscope_jobs::replay::{Difference, Replay, ReplayError};
+use flankscope_jobs::replay::{Replay, ReplayError};
 use flankscope_jobs::subject::Subject;
-use flankscope_record::history::History;
+use flankscope_record::history::{Difference, History};
 use serde_json::json;
 
 use crate::help;
@@ -87,7 +87,7 @@ fn all(args: &Args, history: &History, subject: &Subject) -> anyhow::Result<Outc
             }
             Err(ReplayError::History(error)) if history.gave_up_phasors(id, &error)? => {
                 given_up += 1;
-                Replay::of_row(history, id)?
+                history.row_differences(id)?
             }
             Err(error) => return Err(anyhow::Error::from(error).context(format!("check {id}"))),
         };

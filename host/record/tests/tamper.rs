@@ -4,7 +4,6 @@ mod inspections;
 
 use std::path::{Path, PathBuf};
 
-use flankscope_jobs::replay::Replay;
 use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_record::die::DieKey;
 use flankscope_record::document::Inspection;
@@ -216,7 +215,7 @@ fn a_layout_that_is_set_back_frees_nobody_from_the_chain() {
 fn a_row_that_says_otherwise_than_its_document_is_a_difference() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
-    let of = |path: &Path| Replay::of_row(&History::read(path, &seals()).unwrap(), 2).unwrap();
+    let of = |path: &Path| History::read(path, &seals()).unwrap().row_differences(2).unwrap();
     assert_eq!(of(&path), []);
     let copy = folder.path().join("copy.db");
     for (sql, named) in [

@@ -14,9 +14,7 @@ use crate::inspection::{
 use crate::subject::Subject;
 use flankscope_record::baseline::Baseline;
 use flankscope_record::document::{Evidence, Recipe, unsaid};
-use flankscope_record::history::Check;
-use flankscope_record::history::History;
-use flankscope_record::history::HistoryError;
+use flankscope_record::history::{Difference, History, HistoryError, row_differences};
 
 /// Why a check cannot be computed again.
 #[derive(Debug, thiserror::Error)]
@@ -60,17 +58,6 @@ pub enum ReplayError {
     /// The tool cannot be evaluated.
     #[error(transparent)]
     Evaluator(#[from] EvaluatorError),
-}
-
-/// Something that is not as it was stored.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Difference {
-    /// Where in the document, for example `features.0.wear_um`.
-    pub what: String,
-    /// Stored.
-    pub stored: Value,
-    /// Now.
-    pub now: Value,
 }
 
 /// A check computed again.
@@ -119,18 +106,6 @@ struct Stored {
 }
 
 impl Replay {
-    /// What the row of a check says otherwise than its document.
-    ///
-    /// # Errors
-    /// There is no such check, or its document is no JSON.
-    pub fn of_row(history: &History, id: i64) -> Result<Vec<Difference>, ReplayError> {
-        let in_document = |source| ReplayError::Document { id, source };
-        let document = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
-        let mut differences = Vec::new();
-        columns(&history.check(id)?, &document, &mut differences);
-        Ok(differences)
-    }
-
     /// Computes check `id` of a history again, for the tool and head of `subject`. Temperature, grid, teeth and baseline
     /// are those of the check.
     ///
@@ -219,7 +194,7 @@ impl Replay {
                 compare(key, &document[key], now, &mut differences);
             }
         }
-        columns(&history.check(id)?, &document, &mut differences);
+        differences.extend(row_differences(&history.check(id)?, &document));
         let mut versions = Vec::new();
         let host = json!(env!("CARGO_PKG_VERSION"));
         compare(
@@ -242,82 +217,6 @@ impl Replay {
             versions,
             differences,
         })
-    }
-}
-
-/// What the row of a check says beside its document: both were written from the same result.
-pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Difference>) {
-    let origin = &check.origin;
-    let head = origin.head.as_ref();
-    let mut told = |what: String, row: Value, said: &Value| {
-        if row != *said {
-            differences.push(Difference {
-                what: format!("column {what}"),
-                stored: row,
-                now: said.clone(),
-            });
-        }
-    };
-    for (what, row, said) in [
-        ("verdict", json!(check.verdict), &document["verdict"]),
-        ("reason", json!(check.reason), &document["reason"]),
-        ("tool", json!(check.tool), &document["tool"]),
-        ("serial", json!(check.serial), &document["die"]["serial"]),
-        (
-            "press_cycles",
-            json!(check.press_cycles),
-            &document["press_cycles"],
-        ),
-        (
-            "baseline",
-            json!(check.baseline),
-            &document["hashes"]["baseline"],
-        ),
-        ("link", json!(origin.link), &document["link"]),
-        ("simulated", json!(origin.simulated), &document["simulated"]),
-        ("station", json!(origin.station), &document["station"]),
-        ("operator", json!(origin.operator), &document["operator"]),
-        (
-            "head",
-            json!(head.map(|h| &h.name)),
-            &document["head"]["name"],
-        ),
-        (
-            "head_blake3",
-            json!(head.map(|h| &h.blake3)),
-            &document["head"]["blake3"],
-        ),
-        (
-            "head_seal",
-            json!(head.and_then(|h| h.seal.as_ref())),
-            &document["head"]["seal"],
-        ),
-    ] {
-        told(what.to_owned(), row, said);
-    }
-    let none = Vec::new();
-    let features = document["features"].as_array().unwrap_or(&none);
-    told(
-        "flanks".into(),
-        json!(check.flanks.len()),
-        &json!(features.len()),
-    );
-    for flank in &check.flanks {
-        let this =
-            |f: &&Value| f["tooth"] == flank.id.tooth && f["flank"] == flank.id.flank.as_str();
-        let feature = features.iter().find(this).unwrap_or(&Value::Null);
-        for (key, row) in [
-            ("wear_um", json!(flank.wear_um)),
-            ("u95_um", json!(flank.u95_um)),
-            ("warn_um", json!(flank.warn_um)),
-            ("limit_um", json!(flank.limit_um)),
-            ("verdict", json!(flank.verdict)),
-            ("code", json!(flank.code)),
-            ("patch", json!(flank.id.patch)),
-        ] {
-            let what = format!("{key} of {}", flank.id);
-            told(what, row, &feature[key]);
-        }
     }
 }
 

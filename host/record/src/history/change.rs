@@ -11,6 +11,9 @@ const SLACK: f64 = 0.5;
 /// A sum beyond this many standard deviations is a change. On a line that holds, the two sums together give one alarm in 465
 /// checks on average (Montgomery, Introduction to Statistical Quality Control).
 const ALARM: f64 = 5.0;
+/// A shift that matters, as a share of the warning limit: what changes a figure by less changes no decision, and the scatter of a
+/// few checks, by which a shift is told, is itself known to a factor of two only.
+const LEAST_SHARE_OF_WARN: f64 = 0.05;
 /// Scatter below this is the resolution of the stored figures, not of the instrument, µm.
 const LEAST_SCATTER_UM: f64 = 1e-3;
 /// Median of the absolute value of a normal figure, in standard deviations.
@@ -68,13 +71,22 @@ impl Line {
         self.product += cycles * (point.wear_um - self.mean_um);
     }
 
+    /// Wear on the line at a point's cycles, µm.
+    fn at(&self, point: &Point) -> f64 {
+        let slope = if self.spread > 0.0 {
+            self.product / self.spread
+        } else {
+            0.0
+        };
+        self.mean_um + slope * (point.cycles - self.mean_cycles)
+    }
+
     /// How far a point is off, in units of the figures' scatter; none while the line says nothing about there.
     fn error(&self, point: &Point) -> Option<f64> {
         let away = point.cycles - self.mean_cycles;
         if self.spread > 0.0 {
-            let expected = self.mean_um + self.product / self.spread * away;
             let inflation = 1.0 + 1.0 / self.count + away * away / self.spread;
-            Some((point.wear_um - expected) / inflation.sqrt())
+            Some((point.wear_um - self.at(point)) / inflation.sqrt())
         } else if self.count > 0.0 && away == 0.0 {
             // Checks without a cycle in between: a mean is all there is.
             Some((point.wear_um - self.mean_um) / (1.0 + 1.0 / self.count).sqrt())
@@ -84,12 +96,13 @@ impl Line {
     }
 }
 
-/// Indices of the points at which the wear left its line for good, ascending.
+/// Indices of the points at which the wear left its line for good by at least [`LEAST_SHARE_OF_WARN`], ascending.
 #[must_use]
-pub fn changes(points: &[Point]) -> Vec<usize> {
+pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     let Some(scatter_um) = scatter_um(points) else {
         return Vec::new();
     };
+    let least_um = LEAST_SHARE_OF_WARN * warn_um;
     let mut changes = Vec::new();
     let mut line = Line::default();
     let mut sums = Sums::default();
@@ -99,19 +112,32 @@ pub fn changes(points: &[Point]) -> Vec<usize> {
             .error(point)
             .and_then(|error| sums.add(error / scatter_um));
         if let Some(since) = alarm {
-            // The line begins anew where the shift did.
             let from = next + 1 - since;
-            changes.push(from);
-            line = Line::default();
-            sums = Sums::default();
-            for point in &points[from..next] {
-                line.add(point);
+            let begun = changes.last().copied().unwrap_or(0);
+            if shift_um(&points[begun..from], &points[from..=next]) >= least_um {
+                // The line begins anew where the shift did.
+                changes.push(from);
+                line = Line::default();
+                for point in &points[from..next] {
+                    line.add(point);
+                }
             }
+            sums = Sums::default();
         }
         line.add(point);
         next += 1;
     }
     changes
+}
+
+/// Mean distance of later points from the line through earlier ones, µm; through their mean where they say nothing of a slope.
+fn shift_um(earlier: &[Point], later: &[Point]) -> f64 {
+    let mut line = Line::default();
+    for point in earlier {
+        line.add(point);
+    }
+    let off = later.iter().map(|point| point.wear_um - line.at(point));
+    (off.sum::<f64>() / later.len().max(1) as f64).abs()
 }
 
 /// Standard deviation of a figure about its neighbours' line: the median forgives the few places where the wear jumps.
@@ -136,4 +162,32 @@ pub fn scatter_um(points: &[Point]) -> Option<f64> {
         .collect();
     off.sort_unstable_by(f64::total_cmp);
     Some((off[off.len() / 2] / MEDIAN_ABSOLUTE).max(LEAST_SCATTER_UM))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points(wear_um: &[f64]) -> Vec<Point> {
+        let each = (1..).zip(wear_um);
+        let point = |(check, &wear_um): (i64, &f64)| Point {
+            check,
+            cycles: 100.0 * check as f64,
+            wear_um,
+            u_um: 2.0,
+        };
+        each.map(point).collect()
+    }
+
+    #[test]
+    fn a_shift_counts_from_a_twentieth_of_the_warning_limit_on() {
+        // The median of three second differences puts the scatter at 0.09 µm; the first figure alone is off by more.
+        let chance = points(&[4.65, 10.43, 15.48, 20.51, 25.39]);
+        assert!(changes(&chance, 30.0).is_empty());
+        assert_eq!(changes(&chance, 0.0), [3]);
+        // The same 0.7 µm are more than a twentieth of 10 µm.
+        assert_eq!(changes(&chance, 10.0), [3]);
+        let chipped = points(&[5.0, 10.0, 15.0, 20.0, 25.0, 32.0, 37.0, 42.0]);
+        assert_eq!(changes(&chipped, 30.0), [5]);
+    }
 }

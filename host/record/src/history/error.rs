@@ -55,6 +55,14 @@ pub enum HistoryError {
         /// When it was begun.
         since: String,
     },
+    /// A stored document that is no JSON.
+    #[error("the stored document of check {id} cannot be read: {source}")]
+    Stored {
+        /// Check.
+        id: i64,
+        /// Cause.
+        source: serde_json::Error,
+    },
     /// A result that cannot be put into words.
     #[error("history {}: the result cannot be written as JSON: {source}", path.display())]
     Document {

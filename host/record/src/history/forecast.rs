@@ -41,7 +41,7 @@ impl Forecast {
     /// What follows from a flank's figures.
     #[must_use]
     pub fn of(series: Series) -> Self {
-        let changed = changes(&series.points);
+        let changed = changes(&series.points, series.warn_um);
         let since = &series.points[changed.last().copied().unwrap_or(0)..];
         let trend = Trend::of(since);
         let remaining_cycles = match (trend, series.points.last()) {

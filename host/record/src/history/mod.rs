@@ -8,6 +8,7 @@
 //! | file | holds |
 //! |---|---|
 //! | `store` | the file: made, opened, written in whole transactions |
+//! | `row_differences` | the row of a check against its document |
 //! | `rows` | what is read of it |
 //! | `schema` | its tables, and which version of them this is |
 //! | `chain` | a keyed digest over every row and the one before it |
@@ -35,6 +36,7 @@ mod parquet;
 mod phasors;
 mod remaining;
 mod retention;
+mod row_differences;
 mod rows;
 mod same_die;
 mod schema;
@@ -52,6 +54,7 @@ pub use hold::Hold;
 pub use parquet::parquet;
 pub use remaining::Passage;
 pub use retention::Retention;
+pub use row_differences::{Difference, row_differences};
 pub use rows::{Acknowledgement, Check, FlankRow};
 pub use series::{Point, Series, series};
 pub use store::History;

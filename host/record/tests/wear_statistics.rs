@@ -85,7 +85,7 @@ fn a_line_that_holds_alarms_as_rarely_as_the_table_says() {
             let figures = points(3000, 5.0, |cycles| {
                 0.01 * cycles + 0.3 * normal(&mut random)
             });
-            changes(&figures).first().copied().unwrap_or(3000)
+            changes(&figures, 0.0).first().copied().unwrap_or(3000)
         })
         .sum();
     let mean = total as f64 / f64::from(runs);
@@ -102,7 +102,7 @@ fn a_chip_and_a_new_rate_are_found_where_they_are() {
             let chipped = if cycles >= 200.0 { 1.8 } else { 0.0 };
             0.01 * cycles + chipped + 0.3 * normal(&mut random)
         });
-        let found = changes(&chip);
+        let found = changes(&chip, 0.0);
         assert!(
             found.iter().any(|at| (35..=43).contains(at)),
             "chip at 40: {found:?}"
