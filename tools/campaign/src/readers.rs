@@ -147,7 +147,7 @@ impl Readers {
             }
             "target/target.toml" => accepted(Target::load(&path))?,
             "focus.toml" => accepted(FocusSeries::load(&path))?,
-            "worn/PLAN.toml" | "bent.toml" => accepted(Plan::load(&path))?,
+            "worn/PLAN.toml" => accepted(Plan::load(&path))?,
             "adaptive/adaptive.json" => accepted(Adaptive::open(&self.place("adaptive")))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
             "clouds/clouds.toml" => accepted(CloudRecording::open(&self.place("clouds")))?,

@@ -2,7 +2,7 @@
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::head::Sensor;
-use flankscope_profilometry::{Accumulator, Bend, PatternSet};
+use flankscope_profilometry::{Accumulator, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::job::Subject;
@@ -20,9 +20,6 @@ pub struct Recipe {
     /// Share of all mirrors' light that each pass of the patterns gives; none: they are shown once, by all mirrors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lit_ratios: Vec<f64>,
-    /// How fringes are bent, where they are and no recording's plan says so.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bend: Option<Bend>,
     /// Exposures, µs.
     pub exposures_us: Vec<u32>,
     /// What a point is made of: `core` or `pixel`.
@@ -70,7 +67,6 @@ impl Recipe {
         });
         Self {
             teeth,
-            bend: light.bend.filter(|_| by_files),
             recorded,
             pattern_set: plan.patterns.name.clone(),
             lit_ratios: light.lit_ratios,

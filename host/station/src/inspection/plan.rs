@@ -5,7 +5,7 @@ use flankscope_metrology::gear::Kind;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
-use flankscope_profilometry::{Bend, DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
+use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Recipe, RecordedRecipe};
@@ -50,8 +50,6 @@ impl PlannedView {
 pub struct Light {
     /// Share of all mirrors' light that each pass gives; none: the patterns are shown once, by all mirrors.
     pub lit_ratios: Vec<f64>,
-    /// How fringes are bent.
-    pub bend: Option<Bend>,
 }
 
 impl Light {
@@ -61,10 +59,7 @@ impl Light {
             1 => Vec::new(),
             several => vec![1.0; several],
         };
-        Self {
-            lit_ratios,
-            bend: None,
-        }
+        Self { lit_ratios }
     }
 }
 
@@ -245,7 +240,6 @@ impl ViewPlan {
     /// What is shown in other light.
     pub(crate) fn lit(mut self, light: Light) -> Self {
         self.lit_ratios = light.lit_ratios;
-        self.patterns.bend = light.bend;
         self
     }
 
@@ -253,7 +247,6 @@ impl ViewPlan {
     pub(crate) fn light(&self) -> Light {
         Light {
             lit_ratios: self.lit_ratios.clone(),
-            bend: self.patterns.bend.clone(),
         }
     }
 
@@ -362,7 +355,6 @@ impl ViewPlan {
         let Some(recorded) = &recipe.recorded else {
             let light = Light {
                 lit_ratios: recipe.lit_ratios.clone(),
-                bend: recipe.bend.clone(),
             };
             return Ok(Self::new(tool, head, Some(&recipe.teeth))?.lit(light));
         };
