@@ -106,7 +106,7 @@ impl Instrument {
             temperature_degc: degc,
             station: Arc::default(),
             baseline: baseline.map(Arc::new),
-            head_seal: None,
+            head_seal: "unsigned".into(),
             seals: flankscope_station::seal::Seals::passing()?,
             hashes: std::collections::BTreeMap::new(),
         };

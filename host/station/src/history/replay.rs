@@ -14,7 +14,7 @@ use super::store::History;
 use crate::baseline::Baseline;
 use crate::inspection::{
     Evaluator, EvaluatorError, Evidence, Findings, PlanningError, Recipe, Subject, ViewOutcome,
-    ViewPlan, unsaid,
+    ViewPlan,
 };
 
 /// Why a check cannot be computed again.
@@ -77,7 +77,7 @@ pub struct Difference {
 pub struct Replay {
     /// Its number.
     pub id: i64,
-    /// Where the check comes from, as its document says; empty where an earlier release stored it.
+    /// Where the check comes from, as its document says.
     #[serde(flatten)]
     pub origin: BTreeMap<&'static str, Value>,
     /// The stored verdict.
@@ -182,8 +182,8 @@ impl Replay {
         }
         let recipe = Recipe::of(&subject, &plan);
         subject.hashes.insert("recipe", recipe.hash());
-        let code = stored.stopped_code.unwrap_or_else(unsaid);
-        let stopped = stored.stopped.map(|why| Reason::instrument(code, why));
+        let stopped = stored.stopped.zip(stored.stopped_code);
+        let stopped = stopped.map(|(why, code)| Reason::instrument(code, why));
         let found = Findings::of(
             &subject.tool,
             &plan,
@@ -247,7 +247,6 @@ impl Replay {
 /// What the row of a check says beside its document: both were written from the same result.
 pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Difference>) {
     let origin = &check.origin;
-    let head = origin.head.as_ref();
     let mut told = |what: String, row: Value, said: &Value| {
         if row != *said {
             differences.push(Difference {
@@ -276,19 +275,15 @@ pub(super) fn columns(check: &Check, document: &Value, differences: &mut Vec<Dif
         ("simulated", json!(origin.simulated), &document["simulated"]),
         ("station", json!(origin.station), &document["station"]),
         ("operator", json!(origin.operator), &document["operator"]),
-        (
-            "head",
-            json!(head.map(|h| &h.name)),
-            &document["head"]["name"],
-        ),
+        ("head", json!(origin.head.name), &document["head"]["name"]),
         (
             "head_blake3",
-            json!(head.map(|h| &h.blake3)),
+            json!(origin.head.blake3),
             &document["head"]["blake3"],
         ),
         (
             "head_seal",
-            json!(head.and_then(|h| h.seal.as_ref())),
+            json!(origin.head.seal),
             &document["head"]["seal"],
         ),
     ] {
@@ -344,22 +339,13 @@ fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Differ
                 compare(&format!("{what}.{i}"), a, b, differences);
             }
         }
-        _ if same(stored, now) || unsaid_then(what, stored, now) => {}
+        _ if same(stored, now) => {}
         _ => differences.push(Difference {
             what: what.to_owned(),
             stored: stored.clone(),
             now: now.clone(),
         }),
     }
-}
-
-/// Earlier releases had one word for all that was not measured; a more exact one is no difference.
-fn unsaid_then(what: &str, stored: &Value, now: &Value) -> bool {
-    let is_code = what.ends_with(".code");
-    let exact = now
-        .as_str()
-        .is_some_and(|word| word.parse::<Code>().is_ok());
-    is_code && exact && stored.as_str() == Some(unsaid().word())
 }
 
 /// Numbers are compared as they are, to the last bit.
@@ -387,12 +373,5 @@ mod tests {
         compare("r", &json!([1, 2]), &json!([1]), &mut differences);
         compare("r", &json!(0.0), &json!(-0.0), &mut differences);
         assert_eq!(differences.len(), 2);
-        differences.clear();
-        let once = json!({ "code": "not_measured", "reason": "not_measured" });
-        let now = json!({ "code": "frames_missing", "reason": "frames_missing" });
-        compare("f", &once, &now, &mut differences);
-        compare("f", &now, &once, &mut differences);
-        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
-        assert_eq!(names, ["f.reason", "f.code", "f.reason"]);
     }
 }

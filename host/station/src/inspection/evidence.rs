@@ -100,19 +100,8 @@ pub struct Problem {
     /// In one sentence.
     #[serde(rename = "problem")]
     pub sentence: String,
-    /// What kind of reason; earlier releases did not say.
-    #[serde(default = "unsaid", skip_serializing_if = "is_unsaid")]
+    /// What kind of reason.
     pub code: Code,
-}
-
-/// What is taken for the kind of a reason that is stored without.
-pub(crate) fn unsaid() -> Code {
-    Code::NotMeasured
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
-fn is_unsaid(code: &Code) -> bool {
-    *code == unsaid()
 }
 
 impl From<&Reason> for Problem {

@@ -51,7 +51,6 @@ mod result;
 mod verdict;
 mod views;
 
-pub(crate) use evidence::unsaid;
 pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub(crate) use exposures::exposures_disagree;
 pub(crate) use failure::unfit;

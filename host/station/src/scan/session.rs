@@ -17,7 +17,7 @@ use crate::files::{hash, write_whole};
 use crate::seal::{Kind, SealError, Seals};
 
 const MANIFEST: &str = "manifest.json";
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 1;
 
 /// Why a session folder cannot be used.
 #[derive(Debug, thiserror::Error)]
