@@ -8,8 +8,8 @@ use flankscope_profilometry::head::CalibrationRecord;
 use flankscope_station::calibration::Focused;
 use serde::Serialize;
 
-use crate::calibrate::Made;
 use crate::output::{Common, Outcome};
+use crate::site::Made;
 
 /// A setting that was looked at.
 #[derive(Serialize)]

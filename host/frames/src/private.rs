@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::process::getuid;
 
-use crate::root::RootError;
+use crate::root_error::RootError;
 
 /// Where the kernel shows POSIX shared memory.
 pub(crate) const SHM_FOLDER: &str = "/dev/shm";

@@ -13,9 +13,10 @@ use iceoryx2::sample::Sample;
 use crate::arm::Arm;
 use crate::header::{FrameHeader, monotonic_ns};
 use crate::link::{BorrowedFrame, FrameSource, ReceiveError};
+use crate::node::{ServiceError, refused};
 use crate::ready::Ready;
 use crate::root::SharedRoot;
-use crate::services::{ServiceError, Services, refused};
+use crate::services::Services;
 
 /// A socket counts its time-out in microseconds, and none is for ever (socket(7), `SO_RCVTIMEO`); iceoryx2 rounds down. What is left
 /// of a wait may be less.
@@ -87,23 +88,23 @@ impl FrameReceiver {
             .frames
             .subscriber_builder()
             .create()
-            .map_err(refused("subscribe to frames", root))?;
+            .map_err(refused("subscribe to frames", root.path()))?;
         let listener = services
             .wake
             .listener_builder()
             .create()
-            .map_err(refused("listen for frames", root))?;
+            .map_err(refused("listen for frames", root.path()))?;
         let arm = services
             .arm
             .publisher_builder()
             .create()
-            .map_err(refused("publish the arming", root))?;
+            .map_err(refused("publish the arming", root.path()))?;
         let ready = services
             .ready
             .subscriber_builder()
             .history_request(1)
             .create()
-            .map_err(refused("listen to the camera", root))?;
+            .map_err(refused("listen to the camera", root.path()))?;
         Ok(Self {
             subscriber,
             listener,
