@@ -29,7 +29,7 @@ pub struct Frame {
     received_monotonic_ns: u64,
 }
 
-/// Bytes of frames that this process copied out of the shared memory, by [`Frame::copy_pixels`] or as it says itself.
+/// Bytes of frames that this process copied out of the shared memory, as it says itself.
 static BYTES_COPIED: AtomicU64 = AtomicU64::new(0);
 
 impl BorrowedFrame for Frame {
@@ -47,14 +47,7 @@ impl BorrowedFrame for Frame {
 }
 
 impl Frame {
-    /// The pixels copied out of the shared memory; counted in [`Frame::bytes_copied`].
-    #[must_use]
-    pub fn copy_pixels(&self) -> Vec<u16> {
-        Self::count_copied(self.pixels());
-        self.pixels().to_vec()
-    }
-
-    /// Counts pixels that are copied out of the shared memory in another way, such as into a file.
+    /// Counts pixels that are copied out of the shared memory, such as into a file.
     pub fn count_copied(pixels: &[u16]) {
         let bytes = std::mem::size_of_val(pixels) as u64;
         BYTES_COPIED.fetch_add(bytes, Ordering::Relaxed);
