@@ -320,56 +320,6 @@ fn a_check_in_passes_finds_wear_and_is_replayed() {
     assert_eq!(recorded.json["recipe"]["lit_ratios"], *of_recipe);
 }
 
-/// Fringes that are bent: the same damage is found, stored, replayed and recorded, and the pictures say how they are bent.
-#[test]
-fn a_check_with_bent_fringes_finds_wear_and_is_replayed() {
-    let (folder, tool) = demo_tool();
-    let out = folder.path().join("out");
-    let written = run(flankscope()
-        .args([
-            "patterns",
-            "--tooth",
-            "40",
-            "--bend=1.6",
-            "--json",
-            "-",
-            "--adaptive",
-        ])
-        .arg(&tool)
-        .arg("-o")
-        .arg(&out));
-    assert_eq!(written.code, 0, "{}", written.stderr);
-    let of = |widths: &str| {
-        let [narrow, wide] =
-            [0, 1].map(|end| written.json["fringe_widths"][widths][end].as_f64().unwrap());
-        wide / narrow
-    };
-    // Nearer to 1 is more even.
-    assert!(
-        of("shown_mm") < of("straight_mm"),
-        "{}",
-        written.json["fringe_widths"]
-    );
-    let [seen, _] = found_stored_and_recorded(folder.path(), &tool, &out);
-    let features = seen.json["features"].as_array().unwrap();
-    let left = features.iter().find(|of| of["flank"] == "left").unwrap();
-    let [wear_um, u95_um] = ["wear_um", "u95_um"].map(|key| left[key].as_f64().unwrap());
-    assert!((wear_um - 80.0).abs() < u95_um, "{wear_um} ± {u95_um}");
-    // A bend that no projector shows is refused.
-    let path = out.join("adaptive.json");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let mut said: Value = serde_json::from_str(&text).unwrap();
-    said["bend"]["shift_px"][0][0] = Value::from(1e6);
-    std::fs::write(&path, said.to_string()).unwrap();
-    let refused = in_passes(&tool, &out, &["--teeth", "12"]);
-    assert_eq!(refused.code, 3, "{}", refused.stderr);
-    assert!(
-        refused.stderr.contains("coefficient of"),
-        "{}",
-        refused.stderr
-    );
-}
-
 #[test]
 fn pictures_that_do_not_fit_a_check_are_refused_before_anything_moves() {
     let (folder, tool) = demo_tool();

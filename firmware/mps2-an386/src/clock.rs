@@ -16,7 +16,7 @@ use core::task::Waker;
 use critical_section::{CriticalSection, Mutex};
 use embassy_time_driver::Driver;
 
-use crate::pins;
+use crate::bench_wire;
 use crate::registers::{Block, CLOCK_HZ};
 use crate::watchdog;
 use flankscope_pin_wire::Subject;
@@ -135,7 +135,7 @@ pub fn on_alarm() {
             if !deadline || due - asked_at.get() >= 4 * SLICE_US {
                 asked_at.set(due);
                 CLOCK.unanswered.store(true, Ordering::Relaxed);
-                pins::tell(Subject::Tick, 0);
+                bench_wire::send(Subject::Tick, 0, CLOCK.now_in(cs));
             }
         }
         CLOCK.wake_due(cs);
@@ -155,7 +155,7 @@ pub fn on_answer() {
             overslept.set(overslept.get() + stood);
             CLOCK.asked_at.borrow(cs).set(CLOCK.now_in(cs));
             CLOCK.unanswered.store(true, Ordering::Relaxed);
-            pins::tell(Subject::Tick, 0);
+            bench_wire::send(Subject::Tick, 0, CLOCK.now_in(cs));
             CLOCK.wake_due(cs);
         }
     });

@@ -11,6 +11,7 @@
 #![no_std]
 #![no_main]
 
+mod bench_wire;
 mod clock;
 mod failsafe;
 mod fault_injection;
@@ -112,7 +113,7 @@ fn main() -> ! {
     let (boot, cause) = failsafe::boot();
     clock::start();
     registers::prioritise();
-    pins::BENCH.start(LEAST_DIVIDER);
+    bench_wire::BENCH.start(LEAST_DIVIDER);
     let Some(divider) = HOST_LINE.line().divider(uart::CLOCK_HZ) else {
         failsafe::gone_wrong(line!())
     };

@@ -13,30 +13,16 @@ use embedded_hal_async::digital::Wait;
 use flankscope_controller::devices::{CurrentSetting, NotSelected, PatternPort};
 use flankscope_protocol::Milliamps;
 
-use crate::registers::{Block, Irq};
-use crate::uart::Uart;
+use crate::bench_wire::{self, BENCH};
 use crate::{clock, stack};
-use flankscope_pin_wire::{InputDecoder, PinMessage, Subject};
-
-/// To the bench.
-pub static BENCH: Uart = Uart::new(Block::UART1, Irq::Uart1Rx);
+use flankscope_pin_wire::{InputDecoder, Subject};
 
 static DECODER: Mutex<Cell<InputDecoder>> = Mutex::new(Cell::new(InputDecoder::new()));
 
 /// Sends one message; its time is now.
 pub fn tell(subject: Subject, value: u16) {
-    // No interrupt may come between the look at the clock and the last byte, or between two messages' bytes.
-    critical_section::with(|_| {
-        let at_us = clock::now_us();
-        BENCH.send_now(
-            &PinMessage {
-                subject,
-                value,
-                at_us,
-            }
-            .to_bytes(),
-        );
-    });
+    // No interrupt may come between the look at the clock and the last byte.
+    critical_section::with(|_| bench_wire::send(subject, value, clock::now_us()));
 }
 
 /// UART1's receive interrupt.

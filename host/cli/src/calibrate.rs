@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
-use flankscope_foundation::date::{self, Date};
+use flankscope_foundation::date::Date;
 use flankscope_frames::SharedRoot;
 use flankscope_jobs::calibration::{
     Autofocus, Calibrated, CaptureFolder, CoreSearch, FitnessSurvey, PlateSurvey, ViewReport,
@@ -15,7 +15,6 @@ use flankscope_jobs::calibration::{
 use flankscope_profilometry::HeadModel;
 use flankscope_profilometry::calibrate::{Captures, Target};
 use flankscope_profilometry::head::{Arrangements, CalibrationRecord, Judged, SelfTest};
-use flankscope_record::origin::{Link, Setting};
 use flankscope_record::seal::{Kind, toml_document};
 use serde::Serialize;
 
@@ -28,7 +27,7 @@ use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Outcome, say};
 use crate::progress::Watcher;
-use crate::site::{Place, Site};
+use crate::site::{Made, Place, Site};
 
 #[derive(clap::Args)]
 #[command(
@@ -115,29 +114,6 @@ struct Document<'a> {
     elapsed_ms: Elapsed,
     #[serde(skip_serializing_if = "Option::is_none")]
     truth: Option<serde_json::Value>,
-}
-
-/// Where a result comes from; images from elsewhere have no link.
-#[derive(Serialize)]
-pub struct Made<'a> {
-    link: Option<String>,
-    simulated: Option<bool>,
-    station: &'a str,
-    operator: Option<&'a str>,
-    date: String,
-}
-
-impl<'a> Made<'a> {
-    fn by(setting: &'a Setting, images: bool) -> Self {
-        let link = Some(&setting.link).filter(|_| !images);
-        Self {
-            link: link.map(Link::to_string),
-            simulated: link.map(Link::is_simulated),
-            station: &setting.station,
-            operator: setting.operator.as_deref(),
-            date: date::now(),
-        }
-    }
 }
 
 #[derive(Serialize)]

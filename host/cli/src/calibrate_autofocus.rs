@@ -8,8 +8,8 @@ use flankscope_jobs::calibration::Focused;
 use flankscope_profilometry::head::CalibrationRecord;
 use serde::Serialize;
 
-use crate::calibrate::Made;
 use crate::output::{Common, Outcome};
+use crate::site::Made;
 
 /// A setting that was looked at.
 #[derive(Serialize)]

@@ -121,14 +121,7 @@ fn print_table(
             last.verdict.as_str().to_uppercase()
         )?;
         write_origin(&mut out, &last.origin, &last.at)?;
-        let unknown = checks.iter().filter(|c| c.origin.simulated.is_none());
-        match unknown.count() {
-            0 => writeln!(out)?,
-            count => writeln!(
-                out,
-                "{count} checks do not say whether they are simulated: an earlier release stored them\n"
-            )?,
-        }
+        writeln!(out)?;
     }
     let words = Words::of(forecasts.iter().map(|of| &of.id));
     let wide = widest(forecasts.iter().map(|of| &of.id));

@@ -200,7 +200,7 @@ pub const SIMULATED: &str = "SIMULATED BENCH: no real die was looked at";
 
 /// A line that says where a result comes from, under its verdict.
 pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::io::Result<()> {
-    if origin.is_simulated() {
+    if origin.simulated {
         writeln!(out, "{SIMULATED}")?;
     }
     let particulars = origin.particulars().into_iter();

@@ -101,14 +101,6 @@ impl Source {
     fn writer(&self, path: &Path, site: &Site, subject: &Subject) -> anyhow::Result<HistoryWriter> {
         let history = History::open(path, &subject.seals)?;
         history.takes_head(&subject.head_id())?;
-        let unknown = history.of_unknown_origin()?;
-        if unknown > 0 {
-            say(&format!(
-                "history {}: {unknown} checks of an earlier release do not say whether they are simulated; they \
-                 stay, and no trend mixes them with new ones",
-                path.display()
-            ));
-        }
         let said = &site.settings.history;
         let keep = Retention {
             checks: self.keep_phasors.unwrap_or(said.keep_phasors),
@@ -493,7 +485,7 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(S
         temperature_degc: None,
         baseline: None,
         station: Arc::default(),
-        head_seal: Some(head_seal),
+        head_seal,
         seals,
         hashes,
     };

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_instrument::patterns::{
-    Adaptive, CaptureTime, Manifest, Packing, Passes, Region, best_density, write, write_adaptive,
+    Adaptive, CaptureTime, Manifest, Packing, Passes, Region, write, write_adaptive,
 };
 use flankscope_instrument::settings::Timing;
 use flankscope_jobs::inspection::ViewPlan;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::head::{Arrangement, HeadModel, Mirrors};
-use flankscope_profilometry::pattern::{Axis, NAMED, PatternSet};
+use flankscope_profilometry::pattern::{NAMED, PatternSet};
 use flankscope_profilometry::plan::Plan;
 
 use crate::bench_link::demo_tool;
@@ -82,16 +82,6 @@ pub struct Args {
         allow_hyphen_values = true
     )]
     margin: f64,
-    /// Bend the fringes until they are evenly wide on the flanks, at most DENSITY times as dense as straight ones [default: what
-    /// the head's fringe_contrast (or 0.8) makes best]
-    #[arg(
-        long,
-        value_name = "DENSITY",
-        requires = "adaptive",
-        num_args = 0..=1,
-        require_equals = true
-    )]
-    bend: Option<Option<f64>>,
     /// How the images are stored [default: dlpc350 for diamond mirrors, else grey]
     #[arg(long, value_enum, value_name = "HOW")]
     pack: Option<Stored>,
@@ -162,17 +152,6 @@ fn adaptive(args: &Args, folder: &Path, tooth: u32) -> anyhow::Result<Outcome> {
         "the head file has no exposures_us, which say how long a view takes"
     );
     let passes = Passes::new(&tool, &head, &view, args.margin)?;
-    let set = match args.bend {
-        None => set,
-        Some(density) => {
-            anyhow::ensure!(
-                set.axis == Axis::Columns,
-                "--bend: fringes that count rows are not bent; take a set that counts columns"
-            );
-            let density = density.unwrap_or_else(|| best_density(&head));
-            set.with_bend(Some(passes.bend(density)?))?
-        }
-    };
     let time = CaptureTime::of(&set, &head.exposures_us, &Timing::default());
     try_folder(&args.output, &[])?;
     let written = write_adaptive(&args.output, &set, &passes, time, packing)?;
@@ -194,14 +173,6 @@ fn told(written: &Adaptive, output: &Path) -> anyhow::Result<()> {
             out,
             "{}: {lit:.1} % of the mirrors, {bright:.0} % bright",
             folder.display()
-        )?;
-    }
-    if let (Some(_), Some(widths)) = (&written.bend, &written.fringe_widths) {
-        let [narrow, wide] = widths.shown_mm;
-        let [straight_narrow, straight_wide] = widths.straight_mm;
-        writeln!(
-            out,
-            "Fringes on the flanks: {narrow:.2} to {wide:.2} mm wide, straight ones {straight_narrow:.2} to {straight_wide:.2} mm"
         )?;
     }
     let time = &written.time;

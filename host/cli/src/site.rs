@@ -4,11 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use flankscope_foundation::date;
 use flankscope_instrument::settings::StationSettings;
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::kinematics::Moves;
 use flankscope_profilometry::HeadModel;
 use flankscope_record::origin::{Link, Setting};
+use serde::Serialize;
 
 use crate::help;
 
@@ -244,4 +246,28 @@ pub fn user_name() -> String {
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
     name.unwrap_or_else(|| "unknown".into())
+}
+
+/// Where a result comes from; images from elsewhere have no link.
+#[derive(Serialize)]
+pub struct Made<'a> {
+    link: Option<String>,
+    simulated: Option<bool>,
+    station: &'a str,
+    operator: Option<&'a str>,
+    date: String,
+}
+
+impl<'a> Made<'a> {
+    /// By what is at this setting, or by images.
+    pub fn by(setting: &'a Setting, images: bool) -> Self {
+        let link = Some(&setting.link).filter(|_| !images);
+        Self {
+            link: link.map(Link::to_string),
+            simulated: link.map(Link::is_simulated),
+            station: &setting.station,
+            operator: setting.operator.as_deref(),
+            date: date::now(),
+        }
+    }
 }

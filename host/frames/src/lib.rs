@@ -27,10 +27,12 @@ pub mod arm;
 pub mod conformance;
 pub mod header;
 pub mod link;
+mod node;
 mod private;
 mod ready;
 mod receiver;
 mod root;
+mod root_error;
 mod sender;
 mod services;
 
@@ -39,9 +41,11 @@ pub use header::{EXPOSURE_TOLERANCE_US, FrameHeader, FrameLabel, checksum, monot
 pub use link::{
     BorrowedFrame, FrameSink, FrameSlot, FrameSource, ReceiveError, SealedFrame, SendError,
 };
+pub use node::ServiceError;
 pub use private::{RunFolder, default_base, remove_run_folders};
 pub use ready::Ready;
 pub use receiver::{Frame, FrameReceiver};
-pub use root::{RootError, SharedRoot};
+pub use root::SharedRoot;
+pub use root_error::RootError;
 pub use sender::{FrameSender, LoanedFrame, Overflow};
-pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, SEGMENT_BYTES, ServiceError};
+pub use services::{BUFFERED_FRAMES, MAX_FRAME_PIXELS, SEGMENT_BYTES};

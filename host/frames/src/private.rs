@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::process::getuid;
 
-use crate::root::RootError;
+use crate::root_error::RootError;
 
 /// Where the kernel shows POSIX shared memory.
 pub(crate) const SHM_FOLDER: &str = "/dev/shm";
@@ -231,7 +231,7 @@ fn make_private(path: &Path) -> io::Result<()> {
             ),
         ));
     }
-    // An earlier release let others read it.
+    // One that was made otherwise is closed to others.
     if meta.mode() & 0o077 != 0 {
         std::fs::set_permissions(path, Permissions::from_mode(0o700))?;
     }
@@ -370,7 +370,7 @@ mod tests {
         let base = base_in(temporary.path()).unwrap();
         let folder = RunFolder::create(&base).unwrap();
         assert_eq!([mode(&base), mode(folder.path())], [0o700; 2]);
-        // What an earlier release left readable is closed.
+        // One that others may read is closed.
         std::fs::set_permissions(&base, Permissions::from_mode(0o755)).unwrap();
         let again = RunFolder::create(&base).unwrap();
         assert_eq!(mode(&base), 0o700);

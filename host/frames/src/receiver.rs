@@ -13,9 +13,10 @@ use iceoryx2::sample::Sample;
 use crate::arm::Arm;
 use crate::header::{FrameHeader, monotonic_ns};
 use crate::link::{BorrowedFrame, FrameSource, ReceiveError};
+use crate::node::{ServiceError, refused};
 use crate::ready::Ready;
 use crate::root::SharedRoot;
-use crate::services::{ServiceError, Services, refused};
+use crate::services::Services;
 
 /// A socket counts its time-out in microseconds, and none is for ever (socket(7), `SO_RCVTIMEO`); iceoryx2 rounds down. What is left
 /// of a wait may be less.
@@ -28,7 +29,7 @@ pub struct Frame {
     received_monotonic_ns: u64,
 }
 
-/// Bytes of frames that this process copied out of the shared memory, by [`Frame::copy_pixels`] or as it says itself.
+/// Bytes of frames that this process copied out of the shared memory, as it says itself.
 static BYTES_COPIED: AtomicU64 = AtomicU64::new(0);
 
 impl BorrowedFrame for Frame {
@@ -46,14 +47,7 @@ impl BorrowedFrame for Frame {
 }
 
 impl Frame {
-    /// The pixels copied out of the shared memory; counted in [`Frame::bytes_copied`].
-    #[must_use]
-    pub fn copy_pixels(&self) -> Vec<u16> {
-        Self::count_copied(self.pixels());
-        self.pixels().to_vec()
-    }
-
-    /// Counts pixels that are copied out of the shared memory in another way, such as into a file.
+    /// Counts pixels that are copied out of the shared memory, such as into a file.
     pub fn count_copied(pixels: &[u16]) {
         let bytes = std::mem::size_of_val(pixels) as u64;
         BYTES_COPIED.fetch_add(bytes, Ordering::Relaxed);
@@ -87,23 +81,23 @@ impl FrameReceiver {
             .frames
             .subscriber_builder()
             .create()
-            .map_err(refused("subscribe to frames", root))?;
+            .map_err(refused("subscribe to frames", root.path()))?;
         let listener = services
             .wake
             .listener_builder()
             .create()
-            .map_err(refused("listen for frames", root))?;
+            .map_err(refused("listen for frames", root.path()))?;
         let arm = services
             .arm
             .publisher_builder()
             .create()
-            .map_err(refused("publish the arming", root))?;
+            .map_err(refused("publish the arming", root.path()))?;
         let ready = services
             .ready
             .subscriber_builder()
             .history_request(1)
             .create()
-            .map_err(refused("listen to the camera", root))?;
+            .map_err(refused("listen to the camera", root.path()))?;
         Ok(Self {
             subscriber,
             listener,

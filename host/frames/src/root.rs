@@ -1,13 +1,13 @@
 //! The private place of one station's shared memory.
 
-use std::io;
 use std::os::unix::fs::MetadataExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rustix::process::getuid;
 
+use crate::node;
 use crate::private::{RunFolder, segments};
-use crate::services;
+use crate::root_error::{LONGEST_BASE, RootError};
 
 /// A private folder for the service files and a private prefix for the shared-memory segments.
 ///
@@ -19,73 +19,6 @@ pub struct SharedRoot {
     prefix: String,
 }
 
-/// Why there is no private place.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RootError {
-    /// The folder cannot be made or cleaned.
-    #[error(
-        "cannot prepare the private folder {}: {source} (choose another place with TMPDIR)", path.display()
-    )]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// The operating system's word.
-        source: io::Error,
-    },
-    /// In the temporary folder, others may put another folder in place of this user's.
-    #[error(
-        "{} is of user {uid} with mode {mode:o}: others may exchange folders in it; right would be a folder of root or of this user, sticky where others may write (chmod +t). Choose another with TMPDIR", path.display()
-    )]
-    Exchangeable {
-        /// The temporary folder.
-        path: PathBuf,
-        /// Its owner.
-        uid: u32,
-        /// Its mode.
-        mode: u32,
-    },
-    /// The library's sockets have longer names than the system takes.
-    #[error(
-        "{} has {} characters, at most {LONGEST_BASE} leave room for the names of sockets below it; choose a shorter place with TMPDIR or XDG_RUNTIME_DIR", path.display(), path.as_os_str().len()
-    )]
-    Long {
-        /// The base folder.
-        path: PathBuf,
-    },
-    /// The root of another process is not there any more.
-    #[error("the host that made {} is gone: {source}", path.display())]
-    Gone {
-        /// The folder.
-        path: PathBuf,
-        /// The operating system's word.
-        source: io::Error,
-    },
-    /// The library's files of each of several fresh roots were spoiled.
-    #[error(
-        "shared memory cannot be used, with {tries} unforeseeable names in a row: {reason}{}",
-        culprits(culprit)
-    )]
-    Spoiled {
-        /// Roots that were tried.
-        tries: u32,
-        /// The library's own reason, for the last of them.
-        reason: String,
-        /// Files there that somebody else could write to.
-        culprit: String,
-    },
-}
-
-fn culprits(files: &str) -> String {
-    if files.is_empty() {
-        String::new()
-    } else {
-        format!("; others may write to {files}")
-    }
-}
-
-/// Characters of a base below which the longest name of a socket still fits into the 108 that a `sockaddr_un` has.
-const LONGEST_BASE: usize = 34;
 /// A spoiled root is an attack or an accident within microseconds; three in a row are neither.
 const TRIES: u32 = 3;
 
@@ -109,7 +42,7 @@ impl SharedRoot {
             let folder = RunFolder::create(base)?;
             let prefix = folder.name();
             let root = Self { folder, prefix };
-            match services::make_node(&root).map(drop) {
+            match node::make(root.path(), root.prefix()).map(drop) {
                 Ok(()) => {
                     root.close_to_others();
                     return Ok(root);
@@ -220,7 +153,7 @@ mod tests {
             prefix: format!("{}_bare", root.prefix()),
             folder: RunFolder::create(base.path()).unwrap(),
         };
-        drop(services::make_node(&bare).unwrap());
+        drop(node::make(bare.path(), bare.prefix()).unwrap());
         let open = bare.open_to_others();
         assert!(
             open.len() == 1 && open[0].contains("global_mgmt"),

@@ -8,9 +8,10 @@ use iceoryx2::prelude::*;
 use crate::arm::Arm;
 use crate::header::{FrameHeader, monotonic_ns};
 use crate::link::{FrameSink, FrameSlot, SealedFrame, SendError};
+use crate::node::{ServiceError, refused};
 use crate::ready::Ready;
 use crate::root::SharedRoot;
-use crate::services::{LOANED_FRAMES, MAX_FRAME_PIXELS, ServiceError, Services, refused};
+use crate::services::{LOANED_FRAMES, MAX_FRAME_PIXELS, Services};
 
 /// What happens to a frame when the host's buffer is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,23 +56,23 @@ impl FrameSender {
                 Overflow::Wait => BackpressureStrategy::RetryUntilDelivered,
             })
             .create()
-            .map_err(refused("publish frames", root))?;
+            .map_err(refused("publish frames", root.path()))?;
         let notifier = services
             .wake
             .notifier_builder()
             .create()
-            .map_err(refused("notify of frames", root))?;
+            .map_err(refused("notify of frames", root.path()))?;
         let arm = services
             .arm
             .subscriber_builder()
             .history_request(1)
             .create()
-            .map_err(refused("subscribe to the arming", root))?;
+            .map_err(refused("subscribe to the arming", root.path()))?;
         let ready = services
             .ready
             .publisher_builder()
             .create()
-            .map_err(refused("speak for the camera", root))?;
+            .map_err(refused("speak for the camera", root.path()))?;
         Ok(Self {
             publisher,
             notifier,

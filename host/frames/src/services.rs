@@ -7,6 +7,7 @@ use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::arm::Arm;
 use crate::header::FrameHeader;
+use crate::node::{self, ServiceError, not_a_place, refused};
 use crate::ready::Ready;
 use crate::root::SharedRoot;
 
@@ -23,28 +24,6 @@ pub const MAX_FRAME_PIXELS: usize = 1920 * 1200;
 pub const SEGMENT_BYTES: usize =
     (BUFFERED_FRAMES + BORROWED_FRAMES + LOANED_FRAMES) * MAX_FRAME_PIXELS * size_of::<u16>();
 
-/// Why a service cannot be had.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ServiceError {
-    /// The root's path or prefix cannot name services.
-    #[error("{path} cannot hold services: the path is too long or has odd characters")]
-    Path {
-        /// The root.
-        path: String,
-    },
-    /// iceoryx2 refused.
-    #[error("cannot {action} in {path}: {reason}")]
-    Refused {
-        /// What was asked for.
-        action: &'static str,
-        /// The root.
-        path: String,
-        /// The library's own reason.
-        reason: String,
-    },
-}
-
 pub(super) type FrameService = publish_subscribe::PortFactory<ipc::Service, [u16], FrameHeader>;
 pub(super) type ArmService = publish_subscribe::PortFactory<ipc::Service, Arm, ()>;
 pub(super) type ReadyService = publish_subscribe::PortFactory<ipc::Service, Ready, ()>;
@@ -59,47 +38,6 @@ pub(super) struct Services {
     pub wake: WakeService,
     // Dropped last: ports, services, node.
     pub _node: Node<ipc::Service>,
-}
-
-/// Turns a library error into ours.
-pub(super) fn refused<E: std::fmt::Debug>(
-    action: &'static str,
-    root: &SharedRoot,
-) -> impl FnOnce(E) -> ServiceError {
-    let path = root.path().display().to_string();
-    move |error| ServiceError::Refused {
-        action,
-        path,
-        reason: format!("{error:?}"),
-    }
-}
-
-fn not_a_place(root: &SharedRoot) -> ServiceError {
-    ServiceError::Path {
-        path: root.path().display().to_string(),
-    }
-}
-
-/// A node below `root`, with every service file in its folder and every segment under its prefix.
-pub(super) fn make_node(root: &SharedRoot) -> Result<Node<ipc::Service>, ServiceError> {
-    set_log_level(LogLevel::Fatal);
-    let named = || not_a_place(root);
-    let mut config = Config::default();
-    config.global.set_root_path(
-        &Path::new(root.path().as_os_str().as_encoded_bytes()).map_err(|_| named())?,
-    );
-    config.global.prefix = FileName::new(root.prefix().as_bytes()).map_err(|_| named())?;
-    // A killed peer's half-made files can keep the library's own cleaning waiting for ever, and none is needed: the
-    // root is this run's alone, and its owner removes it whole.
-    config.global.node.cleanup_dead_nodes_on_creation = false;
-    config.global.node.cleanup_dead_nodes_on_destruction = false;
-    config.global.service.cleanup_dead_nodes_on_open = false;
-    NodeBuilder::new()
-        .config(&config)
-        // Signals belong to the program, not to a library.
-        .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>()
-        .map_err(refused("create a node", root))
 }
 
 /// A service of one writer and one reader in which only the newest word counts.
@@ -123,8 +61,9 @@ fn newest<T: std::fmt::Debug + ZeroCopySend>(
 impl Services {
     /// Opens the services below `root`, or makes them: the host does so before it starts the camera process.
     pub fn open(root: &SharedRoot) -> Result<Self, ServiceError> {
-        let node = make_node(root)?;
-        let named = || not_a_place(root);
+        let path = root.path();
+        let node = node::make(path, root.prefix())?;
+        let named = || not_a_place(path);
         let name = |text: &str| ServiceName::new(text).map_err(|_| named());
         let frames = node
             .service_builder(&name("frames")?)
@@ -140,10 +79,10 @@ impl Services {
             .max_subscribers(1)
             .max_nodes(4)
             .open_or_create()
-            .map_err(refused("open the frame service", root))?;
-        let arm = newest(&node, &name("arm")?).map_err(refused("open the arming service", root))?;
+            .map_err(refused("open the frame service", path))?;
+        let arm = newest(&node, &name("arm")?).map_err(refused("open the arming service", path))?;
         let ready =
-            newest(&node, &name("ready")?).map_err(refused("open the camera's service", root))?;
+            newest(&node, &name("ready")?).map_err(refused("open the camera's service", path))?;
         let wake = node
             .service_builder(&name("wake")?)
             .event()
@@ -151,7 +90,7 @@ impl Services {
             .max_listeners(1)
             .max_nodes(4)
             .open_or_create()
-            .map_err(refused("open the frame-ready event", root))?;
+            .map_err(refused("open the frame-ready event", path))?;
         Ok(Self {
             frames,
             arm,

@@ -24,7 +24,7 @@ pub struct Subject {
     /// The instrument that looks at it.
     pub station: Arc<StationSettings>,
     /// How the head is known, in words: signed, trusted by somebody, or unsigned.
-    pub head_seal: Option<String>,
+    pub head_seal: String,
     /// The station's key, and what it believes.
     pub seals: Seals,
     /// BLAKE3 of the files they came from.
@@ -37,17 +37,17 @@ impl Subject {
     pub fn die(&self) -> DieKey {
         // A gear is names and numbers: nothing of it can fail to be JSON.
         let gear = serde_json::to_string(&self.tool.gear).unwrap_or_default();
-        let of = |cad: &String| files::hash(format!("{cad} {gear}").as_bytes());
+        let cad = self.hashes.get("cad").map_or("", String::as_str);
         DieKey {
             tool: self.tool.name.clone(),
-            geometry: self.hashes.get("cad").map(of),
+            geometry: files::hash(format!("{cad} {gear}").as_bytes()),
             serial: self.tool.serial.clone(),
         }
     }
 
     /// What a result says of where it comes from, found in this setting.
     pub(crate) fn origin(&self, setting: &Setting) -> Origin {
-        Origin::new(Some(setting), self.head_id())
+        Origin::new(setting, self.head_id())
     }
 
     /// The head that looks, and how it is known.

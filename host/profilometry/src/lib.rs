@@ -2,7 +2,6 @@
 //!
 //! ```text
 //!  gray         reflected Gray code: which stripe of the projector lights a cell
-//!  bend         fringes that are not straight
 //!  pattern      the projected fringes: frequencies and their phase steps, and a code
 //!  frame        one camera frame, borrowed where it lies
 //!  io           other people's files: grey images, OpenCV calibrations
@@ -45,7 +44,6 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord)]
 
 pub mod accumulate;
-pub mod bend;
 pub mod calibrate;
 pub mod cells;
 pub mod cloud;
@@ -61,7 +59,6 @@ pub mod triangulate;
 pub mod unwrap;
 
 pub use accumulate::{Accumulator, PhasorsError};
-pub use bend::Bend;
 pub use decode::{Cloud, DecodeError, DecodeOptions, Decoded, Decoder};
 pub use frame::{FrameError, FrameKind, FrameLevel, FrameView, Picture};
 pub use head::HeadModel;

@@ -5,7 +5,6 @@ use std::f64::consts::TAU;
 use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};
 
-use crate::bend::{Bend, BendError};
 use crate::gray::{GrayCode, MAX_BITS};
 
 /// One frequency: `steps` frames of the same sinusoid, shifted by `TAU / steps` from frame to frame.
@@ -62,12 +61,6 @@ impl Axis {
             Self::Rows => 1,
         }
     }
-
-    /// Of a projector's columns and rows, those along what the fringes count, and across it.
-    #[must_use]
-    pub fn along_and_across<T: Copy>(self, of: [T; 2]) -> [T; 2] {
-        [of[self.index()], of[1 - self.index()]]
-    }
 }
 
 /// Which way the fringes move from step to step.
@@ -104,9 +97,6 @@ pub struct PatternSet {
     /// A code that tells the stripe, shown after the fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub code: Option<GrayCode>,
-    /// How fringes and code are bent; without it they are straight. "Column" then means what straight ones would count.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bend: Option<Bend>,
 }
 
 /// One picture of a set.
@@ -194,9 +184,6 @@ pub enum PatternError {
         /// Its stripes.
         got: f64,
     },
-    /// Fringes cannot be bent so.
-    #[error("bend: {0}")]
-    Bend(#[from] BendError),
     /// The first stripe begins nowhere near the projector.
     #[error(
         "the first stripe of the Gray code begins at column {got}: must be within a projector's width of column 0"
@@ -239,11 +226,6 @@ impl PatternError {
                 got,
                 "must be within a projector's width of column 0",
             ),
-            Self::Bend(ref error) => BadValue {
-                key: "bend".into(),
-                got: "this table".into(),
-                expected: error.to_string().into(),
-            },
             Self::UnknownName { ref name } => BadValue::new("pattern_set", name, KNOWN_SETS),
         }
     }
@@ -330,7 +312,6 @@ impl PatternSet {
             step_sign,
             axis,
             code: None,
-            bend: None,
         })
     }
 
@@ -356,25 +337,12 @@ impl PatternSet {
         Ok(Self { code, ..self })
     }
 
-    /// The same set, bent.
-    ///
-    /// # Errors
-    /// [`PatternError::Bend`].
-    pub fn with_bend(self, bend: Option<Bend>) -> Result<Self, PatternError> {
-        if let Some(bend) = &bend {
-            bend.check()?;
-        }
-        Ok(Self { bend, ..self })
-    }
-
     /// The same set, if it is within the limits: one that was read from a file is not known to be.
     ///
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
     pub fn checked(self) -> Result<Self, PatternError> {
-        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)?
-            .with_code(self.code)?
-            .with_bend(self.bend)
+        Self::with_convention(self.name, self.sets, self.step_sign, self.axis)?.with_code(self.code)
     }
 
     /// One of the instrument's own sets, [`NAMED`].

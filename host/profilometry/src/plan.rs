@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::bend::Bend;
 use crate::frame::FrameKind;
 use crate::gray::GrayCode;
 use crate::head::Sensor;
@@ -55,7 +54,6 @@ struct PlanFile {
     #[serde(default)]
     set: Vec<SetFile>,
     gray_code: Option<CodeFile>,
-    bend: Option<Bend>,
 }
 
 /// Which way the stripes run.
@@ -126,7 +124,6 @@ impl Plan {
             file.fringes_along.axis(),
         )
         .and_then(|patterns| patterns.with_code(gray_code(&file)))
-        .and_then(|patterns| patterns.with_bend(file.bend.clone()))
         .map_err(|error| bad_pattern(&error, &order))?;
         let total = exposures_us.len() * patterns.frames_per_exposure() + 1;
         if total > MAX_FRAMES {
@@ -604,25 +601,5 @@ mod tests {
             key("[[set]]\nperiods = 2\nsteps = 3\nframes = ['a.png']"),
             "set[0].frames"
         );
-    }
-
-    #[test]
-    fn a_plan_says_how_its_fringes_are_bent() {
-        let text = "pattern_set = 'high12'\n[bend]\nspacing_px = [400.0, 400.0]\n";
-        let four = "[0.0, 10.0, -10.0, 0.0]";
-        let good = plan(&format!(
-            "{text}shift_px = [{four}, {four}, {four}, {four}]"
-        ))
-        .unwrap();
-        assert_eq!(good.patterns.bend.unwrap().shift_px[3][1], 10.0);
-        // Backwards, and not a grid.
-        for (bad, said) in [
-            ("[0.0, 410.0, 0.0, 0.0]", "times as dense"),
-            ("[0.0, 1.0]", "2 coefficients in list 3"),
-        ] {
-            let error = plan(&format!("{text}shift_px = [{four}, {four}, {four}, {bad}]"));
-            let expected = error.unwrap_err().expected;
-            assert!(expected.contains(said), "{expected}");
-        }
     }
 }

@@ -40,15 +40,13 @@ pub struct Baseline {
     pub tool: String,
     /// BLAKE3 of tool file, CAD and head file: a difference only means wear when all three are the same.
     pub hashes: BTreeMap<String, String>,
-    /// Whether it is of the simulated bench; files of earlier releases do not say.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub simulated: Option<bool>,
+    /// Whether it is of the simulated bench.
+    pub simulated: bool,
     /// The flanks.
     pub flanks: Vec<Reference>,
     /// What each view said of its own pose about the axis, with the neighbours in it.
     pub poses: Vec<PoseEvidence>,
-    /// What each view showed beside its own tooth; files of earlier releases do not have it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// What each view showed beside its own tooth.
     pub in_view: Vec<ViewReference>,
 }
 
@@ -227,7 +225,7 @@ impl Baseline {
                 });
             }
         }
-        if baseline.simulated.is_some_and(|there| there != simulated) {
+        if baseline.simulated != simulated {
             let path = path.to_owned();
             return Err(BaselineError::OtherKind { path, simulated });
         }

@@ -7,35 +7,23 @@ use serde::Serialize;
 /// Two checks are of the same die when both name a serial number and it is the same; where one of them names none, when
 /// either the tool's name or its geometry is the same. So a no-go is not shed by another name, nor by another CAD alone;
 /// dies of one design are told apart by their serial numbers.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct DieKey {
     /// Name of the tool.
     pub tool: String,
-    /// BLAKE3 of CAD and gear data; checks of earlier releases have none.
-    pub geometry: Option<String>,
+    /// BLAKE3 of CAD and gear data.
+    pub geometry: String,
     /// Serial number in the tool file.
     pub serial: Option<String>,
 }
 
 impl DieKey {
-    /// A die of which only the name is known.
-    #[must_use]
-    pub fn named(tool: &str) -> Self {
-        Self {
-            tool: tool.into(),
-            ..Self::default()
-        }
-    }
-
     /// Whether it may be the same die.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         match (&self.serial, &other.serial) {
             (Some(one), Some(two)) => one == two,
-            _ => {
-                self.tool == other.tool
-                    || self.geometry.is_some() && self.geometry == other.geometry
-            }
+            _ => self.tool == other.tool || self.geometry == other.geometry,
         }
     }
 }

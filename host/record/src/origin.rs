@@ -96,33 +96,29 @@ pub struct HeadId {
     pub name: String,
     /// BLAKE3 of its file.
     pub blake3: String,
-    /// How it is known: signed, trusted by somebody, or unsigned; absent where an earlier release did not say.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub seal: Option<String>,
+    /// How it is known: built in, signed, trusted by somebody, or unsigned.
+    pub seal: String,
 }
 
 impl HeadId {
     /// Its name, and how it is known.
     #[must_use]
     pub fn words(&self) -> String {
-        match &self.seal {
-            Some(seal) => format!("{} ({seal})", self.name),
-            None => self.name.clone(),
-        }
+        format!("{} ({})", self.name, self.seal)
     }
 }
 
-/// What a result says of where it comes from. Of results that earlier releases stored, nothing is known.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+/// What a result says of where it comes from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Origin {
     /// `sim`, `qemu`, the controller's port, `recorded frames` or `recorded clouds`.
-    pub link: Option<String>,
+    pub link: String,
     /// Whether it is of the simulated bench: no real die was looked at.
-    pub simulated: Option<bool>,
+    pub simulated: bool,
     /// The head.
-    pub head: Option<HeadId>,
+    pub head: HeadId,
     /// Name of the station.
-    pub station: Option<String>,
+    pub station: String,
     /// Who ran it.
     pub operator: Option<String>,
     /// The recording, of recorded frames or clouds.
@@ -133,50 +129,39 @@ pub struct Origin {
 impl Origin {
     /// Of a result that an instrument in this setting found with this head.
     #[must_use]
-    pub fn new(setting: Option<&Setting>, head: HeadId) -> Self {
+    pub fn new(setting: &Setting, head: HeadId) -> Self {
         Self {
-            link: setting.map(|setting| setting.link.to_string()),
-            simulated: setting.map(|setting| setting.link.is_simulated()),
-            head: Some(head),
-            station: setting.map(|setting| setting.station.clone()),
-            operator: setting.and_then(|setting| setting.operator.clone()),
-            recording: match setting.map(|setting| &setting.link) {
-                Some(Link::Recorded(of) | Link::Clouds(of)) => Some(of.clone()),
+            link: setting.link.to_string(),
+            simulated: setting.link.is_simulated(),
+            head,
+            station: setting.station.clone(),
+            operator: setting.operator.clone(),
+            recording: match &setting.link {
+                Link::Recorded(of) | Link::Clouds(of) => Some(of.clone()),
                 _ => None,
             },
         }
     }
 
-    /// Whether it is known to be of the simulated bench.
-    #[must_use]
-    pub fn is_simulated(&self) -> bool {
-        self.simulated == Some(true)
-    }
-
     /// What was looked at, in words.
     #[must_use]
     pub fn place(&self) -> String {
-        let through = |what: &str| match &self.link {
-            Some(link) => format!("{what} ({link})"),
-            None => what.to_owned(),
+        let what = match self.simulated {
+            true => "simulated bench",
+            false => "press",
         };
-        match self.simulated {
-            Some(true) => through("simulated bench"),
-            Some(false) => through("press"),
-            None => "unknown: stored by an earlier release".into(),
-        }
+        format!("{what} ({})", self.link)
     }
 
     /// Each particular with its name, for a table.
     #[must_use]
     pub fn particulars(&self) -> Vec<(&'static str, String)> {
-        let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "–".into());
-        let head = self.head.as_ref();
+        let operator = self.operator.as_deref().unwrap_or("–");
         vec![
             ("looked at", self.place()),
-            ("station", or_dash(&self.station)),
-            ("operator", or_dash(&self.operator)),
-            ("head", or_dash(&head.map(HeadId::words))),
+            ("station", self.station.clone()),
+            ("operator", operator.into()),
+            ("head", self.head.words()),
         ]
     }
 }
@@ -207,21 +192,19 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_origin_says_so() {
-        let unknown = Origin::default();
-        assert!(unknown.place().contains("unknown") && !unknown.is_simulated());
+    fn an_origin_says_what_was_looked_at() {
         let head = HeadId {
             name: "head".into(),
             blake3: String::new(),
-            seal: None,
+            seal: "unsigned".into(),
         };
         let setting = Setting {
             link: Link::Qemu,
             station: "press 7".into(),
             operator: None,
         };
-        let known = Origin::new(Some(&setting), head);
+        let known = Origin::new(&setting, head);
         assert_eq!(known.place(), "simulated bench (qemu)");
-        assert_eq!(known.simulated, Some(true));
+        assert!(known.simulated);
     }
 }

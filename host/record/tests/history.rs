@@ -2,11 +2,14 @@
 
 mod inspections;
 
+use std::path::Path;
+
 use flankscope_metrology::verdict::{Code, Word};
 use flankscope_record::die::DieKey;
 use flankscope_record::document::{FeatureId, Inspection};
 use flankscope_record::history::{History, HistoryError, HistoryWriter, Retention, csv, series};
 use flankscope_record::origin::{HeadId, Link, Origin, Setting};
+use flankscope_record::seal::Seals;
 use flankscope_record::sink::ResultSink;
 use inspections::{inspection, seals};
 use rusqlite::Connection;
@@ -21,6 +24,14 @@ fn writer(history: History) -> HistoryWriter {
         },
         "tester".into(),
     )
+}
+
+fn die_key(tool: &str) -> DieKey {
+    DieKey {
+        tool: tool.into(),
+        geometry: format!("geometry of {tool}"),
+        serial: None,
+    }
 }
 
 fn word(text: &str) -> Word {
@@ -81,7 +92,7 @@ fn rows_are_only_added() {
     history
         .record(&inspection(1, Word::NoGo, "worn"), None)
         .unwrap();
-    history.acknowledge(&DieKey::named("die"), "Ada").unwrap();
+    history.acknowledge(&die_key("die"), "Ada").unwrap();
     history.audit("Ada", "looked", "at it").unwrap();
     history.keep_baseline("abc", "die", "{}").unwrap();
     let connection = Connection::open(&path).unwrap();
@@ -101,14 +112,10 @@ fn rows_are_only_added() {
 }
 
 #[test]
-fn files_of_others_and_of_later_releases_are_refused_by_name() {
+fn files_of_others_and_of_other_layouts_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    drop(History::open(&path("later.db"), &seals()).unwrap());
-    Connection::open(path("later.db"))
-        .unwrap()
-        .pragma_update(None, "user_version", 5)
-        .unwrap();
+    drop(History::open(&path("layout.db"), &seals()).unwrap());
     Connection::open(path("other.db"))
         .unwrap()
         .execute_batch("CREATE TABLE something (x)")
@@ -118,18 +125,30 @@ fn files_of_others_and_of_later_releases_are_refused_by_name() {
         "no database at all, but long enough to be read as one",
     )
     .unwrap();
-    for open in [History::open, History::read] {
-        let later = open(&path("later.db"), &seals()).unwrap_err();
+    for (open, layout) in [
+        (History::open as fn(&Path, &Seals) -> _, 2),
+        (History::read, 0),
+    ] {
+        Connection::open(path("layout.db"))
+            .unwrap()
+            .pragma_update(None, "user_version", layout)
+            .unwrap();
+        let other_layout = open(&path("layout.db"), &seals()).unwrap_err();
         assert!(
             matches!(
-                later,
-                HistoryError::Newer {
-                    got: 5,
-                    known: 4,
+                other_layout,
+                HistoryError::Layout {
+                    got,
+                    expected: 1,
                     ..
-                }
+                } if got == layout
             ),
-            "{later}"
+            "{other_layout}"
+        );
+        let said = other_layout.to_string();
+        assert!(
+            said.contains(&format!("layout {layout},")) && said.contains("writes layout 1"),
+            "{said}"
         );
         let other = open(&path("other.db"), &seals()).unwrap_err();
         assert!(
@@ -334,27 +353,22 @@ fn what_is_open_ends_with_an_acknowledgement() {
         history.record(&inspection(1, verdict, ""), None).unwrap();
     }
     assert_eq!(
-        history.open_verdicts(&DieKey::named("die")).unwrap(),
+        history.open_verdicts(&die_key("die")).unwrap(),
         ["go", "no-go", "go"].map(word)
     );
     assert!(
         history
-            .open_verdicts(&DieKey::named("another die"))
+            .open_verdicts(&die_key("another die"))
             .unwrap()
             .is_empty()
     );
-    history.acknowledge(&DieKey::named("die"), "Ada").unwrap();
-    assert!(
-        history
-            .open_verdicts(&DieKey::named("die"))
-            .unwrap()
-            .is_empty()
-    );
+    history.acknowledge(&die_key("die"), "Ada").unwrap();
+    assert!(history.open_verdicts(&die_key("die")).unwrap().is_empty());
     history
         .record(&inspection(2, Word::Warn, ""), None)
         .unwrap();
     assert_eq!(
-        history.open_verdicts(&DieKey::named("die")).unwrap(),
+        history.open_verdicts(&die_key("die")).unwrap(),
         [Word::Warn]
     );
     let noted = history.acknowledgements("die").unwrap();
@@ -374,10 +388,10 @@ fn check_at(link: &str, press_cycles: u32) -> Inspection {
     let head = HeadId {
         name: "demo, 20 mm".into(),
         blake3: "ab".repeat(32),
-        seal: Some("signed".into()),
+        seal: "signed".into(),
     };
     Inspection {
-        origin: Origin::new(Some(&setting), head),
+        origin: Origin::new(&setting, head),
         ..inspection(press_cycles, Word::Go, "all is well")
     }
 }
@@ -427,7 +441,7 @@ fn a_check_says_where_it_comes_from_in_row_document_and_table() {
     history.record(&stored, None).unwrap();
     let checks = history.checks("die").unwrap();
     assert_eq!(checks[0].origin, stored.origin);
-    assert!(checks[0].origin.is_simulated());
+    assert!(checks[0].origin.simulated);
     let document: serde_json::Value = serde_json::from_str(&history.document(1).unwrap()).unwrap();
     for (key, value) in [
         ("id", serde_json::json!(1)),
@@ -456,87 +470,6 @@ fn a_check_says_where_it_comes_from_in_row_document_and_table() {
     assert!(lines.all(|line| line.ends_with(&row)), "{table}");
 }
 
-/// The tables as the first release made them, with a check.
-const LAYOUT_1: &str = "
-CREATE TABLE baseline (blake3 TEXT PRIMARY KEY, at TEXT NOT NULL, tool TEXT NOT NULL, document TEXT NOT NULL) STRICT;
-CREATE TABLE inspection (
-    id INTEGER PRIMARY KEY AUTOINCREMENT,
-    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
-    tool TEXT NOT NULL,
-    tool_cycles INTEGER NOT NULL CHECK (tool_cycles >= 0),
-    press_cycles INTEGER NOT NULL CHECK (press_cycles >= 0),
-    baseline TEXT REFERENCES baseline (blake3),
-    verdict TEXT NOT NULL CHECK (verdict IN ('go', 'warn', 'no-go', 'indeterminate')),
-    reason TEXT NOT NULL,
-    document TEXT NOT NULL
-) STRICT;
-CREATE INDEX inspection_of_tool ON inspection (tool, id);
-CREATE TABLE flank (
-    inspection INTEGER NOT NULL REFERENCES inspection (id),
-    tooth INTEGER NOT NULL,
-    flank TEXT NOT NULL CHECK (flank IN ('left', 'right')),
-    wear_um REAL, u95_um REAL, warn_um REAL NOT NULL, limit_um REAL NOT NULL,
-    verdict TEXT NOT NULL, code TEXT,
-    PRIMARY KEY (inspection, tooth, flank)
-) STRICT, WITHOUT ROWID;
-CREATE TABLE acknowledgement (id INTEGER PRIMARY KEY AUTOINCREMENT,
-    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')), tool TEXT NOT NULL, who TEXT NOT NULL,
-    inspection INTEGER REFERENCES inspection (id)) STRICT;
-CREATE TABLE audit (id INTEGER PRIMARY KEY AUTOINCREMENT,
-    at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')), who TEXT NOT NULL, what TEXT NOT NULL,
-    detail TEXT NOT NULL) STRICT;
-CREATE TRIGGER inspection_keeps_UPDATE BEFORE UPDATE ON inspection
-    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
-INSERT INTO inspection (tool, tool_cycles, press_cycles, verdict, reason, document)
-    VALUES ('die', 100, 100, 'no-go', 'worn', '{}');
-INSERT INTO flank VALUES (1, 12, 'left', 60.0, 4.0, 30.0, 50.0, 'no-go', NULL);
-PRAGMA application_id = 0x464C4E4B;
-PRAGMA user_version = 1;
-";
-
-#[test]
-fn an_earlier_layout_is_brought_up_and_its_checks_are_of_unknown_origin() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("press.db");
-    Connection::open(&path)
-        .unwrap()
-        .execute_batch(LAYOUT_1)
-        .unwrap();
-    let unknown = |history: &History, checks: usize| {
-        let stored = history.checks("die").unwrap();
-        assert_eq!(stored.len(), checks);
-        assert_eq!(stored[0].origin, Origin::default());
-        assert!(stored[0].origin.place().contains("unknown"));
-        assert_eq!(history.of_unknown_origin().unwrap(), 1);
-    };
-    // Who only reads changes nothing.
-    let reader = History::read(&path, &seals()).unwrap();
-    unknown(&reader, 1);
-    assert_eq!(reader.kind().unwrap(), None);
-    let mut history = History::open(&path, &seals()).unwrap();
-    unknown(&history, 1);
-    unknown(&reader, 1);
-    assert_eq!(
-        history.open_verdicts(&DieKey::named("die")).unwrap(),
-        [Word::NoGo],
-        "it still stands"
-    );
-    assert_eq!(history.record(&check_at("sim", 120), None).unwrap(), 2);
-    unknown(&reader, 2);
-    assert!(history.takes(false).is_err());
-    let checks = history.checks("die").unwrap();
-    assert_eq!(checks[1].tool_cycles, 120, "counted on");
-    // No trend mixes what may be a bench's with what is.
-    let found = series(&checks);
-    assert!(
-        found.iter().all(|flank| flank.points.len() == 1),
-        "{found:?}"
-    );
-    // Opening it again changes nothing more.
-    drop(history);
-    unknown(&History::open(&path, &seals()).unwrap(), 2);
-}
-
 /// What the file says is one of four words and a known reason, or it is not read: nothing is taken for a go.
 #[test]
 fn words_outlive_the_file_and_strange_ones_are_refused() {
@@ -554,15 +487,12 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
             (flank.verdict, flank.code),
             (verdict, stored.features[0].code)
         );
-        assert_eq!(
-            history.open_verdicts(&DieKey::named("die")).unwrap(),
-            [verdict]
-        );
+        assert_eq!(history.open_verdicts(&die_key("die")).unwrap(), [verdict]);
     }
-    let path = folder.path().join("strange.db");
+    let path = folder.path().join("go.db");
     Connection::open(&path)
         .unwrap()
-        .execute_batch(&LAYOUT_1.replace("'no-go', NULL)", "'no-go', 'bewitched')"))
+        .execute_batch("DROP TRIGGER flank_keeps_UPDATE; UPDATE flank SET code = 'bewitched'")
         .unwrap();
     let error = History::read(&path, &seals())
         .unwrap()
@@ -573,26 +503,6 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
         "{error}"
     );
 }
-
-/// The table of flanks as layout 3 had it, with what is in it.
-const FLANKS_OF_LAYOUT_3: &str = "
-DROP TRIGGER flank_keeps_UPDATE;
-DROP TRIGGER flank_keeps_DELETE;
-CREATE TABLE earlier (
-    inspection INTEGER NOT NULL REFERENCES inspection (id),
-    tooth INTEGER NOT NULL,
-    flank TEXT NOT NULL CHECK (flank IN ('left', 'right')),
-    wear_um REAL, u95_um REAL, warn_um REAL NOT NULL, limit_um REAL NOT NULL,
-    verdict TEXT NOT NULL, code TEXT,
-    PRIMARY KEY (inspection, tooth, flank)
-) STRICT, WITHOUT ROWID;
-INSERT INTO earlier SELECT inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code FROM flank;
-DROP TABLE flank;
-ALTER TABLE earlier RENAME TO flank;
-CREATE TRIGGER flank_keeps_UPDATE BEFORE UPDATE ON flank BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
-CREATE TRIGGER flank_keeps_DELETE BEFORE DELETE ON flank BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
-PRAGMA user_version = 3;
-";
 
 /// A check of one patch.
 fn of_patch(press_cycles: u32, place: u32, name: &str) -> Inspection {
@@ -606,9 +516,8 @@ fn of_patch(press_cycles: u32, place: u32, name: &str) -> Inspection {
     check
 }
 
-/// The rows of an earlier layout move to another table: they are the same links of the chain, and as protected as before.
 #[test]
-fn a_history_of_flanks_takes_patches_and_keeps_its_chain() {
+fn a_history_of_flanks_takes_patches() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("press.db");
     let mut history = History::open(&path, &seals()).unwrap();
@@ -617,19 +526,7 @@ fn a_history_of_flanks_takes_patches_and_keeps_its_chain() {
             .record(&inspection(cycles, Word::Go, ""), None)
             .unwrap();
     }
-    let before = history.checks("die").unwrap();
-    drop(history);
-    Connection::open(&path)
-        .unwrap()
-        .execute_batch(FLANKS_OF_LAYOUT_3)
-        .unwrap();
-    // Who only reads changes nothing.
     let reader = History::read(&path, &seals()).unwrap();
-    reader.verify().unwrap();
-    assert_eq!(reader.checks("die").unwrap(), before);
-    let mut history = History::open(&path, &seals()).unwrap();
-    history.verify().unwrap();
-    assert_eq!(history.checks("die").unwrap(), before);
     // Another patch was put before it in the tool file: it is still the same.
     for (cycles, place) in [(24, 1), (32, 2)] {
         history

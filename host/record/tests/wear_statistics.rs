@@ -5,6 +5,7 @@ use flankscope_record::document::FeatureId;
 use flankscope_record::history::{
     Check, FlankRow, Forecast, LEAST_POINTS, Passage, Point, Series, Trend, changes, series,
 };
+use flankscope_record::origin::{HeadId, Origin};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -227,7 +228,18 @@ fn a_series_is_of_one_life_of_the_tool_and_of_one_baseline() {
         baseline: baseline.map(str::to_owned),
         verdict,
         reason: String::new(),
-        origin: flankscope_record::origin::Origin::default(),
+        origin: Origin {
+            link: "sim".into(),
+            simulated: true,
+            head: HeadId {
+                name: "head".into(),
+                blake3: String::new(),
+                seal: "unsigned".into(),
+            },
+            station: "press 7".into(),
+            operator: None,
+            recording: None,
+        },
         serial: None,
         flanks: vec![FlankRow {
             id: left(7),

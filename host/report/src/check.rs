@@ -64,7 +64,7 @@ pub fn html(inspection: &Inspection) -> Result<String, askama::Error> {
     let details = inspection.features.iter().filter_map(|f| f.detail.as_ref());
     let page = Page {
         inspection,
-        simulated: inspection.origin.is_simulated(),
+        simulated: inspection.origin.simulated,
         facts: facts(
             &inspection.date,
             &inspection.tool,

@@ -20,7 +20,6 @@ struct Page<'a> {
     facts: Vec<Fact>,
     words: &'static Words,
     simulated: bool,
-    unknown: usize,
     overlay: String,
     flanks: Vec<Flank<'a>>,
     listed: Vec<&'a Check>,
@@ -80,11 +79,7 @@ pub fn history_html(
             )
         }),
         words: Words::of(forecasts.iter().map(|of| &of.id)),
-        simulated: checks.iter().any(|check| check.origin.is_simulated()),
-        unknown: checks
-            .iter()
-            .filter(|check| check.origin.simulated.is_none())
-            .count(),
+        simulated: checks.iter().any(|check| check.origin.simulated),
         overlay: overlay(forecasts, &known),
         flanks: flanks.collect(),
         listed: checks.iter().rev().take(LISTED).collect(),
@@ -140,7 +135,7 @@ mod tests {
     use super::*;
     use flankscope_record::document::FeatureId;
     use flankscope_record::history::{Point, Series};
-    use flankscope_record::origin::Origin;
+    use flankscope_record::origin::{HeadId, Origin};
 
     fn left(tooth: u32) -> FeatureId {
         FeatureId {
@@ -185,7 +180,18 @@ mod tests {
             baseline: None,
             verdict,
             reason: "because".into(),
-            origin: Origin::default(),
+            origin: Origin {
+                link: "sim".into(),
+                simulated: true,
+                head: HeadId {
+                    name: "head".into(),
+                    blake3: String::new(),
+                    seal: "unsigned".into(),
+                },
+                station: "press 7".into(),
+                operator: None,
+                recording: None,
+            },
             serial: None,
             flanks: vec![row(12, verdict), row(40, Word::Go)],
         }

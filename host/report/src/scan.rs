@@ -100,7 +100,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
         |cell: &Cell| colour::sequential(f64::from(cell.views) / f64::from(most_views.max(1)));
     let page = Page {
         scan,
-        simulated: scan.origin.is_simulated(),
+        simulated: scan.origin.simulated,
         facts: facts(
             &scan.date,
             &scan.tool,

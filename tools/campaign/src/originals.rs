@@ -71,7 +71,7 @@ impl Originals {
             .concat(),
             1,
         )?;
-        let pictures = "patterns --adaptive tool --tooth 40 --bend -o adaptive --quiet";
+        let pictures = "patterns --adaptive tool --tooth 40 -o adaptive --quiet";
         run(&pictures.split(' ').collect::<Vec<_>>(), 0)?;
         // The images' hashes are what would refuse a mutant of one: whoever can write them can leave them out.
         let index = folder.join("worn/frames.toml");
@@ -131,7 +131,6 @@ impl Originals {
         write("head.yml", OPENCV)?;
         write("station.toml", STATION)?;
         write("focus.toml", FOCUS)?;
-        write("bent.toml", BENT)?;
         write("poses.csv", POSES)?;
         write("image.png", &png()?)?;
         write("image.pgm", &pgm())?;
@@ -165,7 +164,6 @@ pub const FILES: &[(&str, Structure, u32)] = &[
     ("target/target.toml", Structure::Toml, 8),
     ("focus.toml", Structure::Toml, 4),
     ("worn/PLAN.toml", Structure::Toml, 6),
-    ("bent.toml", Structure::Toml, 4),
     ("adaptive/adaptive.json", Structure::Json, 3),
     ("worn/frames.toml", Structure::Toml, 6),
     ("clouds/clouds.toml", Structure::Toml, 5),
@@ -192,8 +190,6 @@ const ASCII_STL: &[u8] = b"solid one\nfacet normal 0 0 1\nouter loop\nvertex 0 0
 facet normal 0 0 1\nouter loop\nvertex 10 0 0\nvertex 10 10 0\nvertex 0 10 0\nendloop\nendfacet\nendsolid one\n";
 const CLOUD_PLY: &[u8] = b"ply\nformat ascii 1.0\ncomment mm\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n\
 property float quality\nend_header\n1.5 2 3 0.5\n-4 5 6 1\n7 8 9.25 0\n10 11 12 1\n";
-const BENT: &[u8] = b"pattern_set = 'high12'\n[bend]\nspacing_px = [400.0, 400.0]\nshift_px = [[0.0, 9.5, -9.5, 0.0], [0.0, 9.0, -9.0, 0.0], \
-[0.0, 8.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]]\n";
 const OPENCV: &[u8] = b"%YAML:1.0\n---\n\
 Kc: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1200., 0., 640., 0., 1200., 512., 0., 0., 1. ]\n\
 kc: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 0.01, 0., 0., 0., 0. ]\n\

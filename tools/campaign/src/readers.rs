@@ -147,7 +147,7 @@ impl Readers {
             }
             "target/target.toml" => accepted(Target::load(&path))?,
             "focus.toml" => accepted(FocusSeries::load(&path))?,
-            "worn/PLAN.toml" | "bent.toml" => accepted(Plan::load(&path))?,
+            "worn/PLAN.toml" => accepted(Plan::load(&path))?,
             "adaptive/adaptive.json" => accepted(Adaptive::open(&self.place("adaptive")))?,
             "worn/frames.toml" => accepted(Recording::open(&self.place("worn")))?,
             "clouds/clouds.toml" => accepted(CloudRecording::open(&self.place("clouds")))?,
@@ -202,8 +202,7 @@ impl Readers {
         Ok(Outcome::Accepted)
     }
 
-    /// Believed only where every check says what it said. It lies where the station knows one to be: of an unknown place, a
-    /// history of an earlier release that signed nothing would be believed.
+    /// Believed only where every check says what it said. It lies where the station knows one to be.
     fn history(&self, content: &[u8]) -> anyhow::Result<Outcome> {
         let _one_at_a_time = PLACE.lock().unwrap_or_else(PoisonError::into_inner);
         let outcome = self.history_there(content);

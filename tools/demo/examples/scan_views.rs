@@ -34,7 +34,7 @@ fn main() -> Result<()> {
         temperature_degc: None,
         station: Arc::default(),
         baseline: None,
-        head_seal: None,
+        head_seal: "unsigned".into(),
         seals: flankscope_record::seal::Seals::passing()?,
         hashes: BTreeMap::new(),
     };

@@ -9,6 +9,7 @@
 
 mod captures;
 mod files;
+mod head;
 mod target;
 mod tile;
 
@@ -17,7 +18,8 @@ use std::path::PathBuf;
 use flankscope_bench::files::MadeHead;
 
 pub use captures::{TargetView, target_views, write_captures};
-pub use files::{head, head_of, write_tool};
+pub use files::write_tool;
+pub use head::{head, head_of};
 pub use target::{drawn_head, drawn_head_of, target, target_of, target_world, write_target};
 pub use tile::{core_map, core_map_of, flat_field};
 

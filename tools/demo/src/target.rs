@@ -14,7 +14,8 @@ use flankscope_profilometry::calibrate::{
 use flankscope_profilometry::head::Limits;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
-use crate::files::{head_of, transform_file, transform_of, write_optics};
+use crate::files::write_optics;
+use crate::head::{head_of, transform_file, transform_of};
 
 /// Where the head clears the target: as far up as above the die.
 const RETRACT_MM: f64 = 86.0;

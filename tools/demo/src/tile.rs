@@ -11,7 +11,7 @@ use flankscope_profilometry::FrameView;
 use flankscope_profilometry::calibrate::cores::{self, FlatField};
 use flankscope_profilometry::head::{CoreMap, CoreMapFile};
 
-use crate::files::head_of;
+use crate::head::head_of;
 
 /// Evenly lit at full brightness, a tile fills the well as a white plate under fringes does in one and a half times the time.
 const WHITE_SHARE: f64 = 2.0 / 3.0;

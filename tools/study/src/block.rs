@@ -218,7 +218,7 @@ impl<'a> Block<'a> {
         Ok(Baseline {
             tool: tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
-            simulated: Some(true),
+            simulated: true,
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
             in_view: Vec::new(),

@@ -108,7 +108,7 @@ impl Instrument {
             temperature_degc: degc,
             station: Arc::default(),
             baseline: baseline.map(Arc::new),
-            head_seal: None,
+            head_seal: "unsigned".into(),
             seals: flankscope_record::seal::Seals::passing()?,
             hashes: std::collections::BTreeMap::new(),
         };

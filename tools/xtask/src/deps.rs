@@ -143,7 +143,7 @@ pub fn check(root: &Path) -> Result<(), String> {
 }
 
 /// The folders of all crates, each of which must be a room of the table.
-fn crates(root: &Path) -> Result<Vec<String>, String> {
+pub fn crates(root: &Path) -> Result<Vec<String>, String> {
     let mut found = Vec::new();
     for folder in ["protocol", "firmware", "host", "tools", "tests"] {
         find_crates(root, Path::new(folder), &mut found)?;

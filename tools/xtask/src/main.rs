@@ -292,5 +292,5 @@ fn run(mut command: Command) -> Result<(), String> {
 /// The arrows between the crates, and within them.
 fn arrows(root: &Path) -> Result<(), String> {
     deps::check(root)?;
-    circles::check(root)
+    circles::check(root, &deps::crates(root)?)
 }

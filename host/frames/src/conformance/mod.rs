@@ -19,8 +19,8 @@ pub use rig::{CommandRig, Rig};
 
 use crate::header::FrameLabel;
 use crate::link::{ReceiveError, SendError};
-use crate::root::RootError;
-use crate::services::ServiceError;
+use crate::node::ServiceError;
+use crate::root_error::RootError;
 
 /// What the suite may expect of a camera.
 #[derive(Clone, Copy, Debug)]

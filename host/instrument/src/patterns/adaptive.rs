@@ -3,12 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::bend::BendError;
+use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::{HeadModel, Mirrors};
-use flankscope_profilometry::{Bend, PatternSet};
 use serde::{Deserialize, Serialize};
 
-use super::evenly::FringeWidths;
 use super::light::PatternLight;
 use super::loading::{Loading, loading};
 use super::passes::{Passes, PassesError, Region};
@@ -32,12 +30,6 @@ pub struct Adaptive {
     pub mirrors: Mirrors,
     /// The passes, in the order in which they are shown.
     pub passes: Vec<Pass>,
-    /// How fringes are bent in all passes; none: they are straight.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bend: Option<Bend>,
-    /// How wide the finest fringes are on the flanks.
-    #[serde(skip_deserializing)]
-    pub fringe_widths: Option<FringeWidths>,
     /// What a view takes.
     pub time: CaptureTime,
     /// What the controllers need until the pictures of a view are there.
@@ -123,8 +115,6 @@ pub fn write_adaptive(
         margin_mm: passes.margin_mm(),
         mirrors,
         passes: written,
-        bend: set.bend.clone(),
-        fringe_widths: passes.fringe_widths(set.finest().periods, set.bend.as_ref()),
         time,
         loading: loading(mirrors, patterns).to_vec(),
     };
@@ -144,7 +134,7 @@ impl Adaptive {
     /// Reads what was written into a folder.
     ///
     /// # Errors
-    /// [`AdaptiveError::Read`], [`AdaptiveError::Format`], [`AdaptiveError::Bend`].
+    /// [`AdaptiveError::Read`], [`AdaptiveError::Format`].
     pub fn open(folder: &Path) -> Result<Self, AdaptiveError> {
         let path = folder.join(Self::FILE);
         let failed = |reason: String| {
@@ -157,10 +147,6 @@ impl Adaptive {
         if read.format != Self::FORMAT {
             let got = read.format;
             return Err(AdaptiveError::Format { path, got });
-        }
-        if let Some(bend) = &read.bend {
-            bend.check()?;
-            bend.check_reach([read.mirrors.columns, read.mirrors.rows])?;
         }
         Ok(read)
     }
@@ -222,7 +208,6 @@ impl Adaptive {
                 .into_iter()
                 .map(lit_ratio)
                 .collect::<Result<_, _>>()?,
-            bend: self.bend.clone(),
         })
     }
 }
@@ -293,9 +278,6 @@ pub enum AdaptiveError {
         /// Their margin, mm.
         margin_mm: f64,
     },
-    /// Fringes cannot be bent so.
-    #[error("bend: {0}; make the pictures anew")]
-    Bend(#[from] BendError),
     /// No passes by drawing and head.
     #[error(transparent)]
     Passes(#[from] PassesError),

@@ -1,14 +1,12 @@
 //! The light of a pattern set as shown: in passes, or once by all mirrors.
 
-use flankscope_profilometry::{Bend, HeadModel};
+use flankscope_profilometry::HeadModel;
 
 /// What a check must know of the light of its patterns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PatternLight {
     /// Share of all mirrors' light that each pass gives; none: the patterns are shown once, by all mirrors.
     pub lit_ratios: Vec<f64>,
-    /// How fringes are bent.
-    pub bend: Option<Bend>,
 }
 
 impl PatternLight {
@@ -19,9 +17,6 @@ impl PatternLight {
             1 => Vec::new(),
             several => vec![1.0; several],
         };
-        Self {
-            lit_ratios,
-            bend: None,
-        }
+        Self { lit_ratios }
     }
 }

@@ -4,7 +4,6 @@
 //! number 0 is black, which every DMD controller can show without a picture.
 
 mod adaptive;
-mod evenly;
 mod light;
 mod loading;
 mod passes;
@@ -12,17 +11,15 @@ mod passes;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::head::{Arrangement, Mirrors};
 use flankscope_profilometry::pattern::{Axis, Shown};
-use flankscope_profilometry::{Bend, PatternSet};
 use flankscope_protocol::pattern_memory::{Place, Plane};
-use rayon::prelude::*;
 use serde::Serialize;
 
 use flankscope_foundation::files::{hash, write_whole};
 
 pub use adaptive::{Adaptive, AdaptiveError, CaptureTime, Pass, write_adaptive};
-pub use evenly::{FringeWidths, best_density};
 pub use light::PatternLight;
 pub use loading::Loading;
 pub use passes::{Passes, PassesError, Region};
@@ -61,9 +58,6 @@ pub struct Manifest {
     pub mirrors: Mirrors,
     /// How the pictures are stored.
     pub packing: Packing,
-    /// How the fringes are bent, if they are.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub bend: Option<Bend>,
     /// Who drives the LED.
     pub led: &'static str,
     /// What pattern 0 is.
@@ -178,17 +172,6 @@ pub fn brightness(set: &PatternSet, picture: Shown, mirrors: Mirrors) -> Vec<u8>
         (255.0 * share).round() as u8
     };
     let columns = mirrors.columns as usize;
-    if let Some(bend) = &set.bend {
-        let of_mirror = |column: u32, row: u32| {
-            let place = [mirrors.column_px(column, row), f64::from(row)];
-            let [width_px, _] = set.axis.along_and_across([mirrors.columns, mirrors.rows]);
-            shown(bend.shown_px(set.axis.along_and_across(place)), width_px)
-        };
-        return (0..mirrors.rows)
-            .into_par_iter()
-            .flat_map_iter(|row| (0..mirrors.columns).map(move |column| of_mirror(column, row)))
-            .collect();
-    }
     if set.axis == Axis::Rows {
         return (0..mirrors.rows)
             .flat_map(|row| std::iter::repeat_n(shown(f64::from(row), mirrors.rows), columns))
@@ -237,7 +220,6 @@ fn write_lit(
         set: set.name.clone(),
         mirrors,
         packing,
-        bend: set.bend.clone(),
         led: "driven by the controller board, not by the DMD's: LED select 0 (none) in the table of a DLPC350 or DLPC900",
         black: match packing {
             Packing::Dlpc900 => "image 0",

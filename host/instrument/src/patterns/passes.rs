@@ -15,7 +15,6 @@ use flankscope_foundation::order::median;
 use flankscope_foundation::rigid::{Camera, Projector, RigidError};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
-use flankscope_profilometry::bend::DENSITY;
 use flankscope_profilometry::head::{HeadModel, Mirrors};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -34,8 +33,6 @@ struct Met {
     region: Region,
     /// On a matt surface: cosine by square of the distance.
     brightness: f64,
-    /// In the tool frame, mm.
-    point: Vector3<f64>,
 }
 
 /// What a pass lights.
@@ -73,8 +70,6 @@ pub struct Passes {
     margin_mm: f64,
     /// Blocks in a row.
     columns: usize,
-    /// What each block's light meets, row by row.
-    met: Vec<Option<Met>>,
     /// For each pass, whether a block is lit, row by row.
     lit: [Vec<bool>; 3],
     /// For each pass, how bright its lit mirrors are.
@@ -99,12 +94,6 @@ pub enum PassesError {
         "a margin of {got} mm: must be 0 to 2 mm, what the pose may be off before the first frame"
     )]
     Margin {
-        /// What was asked for.
-        got: f64,
-    },
-    /// Not a density.
-    #[error("fringes {got} times as dense as straight ones: must be 1 to {}", DENSITY[1])]
-    Density {
         /// What was asked for.
         got: f64,
     },
@@ -171,7 +160,6 @@ impl Passes {
             Some(Met {
                 region,
                 brightness: cosine.max(0.0) / away.norm_squared(),
-                point: met.point.into(),
             })
         };
         let met: Vec<Option<Met>> = (0..columns * rows).into_par_iter().map(meets).collect();
@@ -203,46 +191,9 @@ impl Passes {
             view: view.clone(),
             margin_mm,
             columns,
-            met,
             lit,
             brightness_ratios: [1.0, 1.0, dimmed],
         })
-    }
-
-    /// How wide one column is on the flank that a block lights, mm; none where it or its neighbours light something else, or nothing.
-    ///
-    /// Columns and rows run over the face as the vectors a and b from mirror to mirror; stripes along b lie |a x b| / |b| apart.
-    fn flank_column_mm(&self, column: usize, row: usize) -> Option<f64> {
-        let rows = self.met.len() / self.columns;
-        let own = self.met[row * self.columns + column].filter(|met| met.region != Region::Rest)?;
-        let beside = |columns: [usize; 2], rows: [usize; 2]| {
-            let met = [0, 1].map(|end| {
-                let met = self.met[rows[end] * self.columns + columns[end]];
-                met.filter(|met| met.region == own.region)
-            });
-            let [Some(before), Some(after)] = met else {
-                return None;
-            };
-            let blocks = (columns[1] - columns[0]) + (rows[1] - rows[0]);
-            Some((after.point - before.point) / (blocks as f64 * f64::from(BLOCK)))
-        };
-        let around = |at: usize, end: usize| [at.saturating_sub(1), (at + 1).min(end - 1)];
-        let along = beside(around(column, self.columns), [row; 2])?;
-        let down = beside([column; 2], around(row, rows))?;
-        let width_mm = along.cross(&down).norm() / down.norm();
-        (width_mm.is_finite() && width_mm > 0.0).then_some(width_mm)
-    }
-
-    /// Columns and rows of blocks, and the mirrors along a block's side.
-    pub(super) fn blocks(&self) -> ([usize; 2], u32) {
-        ([self.columns, self.met.len() / self.columns], BLOCK)
-    }
-
-    /// How wide one column is on the flanks, mm: of every block, row by row; none where a block and its neighbours do not light one
-    /// flank.
-    pub(super) fn flank_columns_mm(&self) -> Vec<Option<f64>> {
-        let of = |block: usize| self.flank_column_mm(block % self.columns, block / self.columns);
-        (0..self.met.len()).map(of).collect()
     }
 
     /// How the mirrors lie.

@@ -193,7 +193,6 @@ impl ViewPlan {
     /// What is shown in other light.
     pub(crate) fn lit(mut self, light: PatternLight) -> Self {
         self.lit_ratios = light.lit_ratios;
-        self.patterns.bend = light.bend;
         self
     }
 
@@ -201,7 +200,6 @@ impl ViewPlan {
     pub(crate) fn light(&self) -> PatternLight {
         PatternLight {
             lit_ratios: self.lit_ratios.clone(),
-            bend: self.patterns.bend.clone(),
         }
     }
 
@@ -310,7 +308,6 @@ impl ViewPlan {
         let Some(recorded) = &recipe.recorded else {
             let light = PatternLight {
                 lit_ratios: recipe.lit_ratios.clone(),
-                bend: recipe.bend.clone(),
             };
             return Ok(Self::new(tool, head, Some(&recipe.teeth))?.lit(light));
         };

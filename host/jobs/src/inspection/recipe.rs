@@ -25,7 +25,6 @@ pub(crate) fn recipe(subject: &Subject, plan: &ViewPlan) -> Recipe {
     });
     Recipe {
         teeth,
-        bend: light.bend.filter(|_| by_files),
         recorded,
         pattern_set: plan.patterns.name.clone(),
         lit_ratios: light.lit_ratios,

@@ -6,7 +6,7 @@ use flankscope_foundation::date::Date;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::{Bend, FringeSet, HeadModel, PatternSet};
+use flankscope_profilometry::{FringeSet, HeadModel, PatternSet};
 
 use super::failure;
 use super::job::{InspectError, Station};
@@ -202,7 +202,6 @@ struct PlanOfFrames<'a> {
     dark_first: bool,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     set: &'a [FringeSet],
-    bend: Option<&'a Bend>,
 }
 
 impl<'a> PlanOfFrames<'a> {
@@ -216,7 +215,6 @@ impl<'a> PlanOfFrames<'a> {
             exposures_us: &plan.exposures_us,
             dark_first: plan.dark_frame,
             set: if known { &[] } else { &patterns.sets },
-            bend: patterns.bend.as_ref(),
         }
     }
 }

@@ -13,7 +13,7 @@ use crate::inspection::{
 };
 use crate::subject::Subject;
 use flankscope_record::baseline::Baseline;
-use flankscope_record::document::{Evidence, Recipe, unsaid};
+use flankscope_record::document::{Evidence, Recipe};
 use flankscope_record::history::{Difference, History, HistoryError, row_differences};
 
 /// Why a check cannot be computed again.
@@ -65,7 +65,7 @@ pub enum ReplayError {
 pub struct Replay {
     /// Its number.
     pub id: i64,
-    /// Where the check comes from, as its document says; empty where an earlier release stored it.
+    /// Where the check comes from, as its document says.
     #[serde(flatten)]
     pub origin: BTreeMap<&'static str, Value>,
     /// The stored verdict.
@@ -158,8 +158,8 @@ impl Replay {
         }
         let recipe = recipe(&subject, &plan);
         subject.hashes.insert("recipe", recipe.hash());
-        let code = stored.stopped_code.unwrap_or_else(unsaid);
-        let stopped = stored.stopped.map(|why| Reason::instrument(code, why));
+        let stopped = stored.stopped.zip(stored.stopped_code);
+        let stopped = stopped.map(|(why, code)| Reason::instrument(code, why));
         let found = Findings::of(
             &subject.tool,
             &plan,
@@ -244,22 +244,13 @@ fn compare(what: &str, stored: &Value, now: &Value, differences: &mut Vec<Differ
                 compare(&format!("{what}.{i}"), a, b, differences);
             }
         }
-        _ if same(stored, now) || unsaid_then(what, stored, now) => {}
+        _ if same(stored, now) => {}
         _ => differences.push(Difference {
             what: what.to_owned(),
             stored: stored.clone(),
             now: now.clone(),
         }),
     }
-}
-
-/// Earlier releases had one word for all that was not measured; a more exact one is no difference.
-fn unsaid_then(what: &str, stored: &Value, now: &Value) -> bool {
-    let is_code = what.ends_with(".code");
-    let exact = now
-        .as_str()
-        .is_some_and(|word| word.parse::<Code>().is_ok());
-    is_code && exact && stored.as_str() == Some(unsaid().word())
 }
 
 /// Numbers are compared as they are, to the last bit.
@@ -287,12 +278,5 @@ mod tests {
         compare("r", &json!([1, 2]), &json!([1]), &mut differences);
         compare("r", &json!(0.0), &json!(-0.0), &mut differences);
         assert_eq!(differences.len(), 2);
-        differences.clear();
-        let once = json!({ "code": "not_measured", "reason": "not_measured" });
-        let now = json!({ "code": "frames_missing", "reason": "frames_missing" });
-        compare("f", &once, &now, &mut differences);
-        compare("f", &now, &once, &mut differences);
-        let names: Vec<&str> = differences.iter().map(|d| d.what.as_str()).collect();
-        assert_eq!(names, ["f.reason", "f.code", "f.reason"]);
     }
 }

@@ -33,7 +33,7 @@ use crate::inspection::ViewPlan;
 /// Density of the reference points that the merged cloud is compared with, per mm²: chosen near the one at which a perfect piece has
 /// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74. It names none, and what it says allows 3 to 1700
 /// (docs/density.md).
-const MERGED_PER_MM2: f64 = 50.0;
+pub(super) const MERGED_PER_MM2: f64 = 50.0;
 
 /// Which scattered points go: those farther from their neighbours than most are from theirs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

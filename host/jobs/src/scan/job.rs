@@ -223,7 +223,7 @@ impl Scanner {
     /// The earlier result cannot be used.
     pub fn against(&mut self, earlier: Option<&Path>) -> Result<(), ReferenceError> {
         let cad = self.subject.hashes.get("cad").map(String::as_str);
-        let simulated = Some(self.setting.link.is_simulated());
+        let simulated = self.setting.link.is_simulated();
         let load = |path: &Path| Reference::load(path, cad, simulated, &self.subject.seals);
         self.reference = earlier.map(load).transpose()?;
         Ok(())

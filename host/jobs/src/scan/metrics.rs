@@ -13,13 +13,12 @@ use flankscope_metrology::tool::Tool;
 use serde::Serialize;
 
 use super::cell_observations::Laid;
+use super::hinz2019::MERGED_PER_MM2;
 use super::result::Scan;
 use super::session::{Session, SessionError};
 
 /// Reference points of one view in the article's window.
 const VIEW_SAMPLES: usize = 100_000;
-/// Reference points of the whole bore, per mm²: with these its mean deviation is that of the article's merged cloud.
-const BORE_SAMPLES_PER_MM2: f64 = 50.0;
 /// Reference points of the raster, per cell of the unrolled bore.
 const RASTER_SAMPLES_PER_CELL: f64 = 8.0;
 /// Points of an end face lie within this of it, mm.
@@ -112,7 +111,7 @@ pub(super) fn compare(
         radial_threshold_mm: gear.radial_threshold_mm,
     };
     let middle = [1.0, 0.0, 0.0];
-    let count = (BORE_SAMPLES_PER_MM2 * gear.area_mm2()).clamp(1.0, 1e7) as usize;
+    let count = (MERGED_PER_MM2 * gear.area_mm2()).clamp(1.0, 1e7) as usize;
     let reference = whole.sample(middle, &tool.mesh, count, 2)?;
     let merged = spread(&points, &exact_mm, &reference)?;
 

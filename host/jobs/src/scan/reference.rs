@@ -76,12 +76,9 @@ pub enum ReferenceError {
 struct Document {
     verdict: String,
     reason: String,
-    features: Vec<Entry>,
-    /// Absent in those of earlier releases, whose features are all flanks that were seen.
-    flank_means: Option<Vec<Entry>>,
+    flank_means: Vec<Entry>,
     hashes: BTreeMap<String, String>,
-    /// Absent in those of earlier releases.
-    simulated: Option<bool>,
+    simulated: bool,
 }
 
 #[derive(Deserialize)]
@@ -106,7 +103,7 @@ impl Reference {
     pub fn load(
         path: &Path,
         cad: Option<&str>,
-        simulated: Option<bool>,
+        simulated: bool,
         seals: &Seals,
     ) -> Result<Self, ReferenceError> {
         let path = if path.is_dir() {
@@ -132,15 +129,12 @@ impl Reference {
                 expected: expected.into(),
             });
         }
-        if let (Some(there), Some(simulated)) = (document.simulated, simulated)
-            && there != simulated
-        {
+        if document.simulated != simulated {
             return Err(ReferenceError::OtherKind { path, simulated });
         }
         seals.believe(Kind::Scan, &path, &sealed)?;
         let of = |entry: &Entry| flank_mean(entry.tooth, &entry.flank, entry.mean_um);
-        let entries = document.flank_means.as_ref().unwrap_or(&document.features);
-        let flanks: Vec<FlankMean> = entries.iter().filter_map(of).collect();
+        let flanks: Vec<FlankMean> = document.flank_means.iter().filter_map(of).collect();
         if flanks.is_empty() {
             return Err(ReferenceError::Empty {
                 path,

@@ -17,7 +17,7 @@ use flankscope_foundation::files::{hash, write_whole};
 use flankscope_record::seal::{Kind, SealError, Seals};
 
 const MANIFEST: &str = "manifest.json";
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 1;
 
 /// Why a session folder cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -148,8 +148,6 @@ codes! {
     NotCapable = "not_capable", "measure with less uncertainty, or ask for a wider class";
     /// A figure of the gear could not be told.
     NotTold = "not_told", "see its next step in the table";
-    /// Not measured; an earlier release did not say which of the above.
-    NotMeasured = "not_measured", "see the sentence beside it";
 }
 
 /// Not the word of a reason.
@@ -393,19 +391,6 @@ mod tests {
             let json = serde_json::to_string(&code).unwrap();
             assert_eq!(json, format!("\"{word}\""));
             assert_eq!(serde_json::from_str::<Code>(&json).unwrap(), code);
-        }
-    }
-
-    /// Files of earlier releases hold these words.
-    #[test]
-    fn words_that_were_once_written_keep_their_meaning() {
-        for (word, code) in [
-            ("undecidable", Code::Undecidable),
-            ("detection_limit", Code::Detection),
-            ("not_measured", Code::NotMeasured),
-            ("prior_violated", Code::PriorViolated),
-        ] {
-            assert_eq!(word.parse(), Ok(code));
         }
     }
 

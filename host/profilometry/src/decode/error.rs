@@ -1,6 +1,5 @@
 //! Why nothing can be decoded.
 
-use crate::bend::BendError;
 use crate::frame::FrameKind;
 
 /// Why a head, a pattern set and exposures do not make a decoder, or a view no cloud.
@@ -19,9 +18,6 @@ pub enum DecodeError {
         /// Which.
         got: Vec<u32>,
     },
-    /// Fringes cannot be bent so.
-    #[error("bent patterns: {0}")]
-    Bend(#[from] BendError),
     /// Nothing known about the camera's counts.
     #[error("the head says nothing about its sensor: give [sensor] in head.toml")]
     NoSensor,

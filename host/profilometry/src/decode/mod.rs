@@ -144,12 +144,7 @@ impl Decoder {
                 },
             });
         }
-        if let Some(bend) = &patterns.bend {
-            bend.check()?;
-            let size_px = [head.projector.width_px, head.projector.height_px];
-            bend.check_reach(patterns.axis.along_and_across(size_px))?;
-        }
-        let triangulator = Triangulator::new(head, patterns.axis).bent(patterns.bend.clone());
+        let triangulator = Triangulator::new(head, patterns.axis);
         let rays = rays(head, patterns, all_orders, &grid, &triangulator)?;
         let finest = patterns.finest();
         let origin_rad = |set: &FringeSet| {

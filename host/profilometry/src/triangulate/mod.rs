@@ -2,7 +2,6 @@
 
 mod head;
 
-use crate::bend::Bend;
 use crate::head::{HeadModel, ImageCircle, Pinhole};
 use crate::pattern::Axis;
 
@@ -28,8 +27,6 @@ pub struct Triangulator {
     distorted: bool,
     /// Where the projector's fringes count.
     circle: Option<ImageCircle>,
-    /// How the sheets of light are bent; what is called a column is then what straight ones would count.
-    bend: Option<Bend>,
 }
 
 /// The column must be met to this; a millionth of it is far below any calibration.
@@ -46,14 +43,7 @@ impl Triangulator {
             translation_mm: head.projector_from_camera.translation_mm,
             distorted: !head.projector.is_ideal(),
             circle: head.projector_circle,
-            bend: None,
         }
-    }
-
-    /// The same for patterns that are bent.
-    #[must_use]
-    pub fn bent(self, bend: Option<Bend>) -> Self {
-        Self { bend, ..self }
     }
 
     /// The projector column of the point `depth_mm (x, y, 1)` and its derivative by depth; `None` behind the projector.
@@ -90,27 +80,16 @@ impl Triangulator {
         let [u, v] = [x / z, y / z];
         let [du, dv] = [(a[0] - u * a[2]) / z, (a[1] - v * a[2]) / z];
         let (focal, principal) = (self.projector.focal_px, self.projector.principal_px);
-        let place = |axis: usize| {
-            let (value, slope) = match self.distorted {
-                false => ([u, v][axis], [du, dv][axis]),
-                true => {
-                    let distorted = self.projector.distort([u, v]);
-                    let gradient = [distorted.gradient_x, distorted.gradient_y][axis];
-                    (distorted.value[axis], gradient[0] * du + gradient[1] * dv)
-                }
-            };
-            (focal[axis] * value + principal[axis], focal[axis] * slope)
+        let axis = self.axis;
+        let (value, slope) = match self.distorted {
+            false => ([u, v][axis], [du, dv][axis]),
+            true => {
+                let distorted = self.projector.distort([u, v]);
+                let gradient = [distorted.gradient_x, distorted.gradient_y][axis];
+                (distorted.value[axis], gradient[0] * du + gradient[1] * dv)
+            }
         };
-        let (column, slope) = place(self.axis);
-        let Some(bend) = &self.bend else {
-            return Some((column, slope));
-        };
-        let (row, across) = place(1 - self.axis);
-        let shift = bend.at([column, row]);
-        Some((
-            column + shift.shift_px,
-            slope * (1.0 + shift.along) + across * shift.across,
-        ))
+        Some((focal[axis] * value + principal[axis], focal[axis] * slope))
     }
 
     /// The depth at which the ray `(x, y, 1)` (undistorted image plane) lies in the sheet of `column_px`.
@@ -192,56 +171,6 @@ mod tests {
             };
             assert!(lit_within(away_px + 1e-6) && !lit_within(away_px - 1e-6));
             assert!(columns.is_lit(ray, 20.7));
-        }
-    }
-
-    /// Bent sheets of light by bisection over the depth: no Newton, no derivatives.
-    #[test]
-    fn a_ray_meets_a_bent_sheet_where_bisection_finds_it() {
-        let head = head();
-        for axis in [Axis::Columns, Axis::Rows] {
-            let size_px = [head.projector.width_px, head.projector.height_px];
-            let size_px = axis.along_and_across(size_px);
-            let bend = Bend::with_nodes([16.0, 64.0], size_px, |[along, across]| {
-                6.0 * (along / 60.0).sin() + 0.02 * across
-            });
-            bend.check().unwrap();
-            let straight = Triangulator::new(&head, axis);
-            let bent = straight.clone().bent(Some(bend.clone()));
-            let mut met = 0;
-            for ray in [[0.0, 0.0], [0.1, -0.05], [-0.15, 0.1], [0.02, 0.17]] {
-                // By the definition of the shift: where the point lies straight, and what is shown there.
-                let shown = |depth_mm: f64| {
-                    let own = straight.column(ray, depth_mm).unwrap().0;
-                    let other = Triangulator::new(&head, [Axis::Rows, Axis::Columns][axis.index()]);
-                    bend.shown_px([own, other.column(ray, depth_mm).unwrap().0])
-                };
-                let wanted = shown(20.7);
-                let (value, slope) = bent.column(ray, 20.7).unwrap();
-                assert!((value - wanted).abs() < 1e-9);
-                let step = 1e-5;
-                let by_steps = (shown(20.7 + step) - shown(20.7 - step)) / (2.0 * step);
-                assert!((slope / by_steps - 1.0).abs() < 1e-6, "{slope} {by_steps}");
-                let (mut near, mut far) = (19.0, 22.5);
-                if (shown(near) - wanted) * (shown(far) - wanted) >= 0.0 {
-                    continue;
-                }
-                for _ in 0..60 {
-                    let middle = 0.5 * (near + far);
-                    match (shown(middle) - wanted) * (shown(near) - wanted) > 0.0 {
-                        true => near = middle,
-                        false => far = middle,
-                    }
-                }
-                let hit = bent.intersect(ray, wanted).unwrap();
-                assert!(
-                    (hit.depth_mm - near).abs() < 1e-9,
-                    "{} {near}",
-                    hit.depth_mm
-                );
-                met += 1;
-            }
-            assert!(met > 1, "{axis:?}: {met}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::head::Sensor;
-use flankscope_profilometry::{Accumulator, Bend, PatternSet};
+use flankscope_profilometry::{Accumulator, PatternSet};
 use serde::{Deserialize, Serialize};
 
 use flankscope_foundation::files;
@@ -18,9 +18,6 @@ pub struct Recipe {
     /// Share of all mirrors' light that each pass of the patterns gives; none: they are shown once, by all mirrors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lit_ratios: Vec<f64>,
-    /// How fringes are bent, where they are and no recording's plan says so.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bend: Option<Bend>,
     /// Exposures, µs.
     pub exposures_us: Vec<u32>,
     /// What a point is made of: `core` or `pixel`.
@@ -74,20 +71,8 @@ pub struct Problem {
     /// In one sentence.
     #[serde(rename = "problem")]
     pub sentence: String,
-    /// What kind of reason; earlier releases did not say.
-    #[serde(default = "unsaid", skip_serializing_if = "is_unsaid")]
+    /// What kind of reason.
     pub code: Code,
-}
-
-/// What is taken for the kind of a reason that is stored without.
-#[must_use]
-pub fn unsaid() -> Code {
-    Code::NotMeasured
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
-fn is_unsaid(code: &Code) -> bool {
-    *code == unsaid()
 }
 
 impl From<&Reason> for Problem {

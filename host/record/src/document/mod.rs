@@ -18,7 +18,7 @@ pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
     Timing, Toothing, ViewRegistration, WeakDirection,
 };
-pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe, unsaid};
+pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub use feature_id::FeatureId;
 pub use flank_in_view::FlankInView;
 pub use identity::{IdentifiedBy, ToothIdentity};

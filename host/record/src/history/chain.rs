@@ -10,7 +10,7 @@ use super::error::HistoryError;
 use super::store::History;
 use crate::seal::{Anchor, Seals};
 
-/// Tables whose rows are links, with the column that names a row, in the order in which rows of an earlier layout are taken over.
+/// Tables whose rows are links, with the column that names a row, in the order in which [`History::trust`] links them anew.
 pub(super) const LINKED: [(&str, &str); 6] = [
     ("identity", "one"),
     ("kind", "one"),
@@ -85,7 +85,7 @@ fn digest(
 }
 
 /// All that a row says, with the flanks of a check: every value with its column's name, type and length. What is null is left
-/// out, so that a later layout's new columns change nothing of old rows.
+/// out.
 fn content(connection: &Connection, table: &str, key: &str) -> rusqlite::Result<Vec<u8>> {
     let column = LINKED
         .iter()
@@ -163,10 +163,6 @@ impl History {
             path: self.path().to_owned(),
             why,
         };
-        if self.layout()? < 3 {
-            // Nothing was signed then; that this station wrote a later layout here, `open` and `read` have looked.
-            return Ok(());
-        }
         let links = self.rows(
             "SELECT link, source, key, digest, station FROM chain ORDER BY link",
             [],
@@ -238,7 +234,7 @@ impl History {
                 why,
             })
         };
-        if self.layout()? < 3 || self.id()? != anchor.id {
+        if self.id()? != anchor.id {
             return broken("it is not the history that this station last wrote to here".into());
         }
         let there = self.rows(

@@ -30,17 +30,17 @@ pub enum HistoryError {
         /// A history's.
         expected: i32,
     },
-    /// Written by a later release.
+    /// Written by another release.
     #[error(
-        "history {} has layout {got}, this release knows layouts up to {known}; use the release that wrote it", path.display()
+        "history {} has layout {got}, this release reads and writes layout {expected}; use the release that wrote it", path.display()
     )]
-    Newer {
+    Layout {
         /// The file.
         path: PathBuf,
         /// Its layout.
         got: i32,
-        /// Latest known.
-        known: i32,
+        /// This release's.
+        expected: i32,
     },
     /// Simulated checks and real ones never share a history.
     #[error(

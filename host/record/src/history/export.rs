@@ -18,9 +18,8 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
     )?;
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for check in checks {
-        let head = check.origin.head.as_ref();
+        let origin = &check.origin;
         let text = |text: Option<&str>| text.map_or_else(String::new, quoted);
-        let simulated = check.origin.simulated.map(|yes| yes.to_string());
         for flank in &check.flanks {
             writeln!(
                 out,
@@ -40,12 +39,12 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 flank.limit_um,
                 flank.verdict,
                 flank.code.map_or("", Code::word),
-                text(check.origin.link.as_deref()),
-                simulated.as_deref().unwrap_or_default(),
-                text(head.map(|head| head.name.as_str())),
-                head.map_or("", |head| head.blake3.as_str()),
-                text(check.origin.station.as_deref()),
-                text(check.origin.operator.as_deref()),
+                quoted(&origin.link),
+                origin.simulated,
+                quoted(&origin.head.name),
+                origin.head.blake3,
+                quoted(&origin.station),
+                text(origin.operator.as_deref()),
                 text(flank.id.patch.as_deref()),
             )?;
         }

@@ -14,7 +14,7 @@ use crate::die::DieKey;
 #[derive(Serialize, Deserialize)]
 struct Holder {
     tool: String,
-    geometry: Option<String>,
+    geometry: String,
     serial: Option<String>,
     who: String,
     since: String,

@@ -23,7 +23,6 @@ pub struct Difference {
 pub fn row_differences(check: &Check, document: &Value) -> Vec<Difference> {
     let mut differences = Vec::new();
     let origin = &check.origin;
-    let head = origin.head.as_ref();
     let mut told = |what: String, row: Value, said: &Value| {
         if row != *said {
             differences.push(Difference {
@@ -52,19 +51,15 @@ pub fn row_differences(check: &Check, document: &Value) -> Vec<Difference> {
         ("simulated", json!(origin.simulated), &document["simulated"]),
         ("station", json!(origin.station), &document["station"]),
         ("operator", json!(origin.operator), &document["operator"]),
-        (
-            "head",
-            json!(head.map(|h| &h.name)),
-            &document["head"]["name"],
-        ),
+        ("head", json!(origin.head.name), &document["head"]["name"]),
         (
             "head_blake3",
-            json!(head.map(|h| &h.blake3)),
+            json!(origin.head.blake3),
             &document["head"]["blake3"],
         ),
         (
             "head_seal",
-            json!(head.and_then(|h| h.seal.as_ref())),
+            json!(origin.head.seal),
             &document["head"]["seal"],
         ),
     ] {
@@ -104,8 +99,8 @@ impl History {
     /// There is no such check, or its document is no JSON.
     pub fn row_differences(&self, id: i64) -> Result<Vec<Difference>, HistoryError> {
         let text = self.document(id)?;
-        let document = serde_json::from_str(&text)
-            .map_err(|source| HistoryError::Stored { id, source })?;
+        let document =
+            serde_json::from_str(&text).map_err(|source| HistoryError::Stored { id, source })?;
         Ok(row_differences(&self.check(id)?, &document))
     }
 }

@@ -32,7 +32,7 @@ pub struct Check {
     pub verdict: Word,
     /// Why.
     pub reason: String,
-    /// Where it comes from; nothing is known of the checks of layout 1.
+    /// Where it comes from.
     #[serde(flatten)]
     pub origin: Origin,
     /// Serial number of the tool, where its file names one.
@@ -122,25 +122,14 @@ impl History {
         condition: &str,
         parameter: impl rusqlite::ToSql + Copy,
     ) -> Result<Vec<Check>, HistoryError> {
-        // A file of layout 1 that is only read stays as it is.
-        let origin = match self.layout()? {
-            ..2 => "NULL, NULL, NULL, NULL, NULL, NULL, NULL, NULL",
-            2 => "link, simulated, head, head_blake3, station, operator, NULL, NULL",
-            _ => "link, simulated, head, head_blake3, station, operator, serial, head_seal",
-        };
         let mut checks = self.rows(
             &format!(
-                "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason, {origin} FROM inspection \
+                "SELECT id, at, tool, tool_cycles, press_cycles, baseline, verdict, reason, \
+                 link, simulated, head, head_blake3, head_seal, station, operator, serial FROM inspection \
                  WHERE {condition} ORDER BY id"
             ),
             [parameter],
             |row| {
-                let (name, blake3): (Option<String>, Option<String>) = (row.get(10)?, row.get(11)?);
-                let head = name.map(|name| HeadId {
-                    name,
-                    blake3: blake3.unwrap_or_default(),
-                    seal: row.get(15).unwrap_or_default(),
-                });
                 Ok(Check {
                     id: row.get(0)?,
                     at: row.get(1)?,
@@ -153,20 +142,23 @@ impl History {
                     origin: Origin {
                         link: row.get(8)?,
                         simulated: row.get(9)?,
-                        head,
-                        station: row.get(12)?,
-                        operator: row.get(13)?,
+                        head: HeadId {
+                            name: row.get(10)?,
+                            blake3: row.get(11)?,
+                            seal: row.get(12)?,
+                        },
+                        station: row.get(13)?,
+                        operator: row.get(14)?,
                         recording: None,
                     },
-                    serial: row.get(14)?,
+                    serial: row.get(15)?,
                     flanks: Vec::new(),
                 })
             },
         )?;
-        let patch = if self.layout()? < 4 { "NULL" } else { "patch" };
         let flanks = self.rows(
             &format!(
-                "SELECT inspection, tooth, flank, {patch}, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
+                "SELECT inspection, tooth, flank, patch, wear_um, u95_um, warn_um, limit_um, flank.verdict, code FROM flank \
                  JOIN inspection ON inspection.id = inspection WHERE {condition} ORDER BY inspection, tooth, flank"
             ),
             [parameter],
@@ -294,7 +286,7 @@ impl History {
     /// # Errors
     /// [`HistoryError::Stripped`], or the file cannot be read.
     pub fn takes_head(&self, head: &HeadId) -> Result<(), HistoryError> {
-        if head.seal.as_deref() != Some("unsigned") {
+        if head.seal != "unsigned" {
             return Ok(());
         }
         let signed = self.rows(

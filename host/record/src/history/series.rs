@@ -35,18 +35,12 @@ pub struct Point {
 }
 
 /// The checks that can be compared with the last one: of the same life of the tool, which begins anew where its cycles
-/// fall back, with the same serial number, judged by the same baseline, and like it of the simulated bench, of a press, or of nobody knows what.
+/// fall back, with the same serial number, and judged by the same baseline.
 pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
     let fallen = checks
         .windows(2)
         .rposition(|pair| pair[1].tool_cycles < pair[0].tool_cycles);
-    let like = |check: &Check| {
-        (
-            check.baseline.clone(),
-            check.origin.simulated,
-            check.serial.clone(),
-        )
-    };
+    let like = |check: &Check| (check.baseline.clone(), check.serial.clone());
     let last = checks.last().map(like);
     checks[fallen.map_or(0, |at| at + 1)..]
         .iter()

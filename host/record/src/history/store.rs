@@ -9,9 +9,7 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, pa
 use super::chain;
 use super::error::HistoryError;
 use super::same_die::same_as_asked;
-use super::schema::{
-    APPLICATION_ID, FLANK_3_TO_4, FROM_1_TO_2, FROM_2_TO_3, KEPT, PHASORS, TABLES, VERSION,
-};
+use super::schema::{APPLICATION_ID, KEPT, TABLES, VERSION};
 use crate::die::DieKey;
 use crate::document::Inspection;
 use crate::origin::Origin;
@@ -29,10 +27,10 @@ pub struct History {
 }
 
 impl History {
-    /// Opens a history for writing; makes it where there is none, and brings an earlier layout up to this one.
+    /// Opens a history for writing; makes it where there is none.
     ///
     /// # Errors
-    /// The file cannot be opened, is none of this instrument, of a later release, or not the one that this station last
+    /// The file cannot be opened, is none of this instrument, of another layout, or not the one that this station last
     /// wrote to here.
     pub fn open(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         let mut anchor = seals.anchor(path)?;
@@ -66,7 +64,6 @@ impl History {
                 .pragma_update(None, name, value)
                 .map_err(sql("set it up"))?;
         }
-        history.not_set_back()?;
         history.make_tables()?;
         history.check_layout()?;
         Ok(history)
@@ -134,11 +131,6 @@ impl History {
         &mut self.connection
     }
 
-    /// Version of its tables.
-    pub(super) fn layout(&self) -> Result<i32, HistoryError> {
-        self.number("user_version")
-    }
-
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -164,10 +156,6 @@ impl History {
 
     /// Makes the tables of an empty file, all or none of them.
     fn make_tables(&self) -> Result<(), HistoryError> {
-        let pragma = |name: &str| -> rusqlite::Result<i32> {
-            self.connection
-                .pragma_query_value(None, name, |row| row.get(0))
-        };
         let make = || {
             // Another process may be making them at the same time: the lock comes before the look.
             self.connection.execute_batch("BEGIN IMMEDIATE")?;
@@ -182,29 +170,6 @@ impl History {
                     .pragma_update(None, "application_id", APPLICATION_ID)?;
                 self.connection
                     .pragma_update(None, "user_version", VERSION)?;
-            } else if pragma("application_id")? == APPLICATION_ID {
-                let layout = pragma("user_version")?;
-                if layout == 1 {
-                    self.connection.execute_batch(FROM_1_TO_2)?;
-                    self.protect("kind")?;
-                }
-                if layout == 1 || layout == 2 {
-                    self.connection.execute_batch(FROM_2_TO_3)?;
-                    ["identity", "chain"]
-                        .into_iter()
-                        .try_for_each(|table| self.protect(table))?;
-                    chain::link_all(&self.connection, &self.seals)?;
-                }
-                if (1..4).contains(&layout) {
-                    self.connection.execute_batch(FLANK_3_TO_4)?;
-                    self.protect("flank")?;
-                    self.connection
-                        .pragma_update(None, "user_version", VERSION)?;
-                }
-            }
-            let ours = pragma("application_id")? == APPLICATION_ID;
-            if ours && pragma("user_version")? == VERSION && !self.has_table("phasors")? {
-                self.connection.execute_batch(PHASORS)?;
             }
             self.connection.execute_batch("COMMIT")
         };
@@ -212,11 +177,6 @@ impl History {
             let _ = self.connection.execute_batch("ROLLBACK");
             self.because("make its tables")(error)
         })
-    }
-
-    fn has_table(&self, name: &str) -> rusqlite::Result<bool> {
-        let sql = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?1";
-        self.connection.query_row(sql, [name], |row| row.get(0))
     }
 
     /// Rows of this table are only added.
@@ -230,34 +190,14 @@ impl History {
         Ok(())
     }
 
-    /// Before layout 3 nothing was signed: a number that was set back would have everything believed.
-    fn not_set_back(&self) -> Result<(), HistoryError> {
-        let layout = self.number("user_version")?;
-        let unsigned = self.number("application_id")? == APPLICATION_ID && (1..3).contains(&layout);
-        if unsigned
-            && self
-                .has_table("chain")
-                .map_err(self.because("read its layout"))?
-        {
-            return Err(HistoryError::Broken {
-                path: self.path.clone(),
-                why: format!(
-                    "it says that it has layout {layout}, which has no chain, and it has one"
-                ),
-            });
-        }
-        Ok(())
-    }
-
     fn check_layout(&self) -> Result<(), HistoryError> {
-        self.not_set_back()?;
         let path = || self.path.clone();
         match (self.number("application_id")?, self.number("user_version")?) {
-            (APPLICATION_ID, 1..=VERSION) => Ok(()),
-            (APPLICATION_ID, got) => Err(HistoryError::Newer {
+            (APPLICATION_ID, VERSION) => Ok(()),
+            (APPLICATION_ID, got) => Err(HistoryError::Layout {
                 path: path(),
                 got,
-                known: VERSION,
+                expected: VERSION,
             }),
             (got, _) => Err(HistoryError::Foreign {
                 path: path(),
@@ -287,30 +227,12 @@ impl History {
     /// # Errors
     /// The file cannot be read.
     pub fn kind(&self) -> Result<Option<(bool, String)>, HistoryError> {
-        if self.number("user_version")? < 2 {
-            return Ok(None);
-        }
         self.connection
             .query_row("SELECT simulated, at FROM kind", [], |row| {
                 Ok((row.get(0)?, row.get(1)?))
             })
             .optional()
             .map_err(self.because("read what it is of"))
-    }
-
-    /// How many of its checks may be of the simulated bench or of a press: an earlier release stored them.
-    ///
-    /// # Errors
-    /// The file cannot be read.
-    pub fn of_unknown_origin(&self) -> Result<i64, HistoryError> {
-        let unknown = if self.number("user_version")? < 2 {
-            "SELECT count(*) FROM inspection"
-        } else {
-            "SELECT count(*) FROM inspection WHERE simulated IS NULL"
-        };
-        self.connection
-            .query_row(unknown, [], |row| row.get(0))
-            .map_err(self.because("read it"))
     }
 
     /// Stores a check, whole or not at all; when this returns, it is on the disk. Returns its number.
@@ -326,8 +248,7 @@ impl History {
         inspection: &Inspection,
         tool_cycles: Option<u32>,
     ) -> Result<i64, HistoryError> {
-        let simulated = inspection.origin.simulated;
-        simulated.map_or(Ok(()), |simulated| self.takes(simulated))?;
+        self.takes(inspection.origin.simulated)?;
         let document =
             serde_json::to_value(inspection).map_err(|source| HistoryError::Document {
                 path: self.path.clone(),
@@ -364,20 +285,18 @@ impl History {
             .connection
             .transaction_with_behavior(TransactionBehavior::Immediate)?;
         // The first check decides whether the file is of the simulated bench.
-        if let Some(simulated) = inspection.origin.simulated {
-            let begun = transaction.execute(
-                "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
-                [simulated],
-            )?;
-            if begun > 0 {
-                chain::link(&transaction, &self.seals, "kind", "1")?;
-            }
-            let kind = "SELECT simulated, at FROM kind";
-            let (holds, since) =
-                transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
-            if holds != simulated {
-                return Ok(Err((holds, since)));
-            }
+        let begun = transaction.execute(
+            "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
+            [inspection.origin.simulated],
+        )?;
+        if begun > 0 {
+            chain::link(&transaction, &self.seals, "kind", "1")?;
+        }
+        let kind = "SELECT simulated, at FROM kind";
+        let (holds, since) =
+            transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        if holds != inspection.origin.simulated {
+            return Ok(Err((holds, since)));
         }
         let DieKey {
             tool,
@@ -432,13 +351,13 @@ impl History {
                 document.to_string(),
                 link,
                 simulated,
-                head.as_ref().map(|head| &head.name),
-                head.as_ref().map(|head| &head.blake3),
+                head.name,
+                head.blake3,
                 station,
                 operator,
                 geometry,
                 serial,
-                head.as_ref().and_then(|head| head.seal.as_ref())
+                head.seal
             ],
         )?;
         {
@@ -571,7 +490,7 @@ fn close_to_others(path: &Path) {
         .create_new(true)
         .mode(mode)
         .open(path);
-    // One of an earlier release, which everybody could read. Whose it is not cannot be closed by this user.
+    // One that others may read, such as a copy. Another user's cannot be closed by this one.
     if made.is_err()
         && let Ok(meta) = std::fs::metadata(path)
         && meta.is_file()

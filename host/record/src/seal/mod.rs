@@ -243,7 +243,7 @@ impl Seals {
         let why = match &standing {
             Standing::Signed | Standing::Trusted { .. } => return Ok(standing),
             Standing::Unsigned => {
-                "it carries no digest: it was taken off, or an earlier release wrote it".into()
+                "it carries no digest: it was taken off, or was never there".into()
             }
             Standing::Foreign { station } => {
                 format!(

@@ -5,7 +5,7 @@ use flankscope_record::die::DieKey;
 use flankscope_record::document::{
     Evidence, Feature, FeatureId, FrameCount, Inspection, Phasors, Pictures, Recipe, Timing,
 };
-use flankscope_record::origin::Origin;
+use flankscope_record::origin::{HeadId, Origin};
 use flankscope_record::seal::Seals;
 
 /// A station that was there before this test: the same for the whole process, gone with its build folder.
@@ -45,7 +45,18 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
     };
     Inspection {
         id: None,
-        origin: Origin::default(),
+        origin: Origin {
+            link: "sim".into(),
+            simulated: true,
+            head: HeadId {
+                name: "demo, 20 mm".into(),
+                blake3: "ab".repeat(32),
+                seal: "signed".into(),
+            },
+            station: "press 7".into(),
+            operator: None,
+            recording: None,
+        },
         date: "2026-01-31T12:00:00Z".into(),
         verdict,
         reason: reason.into(),
@@ -62,7 +73,11 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         peak_memory_mb: None,
         registration: Vec::new(),
         tool: "die".into(),
-        die: DieKey::named("die"),
+        die: DieKey {
+            tool: "die".into(),
+            geometry: "geometry of die".into(),
+            serial: None,
+        },
         temperature_degc: None,
         versions: [("host", "0.1.0".to_owned())].into(),
         hashes: [("cad", "0".repeat(64))].into(),

@@ -119,9 +119,7 @@ impl Lamp for HeadLamp<'_> {
         let patch_px = about.sigma_columns_px(&self.optics.projector, &self.projector_from_tool);
         let sigma_px = own_px.hypot(patch_px);
         let columns = self.optics.projector_size_px[0] as f64;
-        let (shown, density) = self.pass.map_or((px[0], 1.0), |pass| pass.shown(px));
-        let sigma_px = density * sigma_px;
-        Some(fringes(self.frequencies, columns, shown, mean, sigma_px))
+        Some(fringes(self.frequencies, columns, px[0], mean, sigma_px))
     }
 }
 

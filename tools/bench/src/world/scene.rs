@@ -85,11 +85,10 @@ pub(crate) fn emission(
         }
         let gain = gain * pass.map_or(1.0, |pass| pass.ratio([x, y])) as f32;
         lanes[0] = gain;
-        let (shown, density) = pass.map_or((x, 1.0), |pass| pass.shown([x, y]));
         for (pair, periods) in lanes[1..].chunks_exact_mut(2).zip(frequencies) {
             let per_px = std::f64::consts::TAU * periods / columns;
-            let averaged = (-0.5 * (density * per_px * CORE_APERTURE_PITCH * pitch).powi(2)).exp();
-            let (sin, cos) = (per_px * (shown + 0.5)).sin_cos();
+            let averaged = (-0.5 * (per_px * CORE_APERTURE_PITCH * pitch).powi(2)).exp();
+            let (sin, cos) = (per_px * (x + 0.5)).sin_cos();
             pair[0] = gain * (averaged * cos) as f32;
             pair[1] = gain * (averaged * sin) as f32;
         }
