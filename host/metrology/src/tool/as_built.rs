@@ -11,7 +11,7 @@ use crate::gear::{Flank, GearData};
 /// A scan with fewer flanks tells no scatter.
 const LEAST_FLANKS: usize = 8;
 
-/// Why a scan does not tell the form of a die.
+/// Reasons for which a scan does not determine the form of a die.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AsBuiltError {
@@ -21,7 +21,7 @@ pub enum AsBuiltError {
     /// The file is no result of `scan`.
     #[error("{0}; right would be what `scan --json` wrote for the new die")]
     Json(#[from] serde_json::Error),
-    /// It says nothing of most flanks.
+    /// Too few flanks have a mean deviation.
     #[error("it has the mean deviation of {got} flanks, at least {LEAST_FLANKS} are needed")]
     TooFew {
         /// Flanks with a mean.
@@ -29,7 +29,7 @@ pub enum AsBuiltError {
     },
 }
 
-/// What is read of a scan.
+/// Part of a scan's result file that is read.
 #[derive(Deserialize)]
 struct Scan {
     features: Vec<ScannedFlank>,

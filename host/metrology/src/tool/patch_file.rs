@@ -27,7 +27,7 @@ pub(super) struct PatchFile {
 }
 
 impl PatchFile {
-    /// What the table means.
+    /// The patch that the table describes.
     ///
     /// # Errors
     /// More or less than one way to name facets.

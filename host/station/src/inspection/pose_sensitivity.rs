@@ -79,7 +79,7 @@ impl Fitted<'_> {
             .closest
             .iter()
             .zip(self.used)
-            .map(|(closest, &used)| Contact::of(closest, self.registration, used))
+            .map(|(closest, &used)| Contact::from_closest(closest, self.registration, used))
             .collect();
         let response = Response::new(&contacts, self.registration, Some(self.prior), self.options);
         let of_each = teeth.par_iter();

@@ -14,7 +14,7 @@ use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Sight, WearSettings};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
@@ -175,7 +175,7 @@ impl Evaluator {
             .collect::<Result<_, EvaluatorError>>()?;
         // What the first verdict need not wait for.
         wear::prepare();
-        let settings = Settings {
+        let settings = WearSettings {
             calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
             ..tool.wear_settings()
         };
@@ -297,7 +297,7 @@ impl Evaluator {
         let fields = assessed
             .wears
             .iter()
-            .filter(|wear| wear.tooth == place.tooth && wear.figures.is_some())
+            .filter(|wear| wear.tooth == place.tooth && wear.judged.is_some())
             .map(Reference::of)
             .collect();
         laps.lap("wear");

@@ -91,7 +91,7 @@ impl<'a> Laid<'a> {
                 range_mm,
             }),
         };
-        FlankView::of(gear, measured)
+        FlankView::by_flank(gear, measured)
     }
 
     /// What the view says of its pose.

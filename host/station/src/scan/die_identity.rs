@@ -110,11 +110,11 @@ pub(super) fn ambiguous_teeth(turned_rad: f64, gear: &GearData) -> Option<Reason
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::gear::Kind;
+    use flankscope_metrology::gear::GearKind;
 
     fn gear() -> GearData {
         GearData {
-            kind: Kind::Internal,
+            kind: GearKind::Internal,
             teeth: 84,
             module_mm: 0.9869,
             pressure_angle_deg: 20.0,

@@ -36,7 +36,7 @@ pub enum FineMapError {
 
 /// Cells of `spacing_mm` along the profile and the axis.
 pub(super) fn layout(gear: &GearData, spacing_mm: f64) -> Result<Layout, FineMapError> {
-    let profile = Profile::of(gear);
+    let profile = Profile::for_gear(gear);
     let [low, high] = gear.height_mm;
     let least_mm = (profile.length_mm() * (high - low) / MOST_CELLS).sqrt();
     let most_mm = 0.5 * gear.module_mm;

@@ -21,11 +21,11 @@ use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewI
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::flank::FlankLimits;
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::leakage::{Leakage, of_feature};
 use flankscope_metrology::wear::{
-    Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
+    FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, WearSettings, Zone, places,
 };
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
@@ -240,7 +240,7 @@ impl Judging<'_> {
                 ..JudgedFlanks::default()
             });
         };
-        let settings = Settings {
+        let settings = WearSettings {
             calibration_mm: self.calibration_mm,
             ..tool.wear_settings()
         };
@@ -311,7 +311,7 @@ impl Judging<'_> {
         stitched: &Stitched,
         zones: &[(Key, Zone)],
         held: &[Held],
-        settings: &Settings,
+        settings: &WearSettings,
     ) -> Result<Vec<(Zone, FlankWear)>, SessionError> {
         let poses = &stitched.adjustment.poses;
         let views = stitched.views.iter().zip(poses);
@@ -504,24 +504,24 @@ fn worse(a: f64, b: f64) -> f64 {
 /// One zone of a flank with its verdict.
 struct OfZone {
     key: Key,
-    mean_mm: f64,
+    /// Mean loss; none when no disc could be measured, or the turn of the die is not known.
+    mean_mm: Option<f64>,
     /// Measured area, as a number of cells.
     cells: usize,
     all_cells: usize,
     judged: Judged,
 }
 
-fn judge(wear: FlankWear, zone: &Zone, limits: &Limits) -> OfZone {
-    let absolute = Figure {
-        value: wear.wear_mm,
-        u: wear.u_mm,
-    };
+fn judge(wear: FlankWear, zone: &Zone, limits: &FlankLimits) -> OfZone {
     OfZone {
         key: (wear.tooth, wear.flank),
-        mean_mm: wear.mean_mm,
+        mean_mm: wear
+            .judged
+            .map(|judged| judged.mean_mm.value)
+            .filter(|mm| mm.is_finite()),
         cells: wear.field.measured().count(),
         all_cells: wear.field.wear_mm.len(),
-        judged: Judged::of_wear(&wear, absolute, limits).over(zone.height_mm),
+        judged: Judged::of_wear(&wear, wear.wear_mm(), limits).over(zone.height_mm),
     }
 }
 
@@ -537,9 +537,14 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
         if !is_asked(tooth) && !seen {
             continue;
         }
-        let measured = || of_flank.iter().filter(|z| z.mean_mm.is_finite());
-        let mean_mm = measured().map(|z| z.cells as f64 * z.mean_mm).sum::<f64>()
-            / measured().map(|z| z.cells as f64).sum::<f64>();
+        let measured = || {
+            let of_zones = of_flank.iter();
+            of_zones.filter_map(|z| Some((z.cells as f64, z.mean_mm?)))
+        };
+        let mean_mm = measured()
+            .map(|(cells, mean_mm)| cells * mean_mm)
+            .sum::<f64>()
+            / measured().map(|(cells, _)| cells).sum::<f64>();
         if mean_mm.is_finite() {
             all.means.push(FlankMean {
                 tooth,
@@ -573,7 +578,7 @@ mod tests {
 
     fn gear() -> GearData {
         GearData {
-            kind: flankscope_metrology::gear::Kind::Internal,
+            kind: flankscope_metrology::gear::GearKind::Internal,
             teeth: 84,
             module_mm: 1.0,
             pressure_angle_deg: 20.0,

@@ -289,8 +289,8 @@ fn rays_far_from(decoder: &Decoder, points: &[Kept]) -> Vec<[f32; 2]> {
 
 /// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
 /// there.
-fn nearly_settled(reason: &registration::Reason) -> bool {
-    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+fn nearly_settled(reason: &registration::RegistrationFailure) -> bool {
+    matches!(reason, registration::RegistrationFailure::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
 }
 
 /// A view that lies elsewhere.

@@ -1,11 +1,11 @@
-//! Where the head looks, from what the stages were told.
+//! Camera pose from the commanded stage positions.
 
 use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
 
 /// Number of shared parameters.
 pub const PARAMETERS: usize = 20;
 
-/// What the stages were told for a view.
+/// Commanded stage positions of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Commanded angle of the rotary stage, rad.
@@ -14,7 +14,7 @@ pub struct Pose {
     pub vertical_mm: f64,
 }
 
-/// What all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.
+/// Geometry that all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.
 #[derive(Debug, Clone)]
 pub struct Stages {
     stage_from_camera: Isometry3<f64>,
@@ -105,7 +105,8 @@ impl Stages {
         self.value(0).hypot(self.value(1))
     }
 
-    /// Where the rotation axis passes the die's plane at a height, mm in the tool frame; the origin for a die that runs true.
+    /// Intersection of the rotation axis with the die's plane at a height, mm in the tool frame; the origin for a die that runs
+    /// true.
     pub fn axis_at_mm(&self, height_mm: f64) -> [f64; 2] {
         let above = height_mm - self.value(5);
         [

@@ -32,7 +32,7 @@ const STEPS: usize = 4;
 /// Step of the difference quotients, in standard deviations of the prior.
 const DIFFERENCE: f64 = 1e-3;
 
-/// A combination of shared parameters of which the views say less than was known before.
+/// A combination of shared parameters on which the prior holds more information than the views.
 #[derive(Debug, Clone)]
 pub struct Weak {
     /// Its largest part.
@@ -41,7 +41,7 @@ pub struct Weak {
     pub prior_share: f64,
 }
 
-/// Why there is no common solution.
+/// Reasons for which the adjustment has no solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum AdjustmentError {
@@ -56,7 +56,7 @@ pub enum AdjustmentError {
 /// The views together.
 #[derive(Debug, Clone)]
 pub struct Solution {
-    /// What they share.
+    /// Geometry that they share.
     pub stages: Stages,
     /// Pose of every view, its pose residual included.
     pub poses: Vec<Isometry3<f64>>,
@@ -72,7 +72,7 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// What is known before any view.
+    /// Solution by the prior alone, without a view.
     pub fn prior(stages: Stages, local: Local) -> Self {
         Self {
             stages,
@@ -103,7 +103,7 @@ impl Solution {
         Some(moved(&pose, &residual, centre))
     }
 
-    /// Where another view should be, and how well that is known.
+    /// Expected pose of another view, with its covariance.
     pub fn predict(&self, at: Pose) -> Prior {
         let pose = self.stages.tool_from_camera(at);
         let centre = pose.translation.vector;
@@ -116,7 +116,7 @@ impl Solution {
         }
     }
 
-    /// What is not known of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
+    /// Uncertainty of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
     /// left of the shared parameters and of its own pose residual. `None` when its information is not positive.
     pub fn pose_covariance(&self, view: &ViewInformation) -> Option<Matrix6<f64>> {
         let centre = Vector3::from(view.centre_mm);
@@ -185,7 +185,7 @@ pub struct StageSigma {
 }
 
 impl Solution {
-    /// How well the errors of die and stages are known, priors included.
+    /// Standard uncertainties of the errors of die and stages, priors included.
     pub fn stage_sigma(&self) -> StageSigma {
         let between = |i, j| self.covariance[(i, j)] * model::SIGMA[i] * model::SIGMA[j];
         let of = |i: usize| between(i, i).max(0.0).sqrt();
@@ -275,11 +275,11 @@ pub fn solve(
     })
 }
 
-/// What does not change from step to step.
+/// Terms that stay constant from step to step.
 struct System<'a> {
     views: &'a [ViewInformation],
     overlaps: &'a [Overlap],
-    /// What each view says of where it lies on the CAD, the form under it eliminated.
+    /// Information of each view about its pose on the CAD, with the form under it eliminated.
     believed: Vec<Believed>,
     /// Of what all of them, overlaps and stage tolerances say of the pose residuals.
     factor: BlockCholesky,
@@ -321,7 +321,7 @@ impl<'a> System<'a> {
         })
     }
 
-    /// How every view is away from where it was laid by what all share, and how that changes with the stages' parameters.
+    /// Motion of every view from its registered pose to that of the shared model, and its derivatives by the stages' parameters.
     fn away(&self, stages: &Stages) -> Vec<(Vector6<f64>, StageSlope)> {
         let of = |view: &ViewInformation| {
             let pose = stages.tool_from_camera(view.at);
@@ -407,7 +407,7 @@ impl<'a> System<'a> {
         normal
     }
 
-    /// What every view adds to the pose that all share.
+    /// Residual of every view's pose against the shared model.
     fn pose_residuals(&self, stages: &Stages, form: &SharedForm) -> Vec<Vector6<f64>> {
         let (by_cad, by_overlap) = self.rows(&self.away(stages), form);
         let right = |(cad, overlap): (&Rows, &Rows)| -> Vector6<f64> {
@@ -420,7 +420,7 @@ impl<'a> System<'a> {
     }
 }
 
-/// How the pose at `centre` moves with the parameters.
+/// Derivatives of the pose at `centre` by the parameters.
 fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>) -> StageSlope {
     let mut slope = StageSlope::zeros();
     for j in 0..PARAMETERS {

@@ -1,11 +1,11 @@
-//! One view, compressed to what an adjustment needs of it.
+//! One view, compressed to its information about the pose.
 
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
 
 use super::model::Pose;
 use crate::surface::{Closest, Surface};
 
-/// Points farther off the surface than this say nothing about the pose, mm.
+/// Largest distance to the surface of points that determine the pose, mm.
 const REACH_MM: f64 = 0.15;
 /// Form deviation that a real piece has from place to place, mm: neighbouring points share it, so that ten thousand of them
 /// do not say more about the pose than ...
@@ -13,11 +13,11 @@ const FORM_MM: f64 = 0.010;
 /// ... this many patches of about 1 mm², which a field of 10 mm holds.
 const PATCHES: f64 = 80.0;
 
-/// What a view says about its pose, linearised at it: the cost of a small motion d (rotation about `centre_mm` in rad, then
+/// Information of a view about its pose, linearised at it: the cost of a small motion d (rotation about `centre_mm` in rad, then
 /// translation in mm, tool frame) is dᵀHd/2 + gᵀd.
 #[derive(Debug, Clone)]
 pub struct ViewInformation {
-    /// What the stages were told.
+    /// Commanded stage positions.
     pub at: Pose,
     /// The pose.
     pub tool_from_camera: Isometry3<f64>,

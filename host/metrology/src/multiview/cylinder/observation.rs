@@ -1,14 +1,14 @@
-//! What one view says of the grid: small enough to be kept until the poses of all views are known.
+//! Sums of one view per cell of the grid: small enough to be kept until the poses of all views are known.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::{LEAST_VIEW_SIGMA_MM, Layout};
 use crate::surface::Closest;
 
-/// Points farther off than this are no part of the surface, mm.
+/// Largest distance of points that belong to the surface, mm.
 const REACH_MM: f64 = 0.5;
 
-/// What one view says of one cell.
+/// Sums of one view in one cell.
 #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct CellObservation {
