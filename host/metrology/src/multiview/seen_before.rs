@@ -1,6 +1,6 @@
 //! Check of tooth numbers: views of a few teeth each against those that a baseline recorded.
 //!
-//! Where all teeth are seen, [`super::tooth_identity`] correlates patterns around the bore. A check sees three teeth of some
+//! In a scan of all teeth, [`super::tooth_identity`] correlates patterns around the bore. A check sees three teeth of some
 //! views: of each flank its median deviation, then and now. Less the median of its side in its view, which takes off what the pose
 //! adds to all flanks of a side, the medians are the die's own pattern. Compared are the flanks of a view with what was recorded
 //! of the same teeth, and with what was recorded of the teeth one or several further.

@@ -1,8 +1,8 @@
 //! Identification of teeth by their own form: to the CAD all teeth look alike, but every flank of a real die stands off by
 //! micrometres of its own. Two scans of the same die show the same pattern, turned by as many teeth as the die was.
 //!
-//! What changes slowly around the bore (eccentricity, ovality) is taken off both patterns, and what stands far out (a flank
-//! that wore in between) is cut. The correlation of the rest at every shift by whole teeth is tested by Fisher's
+//! Slow changes around the bore (eccentricity, ovality) are subtracted from both patterns, and outliers (a flank
+//! that wore in between) are cut. The correlation of the rest at every shift by whole teeth is tested by Fisher's
 //! transformation (Biometrika 10, 1915): atanh r of n independent pairs without relation is normal with variance 1/(n - 3).
 
 use std::f64::consts::TAU;

@@ -189,7 +189,7 @@ pub enum PatchError {
         name: String,
         /// Its datum.
         datum: String,
-        /// What is wrong with it.
+        /// The error.
         why: &'static str,
     },
     /// Nothing is judged, or something stands for nothing.

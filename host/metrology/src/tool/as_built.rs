@@ -101,8 +101,8 @@ fn of_class_um(gear: &GearData, class: u32) -> f64 {
     (half_um.iter().map(|um| um * um).sum::<f64>() / 3.0).sqrt()
 }
 
-/// How the mean deviations of the flanks scatter about the middle of their side, µm: what all of a side share is not told from
-/// how the die sits.
+/// Scatter of the flanks' mean deviations about the median of their side, µm: a deviation that all of a side share is not told
+/// from how the die sits.
 fn of_scan_um(path: &Path) -> Result<f64, AsBuiltError> {
     let scan: Scan = serde_json::from_slice(&std::fs::read(path)?)?;
     let (mut squares, mut count) = (0.0, 0);

@@ -18,6 +18,7 @@ use crate::surface::Surface;
 use crate::surface::orientation::{Unsigned, orient};
 use crate::verdict::flank::{FlankLimits, TipLimits};
 use crate::verdict::{Reason, Rule, Undecided};
+use crate::wear::sensitivity::ExpansionUncertainty;
 use crate::wear::{AREA_MM2, WearSettings, Zone, tip_loss_mm2};
 
 /// Name of the file inside a tool folder.
@@ -230,6 +231,14 @@ pub struct Temperature {
 }
 
 impl Temperature {
+    /// Expansion with the uncertainty of the measured temperature.
+    pub fn expansion(&self) -> ExpansionUncertainty {
+        ExpansionUncertainty {
+            per_k: self.expansion_per_k,
+            u_k: self.u_k,
+        }
+    }
+
     /// Size of the tool at a temperature relative to its CAD.
     ///
     /// # Errors
@@ -322,7 +331,7 @@ pub enum ToolError {
         line: usize,
         /// Column, from 1.
         column: usize,
-        /// What is wrong and what is expected, on one line.
+        /// The error and the expected value, on one line.
         message: String,
     },
     /// A value out of range.
@@ -334,7 +343,7 @@ pub enum ToolError {
         key: &'static str,
         /// The value.
         value: f64,
-        /// What would be right.
+        /// Valid values.
         expected: String,
     },
     /// Gear data that contradict themselves.
@@ -352,7 +361,7 @@ pub enum ToolError {
         path: PathBuf,
         /// Name of the patch.
         name: String,
-        /// What is wrong and what would be right.
+        /// The error and the valid values.
         what: String,
     },
     /// A patch that does not exist on this CAD.
@@ -434,7 +443,7 @@ pub enum ToolError {
         path: PathBuf,
         /// The mesh.
         cad: PathBuf,
-        /// Why.
+        /// Reason.
         source: Unsigned,
     },
     /// The mesh's material lies on the other side of a flank than the gear's.

@@ -69,7 +69,7 @@ impl PatchFile {
     }
 }
 
-/// What a file with patches must leave out: it is said of teeth.
+/// Keys that a file with patches must not have: they describe teeth.
 ///
 /// # Errors
 /// The first such key.

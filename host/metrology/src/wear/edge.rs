@@ -103,7 +103,7 @@ impl TipBand {
     /// Loss of the edge beyond the `level_mm` of the rest of the flank; none when less than half of the band
     /// was seen. `local_mm` is the standard uncertainty of deviations that differ between edge and flank.
     ///
-    /// Where the edge is worn away no point of it is left to see: such bins count with what the first one seen behind them
+    /// A worn edge leaves no points: bins without points count with what the first measured one behind them
     /// has lost, which is the least that they can have lost.
     pub fn loss(&self, gear: &GearData, level_mm: f64, local_mm: f64) -> Option<TipLoss> {
         let first = self.bins.iter().position(|bin| bin.0 >= LEAST_POINTS)?;

@@ -5,6 +5,7 @@ use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
 use super::field::{Field, WearSample};
+use super::sensitivity::motion_row;
 use super::sight::{RayCounts, Visibility};
 use super::{FlankWear, Measured, WearSettings, Zone, edge};
 use crate::feature::Features;
@@ -132,10 +133,8 @@ pub fn evaluate_placed<'a>(
             .map_or(f64::NAN, |&s| f64::from(s));
         let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
         grid.samples.push(sample);
-        let normal = Vector3::from(closest.normal);
-        let turn = (Vector3::from(*point) - centre).cross(&normal);
         let (sum, count) = &mut grid.motions[cell];
-        *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        *sum += motion_row(*point, closest.normal, centre);
         *count += 1;
     }
     if let Some(sight) = measured.sight {

@@ -8,7 +8,8 @@
 use std::collections::BTreeMap;
 
 use flankscope_foundation::order::median_of;
-use nalgebra::{Isometry3, Point3, Vector3};
+use flankscope_foundation::rigid::{Rigid, Tool};
+use nalgebra::{Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
 use super::field::{Field, WearSample};
@@ -168,7 +169,7 @@ impl<'a> Gathered<'a> {
     pub fn add(
         &mut self,
         seen: &FlankView,
-        motion: &Isometry3<f64>,
+        motion: &Rigid<Tool, Tool>,
         further_mm2: impl Fn([f64; 3]) -> f64,
     ) {
         let mut counts = RayCounts::new(self.empty.wear_mm.len());
@@ -236,7 +237,7 @@ impl<'a> Gathered<'a> {
     fn moved(
         &self,
         point: &FlankPoint,
-        motion: &Isometry3<f64>,
+        motion: &Rigid<Tool, Tool>,
     ) -> Option<(FlankPlace, f64, [f64; 3])> {
         let (tooth, flank) = self.key;
         let (profile_mm, height_mm) = (f64::from(point.profile_mm), f64::from(point.height_mm));
@@ -244,7 +245,7 @@ impl<'a> Gathered<'a> {
         let foot = self.gear.flank_point(tooth, flank, radius_mm, height_mm)?;
         let normal = Vector3::from(self.gear.flank_normal(flank, foot));
         let from = Point3::from(foot);
-        let shift = motion * from - from;
+        let shift = motion.isometry() * from - from;
         // Up the flank, away from the base circle.
         let mut up = Vector3::new(-normal.y, normal.x, 0.0);
         if up.dot(&Vector3::new(foot[0], foot[1], 0.0)) < 0.0 {
@@ -365,7 +366,11 @@ mod tests {
         let gear = ring84();
         let mut all = Gathered::new(&gear, zone(), KEY, &settings());
         for view in views {
-            all.add(view, &Isometry3::identity(), |_| 0.0);
+            all.add(
+                view,
+                &Rigid::from_isometry(nalgebra::Isometry3::identity()),
+                |_| 0.0,
+            );
         }
         all.wear(0.5e-3, &settings())
     }
@@ -443,7 +448,7 @@ mod tests {
             wear_mm: 10e-3,
             sigma_mm: 1e-3,
         };
-        let (place, wear_mm, _) = all.moved(&point, &motion).unwrap();
+        let (place, wear_mm, _) = all.moved(&point, &Rigid::from_isometry(motion)).unwrap();
         let normal = Vector3::from(gear.flank_normal(Flank::Left, centre));
         let there = motion * (at - 10e-3 * normal);
         let exact = gear.involute_deviation_mm(40, Flank::Left, there.coords.into());

@@ -5,7 +5,7 @@
 //!        │           └─ since a baseline's cells                                                          ├─► FlankWear
 //!        ├──► cells: what is drawn, recorded, and where nothing was measured                              │   with budget
 //!        ├──► edge: rounding of the tip                                                                   │
-//!        └──► all flanks in view: what a turn of the pose may hide (shared) ──────────────────────────────┘
+//!        └──► all flanks in view: turn of the pose that looks like wear (shared, sensitivity) ────────────┘
 //!  points of many views ──► parts of cells (gather) ──► the same
 //! ```
 //!
@@ -20,6 +20,7 @@ mod field;
 mod figures;
 mod gather;
 pub mod leakage;
+pub mod sensitivity;
 mod shared;
 mod sight;
 pub mod standing;
@@ -39,13 +40,13 @@ use field::WearSample;
 pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
+pub use sensitivity::PoseSensitivity;
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 pub use sight::Sight;
 use sight::Visibility;
 
 use crate::gear::Flank;
 use crate::surface::Closest;
-use crate::wear::leakage::Leakage;
 
 /// The part of each flank that is judged, or of a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -213,23 +214,7 @@ impl FlankWear {
     }
 }
 
-/// What acts on a flank beside the points: from the fit and the thermometer.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PoseSensitivity {
-    /// Leakage of the pose.
-    pub leakage: Leakage,
-    /// What the view says of its own pose about the axis; none where the pose rests on a datum that does not wear.
-    pub evidence: Option<Arc<PoseEvidence>>,
-    /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
-    /// settings state is known.
-    pub form_scatter_mm: f64,
-    /// Root of the sum of squares of what the judged flank reads of a unit error in the form of each other flank.
-    pub others_form: f64,
-    /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
-    pub temperature_mm: f64,
-}
-
-/// Makes ready what all evaluations share, so that the first one need not.
+/// Computes the tables that all evaluations share in advance, which shortens the first one.
 pub fn prepare() {
     disc::prepare();
 }

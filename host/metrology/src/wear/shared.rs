@@ -19,7 +19,7 @@
 //! all of them. So flanks that are sound pin t to about the uncertainty of their form, and where left and right flanks cannot
 //! both be sound the stages decide how much of their difference is on either side.
 //!
-//! What remains presumed: amounts of two sides that have nothing to do with each other do not cancel to within the form of the
+//! Two assumptions remain: amounts of two sides that have nothing to do with each other do not cancel to within the form of the
 //! flanks, and equal and opposite amounts are rare. Such a change is not told from a turn but by the stages; it is held for one
 //! where they contradict it by about two standard uncertainties. Smaller ones are seen with a datum that does not change alone
 //! (`inspect.datum_height_mm`).

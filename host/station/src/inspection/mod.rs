@@ -17,7 +17,7 @@
 //! | `feature_id` | which flank or patch a figure is of |
 //! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
-//! | `pose_sensitivity` | what the pose does to a flank's figures |
+//! | `pose_sensitivity` | effect of pose and temperature on a flank's figures |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `in_view` | what a view shows beside the tooth that it was taken for |
 //! | `identity` | which tooth is which, and by whose word |

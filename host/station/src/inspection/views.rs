@@ -27,7 +27,7 @@ use super::job::Subject;
 use super::outcome::ViewOutcome;
 use super::place::Place;
 use super::plan::ViewPlan;
-use super::pose_sensitivity::Fitted;
+use super::pose_sensitivity::FittedView;
 use super::result::{Light, ViewRegistration, WeakDirection};
 use super::verdict::Judged;
 use super::{datum, die_size, maps};
@@ -411,7 +411,7 @@ impl Evaluator {
             Ok(scale_mm) => scale_mm,
             Err(why) => return self.not_assessed(place, &why),
         };
-        let fitted = Fitted {
+        let fitted = FittedView {
             features,
             zone: &place.zone,
             registration: &fit.registration,
@@ -422,7 +422,7 @@ impl Evaluator {
             used: &fit.used,
             datum_bands_mm: &self.datum_bands_mm,
             places,
-            temperature: self.criteria.tool.temperature.as_ref(),
+            expansion: self.criteria.tool.temperature.map(|of| of.expansion()),
             form_in_doubt: settings.as_built_mm > 0.0,
         };
         let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);

@@ -3,7 +3,6 @@
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout, Profile};
 use flankscope_metrology::tool::Tool;
-use nalgebra::Point3;
 
 use super::cell_observations::Laid;
 use super::full_cloud::registered;
@@ -68,8 +67,8 @@ pub(super) fn merged(
         let laid = Laid::new(&tool.surface, tool_from_camera, &kept);
         let back = tool_from_camera.inverse();
         map.add_view(&laid.cell_observations(&layout), |of| {
-            let in_camera = back * Point3::from(of.point.map(f64::from));
-            scan.quality.variance_mm2(in_camera.into())
+            let p_camera = back.apply(of.point.map(f64::from));
+            scan.quality.variance_mm2(p_camera)
         });
     }
     Ok(map)

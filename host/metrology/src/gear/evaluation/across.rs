@@ -1,11 +1,11 @@
-//! What deviations do across a trace, taken away before it is read.
+//! Change of deviations across a trace, removed before the trace is evaluated.
 //!
 //! A helix trace is made of points within a band of radii. Where they lie farther out at one height than at another, the
 //! profile's slope would look like a helix deviation (and a profile trace at mid face has the same trouble with the helix).
 //! So the deviations in the band are taken as a sum: a part that depends on the place along the trace, as fine as the trace's
 //! filter lets through, and a part that depends on the distance across, as fine as the other filter lets through and zero on
 //! the trace's line, and a twist. Least squares finds all of them at once. The second part and the twist are then taken away.
-//! What the points tell about it comes only from points side by side at the same place along the trace. Where those do not
+//! It is estimated only from points side by side at the same place along the trace. Where those do not
 //! tell a twist, as when all lie at one distance, there is taken to be none.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -89,7 +89,7 @@ fn fitted(
         .iter()
         .zip(eigen.eigenvectors.column_iter())
     {
-        // How far this part moves the trace where points lie to one side; a constant is no deviation.
+        // Shift of the trace by this part where points lie to one side; a constant is no deviation.
         let moves = (direction.dot(&((&c - &within) * direction))
             - sum.dot(&direction).powi(2) / count)
             .max(0.0);

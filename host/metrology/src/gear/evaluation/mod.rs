@@ -116,7 +116,7 @@ pub enum GearEvaluationError {
     /// The formulas do not hold for this gear.
     #[error("{key} = {value} is outside of ISO 1328-1; right would be {least} to {most}")]
     Scope {
-        /// What.
+        /// Name of the setting.
         key: &'static str,
         /// Its value.
         value: f64,
@@ -128,11 +128,11 @@ pub enum GearEvaluationError {
     /// A setting makes no sense.
     #[error("{key} = {value} is no use; right would be {right}")]
     Setting {
-        /// Which.
+        /// Name of the setting.
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What would be right.
+        /// Valid values.
         right: &'static str,
     },
     /// The cloud is not on the flanks.
@@ -177,19 +177,19 @@ pub struct FlankFigures {
     pub profile_not_told: Option<NotTold>,
     /// Helix at the measuring circle.
     pub helix: Option<TraceFigures>,
-    /// Why there is no helix.
+    /// Reason of a missing helix.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub helix_not_told: Option<NotTold>,
     /// Terms over the whole flank.
     pub areal: Option<ArealTerms>,
-    /// Why there are no terms.
+    /// Reason of missing terms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub areal_not_told: Option<NotTold>,
     /// Deviation at the measuring circle at mid face, which pitch and runout are made of, um.
     pub position_um: Option<f64>,
     /// Its standard uncertainty by how the points there scatter, um.
     pub position_noise_um: Option<f64>,
-    /// Why there is no position.
+    /// Reason of a missing position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_not_told: Option<NotTold>,
 }
@@ -218,10 +218,10 @@ pub struct PitchFigures {
     pub total_not_told: Option<NotTold>,
 }
 
-/// What one quantity comes to over all flanks.
+/// Result of one quantity over all flanks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rating {
-    /// Which.
+    /// The quantity.
     pub quantity: Quantity,
     /// The standard's symbol.
     pub symbol: &'static str,
@@ -243,7 +243,7 @@ pub struct Rating {
 }
 
 impl Rating {
-    /// Why there is no value, and what to do next; empty where there is one.
+    /// Reason of a missing value, with its remedy; empty where there is a value.
     pub fn why_not_told(&self) -> String {
         let told = self.not_told.as_ref();
         told.map_or_else(String::new, |why| format!("{why}; {}", why.next_step()))
@@ -253,11 +253,11 @@ impl Rating {
 /// The whole evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GearEvaluation {
-    /// Where figures are read.
+    /// Radii and heights between which figures are evaluated.
     pub limits: EvaluationRange,
-    /// How the flanks lie about the tool's axis; taken out of every figure when asked for.
+    /// Axis of the flanks against that of the tool; taken out of every figure when the settings say so.
     pub axis: Option<AxisFit>,
-    /// Why that is not known.
+    /// Reason of a missing axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis_not_told: Option<NotTold>,
     /// Whether it was taken out.
@@ -272,7 +272,7 @@ pub struct GearEvaluation {
     pub right: PitchFigures,
     /// Runout; only when every tooth was seen on both sides.
     pub runout_um: Option<f64>,
-    /// Why it is not known.
+    /// Reason of the missing value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub runout_not_told: Option<NotTold>,
     /// Classes.

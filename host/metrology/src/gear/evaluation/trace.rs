@@ -216,7 +216,7 @@ mod tests {
         let deviation = |x: f64| 1e-3 * (10.0 * x / 6.0 + 3.0 * (TAU * x / 2.0).cos());
         let cutoff = 0.2;
         let got = figures(&on_line(6_001, deviation), &course([0.0, 6.0], 6.3, cutoff)).unwrap();
-        // What the filter leaves of the wave (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
+        // Amplitude of the wave after the filter (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
         let left = (-std::f64::consts::PI * (ALPHA * cutoff / 2.0_f64).powi(2)).exp();
         assert!((got.slope_um - 10.0 / 6.0 * 6.3).abs() < 0.02, "{got:?}");
         assert!((got.slope_usable_um - 10.0).abs() < 0.02, "{got:?}");

@@ -90,7 +90,7 @@ pub enum CloudError {
         shape: Vec<usize>,
         /// NumPy's name of its numbers' type.
         descr: String,
-        /// What would be right.
+        /// Valid contents.
         why: String,
     },
     /// Arrays that say their unit, and somebody who says another.

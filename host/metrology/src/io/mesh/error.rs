@@ -48,7 +48,7 @@ pub enum MeshError {
         line: usize,
         /// The line, shortened.
         text: String,
-        /// What would be right.
+        /// Valid contents.
         expected: &'static str,
     },
     /// A text STL that stops before `endsolid`.

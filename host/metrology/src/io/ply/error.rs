@@ -24,7 +24,7 @@ pub enum PlyError {
         line: usize,
         /// The line, shortened.
         text: String,
-        /// What would be right.
+        /// Valid contents.
         expected: &'static str,
     },
     /// An element without properties claims records.

@@ -25,8 +25,13 @@ mod overlap;
 mod solve;
 mod view;
 
+use flankscope_foundation::rigid::{Camera, Rigid, Tool};
+
 pub use local::Local;
 pub use model::{HEAD_SIGMA_MM, PARAMETERS, Pose, Stages};
 pub use overlap::{Overlap, take_off_common};
 pub use solve::{AdjustmentError, Solution, StageSigma, Weak, solve};
 pub use view::{ViewInformation, compress, compress_laid};
+
+/// Pose of a view: tool frame from camera frame.
+pub type CameraPose = Rigid<Tool, Camera>;

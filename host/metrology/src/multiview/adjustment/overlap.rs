@@ -1,6 +1,6 @@
 //! Relative pose of two views from the surface that both saw.
 //!
-//! Where both saw a cell, the form of the piece is in both deviations and cancels in their difference; what remains is how
+//! In a cell that both saw, the form of the piece is in both deviations and cancels in their difference; what remains is how
 //! far the views lie apart. So overlaps tie views to each other and not to the CAD.
 //!
 //! Pairs of a kind (the same layers, the same turn between them) look at each other with the same parts of the field, so
@@ -9,8 +9,9 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
 
+use super::CameraPose;
 use super::view::ViewInformation;
 use crate::multiview::cylinder::CellObservation;
 
@@ -104,11 +105,7 @@ impl Overlap {
 /// Takes off what all overlaps of a kind say in common of views at `poses`: there they are content in the mean, and pull
 /// views only as they differ from each other. The first view of each pair must be the one that the second is turned on from,
 /// or the lower one.
-pub fn take_off_common(
-    overlaps: &mut [Overlap],
-    views: &[ViewInformation],
-    poses: &[Isometry3<f64>],
-) {
+pub fn take_off_common(overlaps: &mut [Overlap], views: &[ViewInformation], poses: &[CameraPose]) {
     // Turned so that the first view of every pair looks along the same direction.
     let turns = |overlap: &Overlap| {
         let [x, y, _] = views[overlap.views[0]].centre_mm;

@@ -11,6 +11,7 @@ use nalgebra::{
     Vector3, Vector6,
 };
 
+use super::CameraPose;
 use super::blocks::{Between, BlockCholesky};
 use super::form::{self, FORMS, SharedForm};
 use super::local::{Believed, Local};
@@ -59,7 +60,7 @@ pub struct Solution {
     /// Geometry that they share.
     pub stages: Stages,
     /// Pose of every view, its pose residual included.
-    pub poses: Vec<Isometry3<f64>>,
+    pub poses: Vec<CameraPose>,
     /// Stray motion of every view: rotation (rad) about its centre, translation (mm).
     pub pose_residuals: Vec<Vector6<f64>>,
     /// Combinations that stay where they were, weakest first.
@@ -88,7 +89,7 @@ impl Solution {
 
     /// Pose of one more view in its best place: what all share, and its own pose residual as far as its stages can be off.
     /// `None` when its information is not positive.
-    pub fn settle(&self, view: &ViewInformation) -> Option<Isometry3<f64>> {
+    pub fn settle(&self, view: &ViewInformation) -> Option<CameraPose> {
         let centre = Vector3::from(view.centre_mm);
         let pose = self.stages.tool_from_camera(view.at);
         let form = self.form.slope(centre) * self.form.parameters;
@@ -106,11 +107,11 @@ impl Solution {
     /// Expected pose of another view, with its covariance.
     pub fn predict(&self, at: Pose) -> Prior {
         let pose = self.stages.tool_from_camera(at);
-        let centre = pose.translation.vector;
+        let centre = pose.isometry().translation.vector;
         let slope = slope(&self.stages, at, &pose, centre);
         let of_stages = self.covariance.fixed_view::<PARAMETERS, PARAMETERS>(0, 0);
         Prior {
-            tool_from_cloud: Rigid::<Tool, Cloud>::from_isometry(pose),
+            tool_from_cloud: Rigid::<Tool, Cloud>::from_isometry(*pose.isometry()),
             pivot_mm: centre.into(),
             covariance: slope * of_stages * slope.transpose() + self.local.covariance(centre),
         }
@@ -421,7 +422,7 @@ impl<'a> System<'a> {
 }
 
 /// Derivatives of the pose at `centre` by the parameters.
-fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>) -> StageSlope {
+fn slope(stages: &Stages, at: Pose, pose: &CameraPose, centre: Vector3<f64>) -> StageSlope {
     let mut slope = StageSlope::zeros();
     for j in 0..PARAMETERS {
         let side = |step: f64| {
@@ -438,9 +439,10 @@ fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>)
 }
 
 /// A pose after a small motion: rotation about `centre`, then translation.
-fn moved(pose: &Isometry3<f64>, motion: &Vector6<f64>, centre: Vector3<f64>) -> Isometry3<f64> {
+fn moved(pose: &CameraPose, motion: &Vector6<f64>, centre: Vector3<f64>) -> CameraPose {
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(motion[0], motion[1], motion[2]));
     let shift = Vector3::new(motion[3], motion[4], motion[5]);
     let translation = centre - (rotation * Point3::from(centre)).coords + shift;
-    Isometry3::from_parts(Translation3::from(translation), rotation) * pose
+    let motion = Isometry3::from_parts(Translation3::from(translation), rotation);
+    Rigid::from_isometry(motion * pose.isometry())
 }
