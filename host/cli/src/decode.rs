@@ -165,7 +165,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
     let cloud = &decoded.cloud;
     flankscope_foundation::files::stream_whole(&args.output, |file| {
-        write_cloud(Format::of(&args.output), file, cloud, args.light_parts)
+        write_cloud(
+            Format::from_path(&args.output),
+            file,
+            cloud,
+            args.light_parts,
+        )
     })
     .with_context(|| format!("cannot write {}", args.output.display()))?;
     if let Some(path) = &args.phase {
@@ -275,7 +280,7 @@ fn write_cloud(
         comment: "camera frame, mm; sigma_z is the standard uncertainty of z",
         coordinate: Scalar::F32,
         columns: if light_parts { &columns } else { &columns[..1] },
-        ..PointFile::of(&cloud.points_mm)
+        ..PointFile::from_points(&cloud.points_mm)
     };
     points.write(format, file)
 }

@@ -109,7 +109,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .with_context(|| format!("cloud {} has no points", args.cloud.display()))?;
     write_file(&args.output, |out| {
         let columns = [("deviation", &deviations[..])];
-        cloud.write(Format::of(&args.output), out, &columns)
+        cloud.write(Format::from_path(&args.output), out, &columns)
     })?;
     let report = Report {
         signed,

@@ -4,7 +4,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use flankscope_metrology::gear::evaluation::{CLASSES, GearEvaluation, Settings, evaluate};
+use flankscope_metrology::gear::evaluation::{
+    CLASSES, EvaluationSettings, GearEvaluation, evaluate,
+};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{PROBABILITY, Word, holds_class};
 use serde::Serialize;
@@ -102,12 +104,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         )
     })?;
     let cloud = load_cloud(&args.cloud, args.cloud_unit)?;
-    let mut settings = Settings {
+    let mut settings = EvaluationSettings {
         band_mm: args.band_mm,
         best_fit_axis: args.axis == Axis::Fit,
         u95_um: args.u95_um,
         slope_mm: args.slope_mm,
-        ..Settings::of(gear)
+        ..EvaluationSettings::for_gear(gear)
     };
     if let Some(usable_mm) = args.usable_mm {
         settings.usable_mm = usable_mm;

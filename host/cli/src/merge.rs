@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         extras: Vec::new(),
     };
     write_file(&args.output, |out| {
-        cloud.write(Format::of(&args.output), out, &[])
+        cloud.write(Format::from_path(&args.output), out, &[])
     })?;
     args.common.write_json(&Report {
         clouds: args.clouds.len(),

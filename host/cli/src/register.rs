@@ -6,13 +6,13 @@ use std::time::Instant;
 use anyhow::{Context, bail};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use flankscope_metrology::cloud::surface::CloudSurface;
-use flankscope_metrology::gear::Kind;
+use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::io::cloud::Cloud as CloudFile;
 use flankscope_metrology::io::ply::Scalar;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::registration::{
-    Hinz2019Options, Options, Reason, Registration, Status, TYPICAL_NOISE_MM, detect_teeth,
-    register, register_hinz2019,
+    Hinz2019Options, Options, Registration, RegistrationFailure, Status, TYPICAL_NOISE_MM,
+    detect_teeth, register, register_hinz2019,
 };
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::verdict::Code;
@@ -160,7 +160,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         (None, Some(reference)) => args.on_cloud(reference, start)?,
         (None, None) => bail!("nothing to lay the cloud on: --cad MESH or --reference CLOUD"),
     };
-    if let Status::Indeterminate(reason @ Reason::TooFewPoints { .. }) = &found.status {
+    if let Status::Indeterminate(reason @ RegistrationFailure::TooFewPoints { .. }) = &found.status
+    {
         // Not a doubtful result but an input that cannot be worked with.
         bail!("cloud {} has {reason}", args.cloud.display());
     }
@@ -179,7 +180,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
             coordinate: Scalar::F64,
             extras: cloud.extras,
         };
-        write_file(output, |out| laid.write(Format::of(output), out, &[]))?;
+        write_file(output, |out| {
+            laid.write(Format::from_path(output), out, &[])
+        })?;
     }
     let report = Report::new(&found, cloud.points.len(), teeth, elapsed_ms);
     args.common.write_json(&report)?;
@@ -208,7 +211,7 @@ impl Args {
         let surface = Surface::new(&mesh).with_context(|| cad.trouble())?;
         // Most often the teeth point inwards; a body of revolution inside says that they do not.
         let found = || {
-            [Kind::Internal, Kind::External]
+            [GearKind::Internal, GearKind::External]
                 .into_iter()
                 .find_map(|kind| detect_teeth(&mesh, &surface, REPEAT_TOLERANCE_MM, kind))
         };

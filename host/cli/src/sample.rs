@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         .with_context(|| args.cad.trouble())?;
     let sampled = Instant::now();
     write_file(&args.output, |out| {
-        PointFile::of(&points).write(Format::of(&args.output), out)
+        PointFile::from_points(&points).write(Format::from_path(&args.output), out)
     })?;
     let report = Report {
         count: points.len(),

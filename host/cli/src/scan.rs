@@ -394,7 +394,7 @@ impl Args {
         write_file(path, |file| {
             count = scanning
                 .scanner()
-                .write_cloud(scan, Format::of(path), file)
+                .write_cloud(scan, Format::from_path(path), file)
                 .map_err(std::io::Error::other)?;
             Ok(())
         })?;
@@ -409,7 +409,7 @@ impl Args {
         let fine = fine.transpose()?;
         write_file(path, |file| {
             let map = fine.as_ref().unwrap_or(&scan.map);
-            scan_mesh(scan, map, Format::of(path), file)
+            scan_mesh(scan, map, Format::from_path(path), file)
         })
     }
 

@@ -1,4 +1,4 @@
-//! What is judged of a tool, and where on it a point of the surface lies: flanks of a gear, or patches of the CAD.
+//! Features of a tool that are judged, and the place of a surface point on them: flanks of a gear, or patches of the CAD.
 //!
 //! Either way a feature has a number and a side, and is laid out flat by two lengths, along and up. A tooth has two flanks, laid
 //! out by profile and height; a patch has one side, [`Flank::Face`], laid out by its own frame.
@@ -39,7 +39,7 @@ impl<'a> Features<'a> {
         }
     }
 
-    /// What the part with this number is called: a tooth by its number, a patch by its name.
+    /// Name of the feature with this number: a tooth by its number, a patch by its name.
     pub fn name(self, number: u32) -> String {
         match self.patch(number) {
             Some(patch) => format!("patch {}", patch.name),
@@ -55,12 +55,12 @@ impl<'a> Features<'a> {
         }
     }
 
-    /// Where a point of the surface lies; none off all features.
+    /// Place of a surface point; none off all features.
     pub fn place(self, closest: &Closest) -> Option<FlankPlace> {
         self.place_near(closest.point, closest)
     }
 
-    /// Where a point on the tangent plane of a point of the surface lies.
+    /// Place of a point on the tangent plane of a surface point.
     pub fn place_near(self, point: [f64; 3], closest: &Closest) -> Option<FlankPlace> {
         match self {
             Self::Gear(gear) => gear.place(point, closest.normal),

@@ -5,7 +5,7 @@ mod support;
 use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::cloud::surface::CloudSurface;
 use flankscope_metrology::registration::{
-    Options, Reason, Reference, Registration, Status, register,
+    Options, Registration, RegistrationFailure, RegistrationTarget, Status, register,
 };
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use support::Random;
@@ -109,7 +109,7 @@ fn what_a_cloud_cannot_tell_is_not_registered() {
     assert!(
         matches!(
             found.status,
-            Status::Indeterminate(Reason::Unconstrained { .. })
+            Status::Indeterminate(RegistrationFailure::Unconstrained { .. })
         ),
         "{:?}",
         found.status
@@ -120,7 +120,10 @@ fn what_a_cloud_cannot_tell_is_not_registered() {
     };
     let found = register(&reference, &cloud, None, &far);
     assert!(
-        matches!(found.status, Status::Indeterminate(Reason::Disjoint { .. })),
+        matches!(
+            found.status,
+            Status::Indeterminate(RegistrationFailure::Disjoint { .. })
+        ),
         "{:?}",
         found.status
     );

@@ -7,18 +7,18 @@ use std::f64::consts::TAU;
 use flankscope_foundation::normal::guard_factor;
 use flankscope_gear_cad::GearSpec;
 use flankscope_metrology::gear::evaluation::{
-    Gathering, GearEvaluation, GearEvaluationError, NotTold, Quantity, Settings, evaluate,
+    EvaluationSettings, Gathering, GearEvaluation, GearEvaluationError, NotTold, Quantity, evaluate,
 };
-use flankscope_metrology::gear::{Flank, GearData, Kind};
+use flankscope_metrology::gear::{Flank, GearData, GearKind};
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::surface::sampling;
 use flankscope_metrology::verdict::PROBABILITY;
 use support::{mesh_of, on_every_ring84, ring84_spec};
 
-fn gear(kind: Kind) -> GearData {
+fn gear(kind: GearKind) -> GearData {
     let (tip_radius_mm, root_radius_mm) = match kind {
-        Kind::Internal => (41.0, 43.25),
-        Kind::External => (43.0, 40.75),
+        GearKind::Internal => (41.0, 43.25),
+        GearKind::External => (43.0, 40.75),
     };
     GearData {
         kind,
@@ -37,7 +37,7 @@ fn gear(kind: Kind) -> GearData {
 type Field<'a> = &'a dyn Fn(u32, Flank, f64, f64) -> f64;
 
 /// Points on all flanks, each moved along the numerical normal of the involute by the field, mm.
-fn cloud(gear: &GearData, settings: &Settings, field: Field<'_>) -> Vec<[f64; 3]> {
+fn cloud(gear: &GearData, settings: &EvaluationSettings, field: Field<'_>) -> Vec<[f64; 3]> {
     let [a, b] = settings.usable_mm;
     let (root, tip) = if (a - gear.root_radius_mm).abs() < (b - gear.root_radius_mm).abs() {
         (a, b)
@@ -102,10 +102,10 @@ fn assert_near(what: &str, got: f64, wanted: f64) {
 
 #[test]
 fn slopes_forms_and_pitches_of_class_nine_come_back() {
-    for kind in [Kind::Internal, Kind::External] {
+    for kind in [GearKind::Internal, GearKind::External] {
         let gear = gear(kind);
         // The field's slopes are stated between the ends of the usable flank.
-        let mut settings = Settings::of(&gear);
+        let mut settings = EvaluationSettings::for_gear(&gear);
         settings.slope_mm = Some(settings.usable_mm);
         // 16 um of profile slope, 8 um peak to peak of profile form, 24 um of helix slope, 12 um peak to peak of helix form,
         // and a cumulative pitch wave of 50 um with a jump of 15 um at one tooth.
@@ -201,13 +201,13 @@ fn by_brute_force(f: impl Fn(f64) -> f64, range: [f64; 2]) -> [f64; 3] {
 
 #[test]
 fn an_eccentric_gear_runs_out_by_twice_its_eccentricity_until_its_own_axis_is_taken() {
-    for kind in [Kind::Internal, Kind::External] {
+    for kind in [GearKind::Internal, GearKind::External] {
         runs_out_until_its_own_axis_is_taken(&gear(kind));
     }
 }
 
 fn runs_out_until_its_own_axis_is_taken(gear: &GearData) {
-    let mut settings = Settings::of(gear);
+    let mut settings = EvaluationSettings::for_gear(gear);
     let perfect = cloud(gear, &settings, &|_, _, _, _| 0.0);
     let moved: Vec<[f64; 3]> = perfect
         .iter()
@@ -236,8 +236,8 @@ fn runs_out_until_its_own_axis_is_taken(gear: &GearData) {
 
 #[test]
 fn a_class_that_the_uncertainty_does_not_allow_is_not_stated() {
-    let gear = gear(Kind::Internal);
-    let settings = Settings::of(&gear);
+    let gear = gear(GearKind::Internal);
+    let settings = EvaluationSettings::for_gear(&gear);
     let perfect = cloud(&gear, &settings, &|_, _, _, _| 0.0);
     let evaluation = evaluate(&gear, &perfect, &settings).unwrap();
     for rating in &evaluation.ratings {
@@ -255,10 +255,10 @@ fn a_class_that_the_uncertainty_does_not_allow_is_not_stated() {
 
 #[test]
 fn a_cumulative_uncertainty_of_its_own_is_that_of_pitch_and_runout_alone() {
-    let gear = gear(Kind::Internal);
-    let settings = Settings {
+    let gear = gear(GearKind::Internal);
+    let settings = EvaluationSettings {
         cumulative_u95_um: Some(30.0),
-        ..Settings::of(&gear)
+        ..EvaluationSettings::for_gear(&gear)
     };
     let perfect = cloud(&gear, &settings, &|_, _, _, _| 0.0);
     let evaluation = evaluate(&gear, &perfect, &settings).unwrap();
@@ -276,8 +276,8 @@ fn a_cumulative_uncertainty_of_its_own_is_that_of_pitch_and_runout_alone() {
 
 #[test]
 fn a_part_of_a_gear_gives_what_it_shows_and_no_more() {
-    let gear = gear(Kind::Internal);
-    let settings = Settings::of(&gear);
+    let gear = gear(GearKind::Internal);
+    let settings = EvaluationSettings::for_gear(&gear);
     let all = cloud(&gear, &settings, &|_, _, _, _| 0.0);
     let some: Vec<[f64; 3]> = all
         .iter()
@@ -320,7 +320,7 @@ fn a_part_of_a_gear_gives_what_it_shows_and_no_more() {
     );
     assert_eq!(reason(Quantity::Runout).unwrap().0, "teeth_missing");
     assert_eq!(evaluation.axis_not_told.as_ref().unwrap().code(), "axis");
-    let settings = Settings {
+    let settings = EvaluationSettings {
         best_fit_axis: true,
         ..settings
     };
@@ -332,8 +332,8 @@ fn a_part_of_a_gear_gives_what_it_shows_and_no_more() {
 
 #[test]
 fn what_a_flank_does_not_show_is_named_with_its_place_and_the_next_step() {
-    let gear = gear(Kind::Internal);
-    let settings = Settings::of(&gear);
+    let gear = gear(GearKind::Internal);
+    let settings = EvaluationSettings::for_gear(&gear);
     let mut points = cloud(&gear, &settings, &|_, _, _, _| 0.0);
     // Nothing from 10 to 14 mm, and at mid face (20 mm) nothing between radii 41.9 and 42.3.
     points.retain(|p| {
@@ -400,7 +400,7 @@ fn what_a_flank_does_not_show_is_named_with_its_place_and_the_next_step() {
 
 #[test]
 fn the_guard_is_that_of_the_verdict() {
-    let settings = Settings::of(&gear(Kind::Internal));
+    let settings = EvaluationSettings::for_gear(&gear(GearKind::Internal));
     // U95 covers 95 % to both sides, the guard 95 % to one: 5 um of the first are 5 x 1.645 / 1.960 = 4.196 um of the second.
     let guard_um = settings.guard_um(PROBABILITY);
     assert!(
@@ -461,14 +461,14 @@ fn ring(pressure_angle_deg: f64) -> Vec<[f64; 3]> {
 }
 
 /// The ring's drawing, and a band in which 6 million points of the whole ring leave no gap.
-fn ring84() -> (GearData, Settings) {
+fn ring84() -> (GearData, EvaluationSettings) {
     let gear = GearData {
         height_mm: [0.0, 66.0],
-        ..gear(Kind::Internal)
+        ..gear(GearKind::Internal)
     };
-    let settings = Settings {
+    let settings = EvaluationSettings {
         band_mm: 3.0,
-        ..Settings::of(&gear)
+        ..EvaluationSettings::for_gear(&gear)
     };
     (gear, settings)
 }
@@ -527,7 +527,7 @@ fn a_ring_cut_with_half_a_degree_more_has_the_known_profile_slope_and_no_helix_d
         .collect();
     for (name, points) in [("all", &all), ("wandering", &wandering)] {
         for (slope_mm, wanted) in [(None, to_tip), (Some([41.1, 42.75]), known)] {
-            let settings = Settings {
+            let settings = EvaluationSettings {
                 slope_mm,
                 ..settings
             };
@@ -635,8 +635,8 @@ fn facets_of_either_cad_kernel_stay_within_their_chord_error() {
 
 #[test]
 fn what_is_no_gear_cloud_is_named() {
-    let gear = gear(Kind::Internal);
-    let settings = Settings::of(&gear);
+    let gear = gear(GearKind::Internal);
+    let settings = EvaluationSettings::for_gear(&gear);
     let elsewhere: Vec<[f64; 3]> = (0..1000).map(|i| [f64::from(i), 0.0, 20.0]).collect();
     assert!(matches!(
         evaluate(&gear, &elsewhere, &settings),
@@ -662,7 +662,7 @@ fn what_is_no_gear_cloud_is_named() {
         ([41.1, 43.3], None),
         ([41.1, 42.75], Some([41.0, 20.0])),
     ] {
-        let settings = Settings {
+        let settings = EvaluationSettings {
             usable_mm,
             slope_mm,
             ..settings
@@ -673,7 +673,7 @@ fn what_is_no_gear_cloud_is_named() {
             "{refused:?}"
         );
     }
-    let settings = Settings {
+    let settings = EvaluationSettings {
         u95_um: f64::NAN,
         ..settings
     };

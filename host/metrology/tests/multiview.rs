@@ -2,8 +2,9 @@
 
 use std::f64::consts::{PI, TAU};
 
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::multiview::adjustment::{
-    Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve, take_off_common,
+    CameraPose, Local, Overlap, PARAMETERS, Pose, Stages, ViewInformation, solve, take_off_common,
 };
 use flankscope_metrology::multiview::cylinder::CellObservation;
 use nalgebra::{Isometry3, Matrix6, Point3, Translation3, UnitQuaternion, Vector3, Vector6};
@@ -19,7 +20,9 @@ fn stages() -> Stages {
     let looks = nalgebra::Matrix3::from_columns(&[Vector3::z(), -Vector3::y(), Vector3::x()]);
     let rotation = UnitQuaternion::from_matrix(&looks);
     let pinhole = Translation3::new(RADIUS_MM - 22.0, 0.0, 0.0);
-    Stages::nominal(Isometry3::from_parts(pinhole, rotation))
+    Stages::nominal(Rigid::from_isometry(Isometry3::from_parts(
+        pinhole, rotation,
+    )))
 }
 
 fn places(around: u32, layers: u32) -> Vec<Pose> {
@@ -33,9 +36,9 @@ fn places(around: u32, layers: u32) -> Vec<Pose> {
 }
 
 /// A view that was laid on the CAD at `pose`.
-fn laid(at: Pose, pose: Isometry3<f64>) -> ViewInformation {
+fn laid(at: Pose, pose: CameraPose) -> ViewInformation {
     let (turn, shift) = (VIEW_RAD.powi(-2), VIEW_MM.powi(-2));
-    let centre = pose * Point3::new(0.0, 0.0, 22.0);
+    let centre = pose.isometry() * Point3::new(0.0, 0.0, 22.0);
     ViewInformation {
         at,
         tool_from_camera: pose,
@@ -48,9 +51,9 @@ fn laid(at: Pose, pose: Isometry3<f64>) -> ViewInformation {
 }
 
 /// How far the middle of the wall is from where it should be, mm.
-fn off(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> Vector3<f64> {
+fn off(pose: &CameraPose, truth: &CameraPose) -> Vector3<f64> {
     let middle = Point3::new(0.0, 0.0, 22.0);
-    pose * middle - truth * middle
+    pose.isometry() * middle - truth.isometry() * middle
 }
 
 /// Everything off by about one standard deviation of what is known before.
@@ -100,7 +103,8 @@ fn a_wall_that_is_oval_and_conical_does_not_move_the_views() {
             // A wall farther out shows its points farther out; laid on the CAD, the view moves inwards.
             let outwards = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -at.rotation_rad)
                 * Vector3::x();
-            laid(at, Translation3::from(-outwards * radial_mm(&at)) * pose)
+            let inwards = Translation3::from(-outwards * radial_mm(&at));
+            laid(at, Rigid::from_isometry(inwards * pose.isometry()))
         })
         .collect();
     let found = solve(&stages(), &views, &[], Local::default()).unwrap();
@@ -120,7 +124,11 @@ fn a_view_that_the_stage_turned_too_far_is_followed_as_far_as_a_gaussian_says() 
     let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -error_rad);
     let at_wall = |view: usize| {
         let pose = truth.tool_from_camera(places[view]);
-        if view == wrong { turned * pose } else { pose }
+        if view == wrong {
+            Rigid::from_isometry(turned * pose.isometry())
+        } else {
+            pose
+        }
     };
     let views: Vec<ViewInformation> = (0..places.len())
         .map(|view| laid(places[view], at_wall(view)))
@@ -238,7 +246,7 @@ fn a_conical_wall_leans_in_every_view_and_yet_no_view_leans() {
     let wall_mm = |[_, _, z]: [f64; 3]| taper_rad * (z - 33.0);
     // What is laid on the CAD follows the wall: it shifts inwards and leans.
     let motion = |at: &Pose| {
-        let centre = truth.tool_from_camera(*at) * Point3::new(0.0, 0.0, 22.0);
+        let centre = truth.tool_from_camera(*at).isometry() * Point3::new(0.0, 0.0, 22.0);
         let outwards = Vector3::new(centre.x, centre.y, 0.0).normalize();
         let around = Vector3::z().cross(&outwards);
         let turn = UnitQuaternion::from_scaled_axis(-around * taper_rad);
@@ -248,7 +256,10 @@ fn a_conical_wall_leans_in_every_view_and_yet_no_view_leans() {
     };
     let views: Vec<ViewInformation> = places
         .iter()
-        .map(|at| laid(*at, motion(at) * truth.tool_from_camera(*at)))
+        .map(|at| {
+            let moved = motion(at) * truth.tool_from_camera(*at).isometry();
+            laid(*at, Rigid::from_isometry(moved))
+        })
         .collect();
     let seen: Vec<Vec<CellObservation>> = places
         .iter()
@@ -259,8 +270,8 @@ fn a_conical_wall_leans_in_every_view_and_yet_no_view_leans() {
     let farthest_mm = |overlaps: &[Overlap]| {
         let found = solve(&stages(), &views, overlaps, Local::default()).unwrap();
         let edge = Point3::new(5.0, 0.0, 22.0);
-        let off = |(pose, at): (&Isometry3<f64>, &Pose)| {
-            (pose * edge - truth.tool_from_camera(*at) * edge).norm()
+        let off = |(pose, at): (&CameraPose, &Pose)| {
+            (pose.isometry() * edge - truth.tool_from_camera(*at).isometry() * edge).norm()
         };
         found.poses.iter().zip(&places).map(off).fold(0.0, f64::max)
     };
@@ -363,8 +374,7 @@ fn what_the_field_makes_all_pairs_of_a_kind_say_moves_no_view() {
     let alone = solve(&stages(), &views, &[], Local::default()).unwrap();
     let farthest_mm = |overlaps: &[Overlap]| {
         let found = solve(&stages(), &views, overlaps, Local::default()).unwrap();
-        let off =
-            |(pose, at): (&Isometry3<f64>, &Pose)| off(pose, &truth.tool_from_camera(*at)).norm();
+        let off = |(pose, at): (&CameraPose, &Pose)| off(pose, &truth.tool_from_camera(*at)).norm();
         found.poses.iter().zip(&places).map(off).fold(0.0, f64::max)
     };
     // Every pair says that its views are turned too close: a ring of 84 cannot close so, unless all of it moves inwards.

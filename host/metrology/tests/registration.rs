@@ -3,10 +3,10 @@
 mod support;
 
 use flankscope_foundation::rigid::Rigid;
-use flankscope_metrology::gear::Kind;
+use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::io::mesh::TriMesh;
 use flankscope_metrology::registration::{
-    Options, Prior, Reason, Registration, Status, detect_teeth, register,
+    Options, Prior, Registration, RegistrationFailure, Status, detect_teeth, register,
 };
 use flankscope_metrology::surface::Surface;
 use flankscope_metrology::surface::sampling;
@@ -225,18 +225,18 @@ fn run_what_does_not_fit_is_indeterminate(mesh: TriMesh) {
     };
     assert!(matches!(
         reason(&points[..3], &plain),
-        Some(Reason::TooFewPoints { points: 3, .. })
+        Some(RegistrationFailure::TooFewPoints { points: 3, .. })
     ));
     let far = moved(&points, &Isometry3::translation(1000.0, 0.0, 0.0));
     assert!(matches!(
         reason(&far, &plain),
-        Some(Reason::Disjoint { .. })
+        Some(RegistrationFailure::Disjoint { .. })
     ));
     let mut bad = points.clone();
     bad[17][1] = f64::NAN;
     assert!(matches!(
         reason(&bad, &plain),
-        Some(Reason::NotFinite { index: 17 })
+        Some(RegistrationFailure::NotFinite { index: 17 })
     ));
 
     // Points in the air before the teeth: near enough to start, but not the surface.
@@ -251,7 +251,10 @@ fn run_what_does_not_fit_is_indeterminate(mesh: TriMesh) {
         })
         .collect();
     assert!(
-        matches!(reason(&fog, &plain), Some(Reason::TooFewInliers { .. })),
+        matches!(
+            reason(&fog, &plain),
+            Some(RegistrationFailure::TooFewInliers { .. })
+        ),
         "{:?}",
         reason(&fog, &plain)
     );
@@ -264,9 +267,9 @@ fn run_what_does_not_fit_is_indeterminate(mesh: TriMesh) {
             matches!(
                 reason(&turned, &plain),
                 Some(
-                    Reason::AmbiguousTooth { .. }
-                        | Reason::TooFewInliers { .. }
-                        | Reason::NotConverged { .. }
+                    RegistrationFailure::AmbiguousTooth { .. }
+                        | RegistrationFailure::TooFewInliers { .. }
+                        | RegistrationFailure::NotConverged { .. }
                 )
             ),
             "share {share}: {:?}",
@@ -291,7 +294,10 @@ fn run_what_does_not_fit_is_indeterminate(mesh: TriMesh) {
     assert!(
         matches!(
             reason_given,
-            Some(Reason::PriorViolated { .. } | Reason::TooFewInliers { .. })
+            Some(
+                RegistrationFailure::PriorViolated { .. }
+                    | RegistrationFailure::TooFewInliers { .. }
+            )
         ),
         "{reason_given:?}"
     );
@@ -327,7 +333,7 @@ fn a_plane_is_unconstrained() {
     assert!(
         matches!(
             found.status,
-            Status::Indeterminate(Reason::Unconstrained { unobserved: 3, .. })
+            Status::Indeterminate(RegistrationFailure::Unconstrained { unobserved: 3, .. })
         ),
         "{:?}",
         found.status
@@ -345,7 +351,7 @@ fn the_number_of_teeth_is_found() {
 fn run_the_number_of_teeth_is_found(mesh: TriMesh) {
     let surface = Surface::new(&mesh).unwrap();
     assert_eq!(
-        detect_teeth(&mesh, &surface, 0.02, Kind::Internal),
+        detect_teeth(&mesh, &surface, 0.02, GearKind::Internal),
         Some(84)
     );
 }

@@ -11,7 +11,7 @@ use flankscope_metrology::surface::sampling;
 use flankscope_metrology::tool::{Tool, ToolError};
 use flankscope_metrology::verdict::{Code, Verdict, combine, decide};
 use flankscope_metrology::wear::leakage;
-use flankscope_metrology::wear::{self, FlankWear, Measured, evaluate};
+use flankscope_metrology::wear::{self, Figure, FlankWear, Measured, evaluate};
 use support::{Random, on_every_ring84_file};
 
 const FILE: &str = r#"
@@ -102,7 +102,12 @@ fn measure(tool: &Tool, points: &[[f64; 3]]) -> Vec<FlankWear> {
 
 fn verdict(tool: &Tool, wear: &FlankWear) -> Verdict {
     let inspect = tool.inspect.as_ref().unwrap();
-    decide(1e3 * wear.wear_mm, 1e3 * wear.u_mm, &inspect.rule())
+    let unknown = Figure {
+        value: f64::NAN,
+        u: f64::NAN,
+    };
+    let Figure { value, u } = wear.wear_mm().unwrap_or(unknown);
+    decide(1e3 * value, 1e3 * u, &inspect.rule())
 }
 
 #[test]
@@ -121,13 +126,14 @@ fn run_an_undamaged_gear_is_go(cad: PathBuf) {
         assert_eq!(verdict(&tool, wear), Verdict::Go);
         // Points fall at random: of cells that expect n of them, exp(-n) have none.
         let cells = wear.field.wear_mm.len() as f64;
+        let depth_mm = wear.wear_mm().unwrap();
         let expected = 1.0 - (-(wear.points as f64) / cells).exp();
         assert!((wear.coverage - expected).abs() < 0.02, "{}", wear.coverage);
         assert!(
-            wear.wear_mm.abs() < 3.0 * wear.u_mm && wear.u_mm < 6e-3,
+            depth_mm.value.abs() < 3.0 * depth_mm.u && depth_mm.u < 6e-3,
             "{wear:?}"
         );
-        let figures = wear.figures.unwrap();
+        let figures = wear.judged.unwrap().read;
         assert_eq!(figures.worn_area_mm2.value, 0.0);
         assert_eq!(figures.lost_volume_mm3.value, 0.0);
     }
@@ -152,7 +158,11 @@ fn run_an_undamaged_gear_is_go(cad: PathBuf) {
             "{wear:?}"
         );
         if is_worn {
-            assert!((wear.wear_mm - 0.080).abs() < 3.0 * wear.u_mm, "{wear:?}");
+            let depth_mm = wear.wear_mm().unwrap();
+            assert!(
+                (depth_mm.value - 0.080).abs() < 3.0 * depth_mm.u,
+                "{wear:?}"
+            );
         }
     }
     assert_eq!(
@@ -178,10 +188,11 @@ fn run_a_pit_counts_by_its_depth(cad: PathBuf) {
     for wear in measure(&tool, &view(&tool, 3, pit)) {
         println!("{wear:?}");
         if (wear.tooth, wear.flank) == (84, Flank::Left) {
-            assert!((wear.wear_mm - 0.080).abs() < 0.012, "{wear:?}");
-            assert!(wear.mean_mm < 0.02, "{wear:?}");
+            let judged = wear.judged.unwrap();
+            assert!((judged.wear_mm.value - 0.080).abs() < 0.012, "{wear:?}");
+            assert!(judged.mean_mm.value < 0.02, "{wear:?}");
             // About 0.95 x 1.1 mm, 80 um deep; cells of the rim count half or not at all.
-            let figures = wear.figures.unwrap();
+            let figures = judged.read;
             assert!(
                 (figures.worn_area_mm2.value - 1.05).abs() < 0.45,
                 "{figures:?}"
@@ -436,7 +447,7 @@ fn run_leakage_is_what_the_fit_takes_away(cad: PathBuf) {
         let contacts: Vec<Contact> = closest
             .iter()
             .zip(&fresh)
-            .map(|(c, f)| Contact::of(c, &after, use_judged || !near(f)))
+            .map(|(c, f)| Contact::from_closest(c, &after, use_judged || !near(f)))
             .collect();
         let places = wear::places(gear, &closest);
         let response = Response::new(&contacts, &after, None, &options);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use flankscope_metrology::tool as lib;
-use flankscope_metrology::wear::{self as lib_wear, Measured};
+use flankscope_metrology::wear::{self as lib_wear, Figure, Measured};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
@@ -63,6 +63,16 @@ pub struct FlankWear {
     wear: lib_wear::FlankWear,
 }
 
+impl FlankWear {
+    /// The wear depth; NaN, as NumPy has it, where there is none.
+    fn depth_mm(&self) -> Figure {
+        self.wear.wear_mm().unwrap_or(Figure {
+            value: f64::NAN,
+            u: f64::NAN,
+        })
+    }
+}
+
 #[pymethods]
 impl FlankWear {
     /// Number of the tooth or patch.
@@ -80,19 +90,19 @@ impl FlankWear {
     /// Largest mean loss over a disc, mm.
     #[getter]
     fn wear_mm(&self) -> f64 {
-        self.wear.wear_mm
+        self.depth_mm().value
     }
 
     /// Its standard uncertainty, mm.
     #[getter]
     fn u_mm(&self) -> f64 {
-        self.wear.u_mm
+        self.depth_mm().u
     }
 
     /// Its expanded uncertainty (95 %), mm.
     #[getter]
     fn u95_mm(&self) -> f64 {
-        self.wear.u95_mm()
+        self.depth_mm().u95()
     }
 
     /// Parts of the uncertainty, mm.
@@ -104,19 +114,19 @@ impl FlankWear {
     /// Mean loss over the zone, mm.
     #[getter]
     fn mean_mm(&self) -> f64 {
-        self.wear.mean_mm
+        self.wear.judged.map_or(f64::NAN, |of| of.mean_mm.value)
     }
 
     /// Largest mean height of proud material over a disc, mm.
     #[getter]
     fn proud_mm(&self) -> f64 {
-        self.wear.proud_mm
+        self.wear.judged.map_or(f64::NAN, |of| of.proud_mm.value)
     }
 
     /// The largest loss that a disc with unmeasured parts may have, mm.
     #[getter]
     fn hidden_mm(&self) -> Option<f64> {
-        self.wear.hidden_mm
+        self.wear.judged?.hidden_mm
     }
 
     /// Measured share of the zone.
@@ -151,8 +161,8 @@ impl FlankWear {
             "FlankWear({} {}: {:.1} um, U95 {:.1} um, {:.0} % measured)",
             w.tooth,
             w.flank,
-            um(w.wear_mm),
-            um(w.u95_mm()),
+            um(self.wear_mm()),
+            um(self.u95_mm()),
             100.0 * w.coverage
         )
     }

@@ -259,7 +259,7 @@ impl ResultSink<Article> for ReportFolder {
             let first = &article.first_view;
             let points = PointFile {
                 columns: &[Column::Float("fringes", &first.fringes_dn)],
-                ..PointFile::of(&first.points)
+                ..PointFile::from_points(&first.points)
             };
             points.write(Format::Ply, out)
         })?;

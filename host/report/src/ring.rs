@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use flankscope_metrology::gear::{Flank, GearData, Kind};
+use flankscope_metrology::gear::{Flank, GearData, GearKind};
 use flankscope_metrology::verdict::Word;
 
 use super::svg::{open, sign};
@@ -102,8 +102,8 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
     }
     let few = teeth.len() <= 2 * NUMBERED;
     let outward = match gear.kind {
-        Kind::Internal => 1.0,
-        Kind::External => -1.0,
+        GearKind::Internal => 1.0,
+        GearKind::External => -1.0,
     };
     for (place, &(tooth, worst)) in teeth.iter().enumerate() {
         let centre = gear.tooth_centre_rad(tooth);
@@ -228,7 +228,7 @@ mod tests {
     fn toothing() -> Toothing {
         Toothing {
             gear: GearData {
-                kind: Kind::Internal,
+                kind: GearKind::Internal,
                 teeth: 84,
                 module_mm: 1.0,
                 pressure_angle_deg: 20.0,

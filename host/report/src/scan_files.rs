@@ -61,7 +61,7 @@ fn write(
             Column::Float("views", &float(&|c| f64::from(c.views))),
         ],
         triangles,
-        ..PointFile::of(&points)
+        ..PointFile::from_points(&points)
     };
     file.write(format, out)
 }

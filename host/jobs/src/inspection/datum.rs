@@ -9,8 +9,8 @@ use nalgebra::{Point3, Vector3};
 
 use super::field::FieldOfView;
 use super::place::Place;
-use super::pose_sensitivity::LEAST_POINTS;
 use super::views::EvaluatorError;
+use flankscope_metrology::wear::sensitivity::LEAST_POINTS;
 
 /// Heights at which a view is asked whether it sees a flank are so far apart, mm.
 const STEP_MM: f64 = 0.05;

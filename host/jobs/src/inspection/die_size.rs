@@ -7,7 +7,7 @@ use flankscope_metrology::registration::scale;
 use flankscope_metrology::surface::Closest;
 use flankscope_metrology::tool::STEEL_PER_K;
 use flankscope_metrology::verdict::{Code, Reason};
-use flankscope_metrology::wear::Settings;
+use flankscope_metrology::wear::WearSettings;
 
 use super::place::Place;
 
@@ -21,7 +21,7 @@ pub(super) fn scale_mm(
     place: &Place,
     closest: &[Closest],
     places: &[Option<FlankPlace>],
-    settings: &Settings,
+    settings: &WearSettings,
 ) -> Result<f64, Reason> {
     let Some(gear) = features.gear() else {
         return Ok(0.0);

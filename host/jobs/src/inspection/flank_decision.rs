@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::flank::{Limits, judge};
+use flankscope_metrology::verdict::flank::{FlankLimits, judge};
 use flankscope_metrology::verdict::{Code, Reason, Verdict, repeating_could_decide};
-use flankscope_metrology::wear::{Figure, FlankWear, Settings};
+use flankscope_metrology::wear::{FlankWear, WearSettings};
 
 use super::verdict::{Judged, unmeasured_flank};
 use flankscope_record::baseline::Baseline;
@@ -16,8 +16,8 @@ use flankscope_record::document::Expanded;
 #[derive(Debug)]
 pub(crate) struct FlankCriteria {
     pub tool: Arc<Tool>,
-    pub limits: Limits,
-    pub settings: Settings,
+    pub limits: FlankLimits,
+    pub settings: WearSettings,
     pub baseline: Option<Arc<Baseline>>,
 }
 
@@ -48,10 +48,7 @@ impl FlankCriteria {
             .filter(|wear| (wear.tooth, wear.flank) == (tooth, flank))
             .collect();
         let together = FlankWear::together(&measured, &self.settings)?;
-        let absolute = Figure {
-            value: together.wear_mm,
-            u: together.u_mm,
-        };
+        let absolute = together.wear_mm();
         Some(match self.judged_wear(&together) {
             Ok(wear) => {
                 let judged = Judged::of_wear(&wear, absolute, &self.limits).named(&self.tool);
@@ -67,16 +64,19 @@ impl FlankCriteria {
 
     /// A single measurement's figure, µm.
     fn figure(&self, wear: &FlankWear) -> Option<Expanded> {
-        let wear = self.judged_wear(wear).ok()?;
-        let (value, u95) = (1e3 * wear.wear_mm, 1e3 * wear.u95_mm());
+        let depth_mm = self.judged_wear(wear).ok()?.wear_mm()?;
+        let (value, u95) = (1e3 * depth_mm.value, 1e3 * depth_mm.u95());
         (value.is_finite() && u95.is_finite()).then_some(Expanded { value, u95 })
     }
 
     /// Whether a flank is too near to a limit to be decided, and measuring it again could change that.
     pub fn is_open(&self, wear: &FlankWear) -> bool {
         self.judged_wear(wear).is_ok_and(|wear| {
+            let Some(depth_mm) = wear.wear_mm() else {
+                return false;
+            };
             let um = [
-                wear.wear_mm,
+                depth_mm.value,
                 wear.budget.noise_mm,
                 wear.budget.systematic_mm(),
             ];

@@ -10,7 +10,7 @@ use flankscope_metrology::gear::FlankPlace;
 use flankscope_metrology::verdict::flank::{Decision, judge_in_view};
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
 use flankscope_metrology::wear::standing::MissingTooth;
-use flankscope_metrology::wear::{FlankWear, PoseEvidence};
+use flankscope_metrology::wear::{Figure, FlankWear, PoseEvidence};
 
 use super::flank_decision::FlankCriteria;
 use flankscope_record::baseline::{Reference, ViewReference};
@@ -59,7 +59,7 @@ impl InView {
         let first = captures.first().map_or(&[][..], Vec::as_slice);
         let beside = || {
             let others = first.iter().filter(|wear| wear.tooth != tooth);
-            others.filter(|wear| wear.figures.is_some())
+            others.filter(|wear| wear.judged.is_some())
         };
         let mut poses: Vec<PoseEvidence> = Vec::new();
         for evidence in beside().filter_map(|wear| wear.sensitivity.as_ref()?.evidence.as_deref()) {
@@ -157,8 +157,9 @@ impl FlankCriteria {
                 )
             }
         };
-        let um = |of: fn(&FlankWear) -> f64| {
-            let mm = wear.as_ref().map(of)?;
+        let depth_mm = wear.as_ref().and_then(FlankWear::wear_mm);
+        let um = |of: fn(Figure) -> f64| {
+            let mm = depth_mm.map(of)?;
             mm.is_finite().then_some(1e3 * mm)
         };
         let reason = verdict.reason().map(Reason::to_string);
@@ -169,8 +170,8 @@ impl FlankCriteria {
                 patch: None,
             },
             view,
-            wear_um: um(|wear| wear.wear_mm),
-            u95_um: um(FlankWear::u95_mm),
+            wear_um: um(|depth| depth.value),
+            u95_um: um(|depth| depth.u95()),
             coverage_ratio,
             verdict: verdict.word(),
             reason: reason.or_else(|| cause.map(|cause| cause.sentence(&verdict))),

@@ -17,7 +17,6 @@
 //! | `maps` | deviation maps for a report |
 //! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
-//! | `pose_sensitivity` | what the pose does to a flank's figures |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `in_view` | what a view shows beside the tooth that it was taken for |
 //! | `findings` | all views to what is said of the tool |
@@ -38,7 +37,6 @@ mod outcome;
 mod patch_view;
 mod place;
 mod plan;
-mod pose_sensitivity;
 mod recipe;
 mod recorded;
 mod repeat;

@@ -1,7 +1,7 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage};
-use flankscope_metrology::gear::Kind;
+use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
@@ -384,17 +384,17 @@ impl ViewPlan {
         } = swept;
         let tip_mm = gear.tip_radius_mm;
         match gear.kind {
-            Kind::Internal if reach_mm >= tip_mm => Err(PlanningError::Touches {
+            GearKind::Internal if reach_mm >= tip_mm => Err(PlanningError::Touches {
                 reach_mm,
                 bore_mm: tip_mm,
                 heights_mm,
             }),
-            Kind::External if nearest_mm <= tip_mm => Err(PlanningError::TouchesOutside {
+            GearKind::External if nearest_mm <= tip_mm => Err(PlanningError::TouchesOutside {
                 nearest_mm,
                 tip_mm,
                 heights_mm,
             }),
-            Kind::Internal | Kind::External => Ok(()),
+            GearKind::Internal | GearKind::External => Ok(()),
         }
     }
 

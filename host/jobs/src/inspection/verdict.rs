@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use flankscope_foundation::normal::{COVERAGE_95, probability_below};
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::flank::{Cause, Decision, Limits, judge};
+use flankscope_metrology::verdict::flank::{Cause, Decision, FlankLimits, judge};
 use flankscope_metrology::verdict::{Reason, Verdict, Word, combine};
 use flankscope_metrology::wear::{Budget, Figure, FlankWear};
 
@@ -37,28 +37,32 @@ pub struct Judged {
 impl Judged {
     /// Judges a measured flank.
     ///
-    /// `absolute` is its figure against CAD, which `wear` itself is without a baseline.
-    pub fn of_wear(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Self {
+    /// `absolute` is its wear depth against CAD, which `wear` itself is without a baseline; none when no disc could be measured.
+    pub fn of_wear(wear: &FlankWear, absolute: Option<Figure>, limits: &FlankLimits) -> Self {
         let finite_um = |mm: f64| mm.is_finite().then_some(mm * 1e3);
+        let depth_mm = wear.wear_mm();
         let Decision { verdict, cause } = judge(wear, limits);
         let rule = limits.wear;
         // What walls may hide of a flank that passes changes nothing of that, and dim light looks like their shadow.
-        let at_least_mm = wear.at_least_mm().filter(|_| !verdict.word().passes());
+        let at_least_mm = wear.judged.and_then(|of| of.at_least_mm());
+        let at_least_mm = at_least_mm.filter(|_| !verdict.word().passes());
         let at_least_um = at_least_mm.and_then(finite_um);
-        let conformity = probability_below(rule.limit_um * 1e-3, wear.wear_mm, wear.u_mm);
+        let conformity = depth_mm.map(|of| probability_below(rule.limit_um * 1e-3, of.value, of.u));
         Self {
             id: FeatureId {
                 tooth: wear.tooth,
                 flank: wear.flank.to_string(),
                 patch: None,
             },
-            wear_um: finite_um(wear.wear_mm),
+            wear_um: depth_mm.and_then(|of| finite_um(of.value)),
             // Of a lower bound no interval is claimed.
-            u95_um: finite_um(wear.u95_mm()).filter(|_| at_least_um.is_none()),
+            u95_um: depth_mm
+                .and_then(|of| finite_um(of.u95()))
+                .filter(|_| at_least_um.is_none()),
             at_least_um,
-            mean_um: finite_um(wear.mean_mm),
+            mean_um: wear.judged.and_then(|of| finite_um(of.mean_mm.value)),
             coverage_ratio: wear.coverage,
-            conformity: (conformity.is_finite() && at_least_um.is_none()).then_some(conformity),
+            conformity: conformity.filter(|of| of.is_finite() && at_least_um.is_none()),
             detail: detail(wear, absolute, limits),
             measurements: Vec::new(),
             warn_um: rule.warn_um,
@@ -109,28 +113,29 @@ impl Judged {
 }
 
 /// The figures beside the judged one.
-fn detail(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Option<FlankDetail> {
-    let figures = wear.figures?;
+fn detail(wear: &FlankWear, absolute: Option<Figure>, limits: &FlankLimits) -> Option<FlankDetail> {
+    let (judged, absolute) = wear.judged.zip(absolute)?;
+    let figures = judged.read;
     let expanded = |value: f64, u: f64| Expanded {
         value,
         u95: COVERAGE_95 * u,
     };
     let of = |figure: Figure| expanded(figure.value, figure.u);
-    let um = |value_mm: f64, u_mm: f64| expanded(1e3 * value_mm, 1e3 * u_mm);
+    let um = |mm: Figure| expanded(1e3 * mm.value, 1e3 * mm.u);
     // Cells are compared as they are read, but in the pose that the judged figure is in.
-    let moved_mm = wear.mean_mm - figures.mean_mm.value;
+    let moved_mm = judged.mean_mm.value - figures.mean_mm.value;
     let beyond = |um: f64| wear.field.area_beyond_mm2(1e-3 * um - moved_mm);
     let finite = |figure: Expanded| figure.value.is_finite().then_some(figure);
     Some(FlankDetail {
-        absolute_um: um(absolute.value, absolute.u),
-        mean_u95_um: 1e3 * COVERAGE_95 * wear.u_mean_mm(),
-        raw_um: 1e3 * wear.raw_mm,
+        absolute_um: um(absolute),
+        mean_u95_um: 1e3 * COVERAGE_95 * judged.mean_mm.u,
+        raw_um: 1e3 * judged.raw_mm,
         deepest_at_mm: figures.at_mm,
         area_mm2: limits.area_mm2,
         zone_height_mm: None,
-        proud_um: um(wear.proud_mm, wear.u_proud_mm()),
+        proud_um: um(judged.proud_mm),
         proud_limits_um: [limits.proud.warn_um, limits.proud.limit_um],
-        cell_um: finite(um(wear.cell_mm.value, wear.cell_mm.u)),
+        cell_um: judged.cell_mm.and_then(|cell| finite(um(cell))),
         cell_limits_um: [limits.cell.warn_um, limits.cell.limit_um],
         area_beyond_warn_mm2: beyond(limits.wear.warn_um),
         area_beyond_limit_mm2: beyond(limits.wear.limit_um),
@@ -139,7 +144,7 @@ fn detail(wear: &FlankWear, absolute: Figure, limits: &Limits) -> Option<FlankDe
         proud_volume_mm3: of(figures.proud_volume_mm3),
         tip_edge_radius_mm: wear.tip.map(|tip| of(tip.radius_mm)),
         tip_limits_mm: limits.tip.map(|tip| tip.radius_mm),
-        hidden_um: wear.hidden_mm.map(|mm| 1e3 * mm),
+        hidden_um: judged.hidden_mm.map(|mm| 1e3 * mm),
         detection_limit_um: 1e3 * wear.detection_limit_mm(),
         budget_um: budget_um(&wear.budget),
     })

@@ -14,7 +14,7 @@ use flankscope_metrology::tool::Datum;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::leakage::Leakage;
 use flankscope_metrology::wear::standing::{Brought, MissingTooth, Ray, missing_teeth};
-use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Settings, Sight};
+use flankscope_metrology::wear::{self, FlankWear, Measured, PoseEvidence, Sight, WearSettings};
 use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
@@ -26,12 +26,12 @@ use super::in_view::{self, InView};
 use super::outcome::ViewOutcome;
 use super::place::Place;
 use super::plan::ViewPlan;
-use super::pose_sensitivity::Fitted;
 use super::verdict::Judged;
 use super::{datum, die_size, maps};
 use crate::subject::Subject;
 use flankscope_instrument::poses::StatedPoses;
 use flankscope_instrument::settings::Stages;
+use flankscope_metrology::wear::sensitivity::FittedView;
 use flankscope_record::baseline::Reference;
 use flankscope_record::document::{Light, ViewRegistration, WeakDirection};
 
@@ -175,7 +175,7 @@ impl Evaluator {
             .collect::<Result<_, EvaluatorError>>()?;
         // What the first verdict need not wait for.
         wear::prepare();
-        let settings = Settings {
+        let settings = WearSettings {
             calibration_mm: 1e-3 * calibration_um(&tool, &subject.head),
             ..tool.wear_settings()
         };
@@ -297,7 +297,7 @@ impl Evaluator {
         let fields = assessed
             .wears
             .iter()
-            .filter(|wear| wear.tooth == place.tooth && wear.figures.is_some())
+            .filter(|wear| wear.tooth == place.tooth && wear.judged.is_some())
             .map(Reference::of_flank)
             .collect();
         laps.lap("wear");
@@ -411,7 +411,7 @@ impl Evaluator {
             Ok(scale_mm) => scale_mm,
             Err(why) => return self.not_assessed(place, &why),
         };
-        let fitted = Fitted {
+        let fitted = FittedView {
             features,
             zone: &place.zone,
             registration: &fit.registration,
@@ -422,7 +422,7 @@ impl Evaluator {
             used: &fit.used,
             datum_bands_mm: &self.datum_bands_mm,
             places,
-            temperature: self.criteria.tool.temperature.as_ref(),
+            expansion: self.criteria.tool.temperature.map(|of| of.expansion()),
             form_in_doubt: settings.as_built_mm > 0.0,
         };
         let in_zone = |at: &FlankPlace| place.zone.holds(at.radius_mm, at.height_mm);

@@ -28,12 +28,12 @@ pub(super) fn size_sigma_mm(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::gear::Kind;
+    use flankscope_metrology::gear::GearKind;
 
     #[test]
     fn the_size_is_as_uncertain_as_scale_and_what_was_found_of_it() {
         let gear = GearData {
-            kind: Kind::Internal,
+            kind: GearKind::Internal,
             teeth: 80,
             module_mm: 1.0,
             pressure_angle_deg: 20.0,

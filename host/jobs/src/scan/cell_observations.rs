@@ -3,13 +3,15 @@
 use std::collections::BTreeMap;
 
 use flankscope_metrology::gear::{Flank, GearData};
-use flankscope_metrology::multiview::adjustment::{Pose, ViewInformation, compress_laid};
+use flankscope_metrology::multiview::adjustment::{
+    CameraPose, Pose, ViewInformation, compress_laid,
+};
 use flankscope_metrology::multiview::cylinder::{
     Around, CellObservation, Layout, cell_observations,
 };
 use flankscope_metrology::surface::{Closest, Surface};
 use flankscope_metrology::wear::{FlankView, Measured, Sight};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::view::KeptView;
 
@@ -32,7 +34,7 @@ pub(super) fn layout(gear: &GearData) -> Layout {
 pub(super) struct Laid<'a> {
     surface: &'a Surface,
     kept: &'a KeptView,
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: CameraPose,
     /// Where the points lie, tool frame, mm.
     located: Vec<[f64; 3]>,
     closest: Vec<Closest>,
@@ -40,14 +42,11 @@ pub(super) struct Laid<'a> {
 
 impl<'a> Laid<'a> {
     /// Lays points on the surface.
-    pub fn new(surface: &'a Surface, tool_from_camera: Isometry3<f64>, kept: &'a KeptView) -> Self {
+    pub fn new(surface: &'a Surface, tool_from_camera: CameraPose, kept: &'a KeptView) -> Self {
         let located: Vec<[f64; 3]> = kept
             .points
             .iter()
-            .map(|&[x, y, z, ..]| {
-                let point = Point3::new(f64::from(x), f64::from(y), f64::from(z));
-                (tool_from_camera * point).into()
-            })
+            .map(|&[x, y, z, ..]| tool_from_camera.apply([x, y, z].map(f64::from)))
             .collect();
         Self {
             surface,
@@ -75,7 +74,7 @@ impl<'a> Laid<'a> {
         let without_point: Vec<[f64; 3]> = directions
             .map(|&[x, y]| {
                 let direction = Vector3::new(f64::from(x), f64::from(y), 1.0).normalize();
-                (self.tool_from_camera * direction).into()
+                (self.tool_from_camera.isometry() * direction).into()
             })
             .collect();
         let measured = Measured {
@@ -84,14 +83,14 @@ impl<'a> Laid<'a> {
             sigma_mm: Some(&sigma_mm),
             sight: Some(Sight {
                 surface: self.surface,
-                camera_mm: self.tool_from_camera.translation.vector.into(),
+                camera_mm: self.tool_from_camera.isometry().translation.vector.into(),
                 // Their light is not kept: nothing bounds what they met.
                 dark: &without_point,
                 undecoded: &[],
                 range_mm,
             }),
         };
-        FlankView::of(gear, measured)
+        FlankView::by_flank(gear, measured)
     }
 
     /// What the view says of its pose.

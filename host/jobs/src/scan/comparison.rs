@@ -231,7 +231,7 @@ pub(super) fn of_surface(
     {
         let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?.points, SAMPLE)
             .into_iter()
-            .map(|p| (pose * Point3::from(p)).into())
+            .map(|p| pose.apply(p))
             .collect();
         one_view = statistics(&deviations(&tool.surface, &laid)).map(Spread::from);
     }
@@ -278,7 +278,7 @@ pub(super) fn of_hinz2019(
         let p_camera = laid
             .tool_from_camera
             .inverse_transform_point(&laid.centre_mm);
-        let off_mm = laid.centre_mm - shared.tool_from_camera(at) * p_camera;
+        let off_mm = laid.centre_mm - shared.tool_from_camera(at).isometry() * p_camera;
         figures[laid.view] = Some(ViewFigures::new(laid.rms_mm, laid.centre_mm, off_mm));
     }
     MethodResult {

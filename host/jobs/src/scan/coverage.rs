@@ -175,7 +175,7 @@ mod tests {
 
     fn gear() -> GearData {
         GearData {
-            kind: flankscope_metrology::gear::Kind::Internal,
+            kind: flankscope_metrology::gear::GearKind::Internal,
             teeth: TEETH,
             module_mm: 1.0,
             pressure_angle_deg: 20.0,

@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use flankscope_foundation::date;
-use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::adjustment::{Solution, ViewInformation};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
@@ -238,8 +237,7 @@ fn registrations(
             rms_about_form_um: found.and_then(|(.., mm)| mm.map(|mm| mm * 1e3)),
             residual_um: found.map(|(_, residual, ..)| residual.fixed_rows::<3>(3).norm() * 1e3),
             residual_turn_mdeg: found.map(|(_, residual, ..)| residual[2].to_degrees() * 1e3),
-            tool_from_camera: found
-                .map(|(_, _, pose, _)| Rigid::<ToolFrame, Camera>::from_isometry(**pose).to_rows()),
+            tool_from_camera: found.map(|(_, _, pose, _)| pose.to_rows()),
         }
     };
     planned.iter().enumerate().map(of_view).collect()

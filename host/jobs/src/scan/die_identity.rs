@@ -40,7 +40,7 @@ pub(super) fn stretch_of_views(
         .map(|((view, _), pose)| {
             let points: Vec<[f64; 3]> = coordinates(&session.sample(*view, SAMPLE)?, SAMPLE)
                 .into_iter()
-                .map(|p| (*pose * Point3::from(p)).into())
+                .map(|p| pose.apply(p))
                 .collect();
             let closest = tool.surface.closest_many(&points);
             Ok(stretch::around(&points, &closest))
@@ -85,8 +85,8 @@ pub(super) fn turned_rad(
             rotation_rad: view.rotation_rad,
             vertical_mm: view.vertical_mm,
         };
-        let p = found.tool_from_camera(at) * seen;
-        let q = nominal.tool_from_camera(at) * seen;
+        let p = found.tool_from_camera(at).isometry() * seen;
+        let q = nominal.tool_from_camera(at).isometry() * seen;
         (p.y * q.x - p.x * q.y).atan2(p.x * q.x + p.y * q.y)
     });
     turned.sum::<f64>() / planned.len().max(1) as f64
@@ -110,11 +110,12 @@ pub(super) fn ambiguous_teeth(turned_rad: f64, gear: &GearData) -> Option<Reason
 #[cfg(test)]
 mod tests {
     use super::*;
-    use flankscope_metrology::gear::Kind;
+    use flankscope_foundation::rigid::Rigid;
+    use flankscope_metrology::gear::GearKind;
 
     fn gear() -> GearData {
         GearData {
-            kind: Kind::Internal,
+            kind: GearKind::Internal,
             teeth: 84,
             module_mm: 0.9869,
             pressure_angle_deg: 20.0,
@@ -133,10 +134,10 @@ mod tests {
             -nalgebra::Vector3::y(),
             nalgebra::Vector3::x(),
         ]);
-        let nominal = Stages::nominal(nalgebra::Isometry3::from_parts(
+        let nominal = Stages::nominal(Rigid::from_isometry(nalgebra::Isometry3::from_parts(
             nalgebra::Translation3::new(19.5, 0.0, 0.0),
             nalgebra::UnitQuaternion::from_matrix(&looks),
-        ));
+        )));
         let planned: Vec<PlannedView> = (0..12)
             .map(|step| PlannedView {
                 tooth: 1,

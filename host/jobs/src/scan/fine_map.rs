@@ -3,7 +3,6 @@
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout, Profile};
 use flankscope_metrology::tool::Tool;
-use nalgebra::Point3;
 
 use super::cell_observations::Laid;
 use super::full_cloud::registered;
@@ -36,7 +35,7 @@ pub enum FineMapError {
 
 /// Cells of `spacing_mm` along the profile and the axis.
 pub(super) fn layout(gear: &GearData, spacing_mm: f64) -> Result<Layout, FineMapError> {
-    let profile = Profile::of(gear);
+    let profile = Profile::for_gear(gear);
     let [low, high] = gear.height_mm;
     let least_mm = (profile.length_mm() * (high - low) / MOST_CELLS).sqrt();
     let most_mm = 0.5 * gear.module_mm;
@@ -68,8 +67,8 @@ pub(super) fn merged(
         let laid = Laid::new(&tool.surface, tool_from_camera, &kept);
         let back = tool_from_camera.inverse();
         map.add_view(&laid.cell_observations(&layout), |of| {
-            let in_camera = back * Point3::from(of.point.map(f64::from));
-            scan.quality.variance_mm2(in_camera.into())
+            let p_camera = back.apply(of.point.map(f64::from));
+            scan.quality.variance_mm2(p_camera)
         });
     }
     Ok(map)

@@ -15,19 +15,19 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use flankscope_foundation::order::{SIGMA_PER_MAD, median_of};
-use flankscope_foundation::rigid::Rigid;
-use flankscope_metrology::gear::{Flank, FlankPlace, GearData};
-use flankscope_metrology::multiview::adjustment::{Local, Solution, Stages, ViewInformation};
+use flankscope_metrology::gear::{Flank, GearData};
+use flankscope_metrology::multiview::adjustment::{CameraPose, Local, Solution, Stages};
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
-use flankscope_metrology::registration::{Contact, Options, Prior, Response};
 use flankscope_metrology::tool::Tool;
-use flankscope_metrology::verdict::flank::Limits;
+use flankscope_metrology::verdict::flank::FlankLimits;
 use flankscope_metrology::verdict::{Code, Reason, Verdict, Word};
-use flankscope_metrology::wear::leakage::{Leakage, of_feature};
-use flankscope_metrology::wear::{
-    Figure, FlankWear, Gathered, PoseEvidence, PoseSensitivity, SeenFlank, Settings, Zone, places,
+use flankscope_metrology::wear::sensitivity::{
+    HeldView, ScanSensitivity, ScanView, registration_mm,
 };
-use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use flankscope_metrology::wear::{
+    FlankWear, Gathered, PoseEvidence, SeenFlank, WearSettings, Zone,
+};
+use nalgebra::Matrix6;
 use rayon::prelude::*;
 
 use super::coverage::ASKED_PER_FIELD;
@@ -54,13 +54,6 @@ const ANY_TURN_MM: f64 = 0.1;
 /// that of n values is this many over the root of n.
 const QUARTILE_SIGMAS: f64 = 0.674_5;
 const QUARTILE_ERROR: f64 = 1.362_6;
-/// Neighbouring points of a view share the form of the piece: so many patches are independent, each known to so much (mm), as
-/// the adjustment counts them.
-const PATCHES: f64 = 80.0;
-const FORM_MM: f64 = 10e-3;
-/// A flank with fewer of a view's sample lies at its rim.
-const LEAST_OF_SAMPLE: usize = 25;
-
 type Key = (u32, Flank);
 
 /// What is said of the flanks.
@@ -72,19 +65,6 @@ pub(super) struct JudgedFlanks {
     pub means: Vec<FlankMean>,
     /// Share of the heights of those that were asked for.
     pub height_ratio: f64,
-}
-
-/// What one view's pose may do to the flanks of its middle tooth.
-#[derive(Clone)]
-struct Held {
-    tooth: u32,
-    vertical_mm: f64,
-    /// Left, right.
-    leakage: Vec<Leakage>,
-    /// Standard uncertainty of either flank's deviation by the pose, mm.
-    sigma_mm: [f64; 2],
-    /// Flanks in view.
-    flanks: usize,
 }
 
 /// How far above and below its middle a view is asked for its middle tooth, mm.
@@ -188,13 +168,6 @@ fn evidence(flanks: &[SeenFlank], scatter_mm: f64) -> (PoseEvidence, f64) {
     )
 }
 
-/// Row by which a small motion about `centre` acts on the deviation of a point with this normal.
-fn row(point: [f64; 3], normal: [f64; 3], centre: Vector3<f64>) -> Vector6<f64> {
-    let normal = Vector3::from(normal);
-    let turn = (Vector3::from(point) - centre).cross(&normal);
-    Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z)
-}
-
 /// What the flanks of a scan are judged from and by.
 struct Judging<'a> {
     gear: &'a GearData,
@@ -242,7 +215,7 @@ impl Judging<'_> {
                 ..JudgedFlanks::default()
             });
         };
-        let settings = Settings {
+        let settings = WearSettings {
             calibration_mm: self.calibration_mm,
             ..tool.wear_settings()
         };
@@ -267,9 +240,15 @@ impl Judging<'_> {
             .collect();
         let (evidence, form_scatter_mm) = evidence(&seen, scatter_mm(&seen));
         let evidence = Arc::new(evidence);
+        let sensitivity = ScanSensitivity {
+            gear: self.gear,
+            held: &held,
+            evidence: &evidence,
+            form_scatter_mm,
+            expansion: tool.temperature.map(|of| of.expansion()),
+        };
         let judged = measured.into_par_iter().map(|(zone, wear)| {
-            let sensitivity = self.sensitivity(&held, &zone, &wear, &evidence, form_scatter_mm);
-            let wear = match sensitivity {
+            let wear = match sensitivity.on((wear.tooth, wear.flank), &zone) {
                 Some(sensitivity) => wear.with(sensitivity, &settings),
                 None => wear,
             };
@@ -312,12 +291,12 @@ impl Judging<'_> {
         &self,
         stitched: &Stitched,
         zones: &[(Key, Zone)],
-        held: &[Held],
-        settings: &Settings,
+        held: &[HeldView],
+        settings: &WearSettings,
     ) -> Result<Vec<(Zone, FlankWear)>, SessionError> {
         let poses = &stitched.adjustment.poses;
         let views = stitched.views.iter().zip(poses);
-        let views: Vec<(usize, &Isometry3<f64>)> =
+        let views: Vec<(usize, &CameraPose)> =
             views.map(|((view, _), pose)| (*view, pose)).collect();
         let steps = [stitched.steps.around, stitched.steps.up];
         // Of two views that lie a step apart each has its share.
@@ -336,194 +315,77 @@ impl Judging<'_> {
                     };
                     let back = pose.inverse();
                     all.add(&seen, &motion, |foot| {
-                        let in_camera = back * Point3::from(foot);
-                        stitched.quality.variance_mm2(in_camera.into())
+                        stitched.quality.variance_mm2(back.apply(foot))
                     });
                 }
-                let registration_mm = of_zone(held, key, &zone)
-                    .map(|(of, side)| of.sigma_mm[side])
-                    .fold(steps_mm, worse);
+                let registration_mm = registration_mm(held, key, &zone, steps_mm);
                 Ok((zone, all.wear(registration_mm, settings)))
             })
             .collect()
     }
 
     /// What the poses of the views do to the flanks that they were asked for.
-    fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<Held>, ScanError> {
+    fn held(&self, stitched: &Stitched, zone: &Zone) -> Result<Vec<HeldView>, ScanError> {
         let nominal = Solution::prior(self.nominal.clone(), self.single);
         let views: Vec<_> = stitched
             .views
             .iter()
             .zip(&stitched.adjustment.poses)
             .collect();
-        let held: Result<Vec<Option<Held>>, SessionError> = views
+        let held: Result<Vec<Option<HeldView>>, SessionError> = views
             .into_par_iter()
             .map(|((view, info), pose)| {
                 let sample = coordinates(&self.store.session.sample(*view, SAMPLE)?, SAMPLE);
                 let planned = &self.planned[*view];
                 let covariance = stitched.adjustment.pose_covariance(info);
-                // Nothing is taken as known of die and head but what the files say: the views could have been moved by the
-                // wear of all of them.
                 let prior = nominal.predict(info.at);
-                Ok(covariance.map(|covariance| {
-                    self.held_by(planned, zone, info, (&sample, pose), (&prior, &covariance))
-                }))
+                let reach_mm = ASKED_PER_FIELD * self.field_mm;
+                let of_covariance = |covariance: Matrix6<f64>| {
+                    ScanView {
+                        gear: self.gear,
+                        surface: &self.tool.surface,
+                        tooth: planned.tooth,
+                        vertical_mm: planned.vertical_mm,
+                        zone: Zone {
+                            radius_mm: zone.radius_mm,
+                            height_mm: [-reach_mm, reach_mm].map(|mm| planned.vertical_mm + mm),
+                        },
+                        sample: &sample,
+                        tool_from_camera: *pose,
+                        centre_mm: info.centre_mm,
+                        prior: &prior,
+                        covariance: &covariance,
+                    }
+                    .held()
+                };
+                Ok(covariance.map(of_covariance))
             })
             .collect();
         Ok(held?.into_iter().flatten().collect())
     }
-
-    fn held_by(
-        &self,
-        planned: &PlannedView,
-        zone: &Zone,
-        info: &ViewInformation,
-        (sample, pose): (&[[f64; 3]], &Isometry3<f64>),
-        (prior, covariance): (&Prior, &Matrix6<f64>),
-    ) -> Held {
-        let located: Vec<[f64; 3]> = sample
-            .iter()
-            .map(|&p| (pose * Point3::from(p)).into())
-            .collect();
-        let closest = self.tool.surface.closest_many(&located);
-        let contacts: Vec<Contact> = closest
-            .iter()
-            .map(|hit| Contact {
-                point: hit.point,
-                normal: hit.normal,
-                weight: FORM_MM.powi(-2),
-            })
-            .collect();
-        let places = places(self.gear, &closest);
-        let centre = Vector3::from(info.centre_mm);
-        let squares: f64 = contacts
-            .iter()
-            .map(|of| (Vector3::from(of.point) - centre).norm_squared())
-            .sum();
-        let count = contacts.len().max(1) as f64;
-        let options = Options {
-            correlated_points: count / PATCHES,
-            ..Options::default()
-        };
-        // The expected pose is where the view is: what is asked is how deviations would move it.
-        let prior = Prior {
-            tool_from_cloud: Rigid::from_isometry(*pose),
-            ..prior.clone()
-        };
-        let at = (info.centre_mm, (squares / count).sqrt());
-        let response = Response::of_points(&contacts, at, Some(&prior), &options);
-        let heights = Zone {
-            radius_mm: zone.radius_mm,
-            height_mm: [-ASKED_PER_FIELD, ASKED_PER_FIELD]
-                .map(|share| planned.vertical_mm + share * self.field_mm),
-        };
-        let mut seen: BTreeMap<Key, usize> = BTreeMap::new();
-        for place in places.iter().flatten() {
-            *seen.entry((place.tooth, place.flank)).or_default() += 1;
-        }
-        let tooth = planned.tooth;
-        let leakage = of_feature(self.gear, &heights, tooth, &response, &contacts, &places);
-        let sigma_mm = Flank::BOTH.map(|flank| {
-            let own = |place: &Option<FlankPlace>| {
-                place.is_some_and(|of| (of.tooth, of.flank) == (planned.tooth, flank))
-            };
-            contacts
-                .iter()
-                .zip(&places)
-                .filter(|(_, place)| own(place))
-                .map(|(of, _)| {
-                    let row = row(of.point, of.normal, centre);
-                    row.dot(&(covariance * row)).max(0.0).sqrt()
-                })
-                .fold(0.0, f64::max)
-        });
-        Held {
-            tooth: planned.tooth,
-            vertical_mm: planned.vertical_mm,
-            leakage,
-            sigma_mm,
-            flanks: seen.values().filter(|n| **n >= LEAST_OF_SAMPLE).count(),
-        }
-    }
-
-    /// What acts on a flank beside its points: the worst of the views that were asked for it.
-    fn sensitivity(
-        &self,
-        held: &[Held],
-        zone: &Zone,
-        wear: &FlankWear,
-        evidence: &Arc<PoseEvidence>,
-        form_scatter_mm: f64,
-    ) -> Option<PoseSensitivity> {
-        let (worst, side) = of_zone(held, (wear.tooth, wear.flank), zone).reduce(|a, b| {
-            let leaks = |(of, side): (&Held, usize)| of.leakage[side].worst();
-            if leaks(b) > leaks(a) || leaks(b).is_nan() {
-                b
-            } else {
-                a
-            }
-        })?;
-        let leakage = worst.leakage[side];
-        // Growing towards the axis by what a thermometer leaves: a flank feels the part along its normal, at most all of it
-        // that its normal's angle lets through. That the poses may take it up is not counted on.
-        let temperature_mm = self.tool.temperature.map_or(0.0, |t| {
-            let radius_mm = 0.5 * (zone.radius_mm[0] + zone.radius_mm[1]);
-            let cos = (self.gear.base_radius_mm() / radius_mm).min(1.0);
-            t.expansion_per_k * t.u_k * radius_mm * (1.0 - cos * cos).sqrt()
-        });
-        Some(PoseSensitivity {
-            leakage,
-            evidence: Some(Arc::clone(evidence)),
-            form_scatter_mm,
-            // Every other flank in view passes on as much as this one.
-            others_form: leakage.uniform * (worst.flanks.saturating_sub(1) as f64).sqrt(),
-            temperature_mm,
-        })
-    }
-}
-
-/// The views that were asked for a zone of a flank, and which of their flanks it is; all of them for one that nobody asked
-/// for.
-fn of_zone<'a>(
-    held: &'a [Held],
-    (tooth, flank): Key,
-    zone: &Zone,
-) -> impl Iterator<Item = (&'a Held, usize)> {
-    let side = usize::from(flank == Flank::Right);
-    let [low, high] = zone.height_mm;
-    let own = move |of: &&Held| of.tooth == tooth && (low..high).contains(&of.vertical_mm);
-    let any = !held.iter().any(|of| own(&of));
-    held.iter()
-        .filter(move |of| any || own(of))
-        .map(move |of| (of, side))
-}
-
-/// The larger; no number at all where one is none.
-fn worse(a: f64, b: f64) -> f64 {
-    if b > a || b.is_nan() { b } else { a }
 }
 
 /// One zone of a flank with its verdict.
 struct OfZone {
     key: Key,
-    mean_mm: f64,
+    /// Mean loss; none when no disc could be measured, or the turn of the die is not known.
+    mean_mm: Option<f64>,
     /// Measured area, as a number of cells.
     cells: usize,
     all_cells: usize,
     judged: Judged,
 }
 
-fn judge(wear: FlankWear, zone: &Zone, limits: &Limits) -> OfZone {
-    let absolute = Figure {
-        value: wear.wear_mm,
-        u: wear.u_mm,
-    };
+fn judge(wear: FlankWear, zone: &Zone, limits: &FlankLimits) -> OfZone {
     OfZone {
         key: (wear.tooth, wear.flank),
-        mean_mm: wear.mean_mm,
+        mean_mm: wear
+            .judged
+            .map(|judged| judged.mean_mm.value)
+            .filter(|mm| mm.is_finite()),
         cells: wear.field.measured().count(),
         all_cells: wear.field.wear_mm.len(),
-        judged: Judged::of_wear(&wear, absolute, limits).over(zone.height_mm),
+        judged: Judged::of_wear(&wear, wear.wear_mm(), limits).over(zone.height_mm),
     }
 }
 
@@ -539,9 +401,14 @@ fn of_flanks(zones: &[OfZone], is_asked: impl Fn(u32) -> bool) -> JudgedFlanks {
         if !is_asked(tooth) && !seen {
             continue;
         }
-        let measured = || of_flank.iter().filter(|z| z.mean_mm.is_finite());
-        let mean_mm = measured().map(|z| z.cells as f64 * z.mean_mm).sum::<f64>()
-            / measured().map(|z| z.cells as f64).sum::<f64>();
+        let measured = || {
+            let of_zones = of_flank.iter();
+            of_zones.filter_map(|z| Some((z.cells as f64, z.mean_mm?)))
+        };
+        let mean_mm = measured()
+            .map(|(cells, mean_mm)| cells * mean_mm)
+            .sum::<f64>()
+            / measured().map(|(cells, _)| cells).sum::<f64>();
         if mean_mm.is_finite() {
             all.means.push(FlankMean {
                 tooth,
@@ -575,7 +442,7 @@ mod tests {
 
     fn gear() -> GearData {
         GearData {
-            kind: flankscope_metrology::gear::Kind::Internal,
+            kind: flankscope_metrology::gear::GearKind::Internal,
             teeth: 84,
             module_mm: 1.0,
             pressure_angle_deg: 20.0,

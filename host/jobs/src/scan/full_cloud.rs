@@ -5,7 +5,6 @@ use std::io::{self, Write};
 use flankscope_foundation::npz::NpzWriter;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_metrology::io::points::Format;
-use nalgebra::{Isometry3, Point3};
 
 use super::result::Scan;
 use super::session::{Session, SessionError};
@@ -23,11 +22,11 @@ pub enum CloudError {
 }
 
 /// The views that are registered in the end, with their final poses.
-pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
+pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Rigid<Tool, Camera>)> {
     let views = scan.registration.iter();
     views.filter_map(|of| {
-        let pose = Rigid::<Tool, Camera>::from_rows(of.tool_from_camera.as_ref()?).ok()?;
-        Some((of.view, *pose.isometry()))
+        let pose = Rigid::from_rows(of.tool_from_camera.as_ref()?).ok()?;
+        Some((of.view, pose))
     })
 }
 
@@ -35,12 +34,12 @@ pub(super) fn registered(scan: &Scan) -> impl Iterator<Item = (usize, Isometry3<
 pub(super) fn points_in_tool(
     session: &Session,
     view: usize,
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: Rigid<Tool, Camera>,
 ) -> Result<impl Iterator<Item = ([f64; 3], f32)>, SessionError> {
     let kept = session.points(view)?.points;
     Ok(kept.into_iter().map(move |[x, y, z, sigma, _]| {
-        let p_tool = tool_from_camera * Point3::new(x, y, z).cast::<f64>();
-        (p_tool.into(), sigma)
+        let p_tool = tool_from_camera.apply([x, y, z].map(f64::from));
+        (p_tool, sigma)
     }))
 }
 
@@ -71,7 +70,7 @@ pub(super) fn write(
 /// A view that is written.
 struct View {
     view: usize,
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: Rigid<Tool, Camera>,
     /// Its points.
     count: usize,
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::gear::evaluation::{
-    Gathering, GearEvaluation, GearEvaluationError, Settings,
+    EvaluationSettings, Gathering, GearEvaluation, GearEvaluationError,
 };
 use serde::Serialize;
 
@@ -98,10 +98,10 @@ pub(super) fn evaluate(
     let u95_um = COVERAGE_95 * squares.sqrt();
     let stage_um = stage_rad(scan) * 1e3 * gear.pitch_radius_mm();
     let cumulative_u95_um = u95_um + stage_um;
-    let settings = Settings {
+    let settings = EvaluationSettings {
         u95_um,
         cumulative_u95_um: Some(cumulative_u95_um),
-        ..Settings::of(gear)
+        ..EvaluationSettings::for_gear(gear)
     };
     let mut gathering = Gathering::new(gear, &settings)?;
     for (view, tool_from_camera) in registered(scan) {

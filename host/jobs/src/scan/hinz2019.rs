@@ -176,7 +176,7 @@ pub(super) fn stitch(
     settings: &Hinz2019Settings,
 ) -> Result<Hinz2019Stitched, ScanError> {
     let teeth = tool.gear.as_ref().map_or(1, |gear| gear.teeth);
-    let stages = Stages::nominal(Isometry3::identity());
+    let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
     // What stands between stage and camera: found with one view, it is where the next one starts.
     let mut stage_from_camera: Option<Isometry3<f64>> = None;
     // Height of a view's centre of mass above its place on the vertical stage.
@@ -188,11 +188,14 @@ pub(super) fn stitch(
         let seed = settings.seed_of(view);
         let drawn = Drawing::of_view(&points, settings, view).points;
         let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
-        let moved = stages.tool_from_camera(at);
+        let moved = *stages.tool_from_camera(at).isometry();
         let start = match (stage_from_camera, settings.first_pose) {
             (Some(known), _) => moved * known,
             (None, Some(picked)) => *picked.isometry(),
-            (None, None) => search_phase(&tool.surface, &xyz, &nominal.tool_from_camera(at), teeth),
+            (None, None) => {
+                let start = Rigid::from_isometry(*nominal.tool_from_camera(at).isometry());
+                *search_phase(&tool.surface, &xyz, &start, teeth).isometry()
+            }
         };
         let options = Hinz2019Options {
             seed,

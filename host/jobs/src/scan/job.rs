@@ -185,7 +185,7 @@ impl Scanner {
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
-        let nominal = Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry());
+        let nominal = Stages::nominal(hand_eye(&subject).map_err(unfit)?);
         let field = FieldOfView::of(&subject.head).map_err(unfit)?;
         let name = planned.name.clone();
         let ViewPipeline {

@@ -93,7 +93,7 @@ pub(super) fn compare(
         return Ok(None);
     };
     let kept = session.points(view)?;
-    let laid = Laid::new(&tool.surface, *pose.isometry(), &kept);
+    let laid = Laid::new(&tool.surface, pose, &kept);
     let (points, exact_mm) = laid.near(OUTLIER_MM);
     let centre = centre_of_mass(&points).unwrap_or_default();
     let region = Region {

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
 use flankscope_metrology::multiview::adjustment::{
-    Overlap, Solution, ViewInformation, take_off_common,
+    CameraPose, Overlap, Solution, ViewInformation, take_off_common,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
-use nalgebra::{Isometry3, Point3, Vector6};
+use nalgebra::{Point3, Vector6};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -29,7 +29,7 @@ pub(super) fn overlaps(
     patches: &Patches,
     layout: &Layout,
     views: &[Laid],
-    alone: &BTreeMap<usize, Isometry3<f64>>,
+    alone: &BTreeMap<usize, CameraPose>,
     field_mm: f64,
 ) -> Result<Vec<Overlap>, SessionError> {
     let apart_mm = APART_PER_FIELD * field_mm;
@@ -106,7 +106,7 @@ impl Steps {
     pub(super) fn of(
         overlaps: &[Overlap],
         views: &[Laid],
-        before: &BTreeMap<usize, Isometry3<f64>>,
+        before: &BTreeMap<usize, CameraPose>,
         adjustment: &Solution,
     ) -> Self {
         let after: Vec<Vector6<f64>> = (views.iter().enumerate())

@@ -6,10 +6,11 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use bytemuck::Zeroable;
+use flankscope_foundation::rigid::{Rigid, Tool as ToolFrame};
 use flankscope_metrology::gear::Flank;
+use flankscope_metrology::multiview::adjustment::CameraPose;
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout, moved};
 use flankscope_metrology::wear::{FlankPoint, FlankView};
-use nalgebra::Isometry3;
 
 use super::session::SessionError;
 
@@ -20,7 +21,7 @@ struct Place {
     cell_observations: usize,
     flanks: BTreeMap<(u32, Flank), FlankPlace>,
     /// At which it was laid on the CAD.
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: CameraPose,
 }
 
 /// Where the points of one flank lie in the file: first those on it, then those under its edge, then where rays meet it.
@@ -66,7 +67,7 @@ impl Patches {
     pub fn keep(
         &mut self,
         view: usize,
-        tool_from_camera: Isometry3<f64>,
+        tool_from_camera: CameraPose,
         cell_observations: &[CellObservation],
         flanks: &BTreeMap<(u32, Flank), FlankView>,
     ) -> Result<(), SessionError> {
@@ -119,8 +120,8 @@ impl Patches {
         &self,
         view: usize,
         key: (u32, Flank),
-        tool_from_camera: &Isometry3<f64>,
-    ) -> Result<Option<(FlankView, Isometry3<f64>)>, SessionError> {
+        tool_from_camera: &CameraPose,
+    ) -> Result<Option<(FlankView, Rigid<ToolFrame, ToolFrame>)>, SessionError> {
         let Some(place) = self.places.get(&view) else {
             return Ok(None);
         };
@@ -137,7 +138,7 @@ impl Patches {
         let mut rays = under.split_off(of.under);
         let mut dark = rays.split_off(of.rays);
         let undecoded = dark.split_off(of.dark);
-        let motion = tool_from_camera * place.tool_from_camera.inverse();
+        let motion = *tool_from_camera * place.tool_from_camera.inverse();
         let seen = FlankView {
             on: points,
             under,
@@ -150,7 +151,7 @@ impl Patches {
     }
 
     /// Pose at which a view was laid on the CAD, if it was.
-    pub fn pose(&self, view: usize) -> Option<&Isometry3<f64>> {
+    pub fn pose(&self, view: usize) -> Option<&CameraPose> {
         Some(&self.places.get(&view)?.tool_from_camera)
     }
 
@@ -158,7 +159,7 @@ impl Patches {
     pub fn moved_to(
         &self,
         view: usize,
-        tool_from_camera: &Isometry3<f64>,
+        tool_from_camera: &CameraPose,
         layout: &Layout,
     ) -> Result<Vec<CellObservation>, SessionError> {
         let Some(place) = self.places.get(&view) else {
@@ -168,7 +169,7 @@ impl Patches {
         let bytes = bytemuck::cast_slice_mut(&mut cell_observations);
         let read = self.file.read_exact_at(bytes, place.offset);
         read.map_err(|error| self.trouble(error))?;
-        let motion = tool_from_camera * place.tool_from_camera.inverse();
+        let motion = *tool_from_camera * place.tool_from_camera.inverse();
         Ok(moved(&cell_observations, layout, &motion))
     }
 

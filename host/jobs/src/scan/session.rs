@@ -216,10 +216,9 @@ impl Session {
     }
 
     /// First pose of a view that is done.
-    pub fn pose(&self, view: usize) -> Option<nalgebra::Isometry3<f64>> {
+    pub fn pose(&self, view: usize) -> Option<Rigid<Tool, Camera>> {
         let entry = self.manifest.views.get(&view)?;
-        let pose = Rigid::<Tool, Camera>::from_rows(&entry.tool_from_camera).ok()?;
-        Some(*pose.isometry())
+        Rigid::from_rows(&entry.tool_from_camera).ok()
     }
 
     /// Keeps a view's points and first pose.
@@ -227,17 +226,16 @@ impl Session {
         &mut self,
         view: usize,
         kept: &KeptView,
-        tool_from_camera: nalgebra::Isometry3<f64>,
+        tool_from_camera: Rigid<Tool, Camera>,
     ) -> Result<(), SessionError> {
         let points: &[u8] = bytemuck::cast_slice(&kept.points);
         let bytes = [points, bytemuck::cast_slice(&kept.without_point)].concat();
         let path = self.file(view);
         write_whole(&path, &bytes).map_err(|error| SessionError::Io { path, error })?;
-        let pose = Rigid::<Tool, Camera>::from_isometry(tool_from_camera);
         let entry = Entry {
             blake3: hash(&bytes),
             points: kept.points.len(),
-            tool_from_camera: pose.to_rows(),
+            tool_from_camera: tool_from_camera.to_rows(),
         };
         self.manifest.views.insert(view, entry);
         Ok(())

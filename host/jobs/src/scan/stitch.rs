@@ -8,14 +8,14 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use flankscope_metrology::multiview::adjustment::{
-    Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
+    CameraPose, Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::multiview::cylinder::{
     CellObservation, CylinderMap, FieldQuality, Layout,
 };
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Point3;
 use rayon::prelude::*;
 
 use super::cell_observations::Laid;
@@ -118,7 +118,7 @@ pub(super) fn stitch(
     let steps = Steps::of(&pairs, &views, &alone, &adjustment);
     let adjustment = adjustment.no_surer_than(&sure);
     lap("overlaps");
-    let of_views = |take: &mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)| {
+    let of_views = |take: &mut dyn FnMut(&CameraPose, Vec<CellObservation>)| {
         for ((view, _), pose) in views.iter().zip(&adjustment.poses) {
             take(pose, patches.moved_to(*view, pose, &layout)?);
         }
@@ -204,7 +204,7 @@ impl<'a> Common<'a> {
             self.adjustment = solved(&laid, &pairs, &self.adjustment.stages, self.frame)?;
             self.views = laid;
             self.rounds += 1;
-            let moved = |((_, info), pose): (&(usize, ViewInformation), &Isometry3<f64>)| {
+            let moved = |((_, info), pose): (&(usize, ViewInformation), &CameraPose)| {
                 self.moved_mm(info, &info.tool_from_camera, pose)
             };
             self.settled = whole
@@ -244,15 +244,15 @@ impl<'a> Common<'a> {
 
     /// How far any part of a view moves across the axis from one pose to another, mm. A shift along it changes nothing: the
     /// teeth are straight.
-    fn moved_mm(&self, info: &ViewInformation, from: &Isometry3<f64>, to: &Isometry3<f64>) -> f64 {
+    fn moved_mm(&self, info: &ViewInformation, from: &CameraPose, to: &CameraPose) -> f64 {
         let to_edge_mm = 0.5 * self.frame.field.width_mm;
         let centre = Point3::from(info.centre_mm);
-        let motion = to * from.inverse();
+        let motion = to.isometry() * from.isometry().inverse();
         (motion * centre - centre).xy().norm() + motion.rotation.angle() * to_edge_mm
     }
 
     /// Where every view is, by its number.
-    fn poses(&self) -> BTreeMap<usize, Isometry3<f64>> {
+    fn poses(&self) -> BTreeMap<usize, CameraPose> {
         let views = self.views.iter().zip(&self.adjustment.poses);
         views.map(|((view, _), pose)| (*view, *pose)).collect()
     }
@@ -263,11 +263,11 @@ impl<'a> Common<'a> {
 fn merge(
     layout: Layout,
     field_slope: f64,
-    of_views: impl Fn(&mut dyn FnMut(&Isometry3<f64>, Vec<CellObservation>)) -> Result<(), SessionError>,
+    of_views: impl Fn(&mut dyn FnMut(&CameraPose, Vec<CellObservation>)) -> Result<(), SessionError>,
 ) -> Result<(CylinderMap, FieldQuality), SessionError> {
-    let in_camera = |pose: &Isometry3<f64>, observation: &CellObservation| -> [f64; 3] {
+    let in_camera = |pose: &CameraPose, observation: &CellObservation| -> [f64; 3] {
         let point = Point3::from(observation.point.map(f64::from));
-        pose.inverse_transform_point(&point).into()
+        pose.isometry().inverse_transform_point(&point).into()
     };
     let mut by_noise = CylinderMap::new(layout);
     of_views(&mut |_, view| by_noise.add_view(&view, |_| 0.0))?;

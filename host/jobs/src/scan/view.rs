@@ -9,7 +9,7 @@ use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::{Order, SampleTree};
 use flankscope_metrology::gear::{Flank, GearData};
 use flankscope_metrology::multiview::adjustment::{
-    Local, Pose, Solution, Stages, ViewInformation, compress, solve,
+    CameraPose, Local, Pose, Solution, Stages, ViewInformation, compress, solve,
 };
 use flankscope_metrology::multiview::cylinder::{CellObservation, Layout};
 use flankscope_metrology::registration::{self, Options, Status, register, search_phase};
@@ -17,7 +17,7 @@ use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_metrology::wear::FlankView;
 use flankscope_profilometry::{Accumulator, Decoder};
-use nalgebra::{Isometry3, Matrix6, Vector6};
+use nalgebra::{Matrix6, Vector6};
 
 use super::cell_observations::{Laid, layout};
 use crate::inspection::{
@@ -64,7 +64,7 @@ pub(super) struct ScannedView {
     /// Its points.
     pub kept: KeptView,
     /// First pose, tool frame from camera frame.
-    pub tool_from_camera: Isometry3<f64>,
+    pub tool_from_camera: CameraPose,
     /// What became of it on the CAD, or why it must not be used.
     pub laid: Result<LaidView, Reason>,
 }
@@ -105,7 +105,7 @@ impl ViewScanner {
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.as_ref();
         let gear = gear.ok_or(EvaluatorError::Missing { what })?;
-        let nominal = Stages::nominal(*hand_eye(subject)?.isometry());
+        let nominal = Stages::nominal(hand_eye(subject)?);
         let single = subject.station.stages.of_single_view();
         let mut scanner = Self {
             tool: Arc::clone(&subject.tool),
@@ -136,7 +136,7 @@ impl ViewScanner {
                 let expected = self.adjustment.predict(place(&self.plan, view));
                 return ScannedView {
                     kept: KeptView::default(),
-                    tool_from_camera: *expected.tool_from_cloud.isometry(),
+                    tool_from_camera: Rigid::from_isometry(*expected.tool_from_cloud.isometry()),
                     laid: Err(why),
                 };
             }
@@ -192,7 +192,7 @@ impl ViewScanner {
     fn lay_on(&mut self, view: usize, kept: KeptView) -> ScannedView {
         let at = place(&self.plan, view);
         let mut prior = self.adjustment.predict(at);
-        let expected = *prior.tool_from_cloud.isometry();
+        let expected = prior.tool_from_cloud;
         let first = coordinates(&kept.points, FIRST_POSE);
         let surface = &self.tool.surface;
         let pitch_mm = self.gear.pitch_rad() * self.gear.pitch_radius_mm();
@@ -205,13 +205,13 @@ impl ViewScanner {
         let bend = [BEND_RAD, BEND_RAD, BEND_RAD, BEND_MM, BEND_MM, BEND_MM].map(|s| s * s);
         prior.covariance += Matrix6::from_diagonal(&Vector6::from(bend));
         let options = Options {
-            initial: Rigid::from_isometry(start),
+            initial: start,
             prior: Some(prior),
             teeth: Some(self.gear.teeth),
             ..Options::default()
         };
         let registration = register(surface, &first, None, &options);
-        let tool_from_camera = *registration.tool_from_cloud.isometry();
+        let tool_from_camera = Rigid::from_isometry(*registration.tool_from_cloud.isometry());
         let sample = coordinates(&kept.points, SAMPLE);
         let information = compress(surface, &sample, at, tool_from_camera);
         let laid = match (&registration.status, information) {
@@ -290,8 +290,8 @@ fn rays_far_from(decoder: &Decoder, points: &[Kept]) -> Vec<[f32; 2]> {
 
 /// Whether a view found its place but for some µm: at a rim, points come and go with every step. The adjustment goes on from
 /// there.
-fn nearly_settled(reason: &registration::Reason) -> bool {
-    matches!(reason, registration::Reason::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
+fn nearly_settled(reason: &registration::RegistrationFailure) -> bool {
+    matches!(reason, registration::RegistrationFailure::NotConverged { step_mm, .. } if *step_mm < NEARLY_MM)
 }
 
 /// A view that lies elsewhere.

@@ -11,7 +11,7 @@ const PARTS: usize = 256;
 /// Bits per axis in a voxel number.
 const AXIS_BITS: u32 = 21;
 
-/// Why points were not merged.
+/// Reasons for which points are not merged.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum MergeError {
@@ -45,15 +45,15 @@ pub enum MergeError {
 
 /// A point and its number in the cloud.
 #[derive(Clone, Copy)]
-struct Entry {
+struct VoxelEntry {
     point: [f64; 3],
     index: u32,
 }
 
 /// A chunk's points, those of each part together.
 struct Sorted {
-    entries: Vec<Entry>,
-    /// Where each part begins; one more for the end.
+    entries: Vec<VoxelEntry>,
+    /// Start of each part; one more for the end.
     starts: Vec<u32>,
 }
 
@@ -67,7 +67,7 @@ struct Voxel {
     first: u32,
 }
 
-/// Whether a voxel size is one, before anything large is loaded.
+/// Checks a voxel size before anything large is loaded.
 ///
 /// # Errors
 /// [`MergeError::VoxelSize`] unless it is finite and above 0.
@@ -85,7 +85,7 @@ pub fn check_voxel_size(voxel_mm: f64) -> Result<(), MergeError> {
 /// # Errors
 /// [`MergeError`] for a size that is no size, or a cloud with too many voxels or points to number.
 pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3]>, MergeError> {
-    let numbering = Numbering::of(points, voxel_mm)?;
+    let numbering = Numbering::from_points(points, voxel_mm)?;
     if points.is_empty() {
         return Ok(Vec::new());
     }
@@ -113,7 +113,7 @@ pub fn voxel_centroids(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<[f64; 3
 /// # Errors
 /// As [`voxel_centroids`].
 pub fn voxel_groups(points: &[[f64; 3]], voxel_mm: f64) -> Result<Vec<Vec<u32>>, MergeError> {
-    let numbering = Numbering::of(points, voxel_mm)?;
+    let numbering = Numbering::from_points(points, voxel_mm)?;
     let mut numbered: Vec<(u64, u32)> = points
         .par_iter()
         .zip(0..points.len() as u32)
@@ -135,7 +135,7 @@ struct Numbering {
 
 impl Numbering {
     /// Of the cubes that these points lie in.
-    fn of(points: &[[f64; 3]], voxel_mm: f64) -> Result<Self, MergeError> {
+    fn from_points(points: &[[f64; 3]], voxel_mm: f64) -> Result<Self, MergeError> {
         check_voxel_size(voxel_mm)?;
         if u32::try_from(points.len()).is_err() {
             return Err(MergeError::TooManyPoints {
@@ -195,14 +195,14 @@ fn by_part(points: &[[f64; 3]], base: u32, numbering: &Numbering) -> Sorted {
         starts[part + 1] += starts[part];
     }
     let mut at = starts.clone();
-    let unset = Entry {
+    let unset = VoxelEntry {
         point: [0.0; 3],
         index: 0,
     };
     let mut entries = vec![unset; points.len()];
     for (i, (&point, &part)) in points.iter().zip(&part).enumerate() {
         let slot = &mut at[usize::from(part)];
-        entries[*slot as usize] = Entry {
+        entries[*slot as usize] = VoxelEntry {
             point,
             index: base + i as u32,
         };

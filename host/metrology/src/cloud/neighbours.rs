@@ -14,7 +14,7 @@ use crate::space::Aabb;
 
 /// A point and its number in the cloud.
 #[derive(Clone, Copy)]
-struct Entry {
+struct TreeEntry {
     point: [f64; 3],
     index: u32,
 }
@@ -36,11 +36,11 @@ impl Boxes {
     /// Boxes of `most` to twice as many points.
     fn new(points: &[[f64; 3]], most: usize) -> Self {
         let leaves = 1 << points.len().div_ceil(most).ilog2();
-        let entry = |(index, &point): (usize, &[f64; 3])| Entry {
+        let entry = |(index, &point): (usize, &[f64; 3])| TreeEntry {
             point,
             index: index as u32,
         };
-        let mut entries: Vec<Entry> = points.iter().enumerate().map(entry).collect();
+        let mut entries: Vec<TreeEntry> = points.iter().enumerate().map(entry).collect();
         order(&mut entries, leaves);
         let mut nodes = vec![Aabb::EMPTY; 2 * leaves - 1];
         let n = entries.len();
@@ -67,7 +67,7 @@ impl Boxes {
     }
 
     #[inline(always)]
-    fn of(&self, leaf: usize) -> Range<usize> {
+    fn points_of_leaf(&self, leaf: usize) -> Range<usize> {
         self.starts[leaf] as usize..self.starts[leaf + 1] as usize
     }
 
@@ -80,7 +80,7 @@ impl Boxes {
             top -= 1;
             let node = stack[top] as usize;
             if node >= self.leaves - 1 {
-                let points = &self.points[self.of(node + 1 - self.leaves)];
+                let points = &self.points[self.points_of_leaf(node + 1 - self.leaves)];
                 extend_near(into, points, around, reach2);
                 continue;
             }
@@ -113,7 +113,7 @@ fn start(leaf: usize, leaves: usize, n: usize) -> usize {
 }
 
 /// Orders the entries into `leaves` boxes by halving along the longest side.
-fn order(entries: &mut [Entry], leaves: usize) {
+fn order(entries: &mut [TreeEntry], leaves: usize) {
     if leaves < 2 || entries.len() < 2 {
         return;
     }
@@ -245,12 +245,12 @@ impl Coarse {
 
 /// Measures the mean distance from points among candidates to the nearest of them.
 #[derive(Default)]
-struct Nearest {
+struct NeighbourDistances {
     coarse: Coarse,
     near: Vec<f64>,
 }
 
-impl Nearest {
+impl NeighbourDistances {
     /// Mean of the `k` distances after the smallest, which is the point's own; none when fewer than `k + 1` lie within
     /// `reach2` (squared). `guess2` is where the search begins, and where it ended.
     #[inline(always)]
@@ -267,7 +267,7 @@ impl Nearest {
         *guess2 = self
             .coarse
             .limit_for(wanted, *guess2, count, reach2 as f32)?;
-        // Whoever is truly as near as the farthest of these appears to be within twice the slack.
+        // A point that is truly as near as the farthest of these appears within twice the slack.
         let radius = guess2.sqrt() * (1.0 + 2.0 * ROUNDING) + 2.0 * self.coarse.slack;
         let limit2 = radius * radius * (1.0 + ROUNDING);
         self.near.resize(candidates.len(), 0.0);
@@ -376,12 +376,12 @@ const REACH_RATIO: f64 = 1.4;
 /// Mean distances of the points of some boxes, in their order.
 #[inline(always)]
 fn means_of_leaves(boxes: &Boxes, leaves: Range<usize>, k: usize) -> Vec<f64> {
-    let (mut candidates, mut nearest) = (Vec::new(), Nearest::default());
+    let (mut candidates, mut nearest) = (Vec::new(), NeighbourDistances::default());
     let mut means = Vec::new();
     for leaf in leaves {
-        let own = boxes.of(leaf);
+        let own = boxes.points_of_leaf(leaf);
         let around = boxes.nodes[boxes.leaves - 1 + leaf];
-        // How far the k-th neighbour is: about as far as from the box's middle, and a little more for its other points.
+        // Distance of the k-th neighbour: about that from the box's middle, and a little more for its other points.
         let middle = around.centre();
         nearest.near.clear();
         let from_middle = |point| distance2(point, &middle);

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
 use crate::deviation::SampleTreeError;
-use crate::registration::{Foot, Reference};
+use crate::registration::{Foot, RegistrationTarget};
 
 /// Points that a plane is laid through, the middle one among them.
 const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(20).unwrap();
@@ -16,7 +16,7 @@ const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(20).unwrap();
 const EDGE_FLATNESS: f64 = 0.093;
 /// Heights up to this many standard deviations of a point are its noise.
 const NOISE_SIGMAS: f64 = 2.0;
-/// Width over length of a neighbourhood (root mean squares) below which it is a line and says nothing of a plane: a full disc
+/// Width over length of a neighbourhood (root mean squares) below which it is a line and determines no plane: a full disc
 /// has 1, half of one (at a rim) 0.53.
 const LEAST_WIDTH: f64 = 0.2;
 
@@ -31,7 +31,7 @@ pub struct CloudSurface {
 struct Plane {
     centre: Vector3<f64>,
     normal: Vector3<f64>,
-    /// How far the neighbours reach, mm.
+    /// Radius of the neighbourhood, mm.
     reach_mm: f64,
     smooth: bool,
 }
@@ -90,7 +90,7 @@ impl CloudSurface {
     }
 }
 
-impl Reference for CloudSurface {
+impl RegistrationTarget for CloudSurface {
     fn each_foot<T>(&self, points: &[[f64; 3]], with: &mut [T], visit: impl Fn(&Foot, &mut T)) {
         for (point, own) in points.iter().zip(with) {
             visit(&self.foot(point), own);

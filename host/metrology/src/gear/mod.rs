@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 /// On which side of the pitch circle the teeth point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum GearKind {
     /// Teeth point inwards, material at larger radius.
     Internal,
     /// Teeth point outwards.
@@ -65,7 +65,7 @@ impl std::fmt::Display for Flank {
 #[serde(deny_unknown_fields)]
 pub struct GearData {
     /// Internal or external.
-    pub kind: Kind,
+    pub kind: GearKind,
     /// Number of teeth.
     pub teeth: u32,
     /// Module, mm.
@@ -174,11 +174,11 @@ impl GearData {
             self.root_radius_mm,
         );
         let (ordered, order) = match self.kind {
-            Kind::Internal => (
+            GearKind::Internal => (
                 tip_mm < pitch_mm && pitch_mm < root_mm,
                 "tip < pitch < root (internal)",
             ),
-            Kind::External => (
+            GearKind::External => (
                 root_mm < pitch_mm && pitch_mm < tip_mm,
                 "root < pitch < tip (external)",
             ),
@@ -228,8 +228,8 @@ impl GearData {
         let at_pitch = PI / (2.0 * f64::from(self.teeth));
         Some(match self.kind {
             // The tooth of an internal gear is the space of an external one: it widens outwards.
-            Kind::Internal => at_pitch + rise,
-            Kind::External => at_pitch - rise,
+            GearKind::Internal => at_pitch + rise,
+            GearKind::External => at_pitch - rise,
         })
     }
 
@@ -258,8 +258,8 @@ impl GearData {
         let cos = (self.base_radius_mm() / radius).min(1.0);
         let along = flank.sign() * cos;
         let out = match self.kind {
-            Kind::Internal => -1.0,
-            Kind::External => 1.0,
+            GearKind::Internal => -1.0,
+            GearKind::External => 1.0,
         } * (1.0 - cos * cos).sqrt();
         let [x, y] = [point[0] / radius, point[1] / radius];
         [out * x - along * y, out * y + along * x, 0.0]
@@ -276,7 +276,7 @@ impl GearData {
         Some(self.base_radius_mm() * beyond)
     }
 
-    /// Which flank a surface point with outward `normal` lies on, and where. None on tip and root lands, end faces and
+    /// Flank of a surface point with outward `normal`, and its place there. None on tip and root lands, end faces and
     /// beyond the radial threshold.
     pub fn place(&self, point: [f64; 3], normal: [f64; 3]) -> Option<FlankPlace> {
         let radius_mm = point[0].hypot(point[1]);
@@ -307,8 +307,8 @@ impl GearData {
     pub fn active_flank_mm(&self) -> [f64; 2] {
         let (tip, pitch, module) = (self.tip_radius_mm, self.pitch_radius_mm(), self.module_mm);
         match self.kind {
-            Kind::Internal => [tip + 0.1 * module, pitch + 0.75 * module],
-            Kind::External => [pitch - 0.75 * module, tip - 0.1 * module],
+            GearKind::Internal => [tip + 0.1 * module, pitch + 0.75 * module],
+            GearKind::External => [pitch - 0.75 * module, tip - 0.1 * module],
         }
     }
 
@@ -350,7 +350,7 @@ pub(crate) mod tests {
 
     pub fn ring84() -> GearData {
         GearData {
-            kind: Kind::Internal,
+            kind: GearKind::Internal,
             teeth: 84,
             module_mm: 1.0,
             pressure_angle_deg: 20.0,

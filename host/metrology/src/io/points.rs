@@ -10,7 +10,7 @@ use super::ply::{self, Column, Extra, Scalar};
 /// Header comment of every PLY in mm of whose frame nothing more is known.
 const UNIT_COMMENT: &str = "unit mm";
 
-/// What points are written as.
+/// File formats of points.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// Binary little-endian PLY.
@@ -22,7 +22,7 @@ pub enum Format {
 impl Format {
     /// Arrays where the name ends in `.npz`, PLY for every other.
     #[must_use]
-    pub fn of(path: &Path) -> Self {
+    pub fn from_path(path: &Path) -> Self {
         let is_npz = path
             .extension()
             .is_some_and(|ending| ending.eq_ignore_ascii_case("npz"));
@@ -30,7 +30,7 @@ impl Format {
     }
 }
 
-/// What is written.
+/// Contents of a file of points.
 #[derive(Debug, Clone, Copy)]
 pub struct PointFile<'a> {
     /// Unit and frame, in words: PLY's comment.
@@ -48,7 +48,7 @@ pub struct PointFile<'a> {
 impl<'a> PointFile<'a> {
     /// Points in mm, in double precision, and nothing else.
     #[must_use]
-    pub fn of(points: &'a [[f64; 3]]) -> Self {
+    pub fn from_points(points: &'a [[f64; 3]]) -> Self {
         Self {
             comment: UNIT_COMMENT,
             points,

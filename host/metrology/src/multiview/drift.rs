@@ -1,20 +1,20 @@
-//! Does a figure drift from view to view?
+//! Test of a series for drift from view to view.
 //!
 //! Neighbouring members of a series that has no trend differ as much as any two; when it drifts, neighbours are alike.
 //! The statistic of Durbin and Watson (Biometrika 37, 1950) of a series about its mean is von Neumann's ratio of the mean
 //! square successive difference (Annals of Mathematical Statistics 12, 1941): 2 for independent members, less for a drift.
 
-/// Fewer members say nothing.
+/// Least number of members of a series.
 const LEAST: usize = 5;
 /// Beyond so many standard deviations a series is said to drift: once in 700 series that do not.
 const LIMIT_SIGMAS: f64 = 3.0;
 
-/// How alike neighbours in a series are.
+/// Statistic of Durbin and Watson of a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
     /// Durbin-Watson statistic, 0 to 4.
     pub durbin_watson: f64,
-    /// How far that is below 2, in standard deviations of a series of independent normal members.
+    /// Distance of the statistic below 2, in its standard deviations for independent normal members.
     pub sigmas: f64,
     /// Standard deviation of the part that neighbours share, in the unit of the series: what is left of the variance when
     /// half the mean square of the steps, which is what independent members add, is taken off.
@@ -22,7 +22,7 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// Whether chance is no explanation and the trend is worth more than `least`.
+    /// Whether the drift is significant and larger than `least`.
     pub fn drifts(&self, least: f64) -> bool {
         self.sigmas > LIMIT_SIGMAS && self.trend > least
     }

@@ -1,4 +1,4 @@
-//! Many views of one die: laid on CAD together, merged over the unrolled bore, and what that says of the die as a whole.
+//! Many views of one die: adjusted on the CAD together, merged over the unrolled bore, and evaluated for the die as a whole.
 
 pub mod adjustment;
 pub mod cylinder;

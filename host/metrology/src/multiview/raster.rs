@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use crate::deviation::{Statistics, statistics};
-use crate::gear::Kind;
+use crate::gear::GearKind;
 use crate::multiview::cylinder::{CylinderMap, Layout};
 
 /// Neighbours in angle that are farther apart than so many columns have a gap between them.
@@ -57,13 +57,13 @@ pub fn unroll(layout: &Layout, points: &[[f64; 3]]) -> Vec<Option<f64>> {
 
 /// Difference of two unrolled clouds, mm: positive where the measured one stands proud of the reference.
 pub fn subtract(
-    kind: Kind,
+    kind: GearKind,
     measured: &[Option<f64>],
     reference: &[Option<f64>],
 ) -> Vec<Option<f64>> {
     let proud = match kind {
-        Kind::Internal => -1.0,
-        Kind::External => 1.0,
+        GearKind::Internal => -1.0,
+        GearKind::External => 1.0,
     };
     measured
         .iter()
@@ -72,12 +72,12 @@ pub fn subtract(
         .collect()
 }
 
-/// How far the raster is from the exact distance.
+/// Error of the raster's deviations against the exact distances.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct RasterError {
-    /// Where the surface faces the axis: tip and root lands.
+    /// On surfaces that face the axis: tip and root lands.
     pub lands: Option<Statistics>,
-    /// Where it does not: flanks.
+    /// On flanks.
     pub flanks: Option<Statistics>,
 }
 
@@ -133,11 +133,11 @@ mod tests {
         let form = |angle: f64| 40.0 + 0.01 * (2.0 * angle).cos();
         let reference = unroll(&LAYOUT, &wall(1, form));
         let measured = unroll(&LAYOUT, &wall(2, |angle| form(angle) - 0.003));
-        for off in subtract(Kind::Internal, &measured, &reference) {
+        for off in subtract(GearKind::Internal, &measured, &reference) {
             // Chords of some 0.1 degrees under this form: (0.0017)² / 8 * 0.04 mm is nothing.
             assert!((off.unwrap() - 0.003).abs() < 1e-6, "{off:?}");
         }
-        let outer = subtract(Kind::External, &measured, &reference);
+        let outer = subtract(GearKind::External, &measured, &reference);
         assert!((outer[0].unwrap() + 0.003).abs() < 1e-6);
     }
 

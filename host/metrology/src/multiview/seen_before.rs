@@ -1,6 +1,6 @@
-//! Are these the teeth that were recorded? Views of a few teeth each, against what a baseline keeps of the same views.
+//! Check of tooth numbers: views of a few teeth each against those that a baseline recorded.
 //!
-//! Where all teeth are seen, [`super::tooth_identity`] correlates patterns around the bore. A check sees three teeth of some
+//! In a scan of all teeth, [`super::tooth_identity`] correlates patterns around the bore. A check sees three teeth of some
 //! views: of each flank its median deviation, then and now. Less the median of its side in its view, which takes off what the pose
 //! adds to all flanks of a side, the medians are the die's own pattern. Compared are the flanks of a view with what was recorded
 //! of the same teeth, and with what was recorded of the teeth one or several further.
@@ -10,14 +10,14 @@ use crate::wear::PoseEvidence;
 
 use flankscope_foundation::order::median_of;
 
-/// Probability below which an agreement is no chance.
+/// Probability of chance agreement below which an agreement is significant.
 const CHANCE: f64 = 1e-2;
 /// The recorded teeth do not explain the view when they are off by so many standard uncertainties (root mean square) ...
 const FAR_SIGMAS: f64 = 3.0;
 /// ... and others do when they are off by no more than so many.
 const NEAR_SIGMAS: f64 = 1.5;
 
-/// What the forms in view say of the tooth numbers.
+/// Result of the comparison: tooth numbers confirmed, shifted, or not determined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Seen {
     /// These are the recorded teeth.
@@ -28,7 +28,7 @@ pub enum Seen {
     NotTold,
 }
 
-/// How well views agree with recorded ones, a tooth number shifted.
+/// Agreement of views with the recorded ones at one shift of the tooth numbers.
 #[derive(Debug, Clone, Copy)]
 struct Agreement {
     /// Sum of squared differences, mm², and of the recorded deviations.

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Vector2};
 use crate::gear::GearData;
 use crate::multiview::cylinder::Cell;
 
-/// Fewer cells do not say where a tooth stands.
+/// Least number of cells that determine a tooth's position.
 const LEAST_CELLS: usize = 20;
 /// The cells' normals must tell radial from tangential shifts: least share of the weaker direction.
 const LEAST_SHARE: f64 = 0.02;
@@ -30,9 +30,9 @@ pub struct Spacing {
     pub sigma_mm: f64,
 }
 
-/// What the cells of a tooth say of where it stands.
+/// Normal equations of a tooth's shift, from its cells.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct ToothSums {
     cells: usize,
     matrix: Matrix2<f64>,
     right: Vector2<f64>,
@@ -42,7 +42,7 @@ struct Sums {
 /// The distances of all teeth, in order, from those half a turn on (a tooth less where their number is odd), where both were
 /// seen.
 pub fn opposite(gear: &GearData, cells: impl Iterator<Item = Cell>) -> Vec<Spacing> {
-    let mut sums: BTreeMap<u32, Sums> = BTreeMap::new();
+    let mut sums: BTreeMap<u32, ToothSums> = BTreeMap::new();
     for cell in cells {
         let [x, y, _] = cell.point;
         let across = Vector2::new(cell.normal[0], cell.normal[1]);

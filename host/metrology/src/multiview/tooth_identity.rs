@@ -1,8 +1,8 @@
-//! Which tooth is which: to the CAD all teeth look alike, but every flank of a real die stands off by micrometres of its
-//! own. Two scans of the same die show the same pattern, turned by as many teeth as the die was.
+//! Identification of teeth by their own form: to the CAD all teeth look alike, but every flank of a real die stands off by
+//! micrometres of its own. Two scans of the same die show the same pattern, turned by as many teeth as the die was.
 //!
-//! What changes slowly around the bore (eccentricity, ovality) is taken off both patterns, and what stands far out (a flank
-//! that wore in between) is cut. The correlation of the rest at every shift by whole teeth is tested by Fisher's
+//! Slow changes around the bore (eccentricity, ovality) are subtracted from both patterns, and outliers (a flank
+//! that wore in between) are cut. The correlation of the rest at every shift by whole teeth is tested by Fisher's
 //! transformation (Biometrika 10, 1915): atanh r of n independent pairs without relation is normal with variance 1/(n - 3).
 
 use std::f64::consts::TAU;
@@ -15,7 +15,7 @@ use crate::gear::Flank;
 /// Up to this harmonic around the bore a deviation is form, not pattern.
 const FORM_HARMONICS: u32 = 2;
 const FORM_PARAMETERS: usize = 2 * FORM_HARMONICS as usize + 1;
-/// Fewer flanks of a side, or fewer common teeth at a shift, say nothing.
+/// Least number of flanks of a side, and of common teeth at a shift.
 const LEAST_TEETH: usize = 12;
 /// Deviations beyond so many robust standard deviations are cut.
 const CUT_SIGMAS: f64 = 3.0;
@@ -36,7 +36,7 @@ pub struct FlankMean {
     pub deviation_um: f64,
 }
 
-/// How alike two patterns are once one is turned.
+/// Correlation of two patterns at one shift by whole teeth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Likeness {
     /// Teeth that the later one is turned by, from minus half to half of them; positive counter-clockwise.
@@ -49,7 +49,7 @@ pub struct Likeness {
     pub sigmas: f64,
 }
 
-/// What two patterns say.
+/// Result of the comparison of two patterns.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Comparison {
     /// The best shift.
@@ -59,7 +59,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// How many teeth the die was turned by in between; `None` when the patterns cannot tell.
+    /// Number of teeth by which the die was turned in between; `None` when no shift is significant.
     #[must_use]
     pub fn turned_teeth(&self) -> Option<i64> {
         let lead = self
@@ -84,7 +84,7 @@ pub fn compare(teeth: u32, earlier: &[FlankMean], later: &[FlankMean]) -> Option
     })
 }
 
-/// What is left of the deviations of each tooth's left and right flank, µm.
+/// Pattern of each tooth's left and right flank: deviations less their low harmonics, µm.
 struct Pattern {
     flanks: Vec<[Option<f64>; 2]>,
     /// Share of the independent deviations that taking off the form leaves.

@@ -41,13 +41,13 @@ const FARTHEST_MM: f64 = 1e5;
 pub struct PatchSpec {
     /// Its name.
     pub name: String,
-    /// Which facets.
+    /// Selection of the facets.
     pub pick: Pick,
     /// Of them, what lies in this box: least and largest x, y, z, mm.
     pub box_mm: Option<[[f64; 3]; 2]>,
-    /// Where its frame stands, mm.
+    /// Origin of its frame, mm.
     pub origin_mm: Option<[f64; 3]>,
-    /// What is up; the tool's z, or y where the patch faces along z.
+    /// Direction of its height; the tool's z, or y where the patch faces along z.
     pub up: Option<[f64; 3]>,
     /// The judged rectangle along and up from the origin, mm: least and largest of each.
     pub zone_mm: Option<[[f64; 2]; 2]>,
@@ -55,7 +55,7 @@ pub struct PatchSpec {
     pub datum: Vec<String>,
 }
 
-/// Why the patches of a tool file are none.
+/// Reasons for which the patches of a tool file are refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PatchError {
@@ -110,7 +110,7 @@ pub enum PatchError {
         name: String,
         /// Key in the tool file.
         key: &'static str,
-        /// How far.
+        /// Distance.
         off_mm: f64,
         /// Limit.
         limit_mm: f64,
@@ -179,17 +179,17 @@ pub enum PatchError {
         names: [String; 2],
         /// A facet of both.
         facet: u32,
-        /// What they share of it.
+        /// Share of it that they have in common.
         area_mm2: f64,
     },
-    /// A datum that is none.
+    /// A datum that does not determine the pose.
     #[error("patch {name:?}: datum {datum:?} {why}")]
     Datum {
         /// Patch.
         name: String,
         /// Its datum.
         datum: String,
-        /// What is wrong with it.
+        /// The error.
         why: &'static str,
     },
     /// Nothing is judged, or something stands for nothing.
@@ -207,7 +207,7 @@ pub enum PatchError {
 pub struct Patch {
     /// Its name.
     pub name: String,
-    /// Where its frame stands, mm.
+    /// Origin of its frame, mm.
     pub origin_mm: [f64; 3],
     /// Unit vectors along, up and out of the material.
     pub axes: [[f64; 3]; 3],
@@ -236,7 +236,7 @@ impl Patch {
         (Vector3::from(self.origin_mm) + a * along + u * up).into()
     }
 
-    /// Whether it is judged: it has a datum.
+    /// Whether it is judged, which needs a datum.
     pub fn is_judged(&self) -> bool {
         !self.datum.is_empty()
     }
@@ -301,7 +301,7 @@ impl Patches {
         Ok(Self(patches))
     }
 
-    /// Whether there is none.
+    /// Whether the tool has no patches.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -367,7 +367,7 @@ fn numbers(spec: &PatchSpec) -> Result<(), PatchError> {
         .filter_map(|(key, values)| Some((key, values?)));
     for (key, values) in seed.into_iter().chain(stated) {
         let near = |x: &&f64| (-FARTHEST_MM..=FARTHEST_MM).contains(*x);
-        // What is no number is not near either.
+        // Comparisons with NaN are false: a distance that is not a number is not near.
         if let Some(&got) = values.iter().find(|x| !near(x)) {
             return Err(PatchError::Number {
                 name: spec.name.clone(),

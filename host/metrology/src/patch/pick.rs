@@ -1,4 +1,4 @@
-//! Which facets of the CAD belong to a patch.
+//! Selection of the CAD's facets that belong to a patch.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use crate::surface::Surface;
 /// A seed lies so near to the CAD, mm: farther away it is a slip of the pen.
 pub const ON_CAD_MM: f64 = 0.1;
 
-/// How a patch is named.
+/// Selection of a patch's facets.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Pick {
     /// The facets around a point that hang together by their edges and face as the one at the point does within an angle, rad.

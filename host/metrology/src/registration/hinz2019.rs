@@ -8,7 +8,7 @@ use nalgebra::Matrix6;
 use rayon::prelude::*;
 
 use super::pairs::{Pair, fit_pairs};
-use super::{Reason, Registration, Status};
+use super::{Registration, RegistrationFailure, Status};
 use crate::deviation::{Order, SampleTree};
 use crate::io::mesh::TriMesh;
 use crate::surface::sampling::{Region, centre_of_mass};
@@ -116,7 +116,7 @@ pub fn register_hinz2019(
     };
     match PaperReference::new(mesh, centre, options) {
         None => {
-            let nothing_there = Reason::Disjoint {
+            let nothing_there = RegistrationFailure::Disjoint {
                 ratio: 0.0,
                 least_ratio: options.inlier_ratio,
                 capture_mm: options.region.half_height_mm,
@@ -148,10 +148,10 @@ fn centre_at(
     points: &[[f64; 3]],
     pose: &Rigid<Tool, Cloud>,
     options: &Hinz2019Options,
-) -> Result<[f64; 3], Reason> {
+) -> Result<[f64; 3], RegistrationFailure> {
     let moved: Vec<[f64; 3]> = points.iter().map(|&p| pose.apply(p)).collect();
     let centre = centre_of_mass(&moved).filter(|_| points.len() >= options.least_points);
-    centre.ok_or(Reason::TooFewPoints {
+    centre.ok_or(RegistrationFailure::TooFewPoints {
         points: points.len(),
         least: options.least_points,
     })
@@ -165,7 +165,7 @@ fn settle(
     centre: [f64; 3],
     options: &Hinz2019Options,
 ) -> Registration {
-    let not_begun = Reason::Disjoint {
+    let not_begun = RegistrationFailure::Disjoint {
         ratio: 0.0,
         least_ratio: options.inlier_ratio,
         capture_mm: options.region.half_height_mm,
@@ -193,12 +193,12 @@ fn settle(
     }
     result.noise_mm = result.rms_mm;
     result.centre_mm = centre;
-    // Point-to-point residuals say nothing about what is observable, so no covariance is claimed.
+    // Point-to-point residuals do not show which directions are observable, so no covariance is stated.
     result.covariance = Matrix6::identity();
     result.status = if result.rms_mm <= options.most_rms_mm {
         Status::Registered
     } else {
-        Status::Indeterminate(Reason::TooFewInliers {
+        Status::Indeterminate(RegistrationFailure::TooFewInliers {
             inliers: 0,
             points: points.len(),
             reach_mm: options.most_rms_mm,

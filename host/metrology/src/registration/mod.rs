@@ -1,8 +1,8 @@
 //! Laying a cloud on CAD, or on another cloud.
 //!
 //! [`register`] minimises the distances of the points to the surface itself (point to triangle), robustly, from coarse to
-//! fine, with the physical prior of the stages where there is one. It says which directions the data leave open, leaves
-//! those where they were, and reports success only when the pose deserves it.
+//! fine, with the physical prior of the stages where there is one. It names the directions that the points do not determine,
+//! leaves those where they were, and reports success only when the pose deserves it.
 
 mod hinz2019;
 mod observe;
@@ -21,7 +21,7 @@ pub use pairs::{Pair, PairsError, fit_pairs, pairs_rms, parse_pairs};
 pub use periodicity::detect_teeth;
 pub use phase::search_phase;
 pub use prior::Prior;
-pub use reference::{Foot, Reference};
+pub use reference::{Foot, RegistrationTarget};
 pub use response::{Answer, Contact, Response};
 pub use solve::register;
 
@@ -30,12 +30,12 @@ use nalgebra::Matrix6;
 
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
-/// How to register. Lengths mm, angles rad.
+/// Settings of a registration. Lengths mm, angles rad.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Where to start.
+    /// Pose from which the iteration starts.
     pub initial: Rigid<Tool, Cloud>,
-    /// What the stages say about the pose.
+    /// Expected pose with its covariance, from the stages' positions; none for a foreign cloud.
     pub prior: Option<Prior>,
     /// Number of teeth of a toothing about z, when poses one pitch apart may look alike.
     pub teeth: Option<u32>,
@@ -88,19 +88,19 @@ impl Options {
     }
 }
 
-/// Whether the pose may be used.
+/// Whether the pose may be used, and if not, the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Status {
     /// It may.
     Registered,
     /// It may not.
-    Indeterminate(Reason),
+    Indeterminate(RegistrationFailure),
 }
 
-/// Why a pose may not be used.
+/// Reasons for which a pose is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Reason {
+pub enum RegistrationFailure {
     /// Not enough points.
     #[error("{points} points, at least {least} are needed")]
     TooFewPoints {
@@ -185,7 +185,7 @@ pub enum Reason {
         /// Limit.
         limit: f64,
     },
-    /// The prior's covariance is none.
+    /// The prior's covariance is not positive definite.
     #[error("the prior's covariance is not positive definite")]
     BadPrior,
 }
@@ -196,9 +196,9 @@ pub struct WeakDirection {
     /// Unit 6-vector (rotation about x, y, z times [`Registration::arm_mm`], translation along x, y, z) in tool
     /// coordinates about [`Registration::centre_mm`].
     pub vector: [f64; 6],
-    /// Standard deviation along it from the points alone, mm; infinite when they say nothing.
+    /// Standard deviation along it from the points alone, mm; infinite when they do not determine it.
     pub sigma_mm: f64,
-    /// Share of the prior in what is known along it: 0 without a prior, near 1 where the points say nothing.
+    /// Share of the prior in the information along it: 0 without a prior, near 1 where the points do not determine it.
     pub prior_share: f64,
 }
 
@@ -207,9 +207,9 @@ pub struct WeakDirection {
 pub struct Registration {
     /// Takes cloud points to tool (CAD) coordinates.
     pub tool_from_cloud: Rigid<Tool, Cloud>,
-    /// Whether it may be used.
+    /// Registered, or refused with a reason.
     pub status: Status,
-    /// Whether the steps died out.
+    /// Whether the last step was below the limits of convergence.
     pub converged: bool,
     /// Steps over all levels.
     pub iterations: usize,
@@ -231,13 +231,13 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// Whether the pose may be used.
+    /// Whether the pose may be used, and if not, the reason.
     pub fn is_registered(&self) -> bool {
         self.status == Status::Registered
     }
 
     /// A result without a pose better than the start.
-    pub(crate) fn refused(initial: Rigid<Tool, Cloud>, reason: Reason) -> Self {
+    pub(crate) fn refused(initial: Rigid<Tool, Cloud>, reason: RegistrationFailure) -> Self {
         Self {
             tool_from_cloud: initial,
             status: Status::Indeterminate(reason),

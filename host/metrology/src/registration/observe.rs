@@ -1,4 +1,4 @@
-//! Which directions the points fix, in physical units.
+//! Directions of the pose that the points determine, in mm and rad.
 //!
 //! With rotations scaled by the cloud's arm all six variables are lengths, so an eigenvalue of the information matrix is
 //! the inverse square of a standard deviation in mm, and the limit between observed and not is a length as well.

@@ -7,7 +7,7 @@ use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 /// A picked pair: a cloud point and the CAD point that it shows, mm.
 pub type Pair = ([f64; 3], [f64; 3]);
 
-/// Why pairs give no pose.
+/// Reasons for which point pairs determine no pose.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum PairsError {

@@ -1,9 +1,9 @@
-//! How many times a surface repeats about the tool axis.
+//! Rotational symmetry of a surface about the tool axis: its number of teeth.
 
 use flankscope_foundation::order::median;
 use nalgebra::{Rotation3, Vector3};
 
-use crate::gear::Kind;
+use crate::gear::GearKind;
 use crate::io::mesh::TriMesh;
 use crate::random::uniform;
 use crate::surface::Surface;
@@ -19,7 +19,7 @@ pub fn detect_teeth(
     mesh: &TriMesh,
     surface: &Surface,
     tolerance_mm: f64,
-    kind: Kind,
+    kind: GearKind,
 ) -> Option<u32> {
     let probes = toothed_probes(mesh, kind);
     let fits = |angle: f64| {
@@ -40,7 +40,7 @@ pub fn detect_teeth(
 
 /// Corner points spread over the half of the mesh's corners that the teeth are in: the one nearer to the axis of an internal
 /// gear, the other one of an external gear. The body's wall would fit any turn, or as many as it has facets.
-fn toothed_probes(mesh: &TriMesh, kind: Kind) -> Vec<[f64; 3]> {
+fn toothed_probes(mesh: &TriMesh, kind: GearKind) -> Vec<[f64; 3]> {
     let radius = |v: &[f64; 3]| v[0].hypot(v[1]);
     let mut radii: Vec<f64> = mesh.vertices.iter().map(radius).collect();
     let middle = median(&mut radii).unwrap_or(0.0);
@@ -48,8 +48,8 @@ fn toothed_probes(mesh: &TriMesh, kind: Kind) -> Vec<[f64; 3]> {
         .vertices
         .iter()
         .filter(|v| match kind {
-            Kind::Internal => radius(v) <= middle,
-            Kind::External => radius(v) >= middle,
+            GearKind::Internal => radius(v) <= middle,
+            GearKind::External => radius(v) >= middle,
         })
         .copied()
         .collect();

@@ -1,5 +1,6 @@
 //! A first pose on a toothing, when it is only known to about half a tooth.
 
+use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
@@ -21,14 +22,14 @@ const TRIMMED: f64 = 0.8;
 pub fn search_phase(
     surface: &Surface,
     points: &[[f64; 3]],
-    start: &Isometry3<f64>,
+    start: &Rigid<Tool, Cloud>,
     teeth: u32,
-) -> Isometry3<f64> {
+) -> Rigid<Tool, Cloud> {
     let step = points.len().div_ceil(VOTERS).max(1);
     let voters: Vec<Point3<f64>> = points
         .iter()
         .step_by(step)
-        .map(|&p| start * Point3::from(p))
+        .map(|&p| start.isometry() * Point3::from(p))
         .collect();
     let sum: Vector3<f64> = voters.iter().map(|p| p.coords).sum();
     let outwards = Vector3::new(sum.x, sum.y, 0.0)
@@ -65,5 +66,7 @@ pub fn search_phase(
         .enumerate()
         .min_by(|a, b| a.1.total_cmp(b.1))
         .and_then(|(i, _)| moves.get(i));
-    best.map_or(*start, |motion| motion * start)
+    best.map_or(*start, |motion| {
+        Rigid::from_isometry(motion * start.isometry())
+    })
 }

@@ -1,4 +1,4 @@
-//! What the stages know about a pose before a point is looked at.
+//! Expected pose with its covariance, from the positions of the stages.
 
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 

@@ -1,20 +1,20 @@
-//! What a cloud can be laid on.
+//! Surfaces that a cloud can be registered to.
 
 use crate::surface::{Closest, Surface};
 
-/// Where a point comes to lie.
+/// Nearest point of the surface to a point of the cloud.
 #[derive(Debug, Clone, Copy)]
 pub struct Foot {
     /// Distance along the normal, mm; beyond an open rim the distance to the rim.
     pub signed_distance_mm: f64,
     /// Unit normal.
     pub normal: [f64; 3],
-    /// Whether the normal says which way the distance shrinks: not at sharp edges, nor beyond a rim.
+    /// Whether the normal is the gradient of the distance; false at sharp edges and beyond a rim.
     pub smooth: bool,
 }
 
-/// What a cloud can be laid on: a CAD surface, or another cloud.
-pub trait Reference: Sync {
+/// A surface that a cloud can be registered to: a CAD surface, or another cloud.
+pub trait RegistrationTarget: Sync {
     /// Shows `visit` where each finite point (mm) comes to lie, with what belongs to the point, on this thread.
     fn each_foot<T>(&self, points: &[[f64; 3]], with: &mut [T], visit: impl Fn(&Foot, &mut T));
 
@@ -22,7 +22,7 @@ pub trait Reference: Sync {
     fn distance_mm(&self, point: [f64; 3]) -> f64;
 }
 
-impl Reference for Surface {
+impl RegistrationTarget for Surface {
     #[inline(always)]
     fn each_foot<T>(&self, points: &[[f64; 3]], with: &mut [T], visit: impl Fn(&Foot, &mut T)) {
         self.each_closest(points, with, |closest, own| visit(&closest.into(), own));

@@ -1,4 +1,4 @@
-//! What a registration makes of deviations that are no motion: wear, heat, anything that the points carry.
+//! Change of a registration's pose by deviations that are no motion: wear, thermal expansion, form errors.
 //!
 //! A fit answers a field of deviations d at its points by the small motion -(H + P)^-1 sum(w J d), with H the information of
 //! the points and P that of the prior. What that motion takes away from a deviation is lost to the eye.
@@ -21,7 +21,11 @@ pub struct Contact {
 
 impl Contact {
     /// The contact of a point with the surface after `registration`, `used` by it or not.
-    pub fn of(closest: &crate::surface::Closest, registration: &Registration, used: bool) -> Self {
+    pub fn from_closest(
+        closest: &crate::surface::Closest,
+        registration: &Registration,
+        used: bool,
+    ) -> Self {
         let noise = registration.noise_mm;
         let x = closest.signed_distance_mm / (3.0 * noise);
         let takes_part = used && closest.is_smooth();
@@ -144,7 +148,7 @@ impl<'a> Response<'a> {
 }
 
 impl Answer {
-    /// What the motion adds to the deviation of a contact, mm.
+    /// Change of a contact's deviation by the motion, mm.
     pub fn at(&self, contact: &Contact) -> f64 {
         contact.row(self.centre, self.arm).dot(&self.step)
     }

@@ -14,13 +14,13 @@ use nalgebra::{Matrix4, Vector4};
 use crate::gear::{Flank, FlankPlace, GearData};
 use crate::surface::Closest;
 
-/// A part of a tooth with fewer points says nothing.
+/// Least number of points of a tooth part that counts.
 const LEAST_POINTS: usize = 100;
 /// Fewer parts leave nothing to contradict a scale.
 const LEAST_PARTS: usize = 6;
-/// A scale explains a view when it leaves the parts off by less than this part of what they are off without one, and by no more than
-/// their form is known to. Flanks that are each off by some micrometres of their own agree as well as that by chance once in some
-/// hundred views.
+/// A scale explains a view when it leaves the parts off by less than this part of what they are off without one, and by no more
+/// than their form is known to. Flanks that are each off by some micrometres of their own agree as well as that by chance once in
+/// some hundred views.
 const MOST_OF_WITHOUT: f64 = 0.2;
 /// A point belongs to tip or root land within this distance of its radius, mm.
 const LAND_MM: f64 = 0.05;
@@ -34,7 +34,7 @@ pub struct Scale {
     pub u_form: f64,
     /// The same with what the calibration leaves.
     pub u: f64,
-    /// How far the parts of the teeth in view are off what scale and pose explain, rms, mm.
+    /// Residuals of the tooth parts in view after the fit of scale and pose, rms, mm.
     pub left_mm: f64,
     /// The same without a scale, mm.
     pub without_mm: f64,
@@ -43,14 +43,14 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Whether the teeth in view agree on a scale that is not none, calibration aside. Damage does not look like it.
+    /// Whether the teeth in view agree on a scale other than 1, calibration error aside. Damage does not look like a scale.
     pub fn is_told(&self) -> bool {
         self.left_mm <= self.form_mm
             && self.left_mm < MOST_OF_WITHOUT * self.without_mm
             && self.value.abs() > COVERAGE_95 * self.u_form
     }
 
-    /// Whether the calibration cannot explain it either.
+    /// Whether the scale also exceeds what the calibration's uncertainty can explain.
     pub fn is_shown(&self) -> bool {
         self.is_told() && self.value.abs() > COVERAGE_95 * self.u
     }
@@ -58,13 +58,13 @@ impl Scale {
 
 /// Parts of the teeth in view; roots go by the tooth before them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Part {
+enum ToothPart {
     Tip,
     Root,
     Side(Flank),
 }
 
-/// What was seen of a part.
+/// Deviations and positions of the points on one part of a tooth.
 #[derive(Default)]
 struct SeenPart {
     off_mm: Vec<f64>,
@@ -75,8 +75,8 @@ struct SeenPart {
 }
 
 /// The scale of what one view shows, the judged tooth and the roots beside it left out. `form_mm` is to what each part's form is
-/// known, `calibration_mm` what the head's calibration leaves at each end of the field, both standard uncertainties. None where too
-/// little is in view.
+/// known, `calibration_mm` what the head's calibration leaves at each end of the field, both standard uncertainties. None where
+/// too little is in view.
 pub fn of_view(
     gear: &GearData,
     judged_tooth: u32,
@@ -84,7 +84,7 @@ pub fn of_view(
     places: &[Option<FlankPlace>],
     [form_mm, calibration_mm]: [f64; 2],
 ) -> Option<Scale> {
-    let mut parts: BTreeMap<(u32, Part), SeenPart> = BTreeMap::new();
+    let mut parts: BTreeMap<(u32, ToothPart), SeenPart> = BTreeMap::new();
     let active_mm = gear.active_flank_mm();
     let middle = middle_rad(closest);
     let before_judged = (judged_tooth + gear.teeth - 2) % gear.teeth + 1;
@@ -93,18 +93,18 @@ pub fn of_view(
         let (radius_mm, angle_rad) = (x.hypot(y), y.atan2(x));
         let part = match place {
             Some(place) if (active_mm[0]..active_mm[1]).contains(&radius_mm) => {
-                Part::Side(place.flank)
+                ToothPart::Side(place.flank)
             }
             Some(_) => continue,
-            None if (radius_mm - gear.tip_radius_mm).abs() < LAND_MM => Part::Tip,
-            None if (radius_mm - gear.root_radius_mm).abs() < LAND_MM => Part::Root,
+            None if (radius_mm - gear.tip_radius_mm).abs() < LAND_MM => ToothPart::Tip,
+            None if (radius_mm - gear.root_radius_mm).abs() < LAND_MM => ToothPart::Root,
             None => continue,
         };
         let tooth = match part {
-            Part::Root => gear.tooth_at(angle_rad - 0.5 * gear.pitch_rad()),
-            Part::Tip | Part::Side(_) => gear.tooth_at(angle_rad),
+            ToothPart::Root => gear.tooth_at(angle_rad - 0.5 * gear.pitch_rad()),
+            ToothPart::Tip | ToothPart::Side(_) => gear.tooth_at(angle_rad),
         };
-        if tooth == judged_tooth || (part == Part::Root && tooth == before_judged) {
+        if tooth == judged_tooth || (part == ToothPart::Root && tooth == before_judged) {
             continue;
         }
         let [nx, ny, _] = hit.normal;
@@ -185,8 +185,8 @@ mod tests {
     use crate::gear::tests::ring84;
     use crate::surface::Feature;
 
-    /// Tips, roots and flanks of five teeth about tooth 3, a larger die by `scale` that lies elsewhere and turned; `lost_mm` is gone
-    /// from each flank.
+    /// Tips, roots and flanks of five teeth about tooth 3, a larger die by `scale` that lies elsewhere and turned; `lost_mm` is
+    /// gone from each flank.
     fn view(scale: f64, lost_mm: impl Fn(u32, Flank) -> f64) -> Option<Scale> {
         let gear = ring84();
         let (mut closest, mut places) = (Vec::new(), Vec::new());

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::observe::Observability;
 use super::prior::ScaledPrior;
-use super::{Options, Reason, Reference, Registration, Status};
+use super::{Options, Registration, RegistrationFailure, RegistrationTarget, Status};
 use crate::random::uniform;
 use crate::space::morton::along_curve;
 use crate::surface::CHUNK;
@@ -32,23 +32,23 @@ const MOST_PRIOR_DISTANCE: f64 = 6.2;
 /// A pose must be clearly nearer to the start than its rival one pitch on.
 const RIVAL_RATIO: f64 = 0.6;
 
-/// Lays `points` (mm) on a surface, or on another cloud. `sigma_mm` is the standard uncertainty of each point, where known; otherwise all
-/// points count the same and the noise is estimated from the residuals.
+/// Lays `points` (mm) on a surface, or on another cloud. `sigma_mm` is the standard uncertainty of each point, where known;
+/// otherwise all points count the same and the noise is estimated from the residuals.
 ///
 /// The same input gives the same bytes on any number of threads.
-pub fn register<R: Reference>(
+pub fn register<R: RegistrationTarget>(
     reference: &R,
     points: &[[f64; 3]],
     sigma_mm: Option<&[f32]>,
     options: &Options,
 ) -> Registration {
-    match Problem::new(reference, points, sigma_mm, options) {
+    match FitProblem::new(reference, points, sigma_mm, options) {
         Ok(problem) => problem.solve(),
         Err(reason) => Registration::refused(options.initial, reason),
     }
 }
 
-struct Problem<'a, R> {
+struct FitProblem<'a, R> {
     reference: &'a R,
     /// Neighbours follow each other.
     points: Cow<'a, [[f64; 3]]>,
@@ -63,7 +63,7 @@ struct Problem<'a, R> {
 
 /// One point laid on the surface: place in tool coordinates relative to the centre, normal, signed distance.
 #[derive(Clone, Copy)]
-struct Sample {
+struct FitSample {
     arm: Vector3<f64>,
     normal: Vector3<f64>,
     distance: f64,
@@ -71,7 +71,7 @@ struct Sample {
     weight: f64,
 }
 
-impl Sample {
+impl FitSample {
     const UNSET: Self = Self {
         arm: Vector3::new(0.0, 0.0, 0.0),
         normal: Vector3::new(0.0, 0.0, 0.0),
@@ -83,7 +83,7 @@ impl Sample {
 /// A level's view of the cloud: which points, and the current fit.
 struct Fit {
     pose: Isometry3<f64>,
-    samples: Vec<Sample>,
+    samples: Vec<FitSample>,
     noise: f64,
     /// Small steps taken together since the points were laid on the surface, in scaled variables.
     since: Vector6<f64>,
@@ -92,7 +92,7 @@ struct Fit {
 impl Fit {
     /// The sample's row of the design matrix: how its distance grows with each of the scaled variables.
     #[inline(always)]
-    fn row(sample: &Sample, inverse_arm: f64) -> [f64; 6] {
+    fn row(sample: &FitSample, inverse_arm: f64) -> [f64; 6] {
         let turn = sample.arm.cross(&sample.normal) * inverse_arm;
         let n = sample.normal;
         [turn.x, turn.y, turn.z, n.x, n.y, n.z]
@@ -100,7 +100,7 @@ impl Fit {
 
     /// The sample's distance after the small steps: every point keeps its normal.
     #[inline(always)]
-    fn distance(&self, sample: &Sample, row: &[f64; 6]) -> f64 {
+    fn distance(&self, sample: &FitSample, row: &[f64; 6]) -> f64 {
         let mut distance = sample.distance;
         for (row, since) in row.iter().zip(self.since.iter()) {
             distance += row * since;
@@ -109,15 +109,15 @@ impl Fit {
     }
 }
 
-impl<'a, R: Reference> Problem<'a, R> {
+impl<'a, R: RegistrationTarget> FitProblem<'a, R> {
     fn new(
         reference: &'a R,
         points: &'a [[f64; 3]],
         sigma_mm: Option<&'a [f32]>,
         options: &'a Options,
-    ) -> Result<Self, Reason> {
+    ) -> Result<Self, RegistrationFailure> {
         if points.len() < options.least_points.max(6) {
-            return Err(Reason::TooFewPoints {
+            return Err(RegistrationFailure::TooFewPoints {
                 points: points.len(),
                 least: options.least_points.max(6),
             });
@@ -125,7 +125,7 @@ impl<'a, R: Reference> Problem<'a, R> {
         if let Some(sigmas) = sigma_mm
             && sigmas.len() != points.len()
         {
-            return Err(Reason::SigmaCount {
+            return Err(RegistrationFailure::SigmaCount {
                 sigmas: sigmas.len(),
                 points: points.len(),
             });
@@ -133,7 +133,7 @@ impl<'a, R: Reference> Problem<'a, R> {
         let bad_point = points.iter().position(|p| p.iter().any(|c| !c.is_finite()));
         let bad_sigma = sigma_mm.and_then(|s| s.iter().position(|s| !(s.is_finite() && *s > 0.0)));
         if let Some(index) = bad_point.or(bad_sigma) {
-            return Err(Reason::NotFinite { index });
+            return Err(RegistrationFailure::NotFinite { index });
         }
         let pose = options.initial.isometry();
         let n = points.len() as f64;
@@ -150,7 +150,11 @@ impl<'a, R: Reference> Problem<'a, R> {
         let arm = (spread / n).sqrt().max(1e-6);
         let prior = match &options.prior {
             None => None,
-            Some(prior) => Some(prior.scaled(centre, arm).ok_or(Reason::BadPrior)?),
+            Some(prior) => Some(
+                prior
+                    .scaled(centre, arm)
+                    .ok_or(RegistrationFailure::BadPrior)?,
+            ),
         };
         let mean_weight = sigma_mm.map_or(1.0, |sigmas| {
             sigmas.iter().map(|s| f64::from(*s).powi(-2)).sum::<f64>() / n
@@ -206,7 +210,7 @@ impl<'a, R: Reference> Problem<'a, R> {
             for _ in 0..self.options.most_iterations {
                 // The weights' reach shrinks by at most half per step, so that early steps still see everything.
                 reach = f64::max(0.5 * reach.min(6.0 * current.noise), 3.0 * current.noise);
-                // While the pose is still far off, residuals say nothing about noise.
+                // Far from the solution the residuals do not estimate the noise.
                 let noise = current.noise.min(self.options.noise_mm);
                 let step = self.step(&current, reach, noise, damping);
                 iterations += 1;
@@ -247,7 +251,7 @@ impl<'a, R: Reference> Problem<'a, R> {
             // There is always the level of all points.
             None => Registration::refused(
                 self.options.initial,
-                Reason::TooFewPoints {
+                RegistrationFailure::TooFewPoints {
                     points: 0,
                     least: self.options.least_points,
                 },
@@ -272,7 +276,7 @@ impl<'a, R: Reference> Problem<'a, R> {
     fn lay(&self, subset: &[u32], pose: Isometry3<f64>) -> Fit {
         let rotation: Rotation3<f64> = pose.rotation.to_rotation_matrix();
         let shift = pose.translation.vector - self.centre;
-        let mut samples = vec![Sample::UNSET; subset.len()];
+        let mut samples = vec![FitSample::UNSET; subset.len()];
         samples
             .par_chunks_mut(CHUNK)
             .zip(subset.par_chunks(CHUNK))
@@ -313,13 +317,13 @@ impl<'a, R: Reference> Problem<'a, R> {
             .map_or(1.0, |sigmas| f64::from(sigmas[index as usize]).powi(-2))
     }
 
-    fn disjoint(&self, samples: &[Sample]) -> Option<Reason> {
+    fn disjoint(&self, samples: &[FitSample]) -> Option<RegistrationFailure> {
         let near = samples
             .iter()
             .filter(|s| s.distance.abs() <= self.options.capture_mm)
             .count();
         let ratio = near as f64 / samples.len() as f64;
-        (ratio < self.options.least_inlier_ratio).then_some(Reason::Disjoint {
+        (ratio < self.options.least_inlier_ratio).then_some(RegistrationFailure::Disjoint {
             ratio,
             least_ratio: self.options.least_inlier_ratio,
             capture_mm: self.options.capture_mm,
@@ -391,10 +395,10 @@ impl<'a, R: Reference> Problem<'a, R> {
         }
     }
 
-    /// How much half the weighted sum of squares (with Welsch's bound, plus the prior's share) grows from one fit to the
+    /// Growth of half the weighted sum of squares (with Welsch's bound, plus the prior's share) grows from one fit to the
     /// next. Points that take part in only one of them are left out: they came or went, the fit did not change by them.
     fn cost_change(&self, from: &Fit, to: &Fit, reach: f64, noise: f64) -> f64 {
-        let cost = |fit: &Fit, sample: &Sample| {
+        let cost = |fit: &Fit, sample: &FitSample| {
             let x = fit.distance(sample, &Fit::row(sample, 1.0 / self.arm)) / reach;
             sample.weight * -(-0.5 * x * x).exp_m1()
         };
@@ -455,20 +459,20 @@ impl<'a, R: Reference> Problem<'a, R> {
 
         let unobserved = observed.count_above(options.unobserved_mm);
         let reason = if (inliers as f64) < options.least_inlier_ratio * fit.samples.len() as f64 {
-            Some(Reason::TooFewInliers {
+            Some(RegistrationFailure::TooFewInliers {
                 inliers,
                 points: fit.samples.len(),
                 reach_mm,
                 least_ratio: options.least_inlier_ratio,
             })
         } else if !converged {
-            Some(Reason::NotConverged {
+            Some(RegistrationFailure::NotConverged {
                 iterations,
                 step_mm: last_step,
                 limit_mm: self.step_limit_mm(),
             })
         } else if self.prior.is_none() && unobserved > 2 {
-            Some(Reason::Unconstrained {
+            Some(RegistrationFailure::Unconstrained {
                 unobserved,
                 limit_mm: options.unobserved_mm,
             })
@@ -491,9 +495,9 @@ impl<'a, R: Reference> Problem<'a, R> {
         }
     }
 
-    fn prior_violated(&self, pose: &Isometry3<f64>) -> Option<Reason> {
+    fn prior_violated(&self, pose: &Isometry3<f64>) -> Option<RegistrationFailure> {
         let distance = self.prior.as_ref()?.distance2(pose).sqrt();
-        (distance > MOST_PRIOR_DISTANCE).then_some(Reason::PriorViolated {
+        (distance > MOST_PRIOR_DISTANCE).then_some(RegistrationFailure::PriorViolated {
             distance,
             limit: MOST_PRIOR_DISTANCE,
         })
@@ -501,7 +505,7 @@ impl<'a, R: Reference> Problem<'a, R> {
 
     /// A toothing looks the same one pitch on. The pose found is only told from its rival by being nearer to where the
     /// cloud was expected, unless the rival fits clearly worse (a cloud that shows more than teeth).
-    fn ambiguous(&self, fit: &Fit, reach_mm: f64, inliers: usize) -> Option<Reason> {
+    fn ambiguous(&self, fit: &Fit, reach_mm: f64, inliers: usize) -> Option<RegistrationFailure> {
         let pitch = std::f64::consts::TAU / f64::from(self.options.teeth?);
         let expected = self
             .options
@@ -509,8 +513,9 @@ impl<'a, R: Reference> Problem<'a, R> {
             .as_ref()
             .map_or(&self.options.initial, |prior| &prior.tool_from_cloud);
         let step = fit.samples.len().div_ceil(2_000);
-        let probes: Vec<&Sample> = fit.samples.iter().step_by(step).collect();
-        // The turn about the axis that takes the expected places best to those found: of a whole ring its centre would say nothing.
+        let probes: Vec<&FitSample> = fit.samples.iter().step_by(step).collect();
+        // The turn about the axis that takes the expected places best to those found: of a whole ring its centre would say
+        // nothing.
         let expected_from_found = expected.isometry() * fit.pose.inverse();
         let (mut sin, mut cos) = (0.0, 0.0);
         for probe in &probes {
@@ -534,7 +539,7 @@ impl<'a, R: Reference> Problem<'a, R> {
             .count();
         let rival_ratio = near as f64 / probes.len() as f64;
         let own_ratio = inliers as f64 / fit.samples.len() as f64;
-        (rival_ratio > 0.8 * own_ratio).then_some(Reason::AmbiguousTooth {
+        (rival_ratio > 0.8 * own_ratio).then_some(RegistrationFailure::AmbiguousTooth {
             moved_rad,
             rival_rad,
             limit_ratio: RIVAL_RATIO,
@@ -543,7 +548,7 @@ impl<'a, R: Reference> Problem<'a, R> {
 }
 
 /// 1.4826 times the median distance of the samples that take part.
-fn robust_noise(samples: &[Sample]) -> f64 {
+fn robust_noise(samples: &[FitSample]) -> f64 {
     let mut sizes: Vec<f64> = samples
         .iter()
         .filter(|s| s.weight > 0.0)

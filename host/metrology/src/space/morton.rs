@@ -61,7 +61,7 @@ pub(crate) fn map_along_curve<T: Copy + Send + Sync>(
             places.iter().map(|&place| found[place as usize]).collect()
         })
         .collect();
-    // Where each chunk's run begins in each cell.
+    // Start of each chunk's run in each cell.
     let mut next = vec![0usize; CELLS];
     let begins: Vec<Vec<usize>> = chunks
         .iter()
@@ -150,7 +150,7 @@ fn keys(bounds: Aabb) -> impl Fn(&[f64; 3]) -> u32 + Sync {
     }
 }
 
-/// Where each of the cell's points stands along the curve inside the cell, by counting on the next bits of their keys:
+/// Rank of each of the cell's points along the curve inside the cell, by counting on the next bits of their keys:
 /// those of one place keep their order.
 fn places_along(chunks: &[Chunk], cell: usize) -> Vec<u32> {
     let own = || chunks.iter().flat_map(|chunk| chunk.run(cell));
@@ -209,9 +209,9 @@ fn scattered(points: &[[f64; 3]]) -> Option<Aabb> {
 struct Chunk {
     /// Place on the curve, and the point.
     sorted: Vec<(u32, [f64; 3])>,
-    /// Where each cell begins, and the end.
+    /// Start of each cell, and the end.
     starts: Vec<u32>,
-    /// Where each point went.
+    /// New index of each point.
     place: Vec<u32>,
 }
 

@@ -1,4 +1,4 @@
-//! Which way a triangle faces.
+//! Unit normal of a triangle.
 
 use nalgebra::Vector3;
 

@@ -39,7 +39,7 @@ pub struct Surface {
     bounds: Aabb,
 }
 
-/// What is known of one triangle beside its corners. Order of corners: as in the mesh, turned for triangles without area.
+/// Data of one triangle beside its corners. Order of corners: as in the mesh, turned for triangles without area.
 #[derive(Debug, Clone)]
 struct Facet {
     corners: [[f64; 3]; 3],
@@ -63,7 +63,8 @@ pub struct Closest {
     pub triangle: u32,
     /// Part of the triangle that holds the point.
     pub feature: Feature,
-    /// Cosine of the angle between `normal` and the triangle's own normal: 1 on faces and smooth edges, clearly less on sharp edges.
+    /// Cosine of the angle between `normal` and the triangle's own normal: 1 on faces and smooth edges, clearly less on sharp
+    /// edges.
     pub smoothness: f64,
 }
 

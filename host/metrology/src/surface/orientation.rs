@@ -1,4 +1,4 @@
-//! Which side of a mesh is outside.
+//! Orientation of a mesh: which side of its triangles is outside.
 //!
 //! The formats say that corners run counter-clockwise seen from outside; many files do not keep to it. Triangles that share an
 //! edge must run along it in opposite directions, which orients every connected part up to one choice. Of a closed part the
@@ -16,7 +16,7 @@ const MOST_MIXED: f64 = 0.1;
 /// A closed part of less volume than this share of that of a sphere of its area is a sheet folded on itself: it has no inside.
 const LEAST_VOLUME: f64 = 1e-6;
 
-/// What [`orient`] found and did.
+/// Result of [`orient`].
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Orientation {
     /// Triangles in all.
@@ -25,12 +25,12 @@ pub struct Orientation {
     pub turned: usize,
     /// Edges that do not lie between two triangles: where the mesh is open, or more than two meet. None of a solid.
     pub open_edges: usize,
-    /// Why distances to it have no sign; none when they have.
+    /// Reason for which distances to the mesh have no sign; none when they have one.
     #[serde(skip)]
     pub unsigned: Option<Unsigned>,
 }
 
-/// Why no side of a mesh can be called outside.
+/// Reasons for which no side of a mesh is outside.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Unsigned {
@@ -79,7 +79,7 @@ impl std::fmt::Display for Orientation {
 }
 
 impl Orientation {
-    /// Whether there is nothing to say of it: a closed mesh, wound as it should be.
+    /// Whether the mesh was closed and wound correctly.
     pub fn is_plain(&self) -> bool {
         self.turned == 0 && self.open_edges == 0 && self.unsigned.is_none()
     }
@@ -87,7 +87,7 @@ impl Orientation {
 
 /// A connected part.
 #[derive(Clone)]
-struct Part {
+struct MeshPart {
     /// A triangle of it.
     first: usize,
     /// Six times its volume when oriented as its first triangle, mm³.
@@ -167,9 +167,9 @@ pub fn orient(mesh: &mut TriMesh) -> Orientation {
 fn choice(
     mesh: &TriMesh,
     of: &[(usize, bool)],
-    parts: &[Option<Part>],
+    parts: &[Option<MeshPart>],
     root: usize,
-    part: &Part,
+    part: &MeshPart,
 ) -> Result<bool, Unsigned> {
     if let Some(triangle) = part.one_sided {
         return Err(Unsigned::OneSided { triangle });
@@ -192,17 +192,17 @@ fn choice(
     Ok(against > with)
 }
 
-/// How many other closed parts hold this one.
+/// Number of other closed parts that enclose this one.
 fn holders(
     mesh: &TriMesh,
     of: &[(usize, bool)],
-    parts: &[Option<Part>],
+    parts: &[Option<MeshPart>],
     root: usize,
-    part: &Part,
+    part: &MeshPart,
 ) -> usize {
     let [a, b, c] = mesh.corners(part.first);
     let inside: [f64; 3] = std::array::from_fn(|k| (a[k] + b[k] + c[k]) / 3.0);
-    let holds = |other: &Part| {
+    let holds = |other: &MeshPart| {
         let Aabb { low, high } = other.bounds;
         other.is_closed && (0..3).all(|k| low[k] <= inside[k] && inside[k] <= high[k])
     };
@@ -237,8 +237,8 @@ fn solid_angle(corners: [[f64; 3]; 3], from: [f64; 3]) -> f64 {
 }
 
 /// The parts, each at the number of its root.
-fn parts(mesh: &TriMesh, of: &[(usize, bool)]) -> Vec<Option<Part>> {
-    let mut parts: Vec<Option<Part>> = vec![None; of.len()];
+fn parts(mesh: &TriMesh, of: &[(usize, bool)]) -> Vec<Option<MeshPart>> {
+    let mut parts: Vec<Option<MeshPart>> = vec![None; of.len()];
     // Volumes are summed about a corner of the mesh, so that far from the origin no digits are lost.
     let origin = Vector3::from(mesh.corners(0)[0]);
     for (index, &(root, against)) in of.iter().enumerate() {
@@ -247,7 +247,7 @@ fn parts(mesh: &TriMesh, of: &[(usize, bool)]) -> Vec<Option<Part>> {
         let area_mm2 = 0.5 * (b - a).cross(&(c - a)).norm();
         let volume6_mm3 = a.dot(&b.cross(&c));
         let own = Aabb::around(&corners);
-        let part = parts[root].get_or_insert(Part {
+        let part = parts[root].get_or_insert(MeshPart {
             first: index,
             volume6_mm3: 0.0,
             area_mm2: [0.0; 2],

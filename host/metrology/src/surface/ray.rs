@@ -1,4 +1,4 @@
-//! Where a ray first meets the surface.
+//! First intersection of a ray with the surface.
 
 use nalgebra::{Point3, Vector3};
 
@@ -10,8 +10,9 @@ const NEAR_MM: f64 = 5e-3;
 const MOST_STEPS: usize = 64;
 
 impl Surface {
-    /// Where a ray of unit `direction` first meets the surface between two distances from its start; none where it does not, or
-    /// grazes. No step is longer than the way to the nearest surface (Hart, Sphere tracing, The Visual Computer 12, 527, 1996).
+    /// First intersection of a ray of unit `direction` with the surface between two distances from its start; none where it does
+    /// not, or grazes. No step is longer than the way to the nearest surface (Hart, Sphere tracing, The Visual Computer 12, 527,
+    /// 1996).
     pub fn first_met(
         &self,
         from_mm: [f64; 3],

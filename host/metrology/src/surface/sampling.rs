@@ -7,7 +7,7 @@ use crate::random::uniform;
 
 const CHUNK: usize = 1 << 13;
 
-/// Why a mesh could not be sampled.
+/// Reasons for which a mesh is not sampled.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum SampleError {
@@ -190,7 +190,7 @@ impl Default for Region {
 }
 
 impl Region {
-    /// Whether `point` lies in the window about `centre`, both in tool coordinates, mm.
+    /// Whether `point` lies in the window about `centre`, mm (tool frame).
     pub fn contains(&self, centre: [f64; 3], point: [f64; 3]) -> bool {
         let angle = turned(point[1].atan2(point[0]) - centre[1].atan2(centre[0]));
         (point[2] - centre[2]).abs() <= self.half_height_mm

@@ -30,7 +30,7 @@ pub(crate) struct Prepared {
 
 /// Closest point of one triangle.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Nearest {
+pub(crate) struct NearestOnTriangle {
     pub point: Vector3<f64>,
     pub distance2_mm2: f64,
     pub feature: Feature,
@@ -65,7 +65,7 @@ impl Prepared {
     /// two changes: the dot products at b and c follow from those at a, and inside the face the distance is taken along
     /// the normal, which keeps long thin triangles exact where barycentric weights lose digits.
     #[inline(always)]
-    pub fn nearest(&self, p: Vector3<f64>) -> Nearest {
+    pub fn nearest(&self, p: Vector3<f64>) -> NearestOnTriangle {
         let ap = p - self.a;
         let d1 = self.ab.dot(&ap);
         let d2 = self.ac.dot(&ap);
@@ -102,11 +102,11 @@ impl Prepared {
         self.foot(p)
     }
 
-    /// What [`Prepared::nearest`] finds for a point whose foot on the triangle's plane lies inside.
+    /// Result of [`Prepared::nearest`] for a point whose foot on the triangle's plane lies inside.
     #[inline(always)]
-    pub fn foot(&self, p: Vector3<f64>) -> Nearest {
+    pub fn foot(&self, p: Vector3<f64>) -> NearestOnTriangle {
         let height = self.normal.dot(&(p - self.a));
-        Nearest {
+        NearestOnTriangle {
             point: p - self.normal * height,
             distance2_mm2: height * height,
             feature: Feature::Face,
@@ -114,8 +114,8 @@ impl Prepared {
     }
 
     #[inline(always)]
-    fn at(&self, p: Vector3<f64>, point: Vector3<f64>, feature: Feature) -> Nearest {
-        Nearest {
+    fn at(&self, p: Vector3<f64>, point: Vector3<f64>, feature: Feature) -> NearestOnTriangle {
+        NearestOnTriangle {
             point,
             distance2_mm2: (p - point).norm_squared(),
             feature,

@@ -11,7 +11,7 @@ use crate::gear::{Flank, GearData};
 /// A scan with fewer flanks tells no scatter.
 const LEAST_FLANKS: usize = 8;
 
-/// Why a scan does not tell the form of a die.
+/// Reasons for which a scan does not determine the form of a die.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AsBuiltError {
@@ -21,7 +21,7 @@ pub enum AsBuiltError {
     /// The file is no result of `scan`.
     #[error("{0}; right would be what `scan --json` wrote for the new die")]
     Json(#[from] serde_json::Error),
-    /// It says nothing of most flanks.
+    /// Too few flanks have a mean deviation.
     #[error("it has the mean deviation of {got} flanks, at least {LEAST_FLANKS} are needed")]
     TooFew {
         /// Flanks with a mean.
@@ -29,7 +29,7 @@ pub enum AsBuiltError {
     },
 }
 
-/// What is read of a scan.
+/// Part of a scan's result file that is read.
 #[derive(Deserialize)]
 struct Scan {
     features: Vec<ScannedFlank>,
@@ -101,8 +101,8 @@ fn of_class_um(gear: &GearData, class: u32) -> f64 {
     (half_um.iter().map(|um| um * um).sum::<f64>() / 3.0).sqrt()
 }
 
-/// How the mean deviations of the flanks scatter about the middle of their side, µm: what all of a side share is not told from
-/// how the die sits.
+/// Scatter of the flanks' mean deviations about the median of their side, µm: a deviation that all of a side share is not told
+/// from how the die sits.
 fn of_scan_um(path: &Path) -> Result<f64, AsBuiltError> {
     let scan: Scan = serde_json::from_slice(&std::fs::read(path)?)?;
     let (mut squares, mut count) = (0.0, 0);

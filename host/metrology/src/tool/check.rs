@@ -1,4 +1,4 @@
-//! What a tool file may say: every value in its range, and every limit, zone and threshold against the gear and its CAD.
+//! Checks of a tool file: every value in its range, and every limit, zone and threshold against the gear and its CAD.
 
 use std::path::Path;
 
@@ -30,7 +30,7 @@ impl Refusal<'_> {
         })
     }
 
-    /// What is no number is in no range.
+    /// A value that is not finite is in no range.
     fn within(
         &self,
         key: &'static str,
@@ -239,7 +239,7 @@ fn zone(is: &Refusal<'_>, inspect: &Inspect, gear: &GearData) -> Result<(), Tool
     let [from_mm, to_mm] = radii.map(|radius| gear.profile_mm(radius));
     let room_mm = (to_mm - from_mm).min(up - down);
     let most_mm2 = 0.25 * std::f64::consts::PI * room_mm * room_mm;
-    // What is no number has no room either.
+    // Comparisons with NaN are false: a value that is not a number is refused as well.
     if inspect.wear_area_mm2 <= most_mm2 {
         return Ok(());
     }
@@ -392,7 +392,7 @@ fn lands(
     ] {
         let point = [radius_mm * angle.cos(), radius_mm * angle.sin(), z];
         let off_mm = surface.closest(point).signed_distance_mm.abs();
-        // What is no number is refused as well.
+        // Comparisons with NaN are false: a value that is not a number is refused as well.
         let agrees = off_mm <= AGREEMENT_MM;
         if !agrees {
             return Err(ToolError::Land {

@@ -16,9 +16,10 @@ use crate::io::mesh::{self, MeshError, TriMesh};
 use crate::patch::{PatchError, Patches};
 use crate::surface::Surface;
 use crate::surface::orientation::{Unsigned, orient};
-use crate::verdict::flank::{Limits, TipLimits};
+use crate::verdict::flank::{FlankLimits, TipLimits};
 use crate::verdict::{Reason, Rule, Undecided};
-use crate::wear::{AREA_MM2, Settings, Zone, tip_loss_mm2};
+use crate::wear::sensitivity::ExpansionUncertainty;
+use crate::wear::{AREA_MM2, WearSettings, Zone, tip_loss_mm2};
 
 /// Name of the file inside a tool folder.
 pub const FILE_NAME: &str = "tool.toml";
@@ -49,11 +50,11 @@ pub struct Tool {
     pub gear: Option<GearData>,
     /// Patches of the CAD, of a tool that is no gear.
     pub patches: Patches,
-    /// What to inspect.
+    /// Teeth, zone and limits of an inspection.
     pub inspect: Option<Inspect>,
     /// Standard uncertainty of a flank's form as built, µm; none when nothing is said of it.
     pub as_built_um: Option<f64>,
-    /// How it grows with temperature; without it, it is taken to be measured at the temperature of its CAD.
+    /// Thermal expansion; without it, the tool is taken to be measured at the temperature of its CAD.
     pub temperature: Option<Temperature>,
 }
 
@@ -147,16 +148,16 @@ pub struct Inspect {
     /// Probability with which a limit must be kept or exceeded.
     #[serde(default = "default_probability")]
     pub probability: f64,
-    /// What a figure too near to a limit ends in.
+    /// Verdict on a figure whose guard band holds the limit.
     #[serde(default)]
     pub undecided: Undecided,
-    /// How often a view with such a figure is measured again, if there is time and it can help.
+    /// Number of repeated measurements of a view with such a figure, if there is time and they can decide it.
     #[serde(default = "default_remeasure")]
     pub remeasure: u32,
 }
 
 impl Inspect {
-    /// How wear is judged.
+    /// Rule by which wear is judged.
     pub fn rule(&self) -> Rule {
         Rule {
             warn_um: self.warn_um,
@@ -230,6 +231,14 @@ pub struct Temperature {
 }
 
 impl Temperature {
+    /// Expansion with the uncertainty of the measured temperature.
+    pub fn expansion(&self) -> ExpansionUncertainty {
+        ExpansionUncertainty {
+            per_k: self.expansion_per_k,
+            u_k: self.u_k,
+        }
+    }
+
     /// Size of the tool at a temperature relative to its CAD.
     ///
     /// # Errors
@@ -301,7 +310,7 @@ struct File {
     temperature: Option<Temperature>,
 }
 
-/// Why a tool cannot be used.
+/// Reasons for which a tool file is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ToolError {
@@ -322,7 +331,7 @@ pub enum ToolError {
         line: usize,
         /// Column, from 1.
         column: usize,
-        /// What is wrong and what is expected, on one line.
+        /// The error and the expected value, on one line.
         message: String,
     },
     /// A value out of range.
@@ -334,7 +343,7 @@ pub enum ToolError {
         key: &'static str,
         /// The value.
         value: f64,
-        /// What would be right.
+        /// Valid values.
         expected: String,
     },
     /// Gear data that contradict themselves.
@@ -352,10 +361,10 @@ pub enum ToolError {
         path: PathBuf,
         /// Name of the patch.
         name: String,
-        /// What is wrong and what would be right.
+        /// The error and the valid values.
         what: String,
     },
-    /// A patch that is none of this CAD.
+    /// A patch that does not exist on this CAD.
     #[error("{}: {source}", path.display())]
     Patch {
         /// The file.
@@ -375,7 +384,7 @@ pub enum ToolError {
         /// The file.
         path: PathBuf,
     },
-    /// Something that is said of teeth where there are none.
+    /// A setting of teeth in a tool file without a gear.
     #[error("{}: inspect.{key} is said of the teeth of a [gear], and this file has patches; leave it out, a [[patch]] has a zone and a datum of its own", path.display())]
     OfTeeth {
         /// The file.
@@ -422,7 +431,7 @@ pub enum ToolError {
         key: &'static str,
         /// In the file.
         stated_mm: f64,
-        /// How far the mesh is from there.
+        /// Distance of the mesh from there.
         off_mm: f64,
         /// Limit.
         limit_mm: f64,
@@ -434,7 +443,7 @@ pub enum ToolError {
         path: PathBuf,
         /// The mesh.
         cad: PathBuf,
-        /// Why.
+        /// Reason.
         source: Unsigned,
     },
     /// The mesh's material lies on the other side of a flank than the gear's.
@@ -535,7 +544,7 @@ impl Tool {
         })
     }
 
-    /// Where the CAD file is.
+    /// Path of the CAD file.
     pub fn cad_path(&self) -> PathBuf {
         self.path
             .parent()
@@ -543,7 +552,7 @@ impl Tool {
             .join(&self.cad.file)
     }
 
-    /// What of it is judged: a gear's flanks, else its patches, of which there may be none.
+    /// Features that are judged: a gear's flanks, else its patches, of which there may be none.
     pub fn features(&self) -> Features<'_> {
         self.gear
             .as_ref()
@@ -591,8 +600,8 @@ impl Tool {
         })
     }
 
-    /// How a flank is judged; none without anything to inspect.
-    pub fn limits(&self) -> Option<Limits> {
+    /// Limits of a flank; none without a section `inspect`.
+    pub fn limits(&self) -> Option<FlankLimits> {
         let inspect = self.inspect.as_ref()?;
         let rule = |[warn_um, limit_um]: [f64; 2]| Rule {
             warn_um,
@@ -610,7 +619,7 @@ impl Tool {
                 area_mm2: [warn, limit],
             })
         });
-        Some(Limits {
+        Some(FlankLimits {
             wear: inspect.rule(),
             proud: rule(inspect.proud_um()),
             cell: rule(inspect.cell_um()),
@@ -621,13 +630,13 @@ impl Tool {
         })
     }
 
-    /// How wear is computed for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which counts as
-    /// the standard uncertainty of the CAD surface.
-    pub fn wear_settings(&self) -> Settings {
+    /// Settings of the wear evaluation for this tool. Facets are chords: their mean offset is 2/3 of the chord error, which
+    /// counts as the standard uncertainty of the CAD surface.
+    pub fn wear_settings(&self) -> WearSettings {
         let stated_um = self.inspect.as_ref().and_then(|i| i.calibration_um);
-        let defaults = Settings::default();
+        let defaults = WearSettings::default();
         let inspect = self.inspect.as_ref();
-        Settings {
+        WearSettings {
             area_mm2: inspect.map_or(defaults.area_mm2, |i| i.wear_area_mm2),
             hidden_depth_mm: inspect
                 .map_or(defaults.hidden_depth_mm, |i| 1e-3 * i.hidden_depth_um()),

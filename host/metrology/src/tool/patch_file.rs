@@ -27,7 +27,7 @@ pub(super) struct PatchFile {
 }
 
 impl PatchFile {
-    /// What the table means.
+    /// The patch that the table describes.
     ///
     /// # Errors
     /// More or less than one way to name facets.
@@ -69,7 +69,7 @@ impl PatchFile {
     }
 }
 
-/// What a file with patches must leave out: it is said of teeth.
+/// Keys that a file with patches must not have: they describe teeth.
 ///
 /// # Errors
 /// The first such key.

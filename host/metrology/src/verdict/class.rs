@@ -1,14 +1,14 @@
-//! Whether a gear holds a class: every quantity against its tolerance, by the same rule as wear.
+//! Conformity of a gear with an accuracy class: every quantity against its tolerance, with the same guard bands as wear.
 
 use super::{Code, Reason, Rule, Verdict, Word, combine, decide};
 use crate::gear::GearData;
-use crate::gear::evaluation::{GearEvaluation, Rating, Settings};
+use crate::gear::evaluation::{EvaluationSettings, GearEvaluation, Rating};
 
-/// Whether every quantity of an evaluation holds `class` with this probability, and why.
+/// Verdict on the conformity of every quantity of an evaluation with `class`, at this probability, and its reason.
 pub fn holds_class(
     gear: &GearData,
     evaluation: &GearEvaluation,
-    settings: &Settings,
+    settings: &EvaluationSettings,
     class: u32,
     probability: f64,
 ) -> (Verdict, String) {
@@ -38,7 +38,7 @@ pub fn holds_class(
 fn of_rating(
     rating: &Rating,
     gear: &GearData,
-    settings: &Settings,
+    settings: &EvaluationSettings,
     class: u32,
     probability: f64,
 ) -> (Verdict, String) {

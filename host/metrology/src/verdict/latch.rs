@@ -3,7 +3,7 @@
 
 use super::Word;
 
-/// What is shown at the press and on the screen.
+/// Output shown at the press and on the screen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shown {
     /// Nothing has been checked since power-up or since an acknowledgement.
@@ -19,7 +19,7 @@ pub enum Shown {
 }
 
 impl Shown {
-    /// Whether the press gets its go.
+    /// Whether the output enables the press.
     #[must_use]
     pub fn is_go(self) -> bool {
         self.verdict().passes()
@@ -34,7 +34,7 @@ impl Shown {
         }
     }
 
-    /// As a verdict: what nobody checked is indeterminate.
+    /// The output as a verdict: indeterminate before the first check.
     #[must_use]
     pub fn verdict(self) -> Word {
         match self {
@@ -106,12 +106,12 @@ impl Latch {
         self.shown
     }
 
-    /// Nobody has confirmed a go for too long: as after a check without a result.
+    /// No go was confirmed within the time limit: the same as after a check without a result.
     pub fn expire(&mut self) -> Shown {
         self.take(Word::Indeterminate)
     }
 
-    /// What is shown now.
+    /// Output at present.
     #[must_use]
     pub fn shown(&self) -> Shown {
         self.shown

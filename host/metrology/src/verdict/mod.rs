@@ -8,7 +8,7 @@
 //! | file | holds |
 //! |---|---|
 //! | `word` | the four words in order of severity, with their exit codes |
-//! | `reason` | why nothing can be said, each reason with its word in files and its remedy |
+//! | `reason` | reasons for the verdict indeterminate, each with its code in files and its remedy |
 //! | `rule` | one figure against its limits, with a guard band |
 //! | `flank` | all figures of a flank, and what forbids a verdict on it |
 //! | `class` | all quantities of a gear against the tolerances of a class |
@@ -33,7 +33,7 @@ pub use reason::{Code, Reason, UnknownCode};
 pub use rule::{PROBABILITY, Rule, decide, decide_parts, repeating_could_decide};
 pub use word::{UnknownWord, Word};
 
-/// What the instrument says.
+/// Verdict of the instrument on a flank, a tooth or a die.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Verdict {
     /// Wear is below the warning limit.
@@ -44,7 +44,7 @@ pub enum Verdict {
     NoGo,
     /// Nothing can be said.
     Indeterminate {
-        /// Why.
+        /// Reason.
         reason: Reason,
     },
 }
@@ -60,7 +60,7 @@ impl Verdict {
         }
     }
 
-    /// Why nothing can be said, where that is so.
+    /// Reason of an indeterminate verdict; none for the others.
     pub fn reason(&self) -> Option<&Reason> {
         match self {
             Self::Indeterminate { reason } => Some(reason),

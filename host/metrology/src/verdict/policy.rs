@@ -1,15 +1,15 @@
-//! What follows from verdicts: several together, one that something speaks against, and figures that nothing decides.
+//! Rules over verdicts: several combined, one withheld for a reason, and figures too near to a limit to decide.
 
 use super::{Reason, Verdict, Word};
 
-/// What an undecidable figure ends in.
+/// Verdict on a figure whose guard band holds the limit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Deserialize, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Undecided {
     /// Nothing is said.
     #[default]
     Indeterminate,
-    /// What cannot be shown to be good counts as bad.
+    /// No-go: a figure that is not proven good counts as bad.
     NoGo,
 }
 
@@ -28,7 +28,7 @@ pub fn combine(features: impl IntoIterator<Item = Verdict>) -> Verdict {
 }
 
 impl Word {
-    /// What is left of it once something speaks against it: the capture stopped early, something was not seen, the result
+    /// The verdict withheld for a reason: the capture stopped early, something was not seen, the result
     /// could not be stored. Damage that was found stays found; everything else is indeterminate.
     #[must_use]
     pub fn withheld(self) -> Self {

@@ -1,4 +1,4 @@
-//! Why nothing can be said: every reason with its figures, and the closed list of their words.
+//! Reasons for the verdict indeterminate, each with its figures, and the closed list of their codes.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use crate::registration;
 /// One row per word: what it stands for, its name here, the word in files, and what to do about it.
 macro_rules! codes {
     ($($(#[$about:meta])* $name:ident = $word:literal, $remedy:literal;)*) => {
-        /// What kind of reason: a closed list, so that reasons can be counted. A word in a file keeps its meaning for good;
+        /// Code of a reason: a closed list, so that reasons can be counted. A word in a file keeps its meaning for good;
         /// new ones are added.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Code {
@@ -29,7 +29,7 @@ macro_rules! codes {
                 }
             }
 
-            /// What to do about it, in the imperative.
+            /// Remedy, in the imperative.
             pub const fn remedy(self) -> &'static str {
                 match self {
                     $(Self::$name => $remedy,)*
@@ -52,7 +52,7 @@ codes! {
     Coverage = "coverage", "clean flank and head, or look from another height";
     /// No disc fits into what was measured of the zone.
     NoDisc = "no_disc", "judge a larger zone, or smaller discs (inspect.wear_area_mm2)";
-    /// What was not seen may hide more than a limit.
+    /// Wear hidden in unmeasured areas may exceed a limit.
     Hidden = "hidden", "clean the flank, look from another height, or look at it by eye";
     /// Damage at the warning limit would not be seen.
     Detection = "detection_limit", "lower the largest part of the uncertainty, which the reason names";
@@ -82,13 +82,13 @@ codes! {
     AmbiguousTooth = "ambiguous_tooth", "check how the die was put down, and the hand-eye of the head";
     /// The pose is not where the stages say.
     PriorViolated = "prior_violated", "reference the stages; check how die and head are mounted";
-    /// What is known of the pose is no covariance.
+    /// The prior's covariance is not positive definite.
     BadPrior = "bad_prior", "check the standard uncertainties of the stages";
     /// Frames are missing, or not one per trigger.
     FramesMissing = "frames_missing", "check the link to the camera, and the load of this host";
     /// A frame of the wrong size, order or brightness.
     FrameContent = "frame_content", "check LED, pattern projector and the exposures of the head file";
-    /// A frame that nobody triggered, or of another session.
+    /// A frame without a trigger, or of another session.
     FrameForeign = "frame_foreign", "see that one camera process alone sends frames here";
     /// A frame could not be read from the shared memory.
     FrameUnreadable = "frame_unreadable", "start the camera process anew; its release must be this one";
@@ -136,7 +136,7 @@ codes! {
     Unseen = "unseen", "clean the flanks that are named, and scan into the same session";
     /// It is not the CAD's die.
     OtherDie = "other_die", "check tool file and head file";
-    /// Which tooth is which cannot be told, or is not as in the earlier scan.
+    /// Tooth numbers cannot be determined, or differ from those of the earlier scan.
     TurnedDie = "turned_die", "put the die down as it was";
     /// The method, or a cloud, claims no uncertainty.
     NoUncertainty = "no_uncertainty", "stitch by --method surface; state the uncertainty of clouds";
@@ -189,7 +189,7 @@ impl<'de> Deserialize<'de> for Code {
     }
 }
 
-/// Why nothing can be said.
+/// Reason for the verdict indeterminate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Reason {
     /// No feature was evaluated.
@@ -198,7 +198,7 @@ pub enum Reason {
     /// A figure that is no number.
     #[error("the {what} is no number that can be judged")]
     NotFinite {
-        /// Which figure.
+        /// Name of the figure.
         what: &'static str,
     },
     /// Limits that contradict each other.
@@ -214,11 +214,11 @@ pub enum Reason {
     #[error(
         "{what} {value_um:.1} um is too near to the stop limit of {limit_um} um to decide: the guard band is {guard_um:.1} um to either side", value_um = Number(*value_um), limit_um = Number(*limit_um), guard_um = Number(*guard_um))]
     Undecidable {
-        /// Which figure.
+        /// Name of the figure.
         what: &'static str,
         /// Its value.
         value_um: f64,
-        /// How far it must keep from a limit.
+        /// Guard band: least distance of the figure from a limit, same unit.
         guard_um: f64,
         /// Stop limit.
         limit_um: f64,
@@ -238,14 +238,14 @@ pub enum Reason {
         /// Area of the disc.
         area_mm2: f64,
     },
-    /// What was not seen may hide more than the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
+    /// Wear hidden in unmeasured areas may exceed the limit: unmeasured patches, floors behind steep walls, grooves too narrow to
     /// look into.
     #[error(
         "what was not seen of the flank (holes, shadows of steep walls, narrow grooves, fine texture) may hide up to {hidden_um:.1} um of mean loss if up to {supposed_um:.0} um are lost there, {limit_um} um are the limit; clean the flank, look from another height, or look at it by eye", hidden_um = Number(*hidden_um), supposed_um = Number(*supposed_um), limit_um = Number(*limit_um))]
     Hidden {
         /// The largest mean loss that a disc may have.
         hidden_um: f64,
-        /// What is supposed to be lost wherever nothing was measured.
+        /// Loss that is assumed wherever nothing was measured, µm.
         supposed_um: f64,
         /// The limit that it may exceed.
         limit_um: f64,
@@ -254,11 +254,11 @@ pub enum Reason {
     #[error(
         "the least wear that can be told from none is {detects_um:.1} um, not below the warning limit of {warn_um} um; largest part of the uncertainty: {largest}", detects_um = Number(*detects_um), warn_um = Number(*warn_um))]
     Detection {
-        /// Least wear that is told from none.
+        /// Detection limit of wear, µm.
         detects_um: f64,
         /// Warning limit.
         warn_um: f64,
-        /// Where most of the uncertainty comes from.
+        /// Largest term of the uncertainty budget.
         largest: &'static str,
     },
     /// The estimate is not what was read.
@@ -303,13 +303,13 @@ pub enum Reason {
     },
     /// The cloud could not be laid on CAD.
     #[error("registration: {0}")]
-    Registration(crate::registration::Reason),
-    /// What another part of the instrument found: frames, controller, head, baseline, history.
+    Registration(crate::registration::RegistrationFailure),
+    /// A failure of another part of the instrument: frames, controller, head, baseline, history.
     #[error("{sentence}")]
     Instrument {
-        /// What kind of failure.
+        /// Code of the failure.
         code: Code,
-        /// What exactly, in the words of the part that found it.
+        /// Message of the part that failed.
         sentence: String,
     },
 }
@@ -324,7 +324,7 @@ fn share(ratio: f64) -> String {
 }
 
 impl Reason {
-    /// A reason that another part of the instrument found, in its words.
+    /// Reason of a failure in another part of the instrument, with that part's message.
     pub fn instrument(code: Code, sentence: impl fmt::Display) -> Self {
         Self::Instrument {
             code,
@@ -332,7 +332,7 @@ impl Reason {
         }
     }
 
-    /// What kind of reason it is.
+    /// Code of the reason.
     pub fn code(&self) -> Code {
         match self {
             Self::NoFeatures => Code::NoFeatures,
@@ -354,20 +354,20 @@ impl Reason {
     }
 }
 
-impl From<&registration::Reason> for Code {
-    fn from(reason: &registration::Reason) -> Self {
-        use registration::Reason;
+impl From<&registration::RegistrationFailure> for Code {
+    fn from(reason: &registration::RegistrationFailure) -> Self {
+        use registration::RegistrationFailure;
         match reason {
-            Reason::TooFewPoints { .. } => Self::TooFewPoints,
-            Reason::NotFinite { .. } => Self::NotFinite,
-            Reason::SigmaCount { .. } => Self::SigmaCount,
-            Reason::Disjoint { .. } => Self::Disjoint,
-            Reason::TooFewInliers { .. } => Self::TooFewInliers,
-            Reason::NotConverged { .. } => Self::NotConverged,
-            Reason::Unconstrained { .. } => Self::Unconstrained,
-            Reason::AmbiguousTooth { .. } => Self::AmbiguousTooth,
-            Reason::PriorViolated { .. } => Self::PriorViolated,
-            Reason::BadPrior => Self::BadPrior,
+            RegistrationFailure::TooFewPoints { .. } => Self::TooFewPoints,
+            RegistrationFailure::NotFinite { .. } => Self::NotFinite,
+            RegistrationFailure::SigmaCount { .. } => Self::SigmaCount,
+            RegistrationFailure::Disjoint { .. } => Self::Disjoint,
+            RegistrationFailure::TooFewInliers { .. } => Self::TooFewInliers,
+            RegistrationFailure::NotConverged { .. } => Self::NotConverged,
+            RegistrationFailure::Unconstrained { .. } => Self::Unconstrained,
+            RegistrationFailure::AmbiguousTooth { .. } => Self::AmbiguousTooth,
+            RegistrationFailure::PriorViolated { .. } => Self::PriorViolated,
+            RegistrationFailure::BadPrior => Self::BadPrior,
         }
     }
 }
@@ -445,7 +445,7 @@ mod tests {
                 .map(|reason| reason.to_string())
             })
             .collect();
-        use registration::Reason as Lost;
+        use registration::RegistrationFailure as Lost;
         for lost in [
             Lost::Disjoint {
                 ratio: nan,

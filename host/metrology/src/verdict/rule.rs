@@ -10,7 +10,7 @@ use super::{Reason, Undecided, Verdict};
 /// Probability with which a limit must be kept or exceeded, unless the tool file says otherwise.
 pub const PROBABILITY: f64 = 0.95;
 
-/// How one figure is judged.
+/// Limits and probability by which one figure is judged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rule {
     /// Warning limit, micrometres.
@@ -19,9 +19,9 @@ pub struct Rule {
     pub limit_um: f64,
     /// Probability with which a limit must be kept or exceeded.
     pub probability: f64,
-    /// What an undecidable figure ends in.
+    /// Verdict on a figure whose guard band holds the limit.
     pub undecided: Undecided,
-    /// How often the figure may be measured until it is decided, at least once: every look has its own noise, and may err.
+    /// Largest number of measurements until the figure is decided, at least 1: each has its own noise and may err.
     pub looks: u32,
 }
 
@@ -37,7 +37,7 @@ impl Rule {
         }
     }
 
-    /// How far a figure must keep from a limit, µm: `noise_um` is the standard uncertainty that another look would draw
+    /// Guard band of a figure, µm: `noise_um` is the standard uncertainty that another measurement would draw
     /// anew, `systematic_um` that of all that it would not.
     ///
     /// Measuring again until a figure is decided is optional stopping: over all looks the error stays at what is allowed when
@@ -104,7 +104,7 @@ pub fn decide_parts(
     }
 }
 
-/// Whether a figure is undecided and measuring it again could decide it: with the noise averaged away, some value within two
+/// Whether a figure is undecided and another measurement could decide it: with the noise averaged away, some value within two
 /// standard deviations of the noise would be decided. `um` is the wear, the standard uncertainty of its noise, and that of
 /// everything that repeating does not change.
 pub fn repeating_could_decide([wear_um, noise_um, systematic_um]: [f64; 3], rule: &Rule) -> bool {

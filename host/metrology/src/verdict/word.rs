@@ -50,7 +50,7 @@ impl Word {
         }
     }
 
-    /// Whether the press may go on.
+    /// Whether the verdict lets the press continue: go or warn.
     pub const fn passes(self) -> bool {
         matches!(self, Self::Go | Self::Warn)
     }

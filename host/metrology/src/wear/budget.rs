@@ -1,21 +1,21 @@
-//! Where the uncertainty of a wear figure comes from.
+//! Uncertainty budget of a wear figure.
 
 use serde::Serialize;
 
 /// Standard uncertainties of one wear figure by source, mm.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Budget {
-    /// Noise of the points, as far as it reaches the figure.
+    /// Noise of the points, averaged over the disc as in the figure.
     pub noise_mm: f64,
-    /// Pose, from the covariance of the fit with the stages' prior.
+    /// Pose: from the covariance of the fit, which includes the stages' prior.
     pub registration_mm: f64,
-    /// Wear of the judged flank itself that the pose hides.
+    /// Wear of the judged flank that the fit takes for motion.
     pub leakage_mm: f64,
-    /// Wear that the flanks in view share, which the pose cannot be told from.
+    /// Wear that all flanks in view share, which looks like a motion.
     pub shared_mm: f64,
     /// Calibration of the head; of a difference to a baseline, its drift since.
     pub calibration_mm: f64,
-    /// Thermal expansion that the temperature's uncertainty leaves.
+    /// Thermal expansion by the temperature's uncertainty.
     pub temperature_mm: f64,
     /// The CAD surface's chord error. Cancels in a difference to a baseline.
     pub cad_mm: f64,
@@ -25,7 +25,7 @@ pub struct Budget {
     pub film_mm: f64,
     /// The baseline capture's pose.
     pub reference_mm: f64,
-    /// What is lost where nothing was measured, if that is as deep as its rim: the figure itself counts nothing there.
+    /// Loss in unmeasured cells if they are as deep as the cells at their rim; the figure itself counts no loss there.
     pub unmeasured_mm: f64,
 }
 
@@ -52,7 +52,7 @@ impl Budget {
         self.terms().iter().map(|(_, u)| u * u).sum::<f64>().sqrt()
     }
 
-    /// What all that was measured of a zone shares, mm: everything but noise and holes.
+    /// Uncertainty that all points of a zone share, mm: all terms but noise and holes.
     pub fn systematic_mm(&self) -> f64 {
         Self {
             noise_mm: 0.0,
@@ -62,7 +62,7 @@ impl Budget {
         .total_mm()
     }
 
-    /// What would be left if the flank had no wear, mm: without what grows with it.
+    /// Uncertainty on a flank without wear, mm: all terms that do not grow with wear.
     pub fn without_wear_mm(&self) -> f64 {
         Self {
             leakage_mm: 0.0,

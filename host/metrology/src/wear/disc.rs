@@ -12,7 +12,7 @@
 
 use std::sync::LazyLock;
 
-use super::field::{Field, Sample};
+use super::field::{Field, WearSample};
 use super::unseen::Unseen;
 use crate::random::normal;
 
@@ -32,7 +32,7 @@ const PARTS: usize = 8;
 static DEVIATES: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..1 << 16).map(|i| normal(0x5eed, i) as f32).collect());
 
-/// Draws them, so that the first evaluation need not.
+/// Draws them in advance, which shortens the first evaluation.
 pub(super) fn prepare() {
     LazyLock::force(&DEVIATES);
 }
@@ -44,7 +44,7 @@ pub(super) struct Peak {
     pub raw_mm: f64,
     /// Its middle from the zone's corner along profile and height, mm.
     pub at_mm: [f64; 2],
-    /// By how much noise of the stated size lifts a maximum like this, mm.
+    /// Bias of such a maximum by noise of the stated size, mm.
     pub bias_mm: f64,
     /// Standard uncertainty by noise, and by where its points happen to lie, mm.
     pub u_mm: f64,
@@ -53,11 +53,11 @@ pub(super) struct Peak {
 /// The points of a zone, sorted by cells.
 pub(super) struct Discs<'a> {
     field: &'a Field,
-    samples: &'a [Sample],
+    samples: &'a [WearSample],
     /// Samples by cell: `order[start[i]..start[i + 1]]`.
     order: Vec<u32>,
     start: Vec<u32>,
-    /// What of each measured cell was not seen; empty where every one was seen whole.
+    /// Unseen share of each measured cell; empty where every cell was seen whole.
     unseen: Vec<Unseen>,
     radius_mm: f64,
 }
@@ -66,7 +66,7 @@ pub(super) struct Discs<'a> {
 struct Kernel(Vec<([isize; 2], f64)>);
 
 impl<'a> Discs<'a> {
-    pub fn new(field: &'a Field, samples: &'a [Sample], area_mm2: f64) -> Self {
+    pub fn new(field: &'a Field, samples: &'a [WearSample], area_mm2: f64) -> Self {
         let cell_of: Vec<Option<usize>> = samples.iter().map(|s| field.cell_at(s.at_mm)).collect();
         let mut start = vec![0_u32; field.wear_mm.len() + 1];
         for cell in cell_of.iter().flatten() {
@@ -93,7 +93,7 @@ impl<'a> Discs<'a> {
         }
     }
 
-    /// The same with what of each cell was not seen.
+    /// The same with the unseen share of each cell.
     pub fn with_unseen(self, unseen: Vec<Unseen>) -> Self {
         Self { unseen, ..self }
     }
@@ -104,7 +104,7 @@ impl<'a> Discs<'a> {
     }
 
     /// The samples of a cell.
-    pub fn of_cell(&self, cell: usize) -> impl Iterator<Item = &Sample> {
+    pub fn of_cell(&self, cell: usize) -> impl Iterator<Item = &WearSample> {
         let range = self.start[cell] as usize..self.start[cell + 1] as usize;
         self.order[range].iter().map(|&i| &self.samples[i as usize])
     }
@@ -222,7 +222,7 @@ impl<'a> Discs<'a> {
 
     /// The largest mean loss and the largest mean height of proud material. None when no disc fits.
     ///
-    /// `noise_scale` says how many times larger than stated the cells' noise is.
+    /// `noise_scale` is the ratio of the cells' noise to the stated one.
     pub fn largest(&self, noise_scale: f64) -> Option<[Peak; 2]> {
         if !self.fits() {
             return None;
@@ -244,7 +244,7 @@ impl<'a> Discs<'a> {
             raw_mm,
             at_mm,
             bias_mm,
-            // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
+            // Only the bias of the stated noise is subtracted: the excess over it might be wear.
             // Rectangular between the two.
             u_mm: scatter_mm
                 .hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt())
@@ -304,7 +304,7 @@ impl<'a> Discs<'a> {
                 }
             }
         }
-        // What the overlaps' midpoint rule leaves of 1 is no hole.
+        // The midpoint rule's error of the sum is no hole.
         let whole: f64 = overlaps.iter().map(|(_, area)| area).sum();
         for (_, share) in &mut overlaps {
             *share /= whole;
@@ -330,14 +330,14 @@ impl<'a> Discs<'a> {
             .collect()
     }
 
-    /// By how much noise lifts the maximum, of loss and of proud material: as stated, scaled; and the maximum's scatter by the
+    /// Bias of the maximum of loss and of proud material by noise, as stated and scaled; and the maximum's scatter by the
     /// scaled noise, mm. Both feel the same draws of noise, whose means over the discs are computed once.
     fn of_noise(&self, noise_scale: f64) -> [[f64; 3]; 2] {
         let kernel = self.kernel();
         let padded = Padded::new(self.field, &kernel);
-        // Cells that measured nothing bring neither wear nor noise.
-        let value = padded.of(self.field.wear_mm.iter().copied());
-        let sigma = padded.of(self.field.variance_mm2.iter().map(|v| v.sqrt()));
+        // Unmeasured cells contribute neither wear nor noise.
+        let value = padded.pad(self.field.wear_mm.iter().copied());
+        let sigma = padded.pad(self.field.variance_mm2.iter().map(|v| v.sqrt()));
         let places: Vec<usize> = self
             .middles()
             .into_iter()
@@ -453,7 +453,7 @@ impl<'a> Discs<'a> {
         self.with_holes(|cell| rims_mm[cell], |cell, _| rims_mm[cell])
     }
 
-    /// The same, but of what walls hide what is supposed, at most `depth_mm`.
+    /// The same, but cells hidden by walls lost the supposed depth, at most `depth_mm`.
     pub fn behind_walls_mm(&self, depth_mm: f64) -> Option<f64> {
         let rims_mm = self.rims_mm();
         let of_part = |cell: usize, part: Unseen| match part.behind_walls {
@@ -486,7 +486,7 @@ impl<'a> Discs<'a> {
     }
 }
 
-/// Cells with a margin as wide as a disc, so that no disc needs to ask where the zone ends.
+/// Cells with a margin as wide as a disc, so that a mean over a disc needs no check of the zone's border.
 struct Padded {
     columns: usize,
     rows: usize,
@@ -517,7 +517,7 @@ impl Padded {
     }
 
     /// A field's cells; zero where they are not finite.
-    fn of(&self, cells: impl Iterator<Item = f64>) -> Vec<f32> {
+    fn pad(&self, cells: impl Iterator<Item = f64>) -> Vec<f32> {
         let mut padded = vec![0.0; self.columns * self.rows];
         let inner = self.columns - 2 * self.margin[0];
         for (i, value) in cells.enumerate().filter(|(_, value)| value.is_finite()) {
@@ -558,9 +558,10 @@ mod tests {
     use super::*;
 
     impl Discs<'_> {
-        /// One side alone, step by step: what [`Discs::largest`] has to equal. The largest mean loss (`sign` 1) or the largest mean height of proud material (-1). None when no disc fits.
+        /// One side alone, step by step: what [`Discs::largest`] has to equal. The largest mean loss (`sign` 1) or the largest
+        /// mean height of proud material (-1). None when no disc fits.
         ///
-        /// `noise_scale` says how many times larger than stated the cells' noise is.
+        /// `noise_scale` is the ratio of the cells' noise to the stated one.
         fn largest_of(&self, sign: f64, noise_scale: f64) -> Option<Peak> {
             if !self.fits() {
                 return None;
@@ -583,7 +584,7 @@ mod tests {
                 raw_mm,
                 at_mm,
                 bias_mm,
-                // What is subtracted is only what noise of the stated size does: wear might look like the rest of it.
+                // Only the bias of the stated noise is subtracted: the excess over it might be wear.
                 // Rectangular between the two.
                 u_mm: scatter_mm
                     .hypot((scaled_bias_mm - bias_mm) / 3f64.sqrt())
@@ -595,9 +596,9 @@ mod tests {
         fn of_noise_of(&self, sign: f64, noise_scale: f64) -> [f64; 3] {
             let kernel = self.kernel();
             let padded = Padded::new(self.field, &kernel);
-            // Cells that measured nothing bring neither wear nor noise.
-            let value = padded.of(self.field.wear_mm.iter().map(|&w| sign * w));
-            let sigma = padded.of(self.field.variance_mm2.iter().map(|v| v.sqrt()));
+            // Unmeasured cells contribute neither wear nor noise.
+            let value = padded.pad(self.field.wear_mm.iter().map(|&w| sign * w));
+            let sigma = padded.pad(self.field.variance_mm2.iter().map(|v| v.sqrt()));
             let places: Vec<usize> = self
                 .middles()
                 .into_iter()
@@ -649,7 +650,7 @@ mod tests {
     fn both_sides_at_once_are_as_each_alone() {
         for seed in 0..12 {
             let mut field = Field::unmeasured([1.7, 6.0], 0.11);
-            let samples: Vec<Sample> = (0..6000)
+            let samples: Vec<WearSample> = (0..6000)
                 .map(|i| {
                     let u = |k: u64| crate::random::uniform(seed, 3 * i + k);
                     let at_mm = [1.7 * u(0), 6.0 * u(1)];
@@ -658,7 +659,7 @@ mod tests {
                     } else {
                         0.0
                     };
-                    Sample::of_point(at_mm, step + 1e-3 * normal(seed + 50, i), 0.25e-6)
+                    WearSample::of_point(at_mm, step + 1e-3 * normal(seed + 50, i), 0.25e-6)
                 })
                 .filter(|s| seed % 2 == 0 || s.at_mm[0] < 1.2 || s.at_mm[1] > 2.0)
                 .collect();

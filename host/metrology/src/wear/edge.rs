@@ -6,7 +6,7 @@
 //! much.
 
 use super::Figure;
-use crate::gear::{Flank, FlankPlace, GearData, Kind};
+use crate::gear::{Flank, FlankPlace, GearData, GearKind};
 
 /// Width of the band along the profile from the tip edge in which rounding is looked for, mm.
 const BAND_MM: f64 = 0.5;
@@ -26,8 +26,8 @@ pub(super) struct UnderEdge {
 }
 
 impl UnderEdge {
-    /// Where a point lies; none unless it lies under the flank that it is nearer to, by no more than the band is wide.
-    pub fn of(gear: &GearData, point: [f64; 3]) -> Option<Self> {
+    /// Place of a point; none unless it lies under the nearer flank, by no more than the width of the band.
+    pub fn at_point(gear: &GearData, point: [f64; 3]) -> Option<Self> {
         let tooth = gear.tooth_at(point[1].atan2(point[0]));
         let deviation = |flank| gear.involute_deviation_mm(tooth, flank, point);
         let (flank, deviation_mm) = Flank::BOTH
@@ -82,7 +82,7 @@ impl TipBand {
         self.add(&place, wear_mm);
     }
 
-    /// Where such a point counts on the flank, and its wear, mm.
+    /// Place on the flank that such a point counts for, and its wear, mm.
     pub fn place_under(&self, gear: &GearData, at: &UnderEdge) -> (FlankPlace, f64) {
         let wear_mm = -at.deviation_mm;
         let place = FlankPlace {
@@ -100,10 +100,10 @@ impl TipBand {
         (place, wear_mm)
     }
 
-    /// What the edge has lost beyond the `level_mm` that the rest of the flank shows; none when less than half of the band
+    /// Loss of the edge beyond the `level_mm` of the rest of the flank; none when less than half of the band
     /// was seen. `local_mm` is the standard uncertainty of deviations that differ between edge and flank.
     ///
-    /// Where the edge is worn away no point of it is left to see: such bins count with what the first one seen behind them
+    /// A worn edge leaves no points: bins without points count with what the first measured one behind them
     /// has lost, which is the least that they can have lost.
     pub fn loss(&self, gear: &GearData, level_mm: f64, local_mm: f64) -> Option<TipLoss> {
         let first = self.bins.iter().position(|bin| bin.0 >= LEAST_POINTS)?;
@@ -137,7 +137,7 @@ impl TipBand {
     }
 }
 
-/// What a tip edge has lost.
+/// Material lost at a tip edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipLoss {
     /// Cross-section lost under the flank, mm2: what is judged, since noise acts on it evenly.
@@ -171,8 +171,8 @@ fn edge_angle_rad(gear: &GearData) -> Option<f64> {
     let slope =
         r * (gear.half_tooth_rad(r + step)? - gear.half_tooth_rad(r - step)?) / (2.0 * step);
     let outward = match gear.kind {
-        Kind::Internal => slope,
-        Kind::External => -slope,
+        GearKind::Internal => slope,
+        GearKind::External => -slope,
     };
     Some(std::f64::consts::FRAC_PI_2 + outward.atan())
 }

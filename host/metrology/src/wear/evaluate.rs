@@ -1,12 +1,13 @@
-//! The points of one cloud, laid on the flanks of the teeth, or on the patches, that are asked for.
+//! Wear of flanks or patches from the points of one cloud that is laid on the CAD.
 
 use flankscope_foundation::order::median_of;
 use nalgebra::{Vector3, Vector6};
 use rayon::prelude::*;
 
-use super::field::{Field, Sample};
+use super::field::{Field, WearSample};
+use super::sensitivity::motion_row;
 use super::sight::{RayCounts, Visibility};
-use super::{FlankWear, Measured, Settings, Zone, edge};
+use super::{FlankWear, Measured, WearSettings, Zone, edge};
 use crate::feature::Features;
 use crate::gear::{Flank, FlankPlace};
 use crate::registration::Registration;
@@ -17,20 +18,20 @@ struct Grid {
     tooth: u32,
     flank: Flank,
     empty: Field,
-    samples: Vec<Sample>,
+    samples: Vec<WearSample>,
     counts: Option<RayCounts>,
-    /// Sums of the points' effect of a small motion on their deviation, cell by cell, for the registration's share.
+    /// Sums of the points' motion rows and their number, cell by cell, for the uncertainty by the registration.
     motions: Vec<(Vector6<f64>, u32)>,
-    /// Of a tooth.
+    /// Band along the tip edge; none on a patch.
     edge: Option<edge::TipBand>,
 }
 
-/// Where each closest point lies; none off the flanks or patches.
+/// Place of each closest point; none off the flanks or patches.
 pub fn places<'a>(
     features: impl Into<Features<'a>>,
     closest: &[Closest],
 ) -> Vec<Option<FlankPlace>> {
-    // The CAD point, not the measured one, says where on the flank we are: wear must not move a point out of its zone.
+    // The place is that of the CAD point, not of the measured one: wear must not move a point out of its zone.
     let features = features.into();
     closest.iter().map(|c| features.place(c)).collect()
 }
@@ -44,7 +45,7 @@ pub fn evaluate<'a>(
     teeth: &[u32],
     measured: Measured<'_>,
     registration: Option<&Registration>,
-    settings: &Settings,
+    settings: &WearSettings,
 ) -> Vec<FlankWear> {
     let features = features.into();
     let places = places(features, measured.closest);
@@ -52,7 +53,7 @@ pub fn evaluate<'a>(
     evaluate_placed(features, zone, teeth, measured, &places, of, settings)
 }
 
-/// As [`evaluate`], of points of which is known where they lie ([`places`]).
+/// As [`evaluate`], for points whose places are known ([`places`]).
 pub fn evaluate_placed<'a>(
     features: impl Into<Features<'a>>,
     zone: &Zone,
@@ -60,7 +61,7 @@ pub fn evaluate_placed<'a>(
     measured: Measured<'_>,
     places: &[Option<FlankPlace>],
     registration: Option<&Registration>,
-    settings: &Settings,
+    settings: &WearSettings,
 ) -> Vec<FlankWear> {
     let features = features.into();
     let profile_from_mm = features.along_mm(zone.radius_mm[0]);
@@ -95,7 +96,7 @@ pub fn evaluate_placed<'a>(
     for (index, ((point, closest), place)) in points.zip(places).enumerate() {
         let Some(place) = place else {
             if let Some(gear) = features.gear()
-                && let Some(under) = edge::UnderEdge::of(gear, *point)
+                && let Some(under) = edge::UnderEdge::at_point(gear, *point)
                 && (zone.height_mm[0]..zone.height_mm[1]).contains(&under.height_mm)
                 && let Some(grid) = grids
                     .iter_mut()
@@ -123,19 +124,17 @@ pub fn evaluate_placed<'a>(
         };
         if let (Some(counts), Some(sight)) = (&mut grid.counts, measured.sight) {
             counts.points[cell] += 1;
-            // Their sum, until all are known.
+            // A sum here; divided by the number of points below.
             counts.slant += sight.slant(*point, closest);
         }
         let sigma = measured
             .sigma_mm
             .and_then(|s| s.get(index))
             .map_or(f64::NAN, |&s| f64::from(s));
-        let sample = Sample::of_point(at_mm, wear_mm, sigma * sigma);
+        let sample = WearSample::of_point(at_mm, wear_mm, sigma * sigma);
         grid.samples.push(sample);
-        let normal = Vector3::from(closest.normal);
-        let turn = (Vector3::from(*point) - centre).cross(&normal);
         let (sum, count) = &mut grid.motions[cell];
-        *sum += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+        *sum += motion_row(*point, closest.normal, centre);
         *count += 1;
     }
     if let Some(sight) = measured.sight {
@@ -172,9 +171,9 @@ impl Grid {
         self,
         features: Features<'_>,
         registration: Option<&Registration>,
-        settings: &Settings,
+        settings: &WearSettings,
     ) -> FlankWear {
-        // A pose is off by other amounts at the ends of a flank than in its middle: the worst counts.
+        // The pose's uncertainty differs between the ends of a flank and its middle: the largest counts.
         let registration_mm = registration.map_or(0.0, |registration| {
             self.motions
                 .iter()
@@ -188,7 +187,7 @@ impl Grid {
         });
         let visibility = self
             .counts
-            .map(|counts| Visibility::of(&counts, &self.empty));
+            .map(|counts| Visibility::from_counts(&counts, &self.empty));
         let mut wear = FlankWear::new(
             (self.tooth, self.flank),
             self.empty,

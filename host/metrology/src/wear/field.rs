@@ -1,4 +1,4 @@
-//! A flank's zone cell by cell: what a baseline keeps, what is drawn, and where nothing was measured.
+//! A flank's zone cell by cell: stored in a baseline, drawn in reports, and searched for unmeasured areas.
 
 use flankscope_foundation::order::{SIGMA_PER_MAD, median};
 use serde::{Deserialize, Serialize};
@@ -25,17 +25,17 @@ pub struct Field {
 /// One point in a zone, or the mean of several near to each other: its place from the zone's corner (along the profile, up the
 /// height), its wear, and the variance of that by noise (NaN where it is not stated).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sample {
+pub(super) struct WearSample {
     pub at_mm: [f64; 2],
     pub wear_mm: f64,
     pub variance_mm2: f64,
-    /// How many points it is the mean of.
+    /// Number of points whose mean it is.
     pub merged: f64,
     /// Sum of their squared differences from it, mm2.
     pub within_mm2: f64,
 }
 
-impl Sample {
+impl WearSample {
     /// A single point.
     pub fn of_point(at_mm: [f64; 2], wear_mm: f64, variance_mm2: f64) -> Self {
         Self {
@@ -72,7 +72,7 @@ struct Groove {
 /// A groove reads this much more than an opening without a visible floor could whose deepest point is the groove's: of nine
 /// points spread evenly over a wall the deepest lies within a fifth of the wall's end in 87 of 100 cases.
 const FLOOR_SEEN: f64 = 1.6;
-/// Fewer second differences tell nothing about noise.
+/// Least number of second differences for an estimate of noise.
 const LEAST_DIFFERENCES: usize = 8;
 /// A cell counts as a groove beyond so many standard deviations of noise: of the five thousand pairs of neighbours in a zone
 /// none passes by chance.
@@ -83,7 +83,7 @@ const GROOVE_SIDE: isize = 3;
 const MOST_GROOVE_CELLS: f64 = 2.0;
 
 impl Field {
-    /// A field of which nothing is known: as many cells as fit, none smaller than `cell_mm`.
+    /// A field without measurements: as many cells as fit, none smaller than `cell_mm`.
     pub(super) fn unmeasured(size_mm: [f64; 2], cell_mm: f64) -> Self {
         let [columns, rows] =
             size_mm.map(|length_mm| ((length_mm / cell_mm).floor() as usize).clamp(1, 10_000));
@@ -150,7 +150,7 @@ impl Field {
         }
     }
 
-    /// How many times larger than stated the cells' noise is, from second differences of cells that follow each other along
+    /// Ratio of the cells' noise to the stated one, from second differences of cells that follow each other along
     /// the height: a slope of any steepness leaves none, an edge only where it runs, and the median passes over those. At
     /// least 1: what is stated is photon noise, which nothing takes away.
     pub(super) fn noise_scale(&self) -> f64 {
@@ -170,7 +170,7 @@ impl Field {
         median(&mut sizes).map_or(1.0, |size| (SIGMA_PER_MAD * size).max(1.0))
     }
 
-    /// Of each cell, what a single opening with an unseen floor may take up.
+    /// Share of each cell that a single opening with an unseen floor may take up.
     ///
     /// An opening too narrow for the camera to see its floor reads as a shallow groove: of width `w`, seen at an angle to the
     /// normal whose tangent is `slant`, its wall shows down to `w / slant`, and over cells of width `b` that reads
@@ -179,7 +179,7 @@ impl Field {
     /// the deepest point (`deepest_mm`, by cell) lies clearly higher shows its floor. In a wider one the rays tell (see
     /// `sight.rs`).
     ///
-    /// `noise_scale` says how many times larger than stated the cells' noise is.
+    /// `noise_scale` is the ratio of the cells' noise to the stated one.
     pub(super) fn grooves(
         &self,
         slant: f64,
@@ -217,7 +217,7 @@ impl Field {
         all
     }
 
-    /// How steep a cell and the cells around it lie: slopes along profile and height, each by least squares as if the other were
+    /// Slopes of a cell and the cells around it along profile and height, each by least squares as if the other were
     /// none, which holds but for missing cells.
     pub(super) fn slope(&self, cell: usize) -> f64 {
         let place = |c: usize, axis: usize| {
@@ -282,7 +282,7 @@ impl Field {
         let depth_mm = self.wear_mm[cell] - level_mm;
         let beside_mm2 = self.variance_mm2[before].max(self.variance_mm2[behind]);
         let noise_mm = noise_scale * (self.variance_mm2[cell] + beside_mm2).sqrt();
-        // Written so that a NaN is none. Beside a step there is a ripple; what its wall hides the rays tell.
+        // Comparisons with NaN are false: no groove. Beside a step there is a ripple; what its wall hides the rays tell.
         if !(depth_mm > GROOVE_SIGMAS * noise_mm && depth_mm > level_mm - low) {
             return None;
         }
@@ -377,7 +377,7 @@ mod tests {
                 0.0
             }) < 1.3
         );
-        // What really scatters from cell to cell is noise.
+        // Scatter from cell to cell without a trend is noise.
         let mut rough = field(|_, _| 0.0);
         for (i, w) in rough.wear_mm.iter_mut().enumerate() {
             *w = 4e-6 * normal(3, i as u64);

@@ -1,19 +1,20 @@
-//! What is said of one flank's zone: the judged depth, and what stands beside it.
+//! Figures of one flank's zone as read from its points: wear depth, mean, areas, volumes, and hidden wear.
 
+use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::order::median_of;
 use serde::Serialize;
 
-use super::Settings;
+use super::WearSettings;
 use super::disc::Discs;
-use super::field::{Field, Sample};
+use super::field::{Field, WearSample};
 use super::sight::Visibility;
 use super::unseen;
 
-/// A figure counts as told from none beyond this many standard uncertainties: 5 % errors of both kinds.
+/// Detection threshold in standard uncertainties: 1.645 for errors of the first kind and as much for the second (5 % each).
 pub const DETECTION_FACTOR: f64 = 3.3;
-/// Of a thousand cells one half passes 3.3 standard deviations by chance: single ones are no worn area.
+/// Least number of connected cells of a worn area: of a thousand cells 0.5 exceed 3.3 standard deviations by chance.
 const LEAST_CLUSTER: usize = 2;
-/// Points of which the median still holds when one of them is wrong.
+/// Least number of points of a cell that is judged by itself: their median tolerates one outlier.
 const LEAST_IN_CELL: usize = 3;
 /// Standard deviation of a median over that of the mean, for normal noise.
 const MEDIAN_OVER_MEAN: f64 = 1.253_314_137_315_500_3;
@@ -28,11 +29,10 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Nothing is known.
-    pub const UNKNOWN: Self = Self {
-        value: f64::NAN,
-        u: f64::NAN,
-    };
+    /// Expanded uncertainty (95 %, coverage factor 1.96), same unit.
+    pub fn u95(&self) -> f64 {
+        COVERAGE_95 * self.u
+    }
 }
 
 /// Wear figures of one zone; every `u` from noise alone.
@@ -42,12 +42,12 @@ pub struct Figures {
     pub depth_mm: Figure,
     /// The same as read, mm.
     pub raw_mm: f64,
-    /// Where that disc lies, from the zone's corner along profile and height, mm.
+    /// Middle of that disc, from the zone's corner along profile and height, mm.
     pub at_mm: [f64; 2],
     /// Largest mean height of proud material over any disc of that area, mm; negative where the whole zone has lost.
     pub proud_mm: Figure,
-    /// Loss of the cell that lost most, by the median of its points, mm.
-    pub cell_mm: Figure,
+    /// Loss of the cell that lost most, by the median of its points, mm; none when no cell holds enough points.
+    pub cell_mm: Option<Figure>,
     /// Mean loss, mm.
     pub mean_mm: Figure,
     /// Area of connected cells beyond the threshold of detection, mm2.
@@ -69,10 +69,10 @@ pub struct Figures {
 /// `visibility` how well the cells were seen, where the rays are known. None when nothing was measured or no disc fits.
 pub(super) fn evaluate(
     field: &Field,
-    samples: &[Sample],
+    samples: &[WearSample],
     scale: f64,
     visibility: Option<&Visibility>,
-    settings: &Settings,
+    settings: &WearSettings,
     systematic_mm: f64,
 ) -> Option<Figures> {
     let measured: Vec<usize> = field.measured().collect();
@@ -128,8 +128,7 @@ pub(super) fn evaluate(
             value: proud.raw_mm - proud.bias_mm,
             u: proud.u_mm,
         },
-        // Without a cell of several points there is nothing to judge.
-        cell_mm: cell_mm.unwrap_or(Figure::UNKNOWN),
+        cell_mm,
         mean_mm: Figure {
             value: mean,
             u: noise / n.sqrt(),

@@ -1,4 +1,4 @@
-//! Points of many views on one flank, gathered by parts of cells: a scan's way to the same figures.
+//! Points of many views on one flank, gathered by parts of cells: the input of a scan's wear figures.
 //!
 //! All points of a scan do not fit into memory, so each part of a cell keeps sums, and its mean counts as one point. A ninth of
 //! a cell blurs the rim of a damage by a fifteenth of the disc's diameter at most. Within a part every point counts by its
@@ -8,17 +8,18 @@
 use std::collections::BTreeMap;
 
 use flankscope_foundation::order::median_of;
-use nalgebra::{Isometry3, Point3, Vector3};
+use flankscope_foundation::rigid::{Rigid, Tool};
+use nalgebra::{Point3, Vector3};
 
 use super::edge::{TipBand, UnderEdge};
-use super::field::{Field, Sample};
+use super::field::{Field, WearSample};
 use super::sight::{RayCounts, Visibility};
-use super::{FlankWear, Measured, Settings, Zone, places};
+use super::{FlankWear, Measured, WearSettings, Zone, places};
 use crate::gear::{Flank, FlankPlace, GearData};
 
 /// Parts along each side of a cell: an odd number, so that the median of a cell's parts is one of them.
 const PARTS: usize = 3;
-/// No view's pose is surer than this, mm: points of smaller noise do not count more.
+/// Least standard uncertainty by which a point is weighted, mm: no view's pose is surer.
 const LEAST_SIGMA_MM: f64 = 1e-3;
 
 /// One point of a view on a flank.
@@ -35,18 +36,18 @@ pub struct FlankPoint {
     pub sigma_mm: f32,
 }
 
-/// What one view saw of one flank.
+/// Points and rays of one view on one flank.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlankView {
     /// Points whose foot lies on the flank.
     pub on: Vec<FlankPoint>,
     /// Points in the material whose nearest surface is the tip's land: where the edge is worn away.
     pub under: Vec<FlankPoint>,
-    /// Where rays to the view's points meet the flank on the CAD; their wear and uncertainty are zero.
+    /// Intersections of the rays to the view's points with the flank of the CAD; their wear and uncertainty are zero.
     pub rays: Vec<FlankPoint>,
-    /// Where rays do along which no fringes came back.
+    /// Intersections of rays along which no fringes came back.
     pub dark: Vec<FlankPoint>,
-    /// Where those do that brought light, but no point.
+    /// Intersections of rays that brought light, but no point.
     pub undecoded: Vec<FlankPoint>,
     /// Mean tangent of the angle between the view's rays and the flank's normal.
     pub slant: f64,
@@ -54,7 +55,7 @@ pub struct FlankView {
 
 impl FlankView {
     /// The points of a view by the flank that they lie on.
-    pub fn of(gear: &GearData, measured: Measured<'_>) -> BTreeMap<(u32, Flank), Self> {
+    pub fn by_flank(gear: &GearData, measured: Measured<'_>) -> BTreeMap<(u32, Flank), Self> {
         let band = TipBand::new(gear);
         let mut flanks: BTreeMap<(u32, Flank), Self> = BTreeMap::new();
         let points = measured.points.iter().zip(measured.closest);
@@ -76,7 +77,7 @@ impl FlankView {
                     seen.slant = (count * seen.slant + slant) / (count + 1.0);
                     seen.on.push(kept(&place, wear_mm));
                 }
-            } else if let Some(under) = UnderEdge::of(gear, *point) {
+            } else if let Some(under) = UnderEdge::at_point(gear, *point) {
                 let (place, wear_mm) = band.place_under(gear, &under);
                 let seen = flanks.entry((under.tooth, under.flank)).or_default();
                 seen.under.push(kept(&place, wear_mm));
@@ -108,7 +109,7 @@ impl FlankView {
 
 /// Sums of one part of a cell, weighted.
 #[derive(Debug, Clone, Copy, Default)]
-struct Part {
+struct CellPart {
     weight: f64,
     at_mm: [f64; 2],
     wear_mm: f64,
@@ -119,7 +120,7 @@ struct Part {
     squares: f64,
 }
 
-impl Part {
+impl CellPart {
     /// Sum of its points' squared differences from their mean, mm2: the weighted one, as if all weighed the same.
     fn within_mm2(&self) -> f64 {
         let mean_mm = self.wear_mm / self.weight;
@@ -134,7 +135,7 @@ pub struct Gathered<'a> {
     zone: Zone,
     key: (u32, Flank),
     empty: Field,
-    parts: Vec<Part>,
+    parts: Vec<CellPart>,
     visibility: Option<Visibility>,
     edge: TipBand,
     profile_from_mm: f64,
@@ -143,7 +144,7 @@ pub struct Gathered<'a> {
 
 impl<'a> Gathered<'a> {
     /// A zone of a flank of which nothing was seen so far.
-    pub fn new(gear: &'a GearData, zone: Zone, key: (u32, Flank), settings: &Settings) -> Self {
+    pub fn new(gear: &'a GearData, zone: Zone, key: (u32, Flank), settings: &WearSettings) -> Self {
         let profile_from_mm = gear.profile_mm(zone.radius_mm[0]);
         let size_mm = [
             gear.profile_mm(zone.radius_mm[1]) - profile_from_mm,
@@ -154,7 +155,7 @@ impl<'a> Gathered<'a> {
             gear,
             zone,
             key,
-            parts: vec![Part::default(); PARTS * PARTS * empty.wear_mm.len()],
+            parts: vec![CellPart::default(); PARTS * PARTS * empty.wear_mm.len()],
             empty,
             visibility: None,
             edge: TipBand::new(gear),
@@ -168,7 +169,7 @@ impl<'a> Gathered<'a> {
     pub fn add(
         &mut self,
         seen: &FlankView,
-        motion: &Isometry3<f64>,
+        motion: &Rigid<Tool, Tool>,
         further_mm2: impl Fn([f64; 3]) -> f64,
     ) {
         let mut counts = RayCounts::new(self.empty.wear_mm.len());
@@ -219,7 +220,7 @@ impl<'a> Gathered<'a> {
                     }
                 }
             }
-            let view = Visibility::of(&counts, &self.empty);
+            let view = Visibility::from_counts(&counts, &self.empty);
             match &mut self.visibility {
                 Some(all) => all.add(&view),
                 None => self.visibility = Some(view),
@@ -232,11 +233,11 @@ impl<'a> Gathered<'a> {
         }
     }
 
-    /// Where a point is once its view has moved, its wear there, and its foot on the CAD; none beyond the zone's heights.
+    /// Place, wear and foot on the CAD of a point after a motion of its view; none beyond the zone's heights.
     fn moved(
         &self,
         point: &FlankPoint,
-        motion: &Isometry3<f64>,
+        motion: &Rigid<Tool, Tool>,
     ) -> Option<(FlankPlace, f64, [f64; 3])> {
         let (tooth, flank) = self.key;
         let (profile_mm, height_mm) = (f64::from(point.profile_mm), f64::from(point.height_mm));
@@ -244,7 +245,7 @@ impl<'a> Gathered<'a> {
         let foot = self.gear.flank_point(tooth, flank, radius_mm, height_mm)?;
         let normal = Vector3::from(self.gear.flank_normal(flank, foot));
         let from = Point3::from(foot);
-        let shift = motion * from - from;
+        let shift = motion.isometry() * from - from;
         // Up the flank, away from the base circle.
         let mut up = Vector3::new(-normal.y, normal.x, 0.0);
         if up.dot(&Vector3::new(foot[0], foot[1], 0.0)) < 0.0 {
@@ -284,9 +285,9 @@ impl<'a> Gathered<'a> {
 
     /// Its wear; without its points, so that neither [`FlankWear::since`] nor [`FlankWear::together`] finds any in it.
     /// `registration_mm` is the standard uncertainty that the poses of the views leave in its deviation, mm.
-    pub fn wear(self, registration_mm: f64, settings: &Settings) -> FlankWear {
+    pub fn wear(self, registration_mm: f64, settings: &WearSettings) -> FlankWear {
         let samples = self.parts.iter().filter(|part| part.weight > 0.0);
-        let samples = samples.map(|part| Sample {
+        let samples = samples.map(|part| WearSample {
             at_mm: part.at_mm.map(|sum| sum / part.weight),
             wear_mm: part.wear_mm / part.weight,
             variance_mm2: part.variance / (part.weight * part.weight),
@@ -304,7 +305,7 @@ impl<'a> Gathered<'a> {
         );
         wear.points = self.points;
         // All flanks of a die together would not fit into memory with them.
-        wear.samples = Vec::new();
+        wear.measured.samples = Vec::new();
         let level_mm = median_of(wear.field.wear_mm.iter().copied()).unwrap_or(f64::NAN);
         wear.tip = self.edge.loss(self.gear, level_mm, settings.calibration_mm);
         wear
@@ -329,10 +330,10 @@ mod tests {
         }
     }
 
-    fn settings() -> Settings {
-        Settings {
+    fn settings() -> WearSettings {
+        WearSettings {
             cad_mm: 0.0,
-            ..Settings::default()
+            ..WearSettings::default()
         }
     }
 
@@ -365,7 +366,11 @@ mod tests {
         let gear = ring84();
         let mut all = Gathered::new(&gear, zone(), KEY, &settings());
         for view in views {
-            all.add(view, &Isometry3::identity(), |_| 0.0);
+            all.add(
+                view,
+                &Rigid::from_isometry(nalgebra::Isometry3::identity()),
+                |_| 0.0,
+            );
         }
         all.wear(0.5e-3, &settings())
     }
@@ -407,18 +412,19 @@ mod tests {
         for (k, shape) in shapes.into_iter().enumerate() {
             let views: Vec<FlankView> = (0..4).map(|seed| view(seed, shape)).collect();
             let (parts, points) = (gathered(&views), by_points(&views));
-            let deepest_mm = points.wear_mm.abs();
+            let (read, exact) = (parts.judged.unwrap(), points.judged.unwrap());
+            let deepest_mm = exact.wear_mm.value.abs();
             // The rim of a pit is blurred by a fifteenth of the diameter: at most a tenth of its mean.
             assert!(
-                (parts.wear_mm - points.wear_mm).abs() <= 0.1 * deepest_mm + 0.1e-3,
+                (read.wear_mm.value - exact.wear_mm.value).abs() <= 0.1 * deepest_mm + 0.1e-3,
                 "{k}: {} {}",
-                parts.wear_mm,
-                points.wear_mm
+                read.wear_mm.value,
+                exact.wear_mm.value
             );
             let rough = 0.1 * deepest_mm.max(1e-3);
-            assert!((parts.mean_mm - points.mean_mm).abs() < 0.02e-3 + 0.02 * rough);
-            assert_eq!(parts.hidden_mm, None);
-            assert_eq!(points.hidden_mm, None);
+            assert!((read.mean_mm.value - exact.mean_mm.value).abs() < 0.02e-3 + 0.02 * rough);
+            assert_eq!(read.hidden_mm, None);
+            assert_eq!(exact.hidden_mm, None);
             assert_eq!(parts.points, points.points);
             // Where a part lies on the pit's rim its place is uncertain, and said to be; without an edge in the disc only noise
             // is left.
@@ -442,7 +448,7 @@ mod tests {
             wear_mm: 10e-3,
             sigma_mm: 1e-3,
         };
-        let (place, wear_mm, _) = all.moved(&point, &motion).unwrap();
+        let (place, wear_mm, _) = all.moved(&point, &Rigid::from_isometry(motion)).unwrap();
         let normal = Vector3::from(gear.flank_normal(Flank::Left, centre));
         let there = motion * (at - 10e-3 * normal);
         let exact = gear.involute_deviation_mm(40, Flank::Left, there.coords.into());
@@ -464,7 +470,7 @@ mod tests {
             view.on
                 .retain(|p| (p.profile_mm - from - 0.9).hypot(p.height_mm - 33.0) > 0.4);
         }
-        let hidden = gathered(&views).hidden_mm.unwrap();
+        let hidden = gathered(&views).judged.unwrap().hidden_mm.unwrap();
         assert!(hidden > 0.9 * settings().hidden_depth_mm, "{hidden}");
     }
 }

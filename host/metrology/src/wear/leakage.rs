@@ -44,7 +44,7 @@ impl Leakage {
         worst(&[self.flanks, self.ring])
     }
 
-    /// Standard uncertainty that the pose leaves in `wear_mm` of the judged flank, mm: rectangular, of all that it may hide.
+    /// Standard uncertainty of `wear_mm` of the judged flank by leakage, mm: rectangular over all wear that the pose may hide.
     pub fn u_mm(&self, wear_mm: f64) -> f64 {
         wear_mm.abs() * self.worst() / 3f64.sqrt()
     }
@@ -167,7 +167,8 @@ mod tests {
     use crate::registration::{Options, Prior};
     use flankscope_foundation::rigid::Rigid;
 
-    /// The leakage of one flank, template by template: what [`of_feature`] has to equal. `places` says where each contact of the response lies, none off the flanks.
+    /// The leakage of one flank, template by template: what [`of_feature`] has to equal. `places` says where each contact of the
+    /// response lies, none off the flanks.
     fn of_flank(
         gear: &GearData,
         zone: &Zone,

@@ -5,12 +5,12 @@
 //!        │           └─ since a baseline's cells                                                          ├─► FlankWear
 //!        ├──► cells: what is drawn, recorded, and where nothing was measured                              │   with budget
 //!        ├──► edge: rounding of the tip                                                                   │
-//!        └──► all flanks in view: what a turn of the pose may hide (shared) ──────────────────────────────┘
+//!        └──► all flanks in view: turn of the pose that looks like wear (shared, sensitivity) ────────────┘
 //!  points of many views ──► parts of cells (gather) ──► the same
 //! ```
 //!
 //! Wear is minus the deviation. **Wear depth of a zone is the largest mean loss over any disc of a stated area in it**: no
-//! shape of damage is presumed. What is said of a flank is in [`Figures`], where the uncertainty comes from in [`Budget`].
+//! shape of damage is presumed. The figures of a flank are in [`JudgedFigures`], their sources of uncertainty in [`Budget`].
 
 mod budget;
 mod disc;
@@ -20,6 +20,7 @@ mod field;
 mod figures;
 mod gather;
 pub mod leakage;
+pub mod sensitivity;
 mod shared;
 mod sight;
 pub mod standing;
@@ -29,23 +30,23 @@ pub(crate) use unseen::tests as looked;
 
 use std::sync::Arc;
 
-use flankscope_foundation::normal::{COVERAGE_95, guard_factor};
+use flankscope_foundation::normal::guard_factor;
 use flankscope_foundation::order::median_of;
 
 pub use budget::Budget;
 pub use edge::{TipLoss, tip_loss_mm2};
 pub use evaluate::{evaluate, evaluate_placed, places};
-use field::Sample;
+use field::WearSample;
 pub use field::{Field, Mismatch};
 pub use figures::{DETECTION_FACTOR, Figure, Figures};
 pub use gather::{FlankPoint, FlankView, Gathered};
+pub use sensitivity::PoseSensitivity;
 pub use shared::{PoseEvidence, SeenFlank, Turn};
 pub use sight::Sight;
 use sight::Visibility;
 
 use crate::gear::Flank;
 use crate::surface::Closest;
-use crate::wear::leakage::Leakage;
 
 /// The part of each flank that is judged, or of a patch.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,7 +58,7 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// Whether a place on a flank lies in it.
+    /// Whether a place on a flank lies in the zone.
     pub fn holds(&self, radius_mm: f64, height_mm: f64) -> bool {
         (self.radius_mm[0]..self.radius_mm[1]).contains(&radius_mm)
             && (self.height_mm[0]..self.height_mm[1]).contains(&height_mm)
@@ -67,9 +68,9 @@ impl Zone {
 /// Area of the disc over which the largest mean loss is sought, unless the tool file says otherwise, mm2.
 pub const AREA_MM2: f64 = 0.25;
 
-/// How wear is computed.
+/// Settings of the wear evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct WearSettings {
     /// Area of the disc over which the largest mean loss is sought, mm2.
     pub area_mm2: f64,
     /// Loss that is supposed wherever nothing was measured, mm: what a hole may hide is judged by it.
@@ -86,7 +87,7 @@ pub struct Settings {
     pub film_mm: f64,
 }
 
-impl Default for Settings {
+impl Default for WearSettings {
     fn default() -> Self {
         Self {
             area_mm2: AREA_MM2,
@@ -100,7 +101,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl WearSettings {
     /// Edge of a cell, mm: a fifth of the disc's diameter.
     pub fn cell_mm(&self) -> f64 {
         2.0 * disc::radius_mm(self.area_mm2) / disc::CELLS_ACROSS
@@ -133,79 +134,78 @@ pub struct Measured<'a> {
     pub sight: Option<Sight<'a>>,
 }
 
-/// Wear of one flank. Positive is loss. A flank without measured cells has NaN figures and coverage 0, which no verdict
-/// takes for go.
+/// Wear of one flank in three stages: what was measured of its zone, the figures read from that ([`Figures`]), and the figures
+/// that are judged ([`JudgedFigures`]). Positive is loss.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlankWear {
     /// Tooth or patch, from 1.
     pub tooth: u32,
     /// Side.
     pub flank: Flank,
-    /// Wear depth, the figure that is judged: the largest mean loss over a disc, with what the pose and a film hide of it
-    /// added as far as that is known, mm.
-    pub wear_mm: f64,
-    /// Its standard uncertainty, mm.
-    pub u_mm: f64,
-    /// The largest mean loss as read, in the same pose, mm: without the bias of a maximum taken off.
-    pub raw_mm: f64,
-    /// Mean loss over the zone, mm.
-    pub mean_mm: f64,
-    /// Largest mean height of proud material over a disc, mm.
-    pub proud_mm: f64,
-    /// Loss of the cell that lost most, with its standard uncertainty, mm.
-    pub cell_mm: Figure,
-    /// The largest mean loss that a disc with unmeasured parts may have, mm; none when every disc was measured whole.
-    pub hidden_mm: Option<f64>,
-    /// All figures of the zone as read, their `u` from noise alone; none when no disc could be measured.
-    pub figures: Option<Figures>,
-    /// Rounding of the tip edge; none when the edge was not seen.
-    pub tip: Option<TipLoss>,
-    /// Measured share of the zone.
-    pub coverage: f64,
-    /// Points in the zone.
+    /// Number of points in the zone.
     pub points: usize,
-    /// Where the uncertainty comes from.
-    pub budget: Budget,
-    /// What acts on the flank beside the points, where it is known.
-    pub sensitivity: Option<PoseSensitivity>,
-    /// The cells.
+    /// Cells of the zone with mean wear and noise; since a baseline, their difference to it.
     pub field: Field,
-    /// What the pose leaves open of a turn about the axis, where it is known.
-    pub turn: Option<Turn>,
-    /// The points.
-    samples: Vec<Sample>,
-    /// How well the cells were seen, where the rays are known.
+    /// Measured share of the zone's cells, 0 to 1.
+    pub coverage: f64,
+    /// Material lost at the tip edge; none when the edge was not seen.
+    pub tip: Option<TipLoss>,
+    /// Standard uncertainties by source, mm.
+    pub budget: Budget,
+    /// Effect of pose and temperature, computed from the fit; none until [`FlankWear::with`] adds it.
+    pub sensitivity: Option<PoseSensitivity>,
+    /// Figures that are judged; none when no disc could be measured, which no verdict takes for go.
+    pub judged: Option<JudgedFigures>,
+    measured: MeasuredZone,
+}
+
+/// Measurements of a zone, kept so that figures can be computed again: from several captures together, or since a baseline.
+#[derive(Debug, Clone, PartialEq)]
+struct MeasuredZone {
+    /// Points in the zone; since a baseline, their wear less that of the baseline's cells.
+    samples: Vec<WearSample>,
+    /// Rays and points per cell; none where the camera's position is not known.
     visibility: Option<Visibility>,
-    /// What the view of each capture said of its pose about the axis.
+    /// Evidence of each capture about its pose's turn about the axis.
     evidence: Vec<Arc<PoseEvidence>>,
-    /// Whether it is the difference to a baseline.
+    /// Whether the samples are differences to a baseline.
     since_baseline: bool,
 }
 
-impl FlankWear {
-    /// Expanded uncertainty (95 %, coverage factor 1.96), mm.
-    pub fn u95_mm(&self) -> f64 {
-        COVERAGE_95 * self.u_mm
-    }
+/// Figures of one flank after correction for the turn of its pose and for a film on it, with all uncertainties included.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JudgedFigures {
+    /// The figures as read, their `u` from noise alone.
+    pub read: Figures,
+    /// Wear depth: largest mean loss over a disc of the stated area, less the bias that noise gives a maximum, mm.
+    pub wear_mm: Figure,
+    /// The same with that bias, mm.
+    pub raw_mm: f64,
+    /// Mean loss over the zone, mm. Noise averages over the cells, all other uncertainty does not.
+    pub mean_mm: Figure,
+    /// Largest mean height of proud material over a disc, mm.
+    pub proud_mm: Figure,
+    /// Largest loss of a single cell, mm; none when no cell holds enough points.
+    pub cell_mm: Option<Figure>,
+    /// Largest mean loss that a disc with unmeasured parts may have, mm; none when every disc was measured whole.
+    pub hidden_mm: Option<f64>,
+    /// Turn about the axis that the pose leaves open; none where no evidence was given.
+    pub turn: Option<Turn>,
+}
 
-    /// What the flank has lost at least, with 95 % probability, mm: where walls may hide so much that an interval about the figure
-    /// would claim too much. None where the interval holds.
+impl JudgedFigures {
+    /// Lower bound of the wear depth with 95 % probability, mm: given where walls may hide so much that an interval about the
+    /// figure would claim too much. None where the interval holds.
     pub fn at_least_mm(&self) -> Option<f64> {
-        let figures = self.figures?;
-        let holds = figures.behind_walls_mm? <= figures.raw_mm + self.u95_mm();
-        (!holds).then(|| self.wear_mm - guard_factor(0.95) * self.u_mm)
+        let holds = self.read.behind_walls_mm? <= self.read.raw_mm + self.wear_mm.u95();
+        (!holds).then(|| self.wear_mm.value - guard_factor(0.95) * self.wear_mm.u)
     }
+}
 
-    /// Standard uncertainty of the mean: noise averages over the cells, the rest does not, mm.
-    pub fn u_mean_mm(&self) -> f64 {
-        let noise = self.figures.map_or(f64::NAN, |f| f.mean_mm.u);
-        noise.hypot(self.budget.systematic_mm())
-    }
-
-    /// Standard uncertainty of the height of proud material, mm.
-    pub fn u_proud_mm(&self) -> f64 {
-        let noise = self.figures.map_or(f64::NAN, |f| f.proud_mm.u);
-        noise.hypot(self.budget.systematic_mm())
+impl FlankWear {
+    /// Wear depth; none when no disc could be measured.
+    pub fn wear_mm(&self) -> Option<Figure> {
+        self.judged.map(|judged| judged.wear_mm)
     }
 
     /// The least wear that is told from none with 5 % errors of both kinds, mm.
@@ -214,23 +214,7 @@ impl FlankWear {
     }
 }
 
-/// What acts on a flank beside the points: from the fit and the thermometer.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PoseSensitivity {
-    /// Leakage of the pose.
-    pub leakage: Leakage,
-    /// What the view says of its own pose about the axis; none where the pose rests on a datum that does not wear.
-    pub evidence: Option<Arc<PoseEvidence>>,
-    /// Standard deviation of the form from flank to flank, mm, where all flanks of a die show it; zero where only what the
-    /// settings state is known.
-    pub form_scatter_mm: f64,
-    /// Root of the sum of squares of what the judged flank reads of a unit error in the form of each other flank.
-    pub others_form: f64,
-    /// Standard uncertainty that the temperature leaves in the flank's deviation, mm.
-    pub temperature_mm: f64,
-}
-
-/// Makes ready what all evaluations share, so that the first one need not.
+/// Computes the tables that all evaluations share in advance, which shortens the first one.
 pub fn prepare() {
     disc::prepare();
 }
@@ -240,26 +224,19 @@ impl FlankWear {
     fn new(
         (tooth, flank): (u32, Flank),
         empty: Field,
-        mut samples: Vec<Sample>,
+        mut samples: Vec<WearSample>,
         visibility: Option<Visibility>,
         registration_mm: f64,
-        settings: &Settings,
+        settings: &WearSettings,
     ) -> Self {
         state_noise(&empty, &mut samples);
         let mut wear = Self {
             tooth,
             flank,
-            wear_mm: f64::NAN,
-            u_mm: f64::NAN,
-            raw_mm: f64::NAN,
-            mean_mm: f64::NAN,
-            proud_mm: f64::NAN,
-            cell_mm: Figure::UNKNOWN,
-            hidden_mm: None,
-            figures: None,
-            tip: None,
-            coverage: 0.0,
             points: samples.len(),
+            field: empty,
+            coverage: 0.0,
+            tip: None,
             budget: Budget {
                 registration_mm,
                 calibration_mm: settings.calibration_mm,
@@ -269,12 +246,13 @@ impl FlankWear {
                 ..Budget::default()
             },
             sensitivity: None,
-            field: empty,
-            turn: None,
-            samples,
-            visibility,
-            evidence: Vec::new(),
-            since_baseline: false,
+            judged: None,
+            measured: MeasuredZone {
+                samples,
+                visibility,
+                evidence: Vec::new(),
+                since_baseline: false,
+            },
         };
         wear.refigure(None, None, settings);
         wear
@@ -286,10 +264,10 @@ impl FlankWear {
         key: (u32, Flank),
         size_mm: [f64; 2],
         points: &[([f64; 2], f64, f64)],
-        settings: &Settings,
+        settings: &WearSettings,
     ) -> Self {
         let sample = |&(at_mm, wear_mm, sigma_mm): &([f64; 2], f64, f64)| {
-            Sample::of_point(at_mm, wear_mm, sigma_mm * sigma_mm)
+            WearSample::of_point(at_mm, wear_mm, sigma_mm * sigma_mm)
         };
         let samples = points.iter().map(sample).collect();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
@@ -299,7 +277,7 @@ impl FlankWear {
 
 /// Points that state no noise get what they scatter by in their cells: of all cells with enough points the median, which
 /// damage of less than half of the zone does not reach.
-fn state_noise(cells: &Field, samples: &mut [Sample]) {
+fn state_noise(cells: &Field, samples: &mut [WearSample]) {
     if samples.iter().all(|s| s.variance_mm2.is_finite()) {
         return;
     }
@@ -326,17 +304,17 @@ fn state_noise(cells: &Field, samples: &mut [Sample]) {
 }
 
 impl FlankWear {
-    /// Computes cells, figures and budget from the points; what the cells of `reference` state as noise is added to theirs,
-    /// and `before` is what its view said of its pose.
+    /// Computes cells, figures and budget from the points. The noise variance of `reference`'s cells is added to that of the own
+    /// ones; `before` is the evidence about the pose of the reference's view.
     fn refigure(
         &mut self,
         reference: Option<&Field>,
         before: Option<&PoseEvidence>,
-        settings: &Settings,
+        settings: &WearSettings,
     ) {
         let cells = self.field.wear_mm.len();
         let mut sums = vec![[0.0_f64; 3]; cells];
-        for sample in &self.samples {
+        for sample in &self.measured.samples {
             if let Some(cell) = self.field.cell_at(sample.at_mm) {
                 let [n, wear, variance] = sums[cell];
                 sums[cell] = [
@@ -355,79 +333,97 @@ impl FlankWear {
         self.coverage = self.field.coverage();
         let systematic_mm = self.budget.systematic_mm();
         let noise_scale = self.field.noise_scale();
-        self.figures = figures::evaluate(
+        let read = figures::evaluate(
             &self.field,
-            &self.samples,
+            &self.measured.samples,
             noise_scale,
-            self.visibility.as_ref(),
+            self.measured.visibility.as_ref(),
             settings,
             systematic_mm,
         );
-        self.settle(before, settings);
+        self.judged = read.map(|read| self.judge(read, before, settings));
     }
 
-    /// Computes what is judged from figures, pose sensitivity and settings; `before` is what the baseline's view said of its pose.
-    fn settle(&mut self, before: Option<&PoseEvidence>, settings: &Settings) {
-        let Some(figures) = self.figures else {
-            return;
-        };
-        self.budget.noise_mm = figures.depth_mm.u;
+    /// Completes the budget by pose and temperature and corrects the figures as read for them; `before` is the evidence about
+    /// the pose of the baseline's view.
+    fn judge(
+        &mut self,
+        read: Figures,
+        before: Option<&PoseEvidence>,
+        settings: &WearSettings,
+    ) -> JudgedFigures {
+        let MeasuredZone {
+            evidence,
+            since_baseline,
+            ..
+        } = &self.measured;
+        let budget = &mut self.budget;
+        budget.noise_mm = read.depth_mm.u;
         // Anything between what was seen and that: rectangular, of which the figure is the lower end.
-        self.budget.unmeasured_mm = figures.in_holes_mm / 3f64.sqrt();
-        let (mut shift_mm, film_mm) = (0.0, settings.film_mm);
+        budget.unmeasured_mm = read.in_holes_mm / 3f64.sqrt();
+        let (mut shift_mm, mut turn) = (0.0, None);
         if let Some(sensitivity) = &self.sensitivity {
-            let forms = [self.since_baseline, false]
+            let forms = [*since_baseline, false]
                 .map(|since| settings.form_mm(since).hypot(sensitivity.form_scatter_mm));
-            if !self.evidence.is_empty() {
-                let turns = self
-                    .evidence
+            if !evidence.is_empty() {
+                let turns = evidence
                     .iter()
                     .map(|of| of.turn(before, forms[0], forms[1]));
-                let turn = Turn::of_all(turns);
-                shift_mm = self.flank.sign() * turn.mean_mm;
+                let mean = Turn::of_all(turns);
+                shift_mm = self.flank.sign() * mean.mean_mm;
                 // f64::min passes over the NaN of a pose that hides everything: then the stages alone say how much.
                 let both_mm = sensitivity
                     .leakage
-                    .u_of_all_mm(turn.both_sides_mm)
-                    .min(turn.both_hidden_mm);
-                self.budget.shared_mm = turn.u_mm.hypot(both_mm);
-                self.turn = Some(turn);
+                    .u_of_all_mm(mean.both_sides_mm)
+                    .min(mean.both_hidden_mm);
+                budget.shared_mm = mean.u_mm.hypot(both_mm);
+                turn = Some(mean);
             }
-            self.budget.temperature_mm = sensitivity.temperature_mm;
+            budget.temperature_mm = sensitivity.temperature_mm;
             let passed_on = 1f64.hypot(sensitivity.others_form);
-            if !self.since_baseline {
-                self.budget.as_built_mm = settings.as_built_mm * passed_on;
+            if !since_baseline {
+                budget.as_built_mm = settings.as_built_mm * passed_on;
             }
             // From a datum, loss is a distance, of which calibration knows either end no better.
-            if self.evidence.is_empty() {
-                let one_end_mm = match self.since_baseline {
+            if evidence.is_empty() {
+                let one_end_mm = match since_baseline {
                     true => settings.drift_mm,
                     false => settings.calibration_mm,
                 };
-                self.budget.calibration_mm = one_end_mm * passed_on;
+                budget.calibration_mm = one_end_mm * passed_on;
             }
-            self.budget.leakage_mm = sensitivity.leakage.u_mm(figures.depth_mm.value + shift_mm);
+            budget.leakage_mm = sensitivity.leakage.u_mm(read.depth_mm.value + shift_mm);
         }
         // A film only ever hides wear; since a baseline, one may have been there before as well as now.
-        let over_mm = if self.since_baseline {
+        let over_mm = if *since_baseline {
             0.0
         } else {
-            0.5 * film_mm
+            0.5 * settings.film_mm
         };
         let moved_mm = shift_mm + over_mm;
-        self.wear_mm = figures.depth_mm.value + moved_mm;
-        self.raw_mm = figures.raw_mm + moved_mm;
-        self.mean_mm = figures.mean_mm.value + moved_mm;
-        self.proud_mm = figures.proud_mm.value - moved_mm;
-        self.cell_mm = Figure {
-            value: figures.cell_mm.value + moved_mm,
-            u: figures.cell_mm.u.hypot(self.budget.systematic_mm()),
+        let systematic_mm = budget.systematic_mm();
+        let with_systematic = |value: f64, noise_mm: f64| Figure {
+            value,
+            u: noise_mm.hypot(systematic_mm),
         };
-        self.hidden_mm = figures.hidden_mm.map(|hidden| hidden + moved_mm);
-        self.u_mm = self.budget.total_mm();
+        JudgedFigures {
+            read,
+            wear_mm: Figure {
+                value: read.depth_mm.value + moved_mm,
+                u: budget.total_mm(),
+            },
+            raw_mm: read.raw_mm + moved_mm,
+            mean_mm: with_systematic(read.mean_mm.value + moved_mm, read.mean_mm.u),
+            proud_mm: with_systematic(read.proud_mm.value - moved_mm, read.proud_mm.u),
+            cell_mm: read
+                .cell_mm
+                .map(|cell| with_systematic(cell.value + moved_mm, cell.u)),
+            hidden_mm: read.hidden_mm.map(|hidden| hidden + moved_mm),
+            turn,
+        }
     }
 
-    /// What was lost since `reference` was captured by the same instrument: depth figures become differences, the tip edge
+    /// Wear since `reference` was captured by the same instrument: depth figures become differences, the tip edge
     /// stays as it is. Calibration, CAD and as-built form cancel but for the head's drift; the pose of the reference counts
     /// as well. `before` is what the reference's view said of its pose.
     ///
@@ -437,10 +433,10 @@ impl FlankWear {
         mut self,
         reference: &Field,
         before: Option<&PoseEvidence>,
-        settings: &Settings,
+        settings: &WearSettings,
     ) -> Result<Self, Mismatch> {
         self.field.same_grid(reference)?;
-        self.samples.retain_mut(|sample| {
+        self.measured.samples.retain_mut(|sample| {
             let then = self
                 .field
                 .cell_at(sample.at_mm)
@@ -448,7 +444,7 @@ impl FlankWear {
             sample.wear_mm -= then;
             then.is_finite()
         });
-        self.since_baseline = true;
+        self.measured.since_baseline = true;
         self.budget.calibration_mm = settings.drift_mm;
         self.budget.cad_mm = 0.0;
         self.budget.as_built_mm = 0.0;
@@ -461,7 +457,7 @@ impl FlankWear {
     /// Several captures of one flank as one: noise averages, whatever else is uncertain stays as it is in the worst of
     /// them. None without a capture, or when their zones differ.
     #[must_use]
-    pub fn together(captures: &[&Self], settings: &Settings) -> Option<Self> {
+    pub fn together(captures: &[&Self], settings: &WearSettings) -> Option<Self> {
         let (&first, others) = captures.split_first()?;
         let mut wear = first.clone();
         if others.is_empty() {
@@ -469,9 +465,11 @@ impl FlankWear {
         }
         for other in others {
             wear.field.same_grid(&other.field).ok()?;
-            wear.samples.extend_from_slice(&other.samples);
+            wear.measured
+                .samples
+                .extend_from_slice(&other.measured.samples);
             wear.points += other.points;
-            match (&mut wear.visibility, &other.visibility) {
+            match (&mut wear.measured.visibility, &other.measured.visibility) {
                 (Some(seen), Some(more)) => seen.add(more),
                 (mine, _) => *mine = None,
             }
@@ -483,7 +481,9 @@ impl FlankWear {
             if leaks(other) > leaks(&wear) {
                 wear.sensitivity.clone_from(&other.sensitivity);
             }
-            wear.evidence.extend(other.evidence.iter().cloned());
+            wear.measured
+                .evidence
+                .extend(other.measured.evidence.iter().cloned());
             wear.tip = wear.tip.or(other.tip);
         }
         wear.refigure(None, None, settings);
@@ -492,10 +492,12 @@ impl FlankWear {
 
     /// The same flank with the fit's leakage, the pose's evidence and the temperature's share counted in.
     #[must_use]
-    pub fn with(mut self, sensitivity: PoseSensitivity, settings: &Settings) -> Self {
-        self.evidence = sensitivity.evidence.iter().cloned().collect();
+    pub fn with(mut self, sensitivity: PoseSensitivity, settings: &WearSettings) -> Self {
+        self.measured.evidence = sensitivity.evidence.iter().cloned().collect();
         self.sensitivity = Some(sensitivity);
-        self.settle(None, settings);
+        self.judged = self
+            .judged
+            .map(|judged| self.judge(judged.read, None, settings));
         self
     }
 }
@@ -511,10 +513,10 @@ mod tests {
     /// Four points a cell of a flank that lost 30 µm, with a pattern of this size that is the same in every capture, and noise
     /// of the capture's own.
     fn capture(pattern_mm: f64, seed: u64) -> FlankWear {
-        let settings = Settings {
+        let settings = WearSettings {
             calibration_mm: 5e-4,
             cad_mm: 0.0,
-            ..Settings::default()
+            ..WearSettings::default()
         };
         let cells = Field::unmeasured(SIZE_MM, settings.cell_mm());
         let points: Vec<([f64; 2], f64, f64)> = (0..4 * cells.wear_mm.len())
@@ -540,10 +542,10 @@ mod tests {
         let captures: Vec<FlankWear> = (1..5).map(|seed| capture(pattern_mm, seed)).collect();
         [1, 2, 4].map(|count| {
             let of: Vec<&FlankWear> = captures.iter().take(count).collect();
-            let together = FlankWear::together(&of, &Settings::default()).unwrap();
+            let together = FlankWear::together(&of, &WearSettings::default()).unwrap();
             let worst = count as f64 * 1e-4;
             assert!((together.budget.registration_mm - worst).abs() < 1e-12);
-            together.figures.unwrap().mean_mm.u
+            together.judged.unwrap().read.mean_mm.u
         })
     }
 
@@ -563,41 +565,51 @@ mod tests {
     #[test]
     fn one_capture_stays_as_it_is_and_none_is_none() {
         let captured = capture(0.0, 1);
-        let same = FlankWear::together(&[&captured], &Settings::default()).unwrap();
+        let same = FlankWear::together(&[&captured], &WearSettings::default()).unwrap();
         assert_eq!(same, captured);
-        assert!(FlankWear::together(&[], &Settings::default()).is_none());
+        assert!(FlankWear::together(&[], &WearSettings::default()).is_none());
     }
 
     #[test]
     fn a_difference_to_a_baseline_takes_off_what_was_there() {
         let (new, now) = (capture(20e-3, 1), capture(20e-3, 2));
-        let settings = Settings::default();
+        let settings = WearSettings::default();
         let since = now.since(&new.field, None, &settings).unwrap();
         // 30 µm and the pattern were there before; cells of four points of 2 µm in both captures, twenty to a disc.
         let cell_mm = NOISE_MM * (2.0f64 / 4.0).sqrt();
         assert!(
-            since.wear_mm.abs() < 4.0 * cell_mm / 20f64.sqrt(),
-            "{}",
-            since.wear_mm
+            since.wear_mm().unwrap().value.abs() < 4.0 * cell_mm / 20f64.sqrt(),
+            "{since:?}"
         );
         assert_eq!(since.budget.calibration_mm, settings.drift_mm);
         assert!(since.budget.noise_mm < cell_mm / 4.0);
     }
 
     #[test]
+    fn since_a_baseline_that_saw_nothing_there_is_no_figure() {
+        let now = capture(0.0, 1);
+        assert!(now.judged.is_some());
+        let settings = WearSettings::default();
+        let unseen = Field::unmeasured(SIZE_MM, settings.cell_mm());
+        let since = now.since(&unseen, None, &settings).unwrap();
+        assert_eq!((since.judged, since.coverage), (None, 0.0));
+    }
+
+    #[test]
     fn a_film_hides_wear_and_counts_as_what_it_may_hide() {
         let plain = capture(0.0, 1);
-        let settings = Settings {
+        let settings = WearSettings {
             film_mm: 12e-3,
-            ..Settings::default()
+            ..WearSettings::default()
         };
         let mut oiled = plain.clone();
         oiled.budget.film_mm = settings.film_mm / 12f64.sqrt();
         oiled.refigure(None, None, &settings);
-        assert!((oiled.wear_mm - plain.wear_mm - 6e-3).abs() < 1e-12);
-        assert!((oiled.proud_mm - plain.proud_mm + 6e-3).abs() < 1e-12);
+        let (plain, oiled) = (plain.judged.unwrap(), oiled.judged.unwrap());
+        assert!((oiled.wear_mm.value - plain.wear_mm.value - 6e-3).abs() < 1e-12);
+        assert!((oiled.proud_mm.value - plain.proud_mm.value + 6e-3).abs() < 1e-12);
         // Between nothing and all of it, evenly: its standard deviation is a twelfth's root.
-        let added = oiled.u_mm.powi(2) - plain.u_mm.powi(2);
+        let added = oiled.wear_mm.u.powi(2) - plain.wear_mm.u.powi(2);
         assert!(
             (added.sqrt() - 12e-3 / 12f64.sqrt()).abs() < 1e-5,
             "{added}"

@@ -1,4 +1,4 @@
-//! What a pose cannot tell from wear: a turn of the whole view, or one side of all teeth worn.
+//! Turn of a view about the axis against one-sided wear of all teeth: both look alike to a registration.
 //!
 //! A motion along the circumference by t (as change of wear on the judged tooth's left flank) adds t to the wear of every left
 //! flank and takes it from every right one. The sum of both sides does not depend on it, the difference does, and no point of
@@ -19,7 +19,7 @@
 //! all of them. So flanks that are sound pin t to about the uncertainty of their form, and where left and right flanks cannot
 //! both be sound the stages decide how much of their difference is on either side.
 //!
-//! What remains presumed: amounts of two sides that have nothing to do with each other do not cancel to within the form of the
+//! Two assumptions remain: amounts of two sides that have nothing to do with each other do not cancel to within the form of the
 //! flanks, and equal and opposite amounts are rare. Such a change is not told from a turn but by the stages; it is held for one
 //! where they contradict it by about two standard uncertainties. Smaller ones are seen with a datum that does not change alone
 //! (`inspect.datum_height_mm`).
@@ -43,11 +43,11 @@ pub struct SeenFlank {
     pub flank: Flank,
     /// Median wear over what was seen of it in the judged radii and heights, mm.
     pub median_mm: f64,
-    /// What a motion that adds 1 to the judged tooth's left flank and takes 1 from its right one adds to it.
+    /// Change of its wear by a motion that adds 1 to that of the judged tooth's left flank and takes 1 from its right one.
     pub per_turn: f64,
 }
 
-/// What one view says of its own pose about the axis.
+/// Evidence of one view about its own pose's turn about the axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseEvidence {
@@ -61,19 +61,19 @@ pub struct PoseEvidence {
     pub approach_sigma_mm: f64,
     /// Standard uncertainty of that by how head and die are mounted, mm: the same as long as neither is taken out.
     pub mount_sigma_mm: f64,
-    /// What bringing the pose to where the stages say would add to the wear of both sides alike, mm.
+    /// Change of the wear of both sides alike if the pose were that of the stages, mm.
     pub stages_both_mm: f64,
     /// Standard uncertainty of that, mm.
     pub both_sigma_mm: f64,
-    /// Where the mount puts the pose, as far as the view fixes it and no stage moves it: towards the axis, and both tilts over
+    /// Pose components that the view determines and no stage moves, by the mount: shift towards the axis, and both tilts over
     /// the view's height, mm.
     pub mount_mm: [f64; 3],
 }
 
-/// A mount counts as the same when it agrees within so many standard uncertainties of the flanks' form in both captures.
+/// Limit of the difference between two captures' mounts that count as the same, in standard uncertainties of the flanks' form.
 const SAME_MOUNT: f64 = 3.0 * std::f64::consts::SQRT_2;
 
-/// What is known of t.
+/// Estimate of t.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
     /// Expected t, mm.
@@ -83,12 +83,12 @@ pub struct Turn {
     /// Mean of the median wear of the left and of the right flanks in view, mm: no turn changes it, and a change of all flanks
     /// alike is as large, of either sign, where no more than half of a side changed by something else.
     pub both_sides_mm: f64,
-    /// What a change of all flanks alike can at most be hidden by the pose, mm (standard uncertainty): by what the stages say.
+    /// Largest change of all flanks alike that the pose may hide, by the stages' positions, mm (standard uncertainty).
     pub both_hidden_mm: f64,
 }
 
 impl Turn {
-    /// What points of several captures, each in its own pose, must be turned by in the mean; as uncertain as the worst of them,
+    /// Mean turn of several captures, each in its own pose; its uncertainty is that of the worst of them,
     /// since they share die, mount and the form of the flanks.
     pub(super) fn of_all(turns: impl Iterator<Item = Self>) -> Self {
         let (mut count, mut sum, mut worst) = (0.0, 0.0, [0.0_f64; 2]);
@@ -96,7 +96,7 @@ impl Turn {
         for turn in turns {
             count += 1.0;
             sum += turn.mean_mm;
-            // A figure that is no number stays one.
+            // NaN stays NaN.
             for (worst, of) in worst.iter_mut().zip([turn.u_mm, turn.both_hidden_mm]) {
                 if of > *worst || of.is_nan() {
                     *worst = of;
@@ -120,7 +120,7 @@ const STEPS: usize = 2_000;
 const SPAN: f64 = 6.0;
 /// Largest change of a flank or of a side that is thought possible, mm: four times a usual stop limit.
 const CHANGE_MM: f64 = 0.2;
-/// Share of flanks that are off the rest of their side.
+/// Prior share of flanks whose wear differs from the rest of their side.
 const SINGLE_SHARE: f64 = 0.1;
 /// Weights of the explanations, relative to that both sides are sound: one given side changed, both changed each by its own
 /// amount, both by equal and opposite amounts. The first two and either side together are about as likely as a sound die; the
@@ -129,7 +129,7 @@ const SINGLE_SHARE: f64 = 0.1;
 const ONE_SIDE: f64 = 0.15;
 const BOTH_SIDES: f64 = 0.5;
 const OPPOSITE: f64 = 0.02;
-/// No flank's median is known better, mm: noise, and what the fit makes of it.
+/// Least standard uncertainty of a flank's median, mm: noise, and its effect on the fit.
 const LEAST_FORM_MM: f64 = 0.5e-3;
 
 impl PoseEvidence {
@@ -153,7 +153,7 @@ impl PoseEvidence {
             .collect()
     }
 
-    /// What is known of t when every flank's form is known to `form_mm` (standard uncertainty); since `before`, where that is
+    /// Estimate of t when every flank's form is known to `form_mm` (standard uncertainty); since `before`, where that is
     /// given. `absolute_form_mm` is to what the form is known without a baseline.
     pub fn turn(&self, before: Option<&Self>, form_mm: f64, absolute_form_mm: f64) -> Turn {
         let flanks = self.since(before);
@@ -168,7 +168,7 @@ impl PoseEvidence {
                     let sigma_mm = self.approach_sigma_mm.hypot(before.approach_sigma_mm);
                     (self.stages_mm - before.stages_mm, sigma_mm, both_mm)
                 } else {
-                    // What the stages say now stands against what the flanks said of the pose then.
+                    // The stages' position now is compared with the pose by the flanks then.
                     let then = before.turn(None, absolute_form_mm, absolute_form_mm);
                     (
                         self.stages_mm - then.mean_mm,
@@ -361,7 +361,7 @@ mod tests {
         let before = view([0.02; 2], [0.0; 2], 0.01, -3e-3);
         let now = view([0.02; 2], [0.0; 2], 0.02, 2e-3);
         let turn = now.turn(Some(&before), FORM_MM, 4.0 * FORM_MM);
-        // What is to be undone of the difference between both poses.
+        // The part of the difference between both poses that is no wear.
         assert!(
             (turn.mean_mm - 0.01).abs() < 3.0 * turn.u_mm && turn.u_mm < 2.0 * FORM_MM,
             "{turn:?}"
@@ -387,7 +387,7 @@ mod tests {
     /// Left and right flanks of three teeth, mm: what they lost.
     type Die = [[f64; 3]; 2];
 
-    /// What became of the judged flanks of a family of dies, the middle ones: how many there were, how many were go, and how
+    /// Verdicts on the judged flanks of a family of dies, the middle ones: number of flanks, how many were go, and how
     /// many were beyond a limit and passed, by the warning limit (go) or the stop limit (go or warn).
     #[derive(Default)]
     struct Passed {
@@ -520,7 +520,7 @@ mod tests {
                     );
                 }
             }
-            // What only the stages tell from a turn: by the time that both sides are a stop limit off.
+            // Opposite changes, which only the stages tell from a turn: passed no more once both sides are a stop limit off.
             let opposite = |i| [[worn(i, 0) + 0.02; 3], [-worn(i, 0) - 0.02; 3]];
             let of = judged(opposite, known, (1094, 300));
             assert!(

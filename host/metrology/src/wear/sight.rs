@@ -1,4 +1,4 @@
-//! Where a view's camera rays meet the CAD's flanks, and how many of them brought no point from there.
+//! Intersections of a view's camera rays with the CAD's flanks, and the number of rays that brought no point from there.
 //!
 //! ```text
 //!  camera ──ray──► CAD ─ ─ ► where the material really is
@@ -21,9 +21,9 @@ use crate::surface::{Closest, Surface};
 
 /// A point farther from the CAD may belong to a ray that meets another face than the point's foot lies on, mm.
 const FAR_MM: f64 = 0.02;
-/// Cosine of the angle to the normal below which a ray grazes: its place cannot be told.
+/// Cosine of the angle to the normal below which a ray grazes, so that its place is uncertain.
 const GRAZING: f64 = 0.05;
-/// Fewer dark rays in a block are dead cores and specks of dust: one core in a thousand is dead.
+/// Least number of dark rays in a block that counts; fewer are dead cores and specks of dust (one core in a thousand is dead).
 const LEAST_DARK: u32 = 3;
 /// Rays that chance may leave dark in a block, or with a point outside of it, standard deviations.
 const ALLOWED_SIGMAS: f64 = 3.0;
@@ -53,7 +53,7 @@ impl Sight<'_> {
         (1.0 - cosine * cosine).max(0.0).sqrt() / cosine
     }
 
-    /// Where the rays to the points meet flanks or patches of the CAD. `places` says where the points lie.
+    /// Intersections of the rays to the points with flanks or patches of the CAD. `places` holds the points' own places.
     pub fn ray_places<'f>(
         &self,
         features: impl Into<Features<'f>>,
@@ -68,7 +68,7 @@ impl Sight<'_> {
         of_points.collect()
     }
 
-    /// Where rays without a point do.
+    /// Intersections of rays without a point.
     pub fn places_along<'f>(
         &self,
         features: impl Into<Features<'f>>,
@@ -106,7 +106,7 @@ impl Sight<'_> {
             .flatten()
     }
 
-    /// Where a ray first meets the surface, if that is on a flank.
+    /// First intersection of a ray with the surface; none off the flanks.
     fn first_met(&self, features: Features<'_>, direction: Vector3<f64>) -> Option<FlankPlace> {
         let met = self
             .surface
@@ -152,7 +152,7 @@ struct Block {
     is_shadow: bool,
 }
 
-/// How well each cell of a zone was seen: of all views, by the one that brought most points from it and the cells around it.
+/// Points and rays per cell of a zone: of all views, by the one that brought most points from it and the cells around it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Visibility {
     /// Of that view in those cells; nothing where there is no point in the cell itself.
@@ -163,8 +163,8 @@ pub(super) struct Visibility {
 
 impl Visibility {
     /// Of one view. A point on the border of two cells falls into the one or the other, which over nine cells hardly counts.
-    /// Cells without points say nothing here: they are holes as a whole.
-    pub fn of(counts: &RayCounts, field: &Field) -> Self {
+    /// Cells without points are left out: they count as holes.
+    pub fn from_counts(counts: &RayCounts, field: &Field) -> Self {
         let seen = |cell: &usize| counts.points[*cell] > 0;
         let block = |cell: usize| {
             let all = field.around(cell).chain([cell]).filter(seen);
@@ -201,7 +201,7 @@ impl Visibility {
         }
     }
 
-    /// With what another view saw: what one of them shows is not hidden.
+    /// Adds another view: a cell that one view shows is not hidden.
     pub fn add(&mut self, other: &Self) {
         for (best, block) in self.blocks.iter_mut().zip(&other.blocks) {
             if block.points > best.points {
@@ -216,11 +216,11 @@ impl Visibility {
         self.slant
     }
 
-    /// Of each cell, what lies in the shadow of a wall: the share of its rays for which no point lies there.
+    /// Share of each cell in the shadow of a wall: that of its rays for which no point lies there.
     ///
-    /// A ray along which no fringes came back says nothing of what it met; where light is scarce some are dark everywhere, and only
-    /// what lies together counts. Light of which no point could be made met something: on bare steel its second reflections are
-    /// why. Such rays count where more are missing than a strip as wide as points lie apart. Of the others the point may lie
+    /// A ray along which no fringes came back says nothing of what it met; where light is scarce some are dark everywhere, and
+    /// only what lies together counts. Light of which no point could be made met something: on bare steel its second reflections
+    /// are why. Such rays count where more are missing than a strip as wide as points lie apart. Of the others the point may lie
     /// elsewhere, but beside its place on the CAD by its depth times the slant, so that of every border some pairs of ray and
     /// point lie on both sides: as many as points lie within that distance of it. They count as independent, three standard
     /// deviations are allowed, and one ray more. Where the surface falls away from the camera its points lie farther apart: what
@@ -248,7 +248,7 @@ impl Visibility {
         self.blocks.iter().enumerate().map(shadow).collect()
     }
 
-    /// What rays miss whose points lie elsewhere.
+    /// Shadow in each cell by rays whose points lie elsewhere.
     fn moved(&self, field: &Field, cell: usize, block: &Block, noise_scale: f64) -> Unseen {
         let block_mm = 3.0 * field.cell_area_mm2().sqrt();
         let points = f64::from(block.points);
@@ -402,11 +402,11 @@ mod tests {
         counts.rays.fill(10);
         counts.points.fill(10);
         let shares = |counts: &RayCounts, field: &Field| -> Vec<f64> {
-            let shadows = Visibility::of(counts, field).shadows(field, 1.0);
+            let shadows = Visibility::from_counts(counts, field).shadows(field, 1.0);
             shadows.iter().map(|shadow| shadow.share).collect()
         };
         assert!(shares(&counts, &field).iter().all(|&s| s == 0.0));
-        let whole = Visibility::of(&counts, &field);
+        let whole = Visibility::from_counts(&counts, &field);
         // A shadow over the whole row 5 of half of its points.
         for column in 0..10 {
             counts.points[50 + column] = 5;
@@ -420,8 +420,8 @@ mod tests {
             };
             assert!((share - expected).abs() < 1e-12, "{cell}: {share}");
         }
-        // What another view shows is not hidden.
-        let mut both = Visibility::of(&counts, &field);
+        // A cell that another view shows is not hidden.
+        let mut both = Visibility::from_counts(&counts, &field);
         both.add(&whole);
         let unseen = both.shadows(&field, 1.0);
         assert!(unseen.iter().all(|of| of.share == 0.0));
@@ -451,7 +451,7 @@ mod tests {
                 counts.undecoded[at] = undecoded(at);
                 counts.points[at] = 10 - dark(at) - undecoded(at);
             }
-            Visibility::of(&counts, &field).shadows(&field, 1.0)[cell]
+            Visibility::from_counts(&counts, &field).shadows(&field, 1.0)[cell]
         };
         let none = |_| 0;
         // Four of a cell, and none elsewhere: the nine cells about it have lost four of ninety, and nothing says what is there.

@@ -1,4 +1,4 @@
-//! Which teeth stand: what a view's rays bring from where the drawing says that tip lands are.
+//! Detection of missing teeth from a view's rays that pass the tip lands of the drawing.
 //!
 //! ```text
 //!  camera ──ray──► cylinder of the tips, on a land ──► a point near it: the tooth stands
@@ -14,24 +14,24 @@ use std::collections::BTreeMap;
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 
-use crate::gear::{FlankPlace, GearData, Kind};
+use crate::gear::{FlankPlace, GearData, GearKind};
 use crate::surface::Closest;
 
-/// Part of a land's width that is asked, about its middle: its edges are round, and the pose is known to micrometres.
+/// Share of a land's width that is evaluated, about its middle: its edges are round, and the pose is known to micrometres.
 const MIDDLE: f64 = 0.8;
-/// Heights are looked at in steps of this, mm.
+/// Step of height, mm.
 const STEP_MM: f64 = 0.5;
-/// Shorter pieces are not reported, mm: a flake of dirt, a highlight.
+/// Least height of a missing piece that is reported, mm: shorter ones are dirt or highlights.
 const LEAST_MM: f64 = 1.0;
-/// Fewer rays on the land say nothing of a step.
+/// Least number of rays on the land for a decision on a step.
 const LEAST_RAYS: usize = 10;
 /// A land that is displaced by less than this part of the tooth's depth still stands.
 const DEPTH_PART: f64 = 0.25;
-/// At most so many of a land's rays bring points from it where it is gone ...
+/// Largest share of a land's rays with points on it where it is missing ...
 const MOST_SEEN: f64 = 0.1;
-/// ... at least so many bring points from far behind ...
+/// ... least share of rays with points far behind it ...
 const LEAST_BEHIND: f64 = 0.5;
-/// ... or so many bring those or nothing; the lands of the other teeth at these heights are then seen by at least half.
+/// ... or least share of rays with either those or no point, if at least half of the other teeth's lands at that height are seen.
 const LEAST_GONE: f64 = 0.8;
 const LEAST_SEEN_OF_OTHERS: f64 = 0.5;
 
@@ -40,11 +40,11 @@ const LEAST_SEEN_OF_OTHERS: f64 = 0.5;
 pub struct Ray {
     /// Unit direction.
     pub direction: [f64; 3],
-    /// What came back along it.
+    /// Light that came back along it.
     pub brought: Brought,
 }
 
-/// What came back along a ray.
+/// Light that came back along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Brought {
     /// A point at this distance, mm.
@@ -62,11 +62,11 @@ pub struct MissingTooth {
     pub tooth: u32,
     /// Lower and upper end of the missing piece as far as it is in view, mm.
     pub height_mm: [f64; 2],
-    /// Whether points lie far behind the land; else nothing is seen there at all.
+    /// Whether points lie far behind the land; else no point is seen there.
     pub seen_through: bool,
 }
 
-/// What one step of height of one tooth showed.
+/// Counts of rays on one step of height of one tooth.
 #[derive(Debug, Clone, Copy, Default)]
 struct Step {
     rays: usize,
@@ -110,9 +110,9 @@ pub fn missing_teeth(
     places: &[Option<FlankPlace>],
 ) -> Vec<MissingTooth> {
     match gear.kind {
-        Kind::Internal => {}
+        GearKind::Internal => {}
         // Lands of an external gear may hide behind one another.
-        Kind::External => return Vec::new(),
+        GearKind::External => return Vec::new(),
     }
     let near_mm = DEPTH_PART * (gear.root_radius_mm - gear.tip_radius_mm).abs();
     let half_land_rad = MIDDLE * gear.half_tooth_rad(gear.tip_radius_mm).unwrap_or(0.0);
@@ -126,7 +126,7 @@ pub fn missing_teeth(
         let angle_rad = at.y.atan2(at.x);
         let tooth = gear.tooth_at(angle_rad);
         let off_rad = (angle_rad - gear.tooth_centre_rad(tooth)).sin();
-        // Written so that a NaN is none.
+        // Comparisons with NaN are false: such a ray is left out.
         if !(off_rad.abs() <= half_land_rad
             && (gear.height_mm[0]..gear.height_mm[1]).contains(&at.z))
         {

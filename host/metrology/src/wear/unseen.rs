@@ -1,4 +1,4 @@
-//! What of each measured cell may have been lost without being seen.
+//! Loss that may be hidden in the unseen part of each measured cell.
 //!
 //! ```text
 //!  rays that meet the cell, points that lie there ──► shadows: fewer points than rays                    ─┐
@@ -15,7 +15,7 @@
 use flankscope_foundation::order::quantile;
 
 use super::disc::Discs;
-use super::field::Sample;
+use super::field::WearSample;
 use super::sight::Visibility;
 
 /// Depth over width that is supposed of an opening whose floor is not seen: scores, pits and V grooves of worn dies are not
@@ -26,7 +26,7 @@ const DEPTH_PER_WIDTH: f64 = 3.0;
 const ROUGHNESS_MM: f64 = 4.5e-3;
 /// Cells to each side of a cell that together are about a disc.
 const WINDOW: usize = 2;
-/// Fewer cells with an estimate say nothing of a window.
+/// Least number of cells with an estimate in a window.
 const LEAST_CELLS: usize = 8;
 /// A window is textured when at least 60 % of its cells scatter that much: a single scratch crosses fewer.
 const SMOOTH_RATIO: f64 = 0.4;
@@ -46,7 +46,7 @@ pub(super) struct Unseen {
     pub share: f64,
     /// Loss that is supposed there, mm, a hole's at most: infinite where nothing bounds it.
     pub depth_mm: f64,
-    /// Whether walls hide it; else it only brought no points.
+    /// Whether walls hide it; else it merely brought no points.
     pub behind_walls: bool,
 }
 
@@ -60,7 +60,7 @@ impl Unseen {
         }
     }
 
-    /// The one that may hide more.
+    /// The one of the two that may hide more.
     pub fn or(self, other: Self) -> Self {
         let worth = |of: Self| of.share * of.depth_mm.min(1.0);
         if worth(other) > worth(self) {
@@ -71,7 +71,7 @@ impl Unseen {
     }
 }
 
-/// Of every cell, what was not seen of it. `scale` says how many times larger than stated the cells' noise is.
+/// Unseen part of every cell. `scale` is the ratio of the cells' noise to the stated one.
 pub(super) fn of_cells(
     discs: &Discs<'_>,
     visibility: Option<&Visibility>,
@@ -96,7 +96,7 @@ pub(super) fn of_cells(
 
 /// Variance of a cell's points about their plane, less that of their noise, over the quantile that chi-squared of as many
 /// degrees of freedom has at [`SMOOTH_RATIO`], mm2; none of a cell with too few points.
-fn scatter_mm2(points: &[&Sample]) -> Option<f64> {
+fn scatter_mm2(points: &[&WearSample]) -> Option<f64> {
     let count: f64 = points.iter().map(|p| p.merged).sum();
     let freedom = count - 3.0;
     if points.len() < 4 || freedom < 2.0 {
@@ -119,11 +119,11 @@ fn scatter_mm2(points: &[&Sample]) -> Option<f64> {
 
 /// Sum of squares of points about the plane that fits them best, each counted as often as points were merged into it, mm2;
 /// none where they lie on a line.
-fn squares_about_plane(points: &[&Sample]) -> Option<f64> {
+fn squares_about_plane(points: &[&WearSample]) -> Option<f64> {
     let mut normal = nalgebra::Matrix3::<f64>::zeros();
     let mut right = nalgebra::Vector3::<f64>::zeros();
     let [x0, y0] = points[0].at_mm;
-    let row = |p: &Sample| nalgebra::Vector3::new(1.0, p.at_mm[0] - x0, p.at_mm[1] - y0);
+    let row = |p: &WearSample| nalgebra::Vector3::new(1.0, p.at_mm[0] - x0, p.at_mm[1] - y0);
     for point in points {
         let row = row(point);
         normal += point.merged * row * row.transpose();
@@ -172,7 +172,7 @@ fn textures(discs: &Discs<'_>, slant: f64) -> Vec<Unseen> {
 pub(crate) mod tests {
     use super::super::field::Field;
     use super::super::sight::RayCounts;
-    use super::super::{FlankWear, Settings};
+    use super::super::{FlankWear, WearSettings};
     use super::*;
     use crate::gear::Flank;
     use crate::random::{normal, uniform};
@@ -193,7 +193,7 @@ pub(crate) mod tests {
         slant: f64,
         seed: u64,
     ) -> FlankWear {
-        let settings = Settings::default();
+        let settings = WearSettings::default();
         let empty = Field::unmeasured(size_mm, settings.cell_mm());
         let mut counts = RayCounts::new(empty.wear_mm.len());
         counts.slant = slant;
@@ -217,10 +217,14 @@ pub(crate) mod tests {
             let at_mm = [x + slant * (depth + off), y];
             if let Some(cell) = empty.cell_at(at_mm) {
                 counts.points[cell] += 1;
-                samples.push(Sample::of_point(at_mm, depth + off, NOISE_MM * NOISE_MM));
+                samples.push(WearSample::of_point(
+                    at_mm,
+                    depth + off,
+                    NOISE_MM * NOISE_MM,
+                ));
             }
         }
-        let visibility = Visibility::of(&counts, &empty);
+        let visibility = Visibility::from_counts(&counts, &empty);
         FlankWear::new(
             (40, Flank::Left),
             empty,
@@ -258,8 +262,12 @@ pub(crate) mod tests {
     /// Share of the cells that have an unseen part that a disc's verdict would feel.
     fn flagged(wear: &FlankWear) -> f64 {
         let scale = wear.field.noise_scale();
-        let discs = Discs::new(&wear.field, &wear.samples, Settings::default().area_mm2);
-        let unseen = of_cells(&discs, wear.visibility.as_ref(), scale);
+        let discs = Discs::new(
+            &wear.field,
+            &wear.measured.samples,
+            WearSettings::default().area_mm2,
+        );
+        let unseen = of_cells(&discs, wear.measured.visibility.as_ref(), scale);
         let count = unseen
             .iter()
             .filter(|of| of.share * of.depth_mm > 20e-3)
@@ -357,16 +365,16 @@ pub(crate) mod tests {
 
     #[test]
     fn squares_about_a_plane_are_those_about_the_best_of_many() {
-        let points: Vec<Sample> = (0..7)
+        let points: Vec<WearSample> = (0..7)
             .map(|i| {
                 let u = |k: u64| uniform(17, 3 * i + k);
-                Sample::of_point([u(0), u(1)], u(2) + 2.0 * u(0), 1e-6)
+                WearSample::of_point([u(0), u(1)], u(2) + 2.0 * u(0), 1e-6)
             })
             .collect();
-        let of: Vec<&Sample> = points.iter().collect();
+        let of: Vec<&WearSample> = points.iter().collect();
         let least = squares_about_plane(&of).unwrap();
         let squares = |[a, b, c]: [f64; 3]| -> f64 {
-            let off = |p: &Sample| p.wear_mm - a - b * p.at_mm[0] - c * p.at_mm[1];
+            let off = |p: &WearSample| p.wear_mm - a - b * p.at_mm[0] - c * p.at_mm[1];
             points.iter().map(|p| off(p).powi(2)).sum()
         };
         // Downhill in ever smaller steps from anywhere.
@@ -392,8 +400,8 @@ pub(crate) mod tests {
             squares(best)
         );
         // On a line no plane fits better than others.
-        let line: Vec<Sample> = (0..5)
-            .map(|i| Sample::of_point([f64::from(i), 2.0 * f64::from(i)], 0.0, 1e-6))
+        let line: Vec<WearSample> = (0..5)
+            .map(|i| WearSample::of_point([f64::from(i), 2.0 * f64::from(i)], 0.0, 1e-6))
             .collect();
         assert_eq!(squares_about_plane(&line.iter().collect::<Vec<_>>()), None);
     }

@@ -95,7 +95,7 @@ impl FinishedScan {
         Ok(Self {
             plan: plan.map_err(|error| ScanError::from(InspectError::from(error)))?,
             gear: gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?,
-            nominal: Stages::nominal(*hand_eye(&subject).map_err(unfit)?.isometry()),
+            nominal: Stages::nominal(hand_eye(&subject).map_err(unfit)?),
             field: FieldOfView::of(&subject.head).map_err(unfit)?,
             patches: Patches::new(folder)?,
             session,

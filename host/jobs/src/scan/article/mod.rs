@@ -30,6 +30,7 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use flankscope_foundation::date;
+use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::deviation::SampleTree;
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout};
@@ -217,7 +218,7 @@ impl FinishedScan {
             .views
             .iter()
             .zip(&joint.adjustment.poses)
-            .map(|((view, _), pose)| (*view, *pose))
+            .map(|((view, _), pose)| (*view, *pose.isometry()))
             .collect();
         let paper_poses: BTreeMap<usize, Isometry3<f64>> = paper
             .views
@@ -272,8 +273,8 @@ impl FinishedScan {
         let threshold = threshold::curve(rated);
         lap("threshold");
 
-        let stages = Stages::nominal(Isometry3::identity());
-        let moved = |view: usize| stages.tool_from_camera(place(plan, view));
+        let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
+        let moved = |view: usize| *stages.tool_from_camera(place(plan, view)).isometry();
         let camera = moved(first_view.view).inverse() * first_pose;
         let by_positions: BTreeMap<usize, Isometry3<f64>> = joint_poses
             .keys()

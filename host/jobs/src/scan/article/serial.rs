@@ -56,8 +56,8 @@ pub(super) fn serial(
         poses: BTreeMap::new(),
         layers: Vec::new(),
     };
-    let stages = Stages::nominal(Isometry3::identity());
-    let moved = |view: usize| stages.tool_from_camera(place(plan, view));
+    let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
+    let moved = |view: usize| *stages.tool_from_camera(place(plan, view)).isometry();
     let numbers: Vec<usize> = (0..plan.views.len()).collect();
     for layer in numbers.chunk_by(|&a, &b| plan.views[a].vertical_mm == plan.views[b].vertical_mm) {
         let known: Vec<usize> = layer

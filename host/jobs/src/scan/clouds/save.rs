@@ -54,7 +54,7 @@ impl Scanner {
                 comment: "camera frame, mm; sigma_z is the standard uncertainty of z",
                 coordinate: Scalar::F32,
                 columns: &[Column::Single("sigma_z", &sigma_mm)],
-                ..PointFile::of(&points)
+                ..PointFile::from_points(&points)
             };
             let mut bytes = Vec::new();
             let written = cloud.write(Format::Ply, &mut bytes);

@@ -1,34 +1,41 @@
-//! What deviations do across a trace, taken away before it is read.
+//! Change of deviations across a trace, removed before the trace is evaluated.
 //!
 //! A helix trace is made of points within a band of radii. Where they lie farther out at one height than at another, the
 //! profile's slope would look like a helix deviation (and a profile trace at mid face has the same trouble with the helix).
 //! So the deviations in the band are taken as a sum: a part that depends on the place along the trace, as fine as the trace's
 //! filter lets through, and a part that depends on the distance across, as fine as the other filter lets through and zero on
 //! the trace's line, and a twist. Least squares finds all of them at once. The second part and the twist are then taken away.
-//! What the points tell about it comes only from points side by side at the same place along the trace. Where those do not
+//! It is estimated only from points side by side at the same place along the trace. Where those do not
 //! tell a twist, as when all lie at one distance, there is taken to be none.
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::trace::{Course, Problem, Sample};
+use super::trace::{Course, TracePoint, TraceProblem};
 
 /// The share of the largest eigenvalue below which rounding decides.
 const ROUNDING: f64 = 1e-11;
 
 /// Positions and deviations on the trace's line.
-pub(super) fn taken_away(samples: &[Sample], course: &Course) -> Result<Vec<(f64, f64)>, Problem> {
+pub(super) fn taken_away(
+    samples: &[TracePoint],
+    course: &Course,
+) -> Result<Vec<(f64, f64)>, TraceProblem> {
     fitted(samples, course, true).or_else(|_| fitted(samples, course, false))
 }
 
-fn fitted(samples: &[Sample], course: &Course, twist: bool) -> Result<Vec<(f64, f64)>, Problem> {
+fn fitted(
+    samples: &[TracePoint],
+    course: &Course,
+    twist: bool,
+) -> Result<Vec<(f64, f64)>, TraceProblem> {
     let [low, high] = course.range;
     let length = high - low;
     let along = Hats::new(course.range, course.cutoff_mm);
     let across = Hats::new([-course.reach_mm, course.reach_mm], course.across_cutoff_mm);
     let on_line = across.values(0.0);
-    // The hats sum to one everywhere, so that the first one less its value on the line says nothing new.
+    // The hats sum to one everywhere, so that the first one less its value on the line is redundant.
     let columns = across.count - 1 + usize::from(twist);
-    let row = |sample: &Sample| {
+    let row = |sample: &TracePoint| {
         let mut row = DVector::zeros(columns);
         for (values, sign) in [(across.values(sample.across), 1.0), (on_line, -1.0)] {
             for (hat, value) in values {
@@ -70,7 +77,7 @@ fn fitted(samples: &[Sample], course: &Course, twist: bool) -> Result<Vec<(f64, 
     for i in 0..along.count {
         a[(i, i)] += ROUNDING * count;
     }
-    let factor = a.cholesky().ok_or(Problem::Entangled)?;
+    let factor = a.cholesky().ok_or(TraceProblem::Entangled)?;
     let within = &c - b.transpose() * factor.solve(&b);
     let right = right_c - b.transpose() * factor.solve(&right_a);
     let eigen = SymmetricEigen::new(within.clone());
@@ -82,7 +89,7 @@ fn fitted(samples: &[Sample], course: &Course, twist: bool) -> Result<Vec<(f64, 
         .iter()
         .zip(eigen.eigenvectors.column_iter())
     {
-        // How far this part moves the trace where points lie to one side; a constant is no deviation.
+        // Shift of the trace by this part where points lie to one side; a constant is no deviation.
         let moves = (direction.dot(&((&c - &within) * direction))
             - sum.dot(&direction).powi(2) / count)
             .max(0.0);
@@ -90,12 +97,12 @@ fn fitted(samples: &[Sample], course: &Course, twist: bool) -> Result<Vec<(f64, 
             coefficients += direction * (direction.dot(&right) / seen);
             added += moves / (count * seen);
         } else if moves > ROUNDING.sqrt() * count {
-            return Err(Problem::Entangled);
+            return Err(TraceProblem::Entangled);
         }
     }
     // More than one point's own uncertainty, and the trace would be made of what was taken away.
     if added > 1.0 {
-        return Err(Problem::Entangled);
+        return Err(TraceProblem::Entangled);
     }
     Ok(samples
         .iter()
@@ -148,7 +155,7 @@ mod tests {
     };
 
     /// Points that wander from one side of the band to the other, with some spread at each place.
-    fn wandering(spread: f64) -> Vec<Sample> {
+    fn wandering(spread: f64) -> Vec<TracePoint> {
         (0..6000u32)
             .map(|i| {
                 let at = 30.0 * f64::from(i) / 6000.0;
@@ -156,7 +163,7 @@ mod tests {
                 let across = side + 0.5 * spread * (f64::from(i % 17) / 8.0 - 1.0);
                 // A slope across of 20 um per mm, a crown and a twist.
                 let deviation = 0.020 * across - 0.010 * across * across + 1e-4 * at * across;
-                Sample {
+                TracePoint {
                     at,
                     across,
                     deviation,
@@ -182,7 +189,7 @@ mod tests {
     fn one_radius_at_every_place_is_refused_unless_it_is_always_the_same() {
         assert_eq!(
             taken_away(&wandering(0.0), &COURSE),
-            Err(Problem::Entangled)
+            Err(TraceProblem::Entangled)
         );
         let mut straight = wandering(0.0);
         for sample in &mut straight {

@@ -4,11 +4,11 @@ use nalgebra::{Matrix5, Vector5};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::FlankPoint;
+use super::PointNearFlank;
 use super::gather::OwnPoints;
 use crate::gear::{Flank, GearData};
 
-/// How the flanks lie about the tool's axis.
+/// Axis of the flanks against that of the tool.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AxisFit {
     /// Offset at mid face, um.
@@ -69,9 +69,9 @@ pub(super) fn fit(gear: &GearData, flanks: &[OwnPoints]) -> Option<AxisFit> {
     })
 }
 
-/// What each part of a motion does to the deviation of a point. All parts are lengths: tilts times half the face width, the
-/// rotation times the base radius.
-fn row(gear: &GearData, (tooth, flank): (u32, Flank), point: &FlankPoint) -> Vector5<f64> {
+/// Derivatives of a point's deviation by the components of a motion. All components are lengths: tilts times half the face width,
+/// the rotation times the base radius.
+fn row(gear: &GearData, (tooth, flank): (u32, Flank), point: &PointNearFlank) -> Vector5<f64> {
     let middle_mm = 0.5 * (gear.height_mm[0] + gear.height_mm[1]);
     let z = (point.height_mm - middle_mm) / half_face_mm(gear);
     let radius_mm = point.roll_mm.hypot(gear.base_radius_mm());

@@ -5,8 +5,10 @@ use nalgebra::{Matrix3, Vector3};
 use super::gather::OwnPoints;
 use super::limits::roll_mm;
 use super::not_told::split;
-use super::trace::{self, Course, Problem, Sample};
-use super::{FlankFigures, FlankPoint, Limits, NotTold, Settings, TraceFigures, areal};
+use super::trace::{self, Course, TracePoint, TraceProblem};
+use super::{
+    EvaluationRange, EvaluationSettings, FlankFigures, NotTold, PointNearFlank, TraceFigures, areal,
+};
 use crate::gear::GearData;
 
 /// Fewer points than this near the measuring circle leave a flank's position open.
@@ -16,10 +18,10 @@ const LEAST_POSITION_POINTS: usize = 8;
 pub(super) fn figures(
     gear: &GearData,
     own: &OwnPoints,
-    limits: &Limits,
-    settings: &Settings,
+    limits: &EvaluationRange,
+    settings: &EvaluationSettings,
 ) -> FlankFigures {
-    let points: Vec<FlankPoint> = own.points().collect();
+    let points: Vec<PointNearFlank> = own.points().collect();
     let flank = FlankPoints::new(gear, &points, limits, settings);
     let (profile, profile_not_told) = split(flank.profile());
     let (helix, helix_not_told) = split(flank.helix());
@@ -43,9 +45,9 @@ pub(super) fn figures(
 /// The points of a flank, and where on it they count. Lengths run from the root end (or the lower end) on.
 struct FlankPoints<'a> {
     gear: &'a GearData,
-    points: &'a [FlankPoint],
-    limits: &'a Limits,
-    settings: &'a Settings,
+    points: &'a [PointNearFlank],
+    limits: &'a EvaluationRange,
+    settings: &'a EvaluationSettings,
     /// Roll lengths of the measuring circle, the control circle and the tip form circle, mm.
     measuring_mm: f64,
     control_mm: f64,
@@ -59,9 +61,9 @@ struct FlankPoints<'a> {
 impl<'a> FlankPoints<'a> {
     fn new(
         gear: &'a GearData,
-        points: &'a [FlankPoint],
-        limits: &'a Limits,
-        settings: &'a Settings,
+        points: &'a [PointNearFlank],
+        limits: &'a EvaluationRange,
+        settings: &'a EvaluationSettings,
     ) -> Self {
         let [low, high] = gear.height_mm;
         let roll = |radius| roll_mm(gear, radius);
@@ -84,7 +86,7 @@ impl<'a> FlankPoints<'a> {
     }
 
     /// Length of the profile from the root end to a point, mm.
-    fn along(&self, point: &FlankPoint) -> f64 {
+    fn along(&self, point: &PointNearFlank) -> f64 {
         (point.roll_mm - self.control_mm) * self.towards_tip()
     }
 
@@ -101,18 +103,18 @@ impl<'a> FlankPoints<'a> {
         0.5 * self.settings.band_mm
     }
 
-    fn is_at_mid_face(&self, point: &FlankPoint) -> bool {
+    fn is_at_mid_face(&self, point: &PointNearFlank) -> bool {
         (point.height_mm - self.middle_mm).abs() <= self.settings.band_mm
     }
 
-    fn is_at_measuring_circle(&self, point: &FlankPoint) -> bool {
+    fn is_at_measuring_circle(&self, point: &PointNearFlank) -> bool {
         (point.roll_mm - self.measuring_mm).abs() <= self.half_band_mm()
     }
 
     fn profile(&self) -> Result<TraceFigures, NotTold> {
         let at_mid_face = self.points.iter().filter(|p| self.is_at_mid_face(p));
-        let samples: Vec<Sample> = at_mid_face
-            .map(|point| Sample {
+        let samples: Vec<TracePoint> = at_mid_face
+            .map(|point| TracePoint {
                 at: self.along(point),
                 across: point.height_mm - self.middle_mm,
                 deviation: point.deviation_mm,
@@ -133,8 +135,8 @@ impl<'a> FlankPoints<'a> {
         let base_mm = self.gear.base_radius_mm();
         let radius = |at: f64| (self.control_mm + self.towards_tip() * at).hypot(base_mm);
         trace::figures(&samples, &course).map_err(|problem| match problem {
-            Problem::Entangled => NotTold::Entangled,
-            Problem::Gap(gap) => NotTold::ProfileGap {
+            TraceProblem::Entangled => NotTold::Entangled,
+            TraceProblem::Gap(gap) => NotTold::ProfileGap {
                 radii_mm: gap.map(radius),
                 points: samples.len(),
                 least: trace::LEAST,
@@ -147,8 +149,8 @@ impl<'a> FlankPoints<'a> {
             .points
             .iter()
             .filter(|p| self.is_at_measuring_circle(p));
-        let samples: Vec<Sample> = at_circle
-            .map(|point| Sample {
+        let samples: Vec<TracePoint> = at_circle
+            .map(|point| TracePoint {
                 at: point.height_mm,
                 across: point.roll_mm - self.measuring_mm,
                 deviation: point.deviation_mm,
@@ -164,8 +166,8 @@ impl<'a> FlankPoints<'a> {
             across_cutoff_mm: cutoff(self.evaluated_mm),
         };
         trace::figures(&samples, &course).map_err(|problem| match problem {
-            Problem::Entangled => NotTold::Entangled,
-            Problem::Gap(heights_mm) => NotTold::HelixGap {
+            TraceProblem::Entangled => NotTold::Entangled,
+            TraceProblem::Gap(heights_mm) => NotTold::HelixGap {
                 heights_mm,
                 points: samples.len(),
                 least: trace::LEAST,

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::limits::Limits;
+use super::limits::EvaluationRange;
 use super::not_told::{NotTold, split};
 use super::{
-    FlankFigures, FlankPoint, GearEvaluation, GearEvaluationError, Settings, axis, check, flank,
-    pitch, ratings, runout,
+    EvaluationSettings, FlankFigures, GearEvaluation, GearEvaluationError, PointNearFlank, axis,
+    check, flank, pitch, ratings, runout,
 };
 use crate::gear::{Flank, GearData};
 
@@ -16,14 +16,14 @@ use crate::gear::{Flank, GearData};
 #[derive(Debug)]
 pub struct Gathering<'a> {
     gear: &'a GearData,
-    settings: &'a Settings,
-    limits: Limits,
+    settings: &'a EvaluationSettings,
+    limits: EvaluationRange,
     flanks: BTreeMap<(u32, Flank), Vec<[f32; 3]>>,
     /// Points that were handed over, on flanks or not.
     offered: usize,
 }
 
-/// What was gathered of one flank.
+/// Points gathered on one flank.
 pub(super) struct OwnPoints {
     pub tooth: u32,
     pub flank: Flank,
@@ -37,10 +37,10 @@ impl OwnPoints {
         self.kept.len()
     }
 
-    pub fn points(&self) -> impl Iterator<Item = FlankPoint> + '_ {
+    pub fn points(&self) -> impl Iterator<Item = PointNearFlank> + '_ {
         self.kept.iter().map(|kept| {
             let [roll_mm, height_mm, deviation_mm] = kept.map(f64::from);
-            FlankPoint {
+            PointNearFlank {
                 roll_mm,
                 height_mm,
                 deviation_mm,
@@ -49,7 +49,7 @@ impl OwnPoints {
     }
 
     /// Takes a share out of every deviation, mm.
-    pub fn take_out(&mut self, share_mm: impl Fn(&FlankPoint) -> f64) {
+    pub fn take_out(&mut self, share_mm: impl Fn(&PointNearFlank) -> f64) {
         let shares: Vec<f64> = self.points().map(|point| share_mm(&point)).collect();
         for (kept, share) in self.kept.iter_mut().zip(shares) {
             kept[2] = (f64::from(kept[2]) - share) as f32;
@@ -62,12 +62,15 @@ impl<'a> Gathering<'a> {
     ///
     /// # Errors
     /// [`GearEvaluationError`]: a gear or settings out of scope.
-    pub fn new(gear: &'a GearData, settings: &'a Settings) -> Result<Self, GearEvaluationError> {
+    pub fn new(
+        gear: &'a GearData,
+        settings: &'a EvaluationSettings,
+    ) -> Result<Self, GearEvaluationError> {
         check(gear, settings)?;
         Ok(Self {
             gear,
             settings,
-            limits: Limits::new(gear, settings),
+            limits: EvaluationRange::new(gear, settings),
             flanks: BTreeMap::new(),
             offered: 0,
         })

@@ -8,7 +8,7 @@
 
 use serde::Serialize;
 
-use super::{FlankPoint, Settings};
+use super::{EvaluationSettings, PointNearFlank};
 use crate::gear::{Flank, GearData};
 use flankscope_foundation::normal::guard_factor;
 
@@ -20,9 +20,9 @@ const END_SHARES: [f64; 2] = [0.05, 1.0];
 /// farther off.
 const LAND_SIGMAS: f64 = 4.0;
 
-/// Where figures are read.
+/// Radii and heights between which figures are evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Limits {
+pub struct EvaluationRange {
     /// Profile control radius: the root end of what must conform, mm.
     pub control_radius_mm: f64,
     /// Tip form radius: the tip end of the flank, where its edge begins, mm.
@@ -37,8 +37,8 @@ pub struct Limits {
     pub land_strip_mm: f64,
 }
 
-impl Limits {
-    pub(super) fn new(gear: &GearData, settings: &Settings) -> Self {
+impl EvaluationRange {
+    pub(super) fn new(gear: &GearData, settings: &EvaluationSettings) -> Self {
         let [control_radius_mm, tip_form_radius_mm] = root_first(gear, settings.usable_mm);
         let slope = settings
             .slope_mm
@@ -70,7 +70,7 @@ impl Limits {
         gear: &GearData,
         point: [f64; 3],
         capture_mm: f64,
-    ) -> Option<((u32, Flank), FlankPoint)> {
+    ) -> Option<((u32, Flank), PointNearFlank)> {
         let radius = point[0].hypot(point[1]);
         let (a, b) = (self.control_radius_mm, self.tip_form_radius_mm);
         let on_land = [gear.tip_radius_mm, gear.root_radius_mm]
@@ -91,7 +91,7 @@ impl Limits {
         if deviation_mm.abs() > capture_mm {
             return None;
         }
-        let place = FlankPoint {
+        let place = PointNearFlank {
             roll_mm: roll_mm(gear, radius),
             height_mm: point[2],
             deviation_mm,

@@ -16,7 +16,7 @@
 //!
 //! Slopes follow the edition of 2013: the mean line is fitted over the evaluated part, 95 % of the roll length from the
 //! profile control radius to the tip form radius, and its rise is stated from the control radius to the tip radius, positive
-//! where there is more material towards the tip; a helix slope over the whole face width. [`Limits`] names the radii, and
+//! where there is more material towards the tip; a helix slope over the whole face width. [`EvaluationRange`] names the radii, and
 //! [`TraceFigures::slope_usable_um`] gives the rise between the ends of the usable flank beside it.
 
 mod across;
@@ -32,7 +32,7 @@ mod trace;
 pub use areal::ArealTerms;
 pub use axis::AxisFit;
 pub use gather::Gathering;
-pub use limits::Limits;
+pub use limits::EvaluationRange;
 pub use not_told::NotTold;
 pub use tolerance::{CLASSES, Quantity};
 pub use trace::TraceFigures;
@@ -44,9 +44,9 @@ use flankscope_foundation::normal::guard_factor;
 use limits::standard_of_u95;
 use not_told::{joined, split};
 
-/// What to evaluate, and by what.
+/// Settings of a gear evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct EvaluationSettings {
     /// Ends of the usable flank: radii between which it is an involute, mm, in any order. That at the root end is the profile
     /// control radius (beyond any fillet), that at the tip end the tip form radius (before any edge break).
     pub usable_mm: [f64; 2],
@@ -61,14 +61,14 @@ pub struct Settings {
     pub best_fit_axis: bool,
     /// Expanded uncertainty of a deviation (95 %), um.
     pub u95_um: f64,
-    /// That of a cumulative pitch and of the runout, um, where the pose of each part of the cloud was found from its own teeth and so
-    /// took up some of both; none for the same.
+    /// That of a cumulative pitch and of the runout, um, where the pose of each part of the cloud was found from its own teeth
+    /// and so took up some of both; none for the same.
     pub cumulative_u95_um: Option<f64>,
 }
 
-impl Settings {
+impl EvaluationSettings {
     /// The active flank, a band of 1 mm, an uncertainty of 5 um.
-    pub fn of(gear: &GearData) -> Self {
+    pub fn for_gear(gear: &GearData) -> Self {
         Self {
             usable_mm: gear.active_flank_mm(),
             slope_mm: None,
@@ -92,7 +92,7 @@ impl Settings {
         }
     }
 
-    /// How far a figure must keep from its tolerance to be within or beyond it with a probability: the same guard as for wear
+    /// Guard band of a figure about its tolerance for a probability of conformity: the same as for wear
     /// ([`crate::verdict`]), um.
     pub fn guard_um(&self, probability: f64) -> f64 {
         guard_factor(probability) * self.u_um()
@@ -109,14 +109,14 @@ impl Settings {
     }
 }
 
-/// Why nothing can be evaluated.
+/// Reasons for which nothing can be evaluated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GearEvaluationError {
     /// The formulas do not hold for this gear.
     #[error("{key} = {value} is outside of ISO 1328-1; right would be {least} to {most}")]
     Scope {
-        /// What.
+        /// Name of the setting.
         key: &'static str,
         /// Its value.
         value: f64,
@@ -128,11 +128,11 @@ pub enum GearEvaluationError {
     /// A setting makes no sense.
     #[error("{key} = {value} is no use; right would be {right}")]
     Setting {
-        /// Which.
+        /// Name of the setting.
         key: &'static str,
         /// Its value.
         value: f64,
-        /// What would be right.
+        /// Valid values.
         right: &'static str,
     },
     /// The cloud is not on the flanks.
@@ -156,7 +156,7 @@ pub enum GearEvaluationError {
 
 /// A point near a flank.
 #[derive(Debug, Clone, Copy)]
-struct FlankPoint {
+struct PointNearFlank {
     /// Roll length, mm.
     roll_mm: f64,
     height_mm: f64,
@@ -172,24 +172,24 @@ pub struct FlankFigures {
     pub flank: Flank,
     /// Profile at mid face.
     pub profile: Option<TraceFigures>,
-    /// Why there is no profile.
+    /// Reason of a missing profile.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile_not_told: Option<NotTold>,
     /// Helix at the measuring circle.
     pub helix: Option<TraceFigures>,
-    /// Why there is no helix.
+    /// Reason of a missing helix.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub helix_not_told: Option<NotTold>,
     /// Terms over the whole flank.
     pub areal: Option<ArealTerms>,
-    /// Why there are no terms.
+    /// Reason of missing terms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub areal_not_told: Option<NotTold>,
     /// Deviation at the measuring circle at mid face, which pitch and runout are made of, um.
     pub position_um: Option<f64>,
     /// Its standard uncertainty by how the points there scatter, um.
     pub position_noise_um: Option<f64>,
-    /// Why there is no position.
+    /// Reason of a missing position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_not_told: Option<NotTold>,
 }
@@ -203,31 +203,31 @@ pub struct PitchFigures {
     pub missing_teeth: Vec<u32>,
     /// Largest single pitch deviation in size.
     pub f_p_um: Option<f64>,
-    /// Why there is none.
+    /// Reason of a missing figure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub f_p_not_told: Option<NotTold>,
     /// Largest difference between neighbouring ones.
     pub f_u_um: Option<f64>,
-    /// Why there is none.
+    /// Reason of a missing figure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub f_u_not_told: Option<NotTold>,
     /// Total cumulative pitch deviation; only when every tooth was seen.
     pub total_um: Option<f64>,
-    /// Why there is none.
+    /// Reason of a missing figure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total_not_told: Option<NotTold>,
 }
 
-/// What one quantity comes to over all flanks.
+/// Result of one quantity over all flanks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Rating {
-    /// Which.
+    /// The quantity.
     pub quantity: Quantity,
     /// The standard's symbol.
     pub symbol: &'static str,
     /// Largest value, um; none when nothing could be read.
     pub value_um: Option<f64>,
-    /// Why there is none, and what to do next.
+    /// Reason of a missing figure, with its remedy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_told: Option<NotTold>,
     /// Flanks that the value is the largest of.
@@ -243,7 +243,7 @@ pub struct Rating {
 }
 
 impl Rating {
-    /// Why there is no value, and what to do next; empty where there is one.
+    /// Reason of a missing value, with its remedy; empty where there is a value.
     pub fn why_not_told(&self) -> String {
         let told = self.not_told.as_ref();
         told.map_or_else(String::new, |why| format!("{why}; {}", why.next_step()))
@@ -253,11 +253,11 @@ impl Rating {
 /// The whole evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GearEvaluation {
-    /// Where figures are read.
-    pub limits: Limits,
-    /// How the flanks lie about the tool's axis; taken out of every figure when asked for.
+    /// Radii and heights between which figures are evaluated.
+    pub limits: EvaluationRange,
+    /// Axis of the flanks against that of the tool; taken out of every figure when the settings say so.
     pub axis: Option<AxisFit>,
-    /// Why that is not known.
+    /// Reason of a missing axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis_not_told: Option<NotTold>,
     /// Whether it was taken out.
@@ -272,7 +272,7 @@ pub struct GearEvaluation {
     pub right: PitchFigures,
     /// Runout; only when every tooth was seen on both sides.
     pub runout_um: Option<f64>,
-    /// Why it is not known.
+    /// Reason of the missing value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub runout_not_told: Option<NotTold>,
     /// Classes.
@@ -289,14 +289,14 @@ const LARGEST_SHARE: f64 = 0.3;
 pub fn evaluate(
     gear: &GearData,
     points: &[[f64; 3]],
-    settings: &Settings,
+    settings: &EvaluationSettings,
 ) -> Result<GearEvaluation, GearEvaluationError> {
     let mut gathering = Gathering::new(gear, settings)?;
     gathering.add(points);
     gathering.evaluated()
 }
 
-fn check(gear: &GearData, settings: &Settings) -> Result<(), GearEvaluationError> {
+fn check(gear: &GearData, settings: &EvaluationSettings) -> Result<(), GearEvaluationError> {
     let width = gear.height_mm[1] - gear.height_mm[0];
     for (key, value, least, most) in [
         ("module_mm", gear.module_mm, 0.5, 70.0),
@@ -512,7 +512,11 @@ fn value_of(quantity: Quantity, evaluation: &GearEvaluation) -> (Result<f64, Not
     }
 }
 
-fn ratings(gear: &GearData, evaluation: &GearEvaluation, settings: &Settings) -> Vec<Rating> {
+fn ratings(
+    gear: &GearData,
+    evaluation: &GearEvaluation,
+    settings: &EvaluationSettings,
+) -> Vec<Rating> {
     let rating = |quantity: Quantity| {
         let (value, flanks) = value_of(quantity, evaluation);
         let u95_um = settings.of_quantity(quantity).u95_um;

@@ -1,10 +1,10 @@
-//! Why a figure is missing, and what would bring it.
+//! Reasons for which a figure is missing, and their remedies.
 
 use serde::ser::SerializeStruct;
 
 use crate::gear::Flank;
 
-/// Why a figure cannot be told.
+/// Reason for which a figure cannot be stated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotTold {
@@ -64,13 +64,13 @@ pub enum NotTold {
         tooth: u32,
         /// The first one's side.
         flank: Flank,
-        /// Why the first one does not.
+        /// Reason of the first one.
         first: Box<NotTold>,
     },
     /// No two (or three) neighbouring flanks were seen.
     #[error("no {count} neighbouring {flank} flanks have a position")]
     NoNeighbours {
-        /// How many in a row are needed.
+        /// Number of consecutive ones that are needed.
         count: usize,
         /// Side.
         flank: Flank,
@@ -114,7 +114,7 @@ impl NotTold {
         }
     }
 
-    /// What would bring the figure.
+    /// Remedy.
     pub fn next_step(&self) -> &'static str {
         match self {
             Self::ProfileGap { .. } => {
@@ -150,7 +150,7 @@ impl serde::Serialize for NotTold {
     }
 }
 
-/// A figure and, if there is none, why.
+/// A figure, or the reason for which it is missing.
 pub(super) fn split<T>(told: Result<T, NotTold>) -> (Option<T>, Option<NotTold>) {
     match told {
         Ok(figure) => (Some(figure), None),

@@ -10,7 +10,7 @@ use crate::gear::GearData;
 /// Best and worst class that the formulas are stated for.
 pub const CLASSES: std::ops::RangeInclusive<u32> = 1..=11;
 
-/// What is judged.
+/// Quantities with a tolerance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
@@ -111,13 +111,13 @@ fn rounded(um: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gear::Kind;
+    use crate::gear::GearKind;
 
     #[test]
     fn the_specimens_tolerances_are_those_of_the_table() {
         // Module 0.987, reference diameter 82.9 mm, face width 66 mm: unrounded values of classes 5 and 9.
         let gear = GearData {
-            kind: Kind::Internal,
+            kind: GearKind::Internal,
             teeth: 84,
             module_mm: 82.9 / 84.0,
             pressure_angle_deg: 20.0,

@@ -4,14 +4,14 @@ use serde::Serialize;
 
 use super::across;
 
-/// Where the Gaussian weighting function passes half of a wave: sqrt(ln 2 / pi) (ISO 16610-21).
+/// Constant of the Gaussian weighting function, which passes half of a wave of its cutoff length: sqrt(ln 2 / pi) (ISO 16610-21).
 const ALPHA: f64 = 0.469_718_639_349_825_8;
 /// Positions at which a trace is evaluated.
 const POSITIONS: usize = 151;
 /// Fewer points than this under the weighting function leave a gap.
 const LEAST_POINTS: usize = 4;
 
-/// What is read from one trace, um.
+/// Figures of one trace, um.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TraceFigures {
     /// Range of the smoothed trace.
@@ -31,7 +31,7 @@ pub struct TraceFigures {
 
 /// A point of a trace.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct TracePoint {
     /// Position along the trace, mm.
     pub at: f64,
     /// Distance from the line that the trace follows on the flank, mm.
@@ -40,10 +40,10 @@ pub(super) struct Sample {
     pub deviation: f64,
 }
 
-/// How a trace is read.
+/// Range and filter of a trace.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Course {
-    /// Where it is evaluated, mm.
+    /// Evaluated range, mm.
     pub range: [f64; 2],
     /// Length between the limits that its slope is stated for, mm.
     pub stated_mm: f64,
@@ -57,12 +57,12 @@ pub(super) struct Course {
     pub across_cutoff_mm: f64,
 }
 
-/// Why there are no figures.
+/// Reasons for which a trace has no figures.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Problem {
+pub(super) enum TraceProblem {
     /// Too few points between two positions, mm.
     Gap([f64; 2]),
-    /// What changes across the trace cannot be told from what changes along it.
+    /// Changes across the trace cannot be separated from changes along it.
     Entangled,
 }
 
@@ -73,7 +73,10 @@ pub(super) const LEAST: usize = LEAST_POINTS;
 /// lie to one side here and to the other there leave no mark.
 ///
 /// The smoothing is the Gaussian with linear regression (ISO 16610-31, first order), whose ends are as good as its middle.
-pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigures, Problem> {
+pub(super) fn figures(
+    samples: &[TracePoint],
+    course: &Course,
+) -> Result<TraceFigures, TraceProblem> {
     let mut points: Vec<(f64, f64)> = across::taken_away(samples, course)?;
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
     let reach = ALPHA * course.cutoff_mm;
@@ -84,7 +87,7 @@ pub(super) fn figures(samples: &[Sample], course: &Course) -> Result<TraceFigure
         .collect();
     if let Some(begin) = smooth.iter().position(Option::is_none) {
         let length = smooth[begin..].iter().take_while(|s| s.is_none()).count();
-        return Err(Problem::Gap([
+        return Err(TraceProblem::Gap([
             position(begin),
             position(begin + length - 1),
         ]));
@@ -194,11 +197,11 @@ mod tests {
     }
 
     /// Samples on the line itself.
-    fn on_line(count: u32, deviation: impl Fn(f64) -> f64) -> Vec<Sample> {
+    fn on_line(count: u32, deviation: impl Fn(f64) -> f64) -> Vec<TracePoint> {
         (0..count)
             .map(|i| {
                 let at = 1e-3 * f64::from(i);
-                Sample {
+                TracePoint {
                     at,
                     across: 0.0,
                     deviation: deviation(at),
@@ -213,7 +216,7 @@ mod tests {
         let deviation = |x: f64| 1e-3 * (10.0 * x / 6.0 + 3.0 * (TAU * x / 2.0).cos());
         let cutoff = 0.2;
         let got = figures(&on_line(6_001, deviation), &course([0.0, 6.0], 6.3, cutoff)).unwrap();
-        // What the filter leaves of the wave (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
+        // Amplitude of the wave after the filter (ISO 16610-21): exp(-pi (alpha cutoff / length)^2).
         let left = (-std::f64::consts::PI * (ALPHA * cutoff / 2.0_f64).powi(2)).exp();
         assert!((got.slope_um - 10.0 / 6.0 * 6.3).abs() < 0.02, "{got:?}");
         assert!((got.slope_usable_um - 10.0).abs() < 0.02, "{got:?}");
@@ -233,7 +236,7 @@ mod tests {
     fn a_gap_is_no_trace_and_is_named() {
         let mut samples = on_line(1000, |_| 0.0);
         samples.retain(|sample| !(0.4..0.6).contains(&sample.at));
-        let Err(Problem::Gap([from, to])) = figures(&samples, &course([0.0, 1.0], 1.0, 0.05))
+        let Err(TraceProblem::Gap([from, to])) = figures(&samples, &course([0.0, 1.0], 1.0, 0.05))
         else {
             panic!("a gap must be seen");
         };

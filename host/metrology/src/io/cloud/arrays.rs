@@ -9,7 +9,7 @@ use crate::io::ply::{Extra, Scalar};
 const POINTS: &str = "points_mm";
 const TRIANGLES: &str = "triangles";
 
-/// How a ZIP archive begins.
+/// Signature of a ZIP archive.
 pub(super) const MAGIC: &[u8] = b"PK";
 
 /// Points and properties of an archive.
@@ -86,7 +86,7 @@ mod tests {
     const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
         property float sigma_z\nproperty uchar red\nend_header\n0.125 0 20 0.004 7\n1 0 21 0.005 255\n0 -3.25 19 0.25 0\n";
 
-    /// What a PLY says, written as arrays and read again, is the same to the last bit.
+    /// The contents of a PLY, written as arrays and read again, are the same to the last bit.
     #[test]
     fn a_cloud_written_as_arrays_comes_back() {
         for coordinate in ["double", "float"] {

@@ -59,7 +59,7 @@ pub struct Cloud {
     pub extras: Vec<Extra>,
 }
 
-/// Why a cloud was refused.
+/// Reasons for which a cloud is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CloudError {
@@ -90,7 +90,7 @@ pub enum CloudError {
         shape: Vec<usize>,
         /// NumPy's name of its numbers' type.
         descr: String,
-        /// What would be right.
+        /// Valid contents.
         why: String,
     },
     /// Arrays that say their unit, and somebody who says another.
@@ -140,7 +140,7 @@ pub enum CloudError {
     Foreign {
         /// First byte that is not text.
         byte: u8,
-        /// Where.
+        /// Position in the file.
         offset: usize,
     },
     /// NaN or infinity.
@@ -266,7 +266,7 @@ impl Cloud {
         let file = PointFile {
             coordinate,
             columns: &all,
-            ..PointFile::of(&self.points)
+            ..PointFile::from_points(&self.points)
         };
         file.write(format, out)
     }

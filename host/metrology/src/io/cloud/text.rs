@@ -5,7 +5,7 @@
 
 use super::CloudError;
 
-/// What a comma is in this file.
+/// Meaning of a comma in this file.
 #[derive(Clone, Copy, PartialEq, Debug)]
 enum Comma {
     Separator,
@@ -60,8 +60,8 @@ fn number(word: &str, comma: Comma) -> Option<f64> {
     value.ok().filter(|value: &f64| value.is_finite())
 }
 
-/// What all lines together say of commas. A comma within a word of a line that blanks or semicolons divide is a decimal sign; one
-/// beside a blank, beside a decimal point, or as the only mark of a line is a separator.
+/// Meaning of commas by all lines together. A comma within a word of a line that blanks or semicolons divide is a decimal sign;
+/// one beside a blank, beside a decimal point, or as the only mark of a line is a separator.
 fn comma<'a>(lines: impl Iterator<Item = (usize, &'a str)>) -> Result<Comma, CloudError> {
     let mut decimal = None;
     let mut separator = None;

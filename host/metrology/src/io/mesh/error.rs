@@ -1,9 +1,9 @@
-//! What can be wrong with a mesh.
+//! Errors of meshes.
 
 use crate::io::Unit;
 use crate::io::ply::PlyError;
 
-/// Why a mesh was refused.
+/// Reasons for which a mesh is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MeshError {
@@ -23,7 +23,7 @@ pub enum MeshError {
     OtherFormat {
         /// Its name.
         format: &'static str,
-        /// What to do.
+        /// Remedy.
         advice: &'static str,
     },
     /// A PLY file that is wrong inside.
@@ -48,7 +48,7 @@ pub enum MeshError {
         line: usize,
         /// The line, shortened.
         text: String,
-        /// What would be right.
+        /// Valid contents.
         expected: &'static str,
     },
     /// A text STL that stops before `endsolid`.

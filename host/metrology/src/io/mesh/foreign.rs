@@ -1,8 +1,8 @@
-//! What a file is that is no mesh we read.
+//! Recognition of files that are no mesh that can be read.
 
 use super::{MeshError, stl};
 
-/// How files of other formats begin, what they are called, and how one gets a mesh of them.
+/// Signatures of other formats, their names, and the way to a mesh of them.
 const KNOWN: &[(&[u8], &str, &str)] = &[
     (b"ISO-10303-21", "STEP", TESSELLATE),
     (b"DBRep_DrawableShape", "BREP", TESSELLATE),

@@ -3,7 +3,7 @@
 use super::{MeshError, TriMesh, polygon};
 use crate::io::faces::Faces;
 
-/// Whether the first lines hold OBJ statements.
+/// Whether the first lines of a file hold OBJ statements.
 pub(super) fn looks_like(bytes: &[u8]) -> bool {
     let head = &bytes[..bytes.len().min(1 << 16)];
     !head.contains(&0)

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use super::error::{Place, PlyError, shorten};
-use super::header::{self, Element, Encoding, Kind, Scalar};
+use super::header::{self, Element, Encoding, PropertyKind, Scalar};
 use crate::io::faces::Faces;
 
-/// What the caller wants besides the vertices' coordinates; the rest is skipped.
+/// Properties that the caller wants besides the vertices' coordinates; the rest is skipped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Want {
     /// Faces.
@@ -214,12 +214,17 @@ impl<'a> Body<'a> {
         Ok(())
     }
 
-    fn skip_property(&mut self, kind: Kind, element: &Element, index: u64) -> Result<(), PlyError> {
+    fn skip_property(
+        &mut self,
+        kind: PropertyKind,
+        element: &Element,
+        index: u64,
+    ) -> Result<(), PlyError> {
         match kind {
-            Kind::Scalar(kind) => {
+            PropertyKind::Scalar(kind) => {
                 self.number(kind, element, index)?;
             }
-            Kind::List { length, item } => {
+            PropertyKind::List { length, item } => {
                 for _ in 0..self.length(length, item, element, index)? {
                     self.number(item, element, index)?;
                 }
@@ -238,7 +243,7 @@ impl<'a> Body<'a> {
             let found = element
                 .properties
                 .iter()
-                .position(|p| p.name == property && matches!(p.kind, Kind::Scalar(_)));
+                .position(|p| p.name == property && matches!(p.kind, PropertyKind::Scalar(_)));
             found.ok_or(PlyError::MissingProperty {
                 element: "vertex",
                 property,
@@ -246,7 +251,7 @@ impl<'a> Body<'a> {
             })
         };
         let axes = [axis("x")?, axis("y")?, axis("z")?];
-        if let Kind::Scalar(kind) = element.properties[axes[0]].kind {
+        if let PropertyKind::Scalar(kind) = element.properties[axes[0]].kind {
             table.coordinate = kind;
         }
         if self.encoding != Encoding::Ascii && !element.has_list() {
@@ -258,7 +263,7 @@ impl<'a> Body<'a> {
             .iter()
             .enumerate()
             .map(|(i, p)| match p.kind {
-                Kind::Scalar(kind) if extras && !axes.contains(&i) => Some(Extra {
+                PropertyKind::Scalar(kind) if extras && !axes.contains(&i) => Some(Extra {
                     name: p.name.clone(),
                     kind,
                     bytes: Vec::new(),
@@ -270,7 +275,7 @@ impl<'a> Body<'a> {
         for index in 0..element.count {
             let mut point = [0.0; 3];
             for (i, property) in element.properties.iter().enumerate() {
-                let Kind::Scalar(kind) = property.kind else {
+                let PropertyKind::Scalar(kind) = property.kind else {
                     self.skip_property(property.kind, element, index)?;
                     continue;
                 };
@@ -304,7 +309,7 @@ impl<'a> Body<'a> {
         let mut offset = 0;
         let mut fields = Vec::new();
         for property in &element.properties {
-            if let Kind::Scalar(kind) = property.kind {
+            if let PropertyKind::Scalar(kind) = property.kind {
                 fields.push((property, kind, offset));
                 offset += kind.size();
             }
@@ -359,7 +364,7 @@ impl<'a> Body<'a> {
 
     fn faces(&mut self, element: &Element, faces: &mut Faces) -> Result<(), PlyError> {
         let corners = element.properties.iter().position(|p| {
-            matches!(p.kind, Kind::List { .. })
+            matches!(p.kind, PropertyKind::List { .. })
                 && (p.name == "vertex_indices" || p.name == "vertex_index")
         });
         let Some(corners) = corners else {
@@ -372,7 +377,7 @@ impl<'a> Body<'a> {
         faces.triangles.reserve_exact(element.count as usize);
         if element.properties.len() == 1
             && self.encoding == Encoding::LittleEndian
-            && let Kind::List {
+            && let PropertyKind::List {
                 length: Scalar::U8,
                 item: Scalar::I32 | Scalar::U32,
             } = element.properties[0].kind
@@ -382,7 +387,7 @@ impl<'a> Body<'a> {
         let mut polygon = Vec::new();
         for face in faces.len() as u64..element.count {
             for (i, property) in element.properties.iter().enumerate() {
-                let Kind::List { length, item } = property.kind else {
+                let PropertyKind::List { length, item } = property.kind else {
                     self.skip_property(property.kind, element, face)?;
                     continue;
                 };

@@ -1,8 +1,8 @@
-//! What can be wrong with a PLY file.
+//! Errors of PLY files.
 
 use super::header::Scalar;
 
-/// Why a PLY file was refused.
+/// Reasons for which a PLY file is refused.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
 pub enum PlyError {
@@ -24,7 +24,7 @@ pub enum PlyError {
         line: usize,
         /// The line, shortened.
         text: String,
-        /// What would be right.
+        /// Valid contents.
         expected: &'static str,
     },
     /// An element without properties claims records.
@@ -117,7 +117,7 @@ pub enum PlyError {
     },
 }
 
-/// Where in a text file; prints as nothing for a binary one.
+/// Position in a text file; prints as nothing for a binary one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place(pub Option<usize>);
 

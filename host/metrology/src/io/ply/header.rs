@@ -5,7 +5,7 @@ use super::error::{PlyError, shorten};
 /// Longest header that is searched for `end_header`.
 const MAX_HEADER_BYTES: usize = 1 << 20;
 
-/// How the body is written.
+/// Encoding of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// Text.
@@ -122,12 +122,12 @@ impl std::fmt::Display for Scalar {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Property {
     pub name: String,
-    pub kind: Kind,
+    pub kind: PropertyKind,
 }
 
 /// A number or a counted list of numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Kind {
+pub(super) enum PropertyKind {
     Scalar(Scalar),
     List { length: Scalar, item: Scalar },
 }
@@ -146,8 +146,8 @@ impl Element {
         self.properties
             .iter()
             .map(|p| match p.kind {
-                Kind::Scalar(kind) => kind.size(),
-                Kind::List { length, .. } => length.size(),
+                PropertyKind::Scalar(kind) => kind.size(),
+                PropertyKind::List { length, .. } => length.size(),
             })
             .sum()
     }
@@ -155,7 +155,7 @@ impl Element {
     pub fn has_list(&self) -> bool {
         self.properties
             .iter()
-            .any(|p| matches!(p.kind, Kind::List { .. }))
+            .any(|p| matches!(p.kind, PropertyKind::List { .. }))
     }
 
     /// Refuses a declared count that the remaining bytes cannot hold.
@@ -191,7 +191,7 @@ impl Element {
 pub(super) struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
-    /// Where the body starts.
+    /// Offset of the body, bytes.
     pub body_offset: usize,
     /// Line number of the first body line.
     pub body_line: usize,
@@ -262,8 +262,10 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, PlyError> {
                 let property = match rest {
                     ["list", length, item, name] => Scalar::parse(length)
                         .zip(Scalar::parse(item))
-                        .map(|(length, item)| (name, Kind::List { length, item })),
-                    [kind, name] => Scalar::parse(kind).map(|kind| (name, Kind::Scalar(kind))),
+                        .map(|(length, item)| (name, PropertyKind::List { length, item })),
+                    [kind, name] => {
+                        Scalar::parse(kind).map(|kind| (name, PropertyKind::Scalar(kind)))
+                    }
                     _ => None,
                 };
                 let Some((name, kind)) = property else {

@@ -1,4 +1,4 @@
-//! What the form of the piece as a whole looks like to views that are laid on the CAD: small motions that are none.
+//! Ovality and taper of the piece: to views that are laid on the CAD they look like small motions.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -11,7 +11,7 @@ pub(super) const NAMES: [&str; FORMS] = ["ovality along x and y", "ovality betwe
 /// enough for any die that still works: a form that is worth knowing must not be taken for an error of the stages.
 const SIGMA: [f64; FORMS] = [20e-3, 20e-3, 0.5e-3];
 
-/// Ovality and taper of the piece, as far as the adjustment has to know of them.
+/// Ovality and taper of the piece, as parameters of the adjustment.
 #[derive(Debug, Clone)]
 pub(super) struct SharedForm {
     /// In units of their prior standard deviations.

@@ -1,10 +1,10 @@
-//! How a single view may differ from what all views share.
+//! Deviation of a single view's pose from the model that all views share.
 
 use nalgebra::{Matrix6, SMatrix, Vector3, Vector6};
 
 use super::view::ViewInformation;
 
-/// How far a single view may lie from what all share, and how far the form of the piece may make it seem to: standard
+/// Prior of a single view's deviation from the shared model, and of the local form of the piece that looks like one: standard
 /// deviations.
 #[derive(Debug, Clone, Copy)]
 pub struct Local {
@@ -70,7 +70,7 @@ impl Local {
         root
     }
 
-    /// What a view says of where it lies on the CAD once the form of the piece under it is eliminated: its information and
+    /// Information of a view about its pose on the CAD with the form of the piece under it eliminated: its matrix and
     /// gradient. `None` when its information is not positive.
     pub(super) fn without_form(&self, view: &ViewInformation) -> Option<Believed> {
         let root = self.form_root(view.centre_mm.into());
@@ -85,7 +85,7 @@ impl Local {
     }
 }
 
-/// What is believed of a view's word: the cost of a motion d is dᵀHd/2 + gᵀd.
+/// Normal equations of a view's motion d: its cost is dᵀHd/2 + gᵀd.
 #[derive(Debug, Clone)]
 pub(super) struct Believed {
     /// H.

@@ -1,11 +1,14 @@
-//! Where the head looks, from what the stages were told.
+//! Camera pose from the commanded stage positions.
 
+use flankscope_foundation::rigid::{Camera, Rigid, Stage};
 use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
+
+use super::CameraPose;
 
 /// Number of shared parameters.
 pub const PARAMETERS: usize = 20;
 
-/// What the stages were told for a view.
+/// Commanded stage positions of a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Commanded angle of the rotary stage, rad.
@@ -14,10 +17,10 @@ pub struct Pose {
     pub vertical_mm: f64,
 }
 
-/// What all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.
+/// Geometry that all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.
 #[derive(Debug, Clone)]
 pub struct Stages {
-    stage_from_camera: Isometry3<f64>,
+    stage_from_camera: Rigid<Stage, Camera>,
     /// Parameters; all zero is what the files say.
     pub parameters: SVector<f64, PARAMETERS>,
 }
@@ -83,7 +86,7 @@ pub(super) const SIGMA: [f64; PARAMETERS] = {
 
 impl Stages {
     /// Everything as the files say.
-    pub fn nominal(stage_from_camera: Isometry3<f64>) -> Self {
+    pub fn nominal(stage_from_camera: Rigid<Stage, Camera>) -> Self {
         Self {
             stage_from_camera,
             parameters: SVector::zeros(),
@@ -105,7 +108,8 @@ impl Stages {
         self.value(0).hypot(self.value(1))
     }
 
-    /// Where the rotation axis passes the die's plane at a height, mm in the tool frame; the origin for a die that runs true.
+    /// Intersection of the rotation axis with the die's plane at a height, mm in the tool frame; the origin for a die that runs
+    /// true.
     pub fn axis_at_mm(&self, height_mm: f64) -> [f64; 2] {
         let above = height_mm - self.value(5);
         [
@@ -134,7 +138,7 @@ impl Stages {
     }
 
     /// Tool frame from camera frame.
-    pub fn tool_from_camera(&self, at: Pose) -> Isometry3<f64> {
+    pub fn tool_from_camera(&self, at: Pose) -> CameraPose {
         let value = |i| self.value(i);
         let vector = |i| Vector3::new(value(i), value(i + 1), value(i + 2));
         let motion = |turn, shift| {
@@ -154,6 +158,9 @@ impl Stages {
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -(at.rotation_rad + error_rad));
         let [along, towards] = self.vertical_lean_rad();
         let travel = Vector3::new(towards, along, 1.0) * at.vertical_mm;
-        motion(0, 3) * turned * Translation3::from(travel) * self.stage_from_camera * motion(6, 9)
+        let stage_from_camera = self.stage_from_camera.isometry();
+        Rigid::from_isometry(
+            motion(0, 3) * turned * Translation3::from(travel) * stage_from_camera * motion(6, 9),
+        )
     }
 }

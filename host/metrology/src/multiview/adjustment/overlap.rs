@@ -1,6 +1,6 @@
-//! Two views of the same surface: what it says of how they lie against each other.
+//! Relative pose of two views from the surface that both saw.
 //!
-//! Where both saw a cell, the form of the piece is in both deviations and cancels in their difference; what remains is how
+//! In a cell that both saw, the form of the piece is in both deviations and cancels in their difference; what remains is how
 //! far the views lie apart. So overlaps tie views to each other and not to the CAD.
 //!
 //! Pairs of a kind (the same layers, the same turn between them) look at each other with the same parts of the field, so
@@ -9,8 +9,9 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
 
+use super::CameraPose;
 use super::view::ViewInformation;
 use crate::multiview::cylinder::CellObservation;
 
@@ -18,10 +19,10 @@ use crate::multiview::cylinder::CellObservation;
 const MOST_DIFFERENCE_MM: f64 = 0.03;
 /// Neighbouring cells share what calibration and fibre cores leave: so many of them, about 1 mm², count as one.
 const CELLS_PER_PATCH: f64 = 25.0;
-/// Fewer common cells say nothing.
+/// Least number of common cells of an overlap.
 const LEAST_CELLS: usize = 25;
 
-/// What two views say of each other, linearised where both were laid: the cost of small motions d of the first and e of the
+/// Information about the relative pose of two views, linearised at both: the cost of small motions d of the first and e of the
 /// second (rotation about the view's centre in rad, then translation in mm) is xᵀHx/2 + gᵀx with x = (d, e).
 #[derive(Debug, Clone)]
 pub struct Overlap {
@@ -37,8 +38,8 @@ pub struct Overlap {
 }
 
 impl Overlap {
-    /// Compares two views (cell_observations in order of their cells, where each was laid) with these centres, mm; `None` when they
-    /// hardly overlap.
+    /// Compares two views (cell_observations in order of their cells, where each was laid) with these centres, mm; `None` when
+    /// they hardly overlap.
     pub fn between(
         views: [usize; 2],
         [first, second]: [&[CellObservation]; 2],
@@ -104,11 +105,7 @@ impl Overlap {
 /// Takes off what all overlaps of a kind say in common of views at `poses`: there they are content in the mean, and pull
 /// views only as they differ from each other. The first view of each pair must be the one that the second is turned on from,
 /// or the lower one.
-pub fn take_off_common(
-    overlaps: &mut [Overlap],
-    views: &[ViewInformation],
-    poses: &[Isometry3<f64>],
-) {
+pub fn take_off_common(overlaps: &mut [Overlap], views: &[ViewInformation], poses: &[CameraPose]) {
     // Turned so that the first view of every pair looks along the same direction.
     let turns = |overlap: &Overlap| {
         let [x, y, _] = views[overlap.views[0]].centre_mm;
@@ -163,7 +160,7 @@ fn turned(turn: &Rotation3<f64>, of: &SVector<f64, 12>) -> SVector<f64, 12> {
     all
 }
 
-/// How a deviation changes with a motion of its view.
+/// Derivatives of a deviation by a motion of its view.
 fn slope(observation: &CellObservation, centre: [f64; 3]) -> Vector6<f64> {
     let normal = Vector3::from(observation.normal.map(f64::from));
     let arm = Vector3::from(observation.point.map(f64::from)) - Vector3::from(centre);

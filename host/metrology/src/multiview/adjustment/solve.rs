@@ -11,6 +11,7 @@ use nalgebra::{
     Vector3, Vector6,
 };
 
+use super::CameraPose;
 use super::blocks::{Between, BlockCholesky};
 use super::form::{self, FORMS, SharedForm};
 use super::local::{Believed, Local};
@@ -32,7 +33,7 @@ const STEPS: usize = 4;
 /// Step of the difference quotients, in standard deviations of the prior.
 const DIFFERENCE: f64 = 1e-3;
 
-/// A combination of shared parameters of which the views say less than was known before.
+/// A combination of shared parameters on which the prior holds more information than the views.
 #[derive(Debug, Clone)]
 pub struct Weak {
     /// Its largest part.
@@ -41,7 +42,7 @@ pub struct Weak {
     pub prior_share: f64,
 }
 
-/// Why there is no common solution.
+/// Reasons for which the adjustment has no solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum AdjustmentError {
@@ -56,10 +57,10 @@ pub enum AdjustmentError {
 /// The views together.
 #[derive(Debug, Clone)]
 pub struct Solution {
-    /// What they share.
+    /// Geometry that they share.
     pub stages: Stages,
     /// Pose of every view, its pose residual included.
-    pub poses: Vec<Isometry3<f64>>,
+    pub poses: Vec<CameraPose>,
     /// Stray motion of every view: rotation (rad) about its centre, translation (mm).
     pub pose_residuals: Vec<Vector6<f64>>,
     /// Combinations that stay where they were, weakest first.
@@ -72,7 +73,7 @@ pub struct Solution {
 }
 
 impl Solution {
-    /// What is known before any view.
+    /// Solution by the prior alone, without a view.
     pub fn prior(stages: Stages, local: Local) -> Self {
         Self {
             stages,
@@ -88,7 +89,7 @@ impl Solution {
 
     /// Pose of one more view in its best place: what all share, and its own pose residual as far as its stages can be off.
     /// `None` when its information is not positive.
-    pub fn settle(&self, view: &ViewInformation) -> Option<Isometry3<f64>> {
+    pub fn settle(&self, view: &ViewInformation) -> Option<CameraPose> {
         let centre = Vector3::from(view.centre_mm);
         let pose = self.stages.tool_from_camera(view.at);
         let form = self.form.slope(centre) * self.form.parameters;
@@ -103,20 +104,20 @@ impl Solution {
         Some(moved(&pose, &residual, centre))
     }
 
-    /// Where another view should be, and how well that is known.
+    /// Expected pose of another view, with its covariance.
     pub fn predict(&self, at: Pose) -> Prior {
         let pose = self.stages.tool_from_camera(at);
-        let centre = pose.translation.vector;
+        let centre = pose.isometry().translation.vector;
         let slope = slope(&self.stages, at, &pose, centre);
         let of_stages = self.covariance.fixed_view::<PARAMETERS, PARAMETERS>(0, 0);
         Prior {
-            tool_from_cloud: Rigid::<Tool, Cloud>::from_isometry(pose),
+            tool_from_cloud: Rigid::<Tool, Cloud>::from_isometry(*pose.isometry()),
             pivot_mm: centre.into(),
             covariance: slope * of_stages * slope.transpose() + self.local.covariance(centre),
         }
     }
 
-    /// What is not known of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
+    /// Uncertainty of a view's pose: covariance of a motion (rotation about the view's centre, translation) by what is
     /// left of the shared parameters and of its own pose residual. `None` when its information is not positive.
     pub fn pose_covariance(&self, view: &ViewInformation) -> Option<Matrix6<f64>> {
         let centre = Vector3::from(view.centre_mm);
@@ -185,7 +186,7 @@ pub struct StageSigma {
 }
 
 impl Solution {
-    /// How well the errors of die and stages are known, priors included.
+    /// Standard uncertainties of the errors of die and stages, priors included.
     pub fn stage_sigma(&self) -> StageSigma {
         let between = |i, j| self.covariance[(i, j)] * model::SIGMA[i] * model::SIGMA[j];
         let of = |i: usize| between(i, i).max(0.0).sqrt();
@@ -275,11 +276,11 @@ pub fn solve(
     })
 }
 
-/// What does not change from step to step.
+/// Terms that stay constant from step to step.
 struct System<'a> {
     views: &'a [ViewInformation],
     overlaps: &'a [Overlap],
-    /// What each view says of where it lies on the CAD, the form under it eliminated.
+    /// Information of each view about its pose on the CAD, with the form under it eliminated.
     believed: Vec<Believed>,
     /// Of what all of them, overlaps and stage tolerances say of the pose residuals.
     factor: BlockCholesky,
@@ -321,7 +322,7 @@ impl<'a> System<'a> {
         })
     }
 
-    /// How every view is away from where it was laid by what all share, and how that changes with the stages' parameters.
+    /// Motion of every view from its registered pose to that of the shared model, and its derivatives by the stages' parameters.
     fn away(&self, stages: &Stages) -> Vec<(Vector6<f64>, StageSlope)> {
         let of = |view: &ViewInformation| {
             let pose = stages.tool_from_camera(view.at);
@@ -407,7 +408,7 @@ impl<'a> System<'a> {
         normal
     }
 
-    /// What every view adds to the pose that all share.
+    /// Residual of every view's pose against the shared model.
     fn pose_residuals(&self, stages: &Stages, form: &SharedForm) -> Vec<Vector6<f64>> {
         let (by_cad, by_overlap) = self.rows(&self.away(stages), form);
         let right = |(cad, overlap): (&Rows, &Rows)| -> Vector6<f64> {
@@ -420,8 +421,8 @@ impl<'a> System<'a> {
     }
 }
 
-/// How the pose at `centre` moves with the parameters.
-fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>) -> StageSlope {
+/// Derivatives of the pose at `centre` by the parameters.
+fn slope(stages: &Stages, at: Pose, pose: &CameraPose, centre: Vector3<f64>) -> StageSlope {
     let mut slope = StageSlope::zeros();
     for j in 0..PARAMETERS {
         let side = |step: f64| {
@@ -438,9 +439,10 @@ fn slope(stages: &Stages, at: Pose, pose: &Isometry3<f64>, centre: Vector3<f64>)
 }
 
 /// A pose after a small motion: rotation about `centre`, then translation.
-fn moved(pose: &Isometry3<f64>, motion: &Vector6<f64>, centre: Vector3<f64>) -> Isometry3<f64> {
+fn moved(pose: &CameraPose, motion: &Vector6<f64>, centre: Vector3<f64>) -> CameraPose {
     let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(motion[0], motion[1], motion[2]));
     let shift = Vector3::new(motion[3], motion[4], motion[5]);
     let translation = centre - (rotation * Point3::from(centre)).coords + shift;
-    Isometry3::from_parts(Translation3::from(translation), rotation) * pose
+    let motion = Isometry3::from_parts(Translation3::from(translation), rotation);
+    Rigid::from_isometry(motion * pose.isometry())
 }

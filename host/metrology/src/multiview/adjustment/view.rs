@@ -1,11 +1,12 @@
-//! One view, compressed to what an adjustment needs of it.
+//! One view, compressed to its information about the pose.
 
-use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
+use super::CameraPose;
 use super::model::Pose;
 use crate::surface::{Closest, Surface};
 
-/// Points farther off the surface than this say nothing about the pose, mm.
+/// Largest distance to the surface of points that determine the pose, mm.
 const REACH_MM: f64 = 0.15;
 /// Form deviation that a real piece has from place to place, mm: neighbouring points share it, so that ten thousand of them
 /// do not say more about the pose than ...
@@ -13,14 +14,14 @@ const FORM_MM: f64 = 0.010;
 /// ... this many patches of about 1 mm², which a field of 10 mm holds.
 const PATCHES: f64 = 80.0;
 
-/// What a view says about its pose, linearised at it: the cost of a small motion d (rotation about `centre_mm` in rad, then
+/// Information of a view about its pose, linearised at it: the cost of a small motion d (rotation about `centre_mm` in rad, then
 /// translation in mm, tool frame) is dᵀHd/2 + gᵀd.
 #[derive(Debug, Clone)]
 pub struct ViewInformation {
-    /// What the stages were told.
+    /// Commanded stage positions.
     pub at: Pose,
     /// The pose.
-    pub tool_from_camera: Isometry3<f64>,
+    pub tool_from_camera: CameraPose,
     /// Centre of the points, tool frame, mm.
     pub centre_mm: [f64; 3],
     /// H.
@@ -36,7 +37,7 @@ pub struct ViewInformation {
 impl ViewInformation {
     /// The small motion that takes the view from where it was laid to `pose`: rotation (rad) about its centre, translation
     /// (mm).
-    pub fn motion_to(&self, pose: &Isometry3<f64>) -> Vector6<f64> {
+    pub fn motion_to(&self, pose: &CameraPose) -> Vector6<f64> {
         offset(&self.tool_from_camera, pose, self.centre_mm.into())
     }
 }
@@ -46,12 +47,9 @@ pub fn compress(
     surface: &Surface,
     points: &[[f64; 3]],
     at: Pose,
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: CameraPose,
 ) -> Option<ViewInformation> {
-    let there: Vec<[f64; 3]> = points
-        .iter()
-        .map(|&p| (tool_from_camera * Point3::from(p)).into())
-        .collect();
+    let there: Vec<[f64; 3]> = points.iter().map(|&p| tool_from_camera.apply(p)).collect();
     compress_laid(&there, &surface.closest_many(&there), at, tool_from_camera)
 }
 
@@ -60,7 +58,7 @@ pub fn compress_laid(
     points: &[[f64; 3]],
     closest: &[Closest],
     at: Pose,
-    tool_from_camera: Isometry3<f64>,
+    tool_from_camera: CameraPose,
 ) -> Option<ViewInformation> {
     let sum: Vector3<f64> = points.iter().map(|&p| Vector3::from(p)).sum();
     let centre = sum / (points.len().max(1) as f64);
@@ -96,12 +94,8 @@ pub fn compress_laid(
 }
 
 /// Rotation vector and translation at `centre` of the motion that takes `from` to `to`.
-pub(super) fn offset(
-    from: &Isometry3<f64>,
-    to: &Isometry3<f64>,
-    centre: Vector3<f64>,
-) -> Vector6<f64> {
-    let motion = to * from.inverse();
+pub(super) fn offset(from: &CameraPose, to: &CameraPose, centre: Vector3<f64>) -> Vector6<f64> {
+    let motion = to.isometry() * from.isometry().inverse();
     let turn = motion.rotation.scaled_axis();
     let shift = (motion * Point3::from(centre)).coords - centre;
     Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)

@@ -1,16 +1,16 @@
-//! How the columns of a grid lie around a bore.
+//! Distribution of a grid's columns around a bore.
 
 use std::f64::consts::{PI, TAU};
 
 use crate::gear::GearData;
 
-/// What columns divide evenly.
+/// Quantity that the columns divide evenly.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Around {
     /// The angle, from −π to π.
     Angle,
-    /// The length of the toothing's profile, from the middle of the space before the first tooth: flanks are steep, and a column of an
-    /// angle would be three times as long on them as on a land.
+    /// The length of the toothing's profile, from the middle of the space before the first tooth: flanks are steep, and a column
+    /// of an angle would be three times as long on them as on a land.
     Profile(Profile),
 }
 
@@ -27,7 +27,7 @@ pub struct Profile {
 
 impl Profile {
     /// Of the gear as drawn, without fillets.
-    pub fn of(gear: &GearData) -> Self {
+    pub fn for_gear(gear: &GearData) -> Self {
         let half_pitch = 0.5 * gear.pitch_rad();
         let half = |radius_mm| gear.half_tooth_rad(radius_mm).unwrap_or(0.0).max(0.0);
         let tip = half(gear.tip_radius_mm).min(half_pitch);
@@ -102,7 +102,7 @@ mod tests {
     #[test]
     fn columns_of_the_profile_are_as_long_as_each_other_and_found_again() {
         let gear = ring84();
-        let profile = Profile::of(&gear);
+        let profile = Profile::for_gear(&gear);
         let around = Around::Profile(profile);
         // Brute force: the length of a flank's curve between the ends of its columns.
         let on = |r: f64| gear.flank_point(5, Flank::Left, r, 0.0).unwrap();

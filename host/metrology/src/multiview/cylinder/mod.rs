@@ -13,7 +13,7 @@ pub use quality::FieldQuality;
 
 use nalgebra::{SMatrix, SVector};
 
-/// Views whose mean over a cell is surer than this are not believed to be, mm: what their poses leave open.
+/// Least standard uncertainty of a view's mean over a cell, mm: that of its pose.
 const LEAST_VIEW_SIGMA_MM: f64 = 1e-3;
 
 /// Size of the grid.
@@ -25,13 +25,13 @@ pub struct Layout {
     pub rows: usize,
     /// Lower and upper end, mm.
     pub height_mm: [f64; 2],
-    /// What the columns divide evenly.
+    /// Quantity around the bore that the columns divide evenly.
     pub around: Around,
 }
 
 /// Sums of one cell.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct CellSums {
     views: u32,
     weight: f64,
     weight2: f64,
@@ -41,7 +41,7 @@ struct Sums {
     normal: [f64; 3],
 }
 
-/// What is known of the surface in one cell.
+/// Merged measurement of the surface in one cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cell {
     /// Mean foot of its points on the CAD, mm.
@@ -60,7 +60,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Where the surface was measured: off the foot by the deviation, mm.
+    /// Position of the measured surface: the foot plus the deviation along the normal, mm.
     pub fn measured(&self) -> [f64; 3] {
         [0, 1, 2].map(|axis| self.point[axis] + self.deviation_mm * self.normal[axis])
     }
@@ -73,7 +73,7 @@ pub struct BoreForm {
     pub size_mm: f64,
     /// Largest minus smallest radius of the second harmonic, mm.
     pub ovality_mm: f64,
-    /// Where the radius is largest, rad, 0..π.
+    /// Direction of the largest radius, rad, 0..π.
     pub ovality_rad: f64,
     /// Growth of the radius over the whole height, mm.
     pub taper_mm: f64,
@@ -83,13 +83,13 @@ pub struct BoreForm {
 }
 
 impl BoreForm {
-    /// What the form, a shift of the whole included, makes of the deviation at a place with this outward normal, mm.
+    /// Deviation by form and shift of the bore at a place with this outward normal, mm.
     pub fn deviation_mm(&self, point: [f64; 3], normal: [f64; 3]) -> f64 {
         form_row(point, normal, self.height_mm).dot(&self.parameters)
     }
 }
 
-/// How the deviation at a place changes with the parameters of the form.
+/// Derivatives of the deviation at a place by the parameters of the form.
 fn form_row([x, y, z]: [f64; 3], normal: [f64; 3], [low, high]: [f64; 2]) -> SVector<f64, 6> {
     let angle = y.atan2(x);
     let radial = normal[0] * angle.cos() + normal[1] * angle.sin();
@@ -131,13 +131,13 @@ impl Layout {
 #[derive(Debug, Clone)]
 pub struct CylinderMap {
     layout: Layout,
-    sums: Vec<Sums>,
+    sums: Vec<CellSums>,
 }
 
 impl CylinderMap {
     /// An empty grid.
     pub fn new(layout: Layout) -> Self {
-        let sums = vec![Sums::default(); layout.columns * layout.rows];
+        let sums = vec![CellSums::default(); layout.columns * layout.rows];
         Self { layout, sums }
     }
 
@@ -178,7 +178,7 @@ impl CylinderMap {
         (sums.views > 1).then(|| (sums.weighted_mm / sums.weight, leverage))
     }
 
-    /// What is known of a cell; `None` where no view looked.
+    /// Merged measurement of a cell; `None` where no view saw it.
     pub fn cell(&self, row: usize, column: usize) -> Option<Cell> {
         let sums = self.sums.get(row * self.layout.columns + column)?;
         if sums.views == 0 {

@@ -1,14 +1,15 @@
-//! What one view says of the grid: small enough to be kept until the poses of all views are known.
+//! Sums of one view per cell of the grid: small enough to be kept until the poses of all views are known.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use flankscope_foundation::rigid::{Rigid, Tool};
+use nalgebra::{Point3, Vector3};
 
 use super::{LEAST_VIEW_SIGMA_MM, Layout};
 use crate::surface::Closest;
 
-/// Points farther off than this are no part of the surface, mm.
+/// Largest distance of points that belong to the surface, mm.
 const REACH_MM: f64 = 0.5;
 
-/// What one view says of one cell.
+/// Sums of one view in one cell.
 #[derive(Debug, Clone, Copy, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct CellObservation {
@@ -38,11 +39,11 @@ impl CellObservation {
 pub fn moved(
     view: &[CellObservation],
     layout: &Layout,
-    motion: &Isometry3<f64>,
+    motion: &Rigid<Tool, Tool>,
 ) -> Vec<CellObservation> {
     let shift = |observation: &CellObservation| {
         let foot = Point3::from(observation.point.map(f64::from));
-        motion * foot - foot
+        motion.isometry() * foot - foot
     };
     let rise_mm = view.iter().map(|w| shift(w).z).sum::<f64>() / view.len().max(1) as f64;
     let [low, high] = layout.height_mm;
@@ -154,7 +155,7 @@ mod tests {
     #[test]
     fn a_view_that_moves_takes_its_deviations_along() {
         // A cylinder about z: points 5 µm proud of it, the view then turns about another axis and shifts.
-        let motion = Isometry3::new(
+        let motion = nalgebra::Isometry3::new(
             Vector3::new(4e-3, -6e-3, 2e-3),
             UnitQuaternion::from_euler_angles(1e-4, -5e-5, 1e-4).scaled_axis(),
         );
@@ -171,7 +172,7 @@ mod tests {
                 normal: [outward.x as f32, outward.y as f32, 0.0],
             }];
             let exact = radius - (motion * proud).coords.xy().norm();
-            let here = moved(&view, &LAYOUT, &motion)[0];
+            let here = moved(&view, &LAYOUT, &Rigid::from_isometry(motion))[0];
             assert_eq!(here.cell, 8 + 3);
             let moved = f64::from(here.deviation_mm);
             // The stated second order, (8 µm)²/2/40 mm, is below what f32 keeps of 42 mm: 4 nm.
@@ -191,7 +192,10 @@ mod tests {
                 normal: [-1.0, 0.0, 0.0],
             })
             .collect();
-        let slid = |mm: f64| moved(&view, &LAYOUT, &Isometry3::translation(0.0, 0.0, mm));
+        let slid = |mm: f64| {
+            let motion = nalgebra::Isometry3::translation(0.0, 0.0, mm);
+            moved(&view, &LAYOUT, &Rigid::from_isometry(motion))
+        };
         let cells = |of: &[CellObservation]| of.iter().map(|w| w.cell).collect::<Vec<_>>();
         assert_eq!(cells(&slid(2.4)), cells(&view), "less than half a row");
         let up = slid(2.6);

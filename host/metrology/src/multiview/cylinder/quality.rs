@@ -1,4 +1,4 @@
-//! How well the head is calibrated from place to place in its field of view, found by the scan itself.
+//! Residual calibration error over the head's field of view, estimated from the scan itself.
 //!
 //! A cell that several views saw was each time at another place in the field. What the views disagree by, beyond their noise,
 //! is what the calibration leaves there: distortion that the model does not describe is largest at the edge of the field. A
@@ -81,7 +81,7 @@ impl FieldQuality {
             excess_mm2,
             freedom,
         } = *self.tiles.get(tile)?;
-        // Fewer than that say nothing about a variance.
+        // Too few for an estimate of a variance.
         (freedom > 10.0).then(|| (excess_mm2 / freedom).max(0.0))
     }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use wide::{f32x4, f32x8};
 
 use crate::space::Aabb;
-use crate::surface::triangle::{Feature, Nearest, Prepared};
+use crate::surface::triangle::{Feature, NearestOnTriangle, Prepared};
 use crate::surface::triangle_packet::{ERROR_RATIO, LANES, TrianglePacket};
 pub(crate) use packet::{Each, PacketScratch, QUERIES, larger, smaller};
 
@@ -78,13 +78,13 @@ pub(crate) struct Bvh {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Found {
     pub place: u32,
-    pub nearest: Nearest,
+    pub nearest: NearestOnTriangle,
 }
 
 impl Found {
     pub const NONE: Self = Self {
         place: 0,
-        nearest: Nearest {
+        nearest: NearestOnTriangle {
             point: Vector3::new(0.0, 0.0, 0.0),
             distance2_mm2: f64::INFINITY,
             feature: Feature::Face,
@@ -98,7 +98,7 @@ enum Tree {
 }
 
 #[derive(Clone, Copy)]
-struct Reference {
+struct TriangleReference {
     aabb: Aabb,
     centre: [f64; 3],
     id: u32,
@@ -107,13 +107,13 @@ struct Reference {
 impl Bvh {
     /// Builds the hierarchy over `items`: corner positions and the caller's number of each triangle. `items` is not empty.
     pub fn new(items: &[([[f64; 3]; 3], u32)]) -> Self {
-        let mut references: Vec<Reference> = items
+        let mut references: Vec<TriangleReference> = items
             .par_iter()
             .with_min_len(1 << 12)
             .enumerate()
             .map(|(index, (corners, _))| {
                 let aabb = Aabb::around(corners);
-                Reference {
+                TriangleReference {
                     aabb,
                     centre: aabb.centre(),
                     id: index as u32,
@@ -175,7 +175,7 @@ impl Bvh {
     pub fn closest(&self, p: [f64; 3]) -> Found {
         let p64 = Vector3::from(p);
         let q = p.map(coarse);
-        // What f32 may lose in the tests of boxes and leaves.
+        // Rounding error of f32 in the tests of boxes and leaves.
         let slack = ERROR_RATIO * (self.extent + q[0].abs() + q[1].abs() + q[2].abs());
         let limit_of = |distance2: f64| {
             let reach = distance2.sqrt() as f32 * (1.0 + 4e-7) + slack;
@@ -251,11 +251,11 @@ const MAX_DEPTH: usize = 64;
 /// Room for a way down, on which every level leaves all children but one for later.
 const STACK: usize = (WIDTH - 1) * MAX_DEPTH + WIDTH;
 
-fn split(references: &mut [Reference], offset: u32) -> Tree {
+fn split(references: &mut [TriangleReference], offset: u32) -> Tree {
     split_at_depth(references, offset, 0)
 }
 
-fn split_at_depth(references: &mut [Reference], offset: u32, depth: usize) -> Tree {
+fn split_at_depth(references: &mut [TriangleReference], offset: u32, depth: usize) -> Tree {
     if references.len() <= LEAF_TRIANGLES {
         return Tree::TrianglePacket {
             start: offset,
@@ -282,7 +282,7 @@ fn split_at_depth(references: &mut [Reference], offset: u32, depth: usize) -> Tr
     }
 }
 
-fn bounds(references: &[Reference]) -> Aabb {
+fn bounds(references: &[TriangleReference]) -> Aabb {
     let mut all = Aabb::EMPTY;
     for reference in references {
         all.grow(&reference.aabb);
@@ -291,7 +291,7 @@ fn bounds(references: &[Reference]) -> Aabb {
 }
 
 /// Orders the references into two non-empty parts and returns where the second starts.
-fn partition(references: &mut [Reference], depth: usize) -> usize {
+fn partition(references: &mut [TriangleReference], depth: usize) -> usize {
     let mut centres = Aabb::EMPTY;
     for reference in references.iter() {
         centres.grow(&Aabb {
@@ -366,7 +366,7 @@ fn bin_of(centre: f64, low: f64, extent: f64) -> usize {
 /// Collapses the binary tree to eight children per node; the root is node 0.
 fn flatten(
     tree: &Tree,
-    references: &[Reference],
+    references: &[TriangleReference],
     nodes: &mut Vec<Node>,
     leaves: &mut Vec<(u32, u32)>,
 ) -> u32 {

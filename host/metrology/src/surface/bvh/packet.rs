@@ -19,7 +19,7 @@ pub(crate) const QUERIES: usize = crate::space::morton::TOGETHER;
 /// One number per query.
 pub(crate) type Each = [f32; QUERIES];
 
-/// What a packet leaves to the next: memory, and where the last query ended.
+/// State that a packet passes to the next: buffers, and the end of the last query.
 pub(crate) struct PacketScratch {
     stack: Vec<(f32, u32, u32)>,
     candidates: Vec<Candidate>,
@@ -93,7 +93,7 @@ impl Bvh {
                 q[k][i] = coarse(point[k]);
             }
         }
-        // What f32 may lose. An estimate is off by one slack at most, so that the nearest triangle's is at most two above
+        // Rounding error of f32. An estimate is off by one slack at most, so that the nearest triangle's is at most two above
         // the smallest.
         let mut slack: Each = [0.0; QUERIES];
         for i in 0..QUERIES {

@@ -13,7 +13,7 @@ use super::*;
 use crate::gear::Flank;
 use crate::random::{normal, uniform};
 use crate::verdict::Rule;
-use crate::wear::{FlankWear, Settings};
+use crate::wear::{FlankWear, WearSettings};
 
 /// The zone, mm, and its raster for the truth, mm.
 const SIZE_MM: [f64; 2] = [1.7, 3.0];
@@ -26,10 +26,10 @@ const REAL_MM: f64 = 1.2e-3;
 const WARN_UM: f64 = 30.0;
 const LIMIT_UM: f64 = 50.0;
 
-pub(super) fn limits() -> Limits {
+pub(super) fn limits() -> FlankLimits {
     let rule = Rule::new(WARN_UM, LIMIT_UM);
-    let settings = Settings::default();
-    Limits {
+    let settings = WearSettings::default();
+    FlankLimits {
         wear: rule,
         proud: rule,
         cell: Rule::new(2.0 * WARN_UM, 2.0 * LIMIT_UM),
@@ -40,10 +40,10 @@ pub(super) fn limits() -> Limits {
     }
 }
 
-fn settings() -> Settings {
-    Settings {
+fn settings() -> WearSettings {
+    WearSettings {
         cad_mm: 0.0,
-        ..Settings::default()
+        ..WearSettings::default()
     }
 }
 
@@ -209,7 +209,7 @@ struct Raster {
 }
 
 impl Raster {
-    fn of(shape: &Shape) -> Self {
+    fn from_shape(shape: &Shape) -> Self {
         let [columns, rows] = SIZE_MM.map(|size| (size / RASTER_MM).round() as usize);
         let place = |i: usize, count: usize| {
             (i as f64 + 0.5) * SIZE_MM[usize::from(count == rows)] / count as f64
@@ -287,12 +287,12 @@ fn measure(
     FlankWear::of_points((40, Flank::Left), SIZE_MM, &points, &settings())
 }
 
-/// How many to draw.
+/// Number of damages that are drawn.
 fn count() -> u64 {
     if everything() { 100_000 } else { 3_000 }
 }
 
-/// One damage: its truth, whether it has a hole, and what became of it with and without the refusal of what may be hidden.
+/// One damage: its true depth, whether it has a hole, and the decisions with and without the refusal of hidden wear.
 struct Case {
     truth_um: f64,
     hole: bool,
@@ -304,7 +304,7 @@ struct Case {
 fn case(seed: u64) -> Case {
     let mut draw = Draw::new(seed);
     let shape = Shape::draw(&mut draw, 7);
-    let raster = Raster::of(&shape);
+    let raster = Raster::from_shape(&shape);
     let (largest, deepest) = raster.largest(limits().area_mm2);
     let target_um = draw.uniform(0.0, 120.0);
     // A shape that only stands proud cannot be scaled to a loss. Nothing is deeper than half a millimetre: the measuring
@@ -338,7 +338,9 @@ fn case(seed: u64) -> Case {
             coverage: false,
             ..Refusals::ALL
         }),
-        within: (1e3 * wear.wear_mm - truth_um).abs() <= 1e3 * wear.u95_mm(),
+        within: wear
+            .wear_mm()
+            .is_some_and(|mm| (1e3 * mm.value - truth_um).abs() <= 1e3 * mm.u95()),
     }
 }
 
@@ -406,16 +408,16 @@ fn any_damage_of_the_discs_area_is_found_wherever_it_lies() {
         assert!(
             decision.verdict != Verdict::Go,
             "{at:?}: {decision:?} {:?}",
-            wear.figures
+            wear.judged
         );
         // A disc of the lattice lies within 0.14 of its radius of the damage: it holds 91 % of it at least. Points at the rim
         // are sparse: one part in twenty.
-        let read_um = 1e3 * wear.raw_mm;
+        let read_um = 1e3 * wear.judged.unwrap().raw_mm;
         assert!(read_um > 0.86 * depth_um - 3.0 * 2.0, "{at:?}: {read_um}");
     });
 }
 
-/// What the outside found to pass: a row each of the table, and the answer that is right.
+/// Damages that earlier versions let pass, each with the right verdict.
 #[test]
 fn the_shapes_that_once_passed_are_refused() {
     let [_, height] = SIZE_MM;
@@ -462,12 +464,13 @@ fn the_shapes_that_once_passed_are_refused() {
         ),
     ];
     for (name, shape) in shapes {
-        let truth = Raster::of(&shape).largest(limits().area_mm2).0;
+        let truth = Raster::from_shape(&shape).largest(limits().area_mm2).0;
         for depth_um in [60.0, 200.0] {
             let mut draw = Draw::new(77);
             let wear = measure(&mut draw, |p| depth_um * shape.at(p), None);
             let decision = judge(&wear, &limits());
-            let (value, u95) = (1e3 * wear.wear_mm, 1e3 * wear.u95_mm());
+            let depth_mm = wear.wear_mm().unwrap();
+            let (value, u95) = (1e3 * depth_mm.value, 1e3 * depth_mm.u95());
             println!(
                 "{name} {depth_um}: {value:.1} ± {u95:.1}, true {:.1}: {}",
                 truth * depth_um,
@@ -504,6 +507,6 @@ fn the_shapes_that_once_passed_are_refused() {
         judge(&wear, &limits()).verdict,
         Verdict::NoGo,
         "{:?}",
-        wear.figures
+        wear.judged
     );
 }

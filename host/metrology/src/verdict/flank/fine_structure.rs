@@ -24,10 +24,10 @@ fn draws() -> u64 {
 }
 
 /// Depth by place on the zone, mm.
-type Surface = Box<dyn Fn([f64; 2]) -> f64 + Send + Sync>;
+type DepthMap = Box<dyn Fn([f64; 2]) -> f64 + Send + Sync>;
 
 /// The largest mean loss over any disc, mm.
-fn truth_mm(surface: &Surface) -> f64 {
+fn truth_mm(surface: &DepthMap) -> f64 {
     let radius = (limits().area_mm2 / std::f64::consts::PI).sqrt();
     let [columns, rows] = SIZE_MM.map(|size| (size / RASTER_MM) as usize);
     // Sums of rows of cells, so that a disc is a sum of differences.
@@ -61,7 +61,9 @@ fn truth_mm(surface: &Surface) -> f64 {
 }
 
 /// Verdicts on surfaces that `surface` draws from the stream of a seed, with their truth, µm.
-fn verdicts(surface: impl Fn(&dyn Fn(f64, f64) -> f64, u64) -> Surface + Sync) -> Vec<(f64, Word)> {
+fn verdicts(
+    surface: impl Fn(&dyn Fn(f64, f64) -> f64, u64) -> DepthMap + Sync,
+) -> Vec<(f64, Word)> {
     (0..draws())
         .into_par_iter()
         .map(|i| {
@@ -123,7 +125,7 @@ fn assert_go(family: &str, verdicts: &[(f64, Word)]) {
 fn lines(
     draw: &dyn Fn(f64, f64) -> f64,
     profile: impl Fn(f64) -> f64 + Send + Sync + 'static,
-) -> Surface {
+) -> DepthMap {
     let angle = draw(-1.2, 1.2);
     Box::new(move |[x, y]| {
         let inside = (0.3..1.5).contains(&x) && (0.4..2.6).contains(&y);

@@ -1,12 +1,12 @@
 //! A flank that is in view of another tooth's capture and was not asked for.
 //!
-//! What a view shows of it counts, what it does not show does not: the flank is at the rim of the field, seen in part, and nobody
-//! asked that it be known. A figure shown to be beyond the stop limit, guard band included, is a no-go as on any flank. One whose
+//! Its measured part counts, its unmeasured part does not: the flank is at the rim of the field, seen in part, and no verdict
+//! on it was requested. A figure shown to be beyond the stop limit, guard band included, is a no-go as on any flank. One whose
 //! estimate is beyond the warning limit warns: nearer to a limit than that, an asked flank is measured again or refused, and of
-//! this one neither is wanted. Means over a disc decide, either way; a single cell of a few grazing points at the rim does not, nor
-//! does a tip edge that is seen in part.
+//! this one neither is wanted. Means over a disc decide, either way; a single cell of a few grazing points at the rim does not,
+//! nor does a tip edge that is seen in part.
 
-use super::{Decision, Limits, figures, judge};
+use super::{Decision, FlankLimits, figures, judge};
 use crate::verdict::{Code, Reason, Verdict};
 use crate::wear::FlankWear;
 
@@ -14,7 +14,7 @@ use crate::wear::FlankWear;
 const COUNTED: [&str; 2] = ["wear", "proud material"];
 
 /// Judges a flank that was not asked for.
-pub fn judge_in_view(wear: &FlankWear, limits: &Limits) -> Decision {
+pub fn judge_in_view(wear: &FlankWear, limits: &FlankLimits) -> Decision {
     let figures = figures(wear, limits);
     let counted = || {
         let of = figures.iter().map(|(_, cause)| cause);
@@ -51,10 +51,10 @@ mod tests {
     use super::*;
     use crate::gear::Flank;
     use crate::verdict::{Rule, Word};
-    use crate::wear::Settings;
+    use crate::wear::WearSettings;
 
-    fn limits() -> Limits {
-        Limits {
+    fn limits() -> FlankLimits {
+        FlankLimits {
             wear: Rule::new(30.0, 50.0),
             proud: Rule::new(30.0, 50.0),
             cell: Rule::new(60.0, 100.0),
@@ -72,7 +72,7 @@ mod tests {
             .filter(|at| at[1] < 2.0 * part)
             .map(|at| (at, lost_mm, 0.5e-3))
             .collect();
-        let settings = Settings::default();
+        let settings = WearSettings::default();
         FlankWear::of_points((41, Flank::Left), [2.0, 2.0], &points, &settings)
     }
 
@@ -99,7 +99,8 @@ mod tests {
     #[test]
     fn what_is_no_number_shows_nothing() {
         for spoil in [
-            |w: &mut FlankWear| w.wear_mm = f64::NAN,
+            |w: &mut FlankWear| w.judged = None,
+            |w: &mut FlankWear| w.judged.as_mut().unwrap().wear_mm.value = f64::NAN,
             |w: &mut FlankWear| w.budget.registration_mm = f64::NAN,
         ] {
             let mut wear = seen(1.0, 0.15);

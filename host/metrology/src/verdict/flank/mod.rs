@@ -18,7 +18,7 @@ pub const LEAST_COVERAGE: f64 = 0.5;
 
 /// Limits of one flank.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct FlankLimits {
     /// Of the wear depth.
     pub wear: Rule,
     /// Of the height of proud material.
@@ -45,14 +45,14 @@ pub struct TipLimits {
     pub area_mm2: [f64; 2],
 }
 
-/// What decided a verdict that is not go and not indeterminate.
+/// Figure that decided a verdict warn or no-go.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cause {
-    /// Which figure.
+    /// Name of the figure.
     pub figure: &'static str,
     /// Its value, in the limits' unit.
     pub value: f64,
-    /// How far it must keep from a limit.
+    /// Guard band: least distance of the figure from a limit, same unit.
     pub guard: f64,
     /// Its warning and its stop limit.
     pub limits: [f64; 2],
@@ -90,7 +90,7 @@ impl Cause {
     }
 }
 
-/// A flank's verdict, and what decided it where it is warn or no-go.
+/// A flank's verdict, with the figure that decided it where it is warn or no-go.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision {
     /// The verdict.
@@ -99,7 +99,7 @@ pub struct Decision {
     pub cause: Option<Cause>,
 }
 
-/// Which of the refusals are in force: all of them, but in the tests that show what each is for.
+/// Refusals in force: all of them, except in tests that switch single ones off.
 #[derive(Debug, Clone, Copy)]
 struct Refusals {
     coverage: bool,
@@ -122,11 +122,11 @@ impl Refusals {
 }
 
 /// Judges one flank.
-pub fn judge(wear: &FlankWear, limits: &Limits) -> Decision {
+pub fn judge(wear: &FlankWear, limits: &FlankLimits) -> Decision {
     judge_with(wear, limits, Refusals::ALL)
 }
 
-fn judge_with(wear: &FlankWear, limits: &Limits, refusals: Refusals) -> Decision {
+fn judge_with(wear: &FlankWear, limits: &FlankLimits, refusals: Refusals) -> Decision {
     let none = |reason| Decision {
         verdict: Verdict::Indeterminate { reason },
         cause: None,
@@ -150,10 +150,9 @@ fn judge_with(wear: &FlankWear, limits: &Limits, refusals: Refusals) -> Decision
     Decision { verdict, cause }
 }
 
-/// Every figure's own verdict.
-fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
+/// The verdict of each figure by itself; of a zone without figures, that of the tip edge alone.
+fn figures(wear: &FlankWear, limits: &FlankLimits) -> Vec<(Verdict, Cause)> {
     let systematic = 1e3 * wear.budget.systematic_mm();
-    let noise = |mm: Option<f64>| 1e3 * mm.unwrap_or(f64::NAN);
     let of = |figure: &'static str, value: f64, u: [f64; 2], rule: Rule| {
         let cause = Cause {
             figure,
@@ -164,26 +163,30 @@ fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
         };
         (decide_parts(figure, value, u, &rule), cause)
     };
-    let mut judged = vec![
-        of(
-            "wear",
-            1e3 * wear.wear_mm,
-            [1e3 * wear.budget.noise_mm, systematic],
-            limits.wear,
-        ),
-        of(
-            "proud material",
-            1e3 * wear.proud_mm,
-            [noise(wear.figures.map(|f| f.proud_mm.u)), systematic],
-            limits.proud,
-        ),
-        of(
-            "loss of a single cell",
-            1e3 * wear.cell_mm.value,
-            [noise(wear.figures.map(|f| f.cell_mm.u)), systematic],
-            limits.cell,
-        ),
-    ];
+    let mut judged = Vec::new();
+    if let Some(figures) = &wear.judged {
+        let of_zone = |figure, value_mm: f64, noise_mm: f64, rule| {
+            of(figure, 1e3 * value_mm, [1e3 * noise_mm, systematic], rule)
+        };
+        // A figure that is not there is not finite, which is no go.
+        let cell_mm = figures.cell_mm.map_or(f64::NAN, |cell| cell.value);
+        let cell_noise_mm = figures.read.cell_mm.map_or(f64::NAN, |cell| cell.u);
+        judged.extend([
+            of_zone(
+                "wear",
+                figures.wear_mm.value,
+                wear.budget.noise_mm,
+                limits.wear,
+            ),
+            of_zone(
+                "proud material",
+                figures.proud_mm.value,
+                figures.read.proud_mm.u,
+                limits.proud,
+            ),
+            of_zone("loss of a single cell", cell_mm, cell_noise_mm, limits.cell),
+        ]);
+    }
     if let (Some(tip), Some(loss)) = (limits.tip, wear.tip) {
         let rule = Rule {
             warn_um: 1e3 * tip.area_mm2[0],
@@ -204,7 +207,7 @@ fn figures(wear: &FlankWear, limits: &Limits) -> Vec<(Verdict, Cause)> {
     judged
 }
 
-/// Why the pose forbids any verdict.
+/// Reason for which the pose forbids any verdict: it may hide more than half of the wear.
 fn pose(wear: &FlankWear) -> Option<Reason> {
     let leakage = wear.sensitivity.as_ref()?.leakage.worst();
     (leakage.is_nan() || leakage > RECOVERABLE).then_some(Reason::Leakage {
@@ -213,9 +216,14 @@ fn pose(wear: &FlankWear) -> Option<Reason> {
     })
 }
 
-/// Why `verdict`, which is no no-go, cannot be given.
-fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> Option<Reason> {
-    // What is no number is refused as well: it is never enough.
+/// Reason for which `verdict`, which is not no-go, cannot be given.
+fn blind(
+    wear: &FlankWear,
+    limits: &FlankLimits,
+    verdict: &Verdict,
+    on: Refusals,
+) -> Option<Reason> {
+    // Comparisons with NaN are false: a coverage that is not a number is refused as well.
     let least = limits.least_coverage.max(LEAST_COVERAGE);
     let enough = wear.coverage >= least && limits.least_coverage.is_finite();
     if !enough && on.coverage {
@@ -224,7 +232,7 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
             least,
         });
     }
-    let Some(figures) = wear.figures else {
+    let Some(figures) = &wear.judged else {
         return Some(Reason::NoDisc {
             area_mm2: limits.area_mm2,
         });
@@ -243,7 +251,7 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
         _ => limits.wear.limit_um,
     };
     let allowed = |hidden_mm: f64| 1e3 * hidden_mm + guard_um <= allowed_um;
-    if let Some(hidden_mm) = wear.hidden_mm
+    if let Some(hidden_mm) = figures.hidden_mm
         && !allowed(hidden_mm)
         && on.hidden
     {
@@ -268,15 +276,15 @@ fn blind(wear: &FlankWear, limits: &Limits, verdict: &Verdict, on: Refusals) -> 
             largest: largest.map_or("", |(name, _)| name),
         });
     }
-    let apart_um = 1e3 * (figures.raw_mm - figures.depth_mm.value).abs();
+    let apart_um = 1e3 * (figures.read.raw_mm - figures.read.depth_mm.value).abs();
     if apart_um > guard_um && on.disagreement {
         return Some(Reason::Disagreement {
-            wear_um: 1e3 * wear.wear_mm,
-            raw_um: 1e3 * wear.raw_mm,
+            wear_um: 1e3 * figures.wear_mm.value,
+            raw_um: 1e3 * figures.raw_mm,
             guard_um,
         });
     }
-    // What is worn away at the very edge is not there to be seen: at least as much is lost as was told.
+    // A tip edge that is worn away leaves no points: the loss stated is only its lower bound.
     let tip_seen = limits.tip.is_none() || wear.tip.is_some_and(|tip| tip.whole);
     if !tip_seen && on.tip {
         return Some(Reason::TipUnseen);
@@ -297,13 +305,18 @@ mod tests {
     use crate::gear::Flank;
     use crate::verdict::Rule;
     use crate::wear::leakage::Leakage;
-    use crate::wear::{Figure, PoseEvidence, PoseSensitivity, Settings};
+    use crate::wear::{Figure, JudgedFigures, PoseEvidence, PoseSensitivity, WearSettings};
 
-    /// Does something to a flank.
+    /// Changes a flank.
     type Spoil = fn(&mut FlankWear);
 
-    fn limits() -> Limits {
-        Limits {
+    /// The figures of a flank that has some.
+    fn judged_of(wear: &mut FlankWear) -> &mut JudgedFigures {
+        wear.judged.as_mut().unwrap()
+    }
+
+    fn limits() -> FlankLimits {
+        FlankLimits {
             wear: Rule::new(30.0, 50.0),
             proud: Rule::new(30.0, 50.0),
             cell: Rule::new(60.0, 100.0),
@@ -319,7 +332,7 @@ mod tests {
 
     /// A sound flank, seen whole.
     fn sound() -> FlankWear {
-        let settings = Settings::default();
+        let settings = WearSettings::default();
         let points: Vec<([f64; 2], f64, f64)> = (0..1600)
             .map(|i| {
                 let at = [f64::from(i % 40), f64::from(i / 40)].map(|x| (x + 0.5) * 0.05);
@@ -386,7 +399,7 @@ mod tests {
                     hidden: false,
                     ..all
                 },
-                |w| w.hidden_mm = Some(0.031),
+                |w| judged_of(w).hidden_mm = Some(0.031),
             ),
             (
                 "detection_limit",
@@ -405,9 +418,8 @@ mod tests {
                     ..all
                 },
                 |w| {
-                    if let Some(figures) = &mut w.figures {
-                        figures.raw_mm = figures.depth_mm.value + 0.06;
-                    }
+                    let read = &mut judged_of(w).read;
+                    read.raw_mm = read.depth_mm.value + 0.06;
                 },
             ),
             ("leakage", Refusals { pose: false, ..all }, |w| {
@@ -432,13 +444,15 @@ mod tests {
         }
     }
 
-    /// What is shown to be beyond the stop limit is no-go, whatever else could not be seen.
+    /// A figure proven to be beyond the stop limit is no-go, whatever else was not measured.
     #[test]
     fn every_figure_has_its_own_limits_and_a_proven_excess_needs_no_more() {
         let cases: [(&str, Spoil); 4] = [
-            ("wear", |w| w.wear_mm = 0.08),
-            ("proud material", |w| w.proud_mm = 0.08),
-            ("loss of a single cell", |w| w.cell_mm.value = 0.15),
+            ("wear", |w| judged_of(w).wear_mm.value = 0.08),
+            ("proud material", |w| judged_of(w).proud_mm.value = 0.08),
+            ("loss of a single cell", |w| {
+                judged_of(w).cell_mm.as_mut().unwrap().value = 0.15
+            }),
             ("rounding of the tip edge", |w| w.tip = Some(tip(0.02))),
         ];
         for (figure, spoil) in cases {
@@ -447,7 +461,7 @@ mod tests {
                 spoil(&mut wear);
                 if blind {
                     wear.coverage = 0.5;
-                    wear.hidden_mm = Some(0.2);
+                    judged_of(&mut wear).hidden_mm = Some(0.2);
                 }
                 let decision = judge(&wear, &limits());
                 assert_eq!(decision.verdict, Verdict::NoGo, "{figure}");
@@ -463,12 +477,12 @@ mod tests {
     #[test]
     fn the_reason_says_beyond_only_where_it_is() {
         let mut wear = sound();
-        wear.wear_mm = 28.8e-3;
+        judged_of(&mut wear).wear_mm.value = 28.8e-3;
         let decision = judge(&wear, &limits());
         assert_eq!(decision.verdict, Verdict::Warn);
         let sentence = decision.cause.unwrap().sentence(&decision.verdict);
         assert!(sentence.contains("within the guard band"), "{sentence}");
-        wear.wear_mm = 31.0e-3;
+        judged_of(&mut wear).wear_mm.value = 31.0e-3;
         let decision = judge(&wear, &limits());
         let sentence = decision.cause.unwrap().sentence(&decision.verdict);
         assert!(sentence.contains("beyond the warning limit"), "{sentence}");
@@ -476,11 +490,13 @@ mod tests {
 
     #[test]
     fn nothing_that_is_no_number_is_ever_go() {
-        let cases: [Spoil; 7] = [
-            |w| w.wear_mm = f64::NAN,
-            |w| w.proud_mm = f64::NAN,
-            |w| w.cell_mm.value = f64::NAN,
-            |w| w.hidden_mm = Some(f64::NAN),
+        let cases: [Spoil; 9] = [
+            |w| w.judged = None,
+            |w| judged_of(w).cell_mm = None,
+            |w| judged_of(w).wear_mm.value = f64::NAN,
+            |w| judged_of(w).proud_mm.value = f64::NAN,
+            |w| judged_of(w).cell_mm.as_mut().unwrap().value = f64::NAN,
+            |w| judged_of(w).hidden_mm = Some(f64::NAN),
             |w| w.budget.registration_mm = f64::NAN,
             |w| w.coverage = f64::NAN,
             |w| w.sensitivity = leaking(f64::NAN),

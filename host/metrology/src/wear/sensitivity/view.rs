@@ -1,48 +1,56 @@
-//! What the pose and the temperature do to a flank's figures.
+//! Effect of pose and temperature on a flank's figures in one view whose fit is known: computed through the fit's response.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use flankscope_foundation::order::median_of;
-use flankscope_metrology::feature::Features;
-use flankscope_metrology::gear::{Flank, FlankPlace};
-use flankscope_metrology::registration::{Contact, Options, Prior, Registration, Response};
-use flankscope_metrology::surface::Closest;
-use flankscope_metrology::tool::Temperature;
-use flankscope_metrology::wear::leakage::{self, Leakage};
-use flankscope_metrology::wear::{PoseEvidence, PoseSensitivity, SeenFlank, Zone};
 use nalgebra::{Matrix3, Matrix6, Point3, Vector3, Vector6};
 use rayon::prelude::*;
 
-/// A flank with fewer points says nothing of the pose.
-pub(super) const LEAST_POINTS: usize = 100;
+use super::super::leakage::{self, Leakage};
+use super::super::{PoseEvidence, SeenFlank, Zone};
+use super::{ExpansionUncertainty, PoseSensitivity, motion_row};
+use crate::feature::Features;
+use crate::gear::{Flank, FlankPlace};
+use crate::registration::{Contact, Options, Prior, Registration, Response};
+use crate::surface::Closest;
+
+/// Least number of points of a flank that counts as evidence about the pose.
+pub const LEAST_POINTS: usize = 100;
 
 /// A view after its fit.
-pub(super) struct Fitted<'a> {
+pub struct FittedView<'a> {
+    /// Flanks or patches of the tool.
     pub features: Features<'a>,
+    /// Zone that is judged.
     pub zone: &'a Zone,
+    /// Result of the fit.
     pub registration: &'a Registration,
+    /// Expected pose with its covariance, from the stages.
     pub prior: &'a Prior,
     /// The part of the prior's covariance that is drawn anew with every approach of the stages.
     pub approach: Matrix6<f64>,
+    /// Settings of the fit.
     pub options: &'a Options,
-    /// Every point on the surface, and whether the fit used it.
+    /// Nearest surface point of every point.
     pub closest: &'a [Closest],
+    /// Whether the fit used the point, in the same order.
     pub used: &'a [bool],
     /// Bands of height that the pose rests on alone, mm; none where it does not.
     pub datum_bands_mm: &'a [[f64; 2]],
-    /// Where every point lies.
+    /// Place of every point; none off the features.
     pub places: &'a [Option<FlankPlace>],
-    pub temperature: Option<&'a Temperature>,
+    /// Thermal expansion; none where the tool is taken to be at the temperature of its CAD.
+    pub expansion: Option<ExpansionUncertainty>,
     /// Whether the die's form as built is in doubt: only then is it asked how the pose passes it on, but of a patch's datum always.
     pub form_in_doubt: bool,
 }
 
-/// The points of one flank in the judged radii and heights.
+/// Points of one flank in the judged radii and heights.
 #[derive(Default)]
 struct OnFlank {
     wear_mm: Vec<f64>,
-    /// Sum of what a small motion (rotation, translation about the cloud's centre) adds to their deviation.
+    /// Sum of their motion rows about the cloud's centre.
     motion: Vector6<f64>,
 }
 
@@ -72,14 +80,14 @@ impl FormPart {
     }
 }
 
-impl Fitted<'_> {
+impl FittedView<'_> {
     /// The sensitivities of both flanks of each of `teeth`, or of these patches.
     pub fn on(&self, teeth: &[u32]) -> Vec<PoseSensitivity> {
         let contacts: Vec<Contact> = self
             .closest
             .iter()
             .zip(self.used)
-            .map(|(closest, &used)| Contact::of(closest, self.registration, used))
+            .map(|(closest, &used)| Contact::from_closest(closest, self.registration, used))
             .collect();
         let response = Response::new(&contacts, self.registration, Some(self.prior), self.options);
         let of_each = teeth.par_iter();
@@ -96,7 +104,7 @@ impl Fitted<'_> {
         // One kelvin more than thought: every point farther from axis and seat by the expansion, less what the pose takes.
         let grown = |contact: &Contact| {
             let along: f64 = (0..3).map(|k| contact.point[k] * contact.normal[k]).sum();
-            self.temperature.map_or(0.0, |t| t.expansion_per_k * along)
+            self.expansion.map_or(0.0, |of| of.per_k * along)
         };
         let answer = response.answer(|i| grown(&contacts[i]));
         let places = self.places;
@@ -113,7 +121,7 @@ impl Fitted<'_> {
             Features::Gear(_) => (None, self.parts_of_bands()),
             Features::Patches(_) => (None, self.keys().into_iter().map(FormPart::whole).collect()),
         };
-        // How much of a unit error in the form of each other flank the pose passes on.
+        // Change of the pose by a unit error in the form of each other flank.
         let answers: Vec<_> = others
             .into_iter()
             .filter(|_| self.form_in_doubt || evidence.is_none())
@@ -154,7 +162,7 @@ impl Fitted<'_> {
                 evidence: evidence.clone(),
                 form_scatter_mm: 0.0,
                 others_form: squares.sqrt(),
-                temperature_mm: self.temperature.map_or(0.0, |t| mean(sum).abs() * t.u_k),
+                temperature_mm: self.expansion.map_or(0.0, |of| mean(sum).abs() * of.u_k),
             }
         };
         sides.map(of_side).collect()
@@ -166,7 +174,7 @@ impl Fitted<'_> {
         seen.map(|place| (place.tooth, place.flank)).collect()
     }
 
-    /// What of the datum's bands has a form of its own: every flank as a whole (pitch), and each half of each band of it (helix).
+    /// Parts of the datum's bands that have a form of their own: every flank as a whole (pitch), and each half of each band of it (helix).
     fn parts_of_bands(&self) -> Vec<FormPart> {
         let halves = self.datum_bands_mm.iter().flat_map(|&[low, high]| {
             let middle = 0.5 * (low + high);
@@ -181,7 +189,7 @@ impl Fitted<'_> {
         self.keys().into_iter().flat_map(of_flank).collect()
     }
 
-    /// What was seen of each flank in view.
+    /// Deviations and motion rows of each flank in view, of those with enough points.
     fn seen(&self, places: &[Option<FlankPlace>]) -> BTreeMap<(u32, Flank), OnFlank> {
         let centre = Vector3::from(self.registration.centre_mm);
         let mut flanks: BTreeMap<(u32, Flank), OnFlank> = BTreeMap::new();
@@ -192,17 +200,15 @@ impl Fitted<'_> {
             {
                 continue;
             }
-            let normal = Vector3::from(closest.normal);
-            let turn = (Vector3::from(closest.point) - centre).cross(&normal);
             let on = flanks.entry((place.tooth, place.flank)).or_default();
             on.wear_mm.push(-closest.signed_distance_mm);
-            on.motion += Vector6::new(turn.x, turn.y, turn.z, normal.x, normal.y, normal.z);
+            on.motion += motion_row(closest.point, closest.normal, centre);
         }
         flanks.retain(|_, on| on.wear_mm.len() >= LEAST_POINTS);
         flanks
     }
 
-    /// What the view says of its own pose about the axis.
+    /// Evidence of the view about its own pose's turn about the axis.
     fn evidence(&self, tooth: u32, seen: &BTreeMap<(u32, Flank), OnFlank>) -> PoseEvidence {
         let centre = Vector3::from(self.registration.centre_mm);
         // A turn about the die's axis, as it moves the cloud's centre.
