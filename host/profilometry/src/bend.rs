@@ -212,7 +212,7 @@ impl Bend {
         }
     }
 
-    /// What straight fringes show where this place does the same: along, across, px.
+    /// Coordinate of straight fringes, px, whose phase the bent fringes have at this place (along, across).
     #[must_use]
     pub fn shown_px(&self, place_px: [f64; 2]) -> f64 {
         place_px[0] + self.at(place_px).shift_px

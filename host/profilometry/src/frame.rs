@@ -66,7 +66,7 @@ impl<'a> FrameView<'a> {
     }
 }
 
-/// What a frame shows.
+/// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum FrameKind {
     /// Projector black, shortest exposure: the index frame of a view.
@@ -150,8 +150,8 @@ pub struct FrameLevel {
 }
 
 impl FrameLevel {
-    /// Whether the frame shows what it should: the dark frame no more than `dark_limit_dn`, a fringe frame more. Of a code a view
-    /// may lie in a single stripe: its frames may be either.
+    /// Whether the mean level fits the content: the dark frame at most `dark_limit_dn`, a fringe frame above it. Code frames may be
+    /// either, since a view may lie in a single stripe.
     ///
     /// A dark frame between the fringes, or light in the dark frame, means that triggers and frames lost step.
     ///
@@ -213,17 +213,17 @@ pub enum FrameError {
     /// This frame was added before.
     #[error("{got} came twice; next should be {expected}")]
     Repeated {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
     },
     /// A later frame came first: one or more are missing.
     #[error("{got} came, but {missing} frame(s) before it are missing, first {expected}")]
     Missing {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
         /// How many were skipped.
         missing: usize,
@@ -233,9 +233,9 @@ pub enum FrameError {
         "{got} is not in the plan of {exposures} exposure(s) and {sets} frequencies; next should be {expected}"
     )]
     NotPlanned {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
         /// Exposures in the plan.
         exposures: usize,
@@ -245,7 +245,7 @@ pub enum FrameError {
     /// All frames were there already.
     #[error("{got} came after all {planned} frames of the view")]
     Extra {
-        /// What came.
+        /// Received.
         got: FrameKind,
         /// Frames in the plan.
         planned: usize,

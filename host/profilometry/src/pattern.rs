@@ -44,7 +44,7 @@ impl FringeSet {
     }
 }
 
-/// What the fringes count.
+/// Projector coordinate that the fringes encode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Axis {
     /// The projector's columns: stripes stand upright.
@@ -63,7 +63,7 @@ impl Axis {
         }
     }
 
-    /// Of a projector's columns and rows, those along what the fringes count, and across it.
+    /// Splits a pair (columns, rows) of the projector into the coordinate that the fringes encode and the one across it.
     #[must_use]
     pub fn along_and_across<T: Copy>(self, of: [T; 2]) -> [T; 2] {
         [of[self.index()], of[1 - self.index()]]
@@ -99,7 +99,7 @@ pub struct PatternSet {
     pub sets: Vec<FringeSet>,
     /// Which way the fringes step.
     pub step_sign: StepSign,
-    /// What the fringes count.
+    /// Projector coordinate that the fringes encode.
     pub axis: Axis,
     /// A code that tells the stripe, shown after the fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -123,7 +123,7 @@ pub enum Shown {
     Code {
         /// Index of the bit, 0 the most significant.
         bit: u32,
-        /// Whether dark and bright are exchanged.
+        /// Whether dark and bright are exchanged (complement of the bit).
         complement: bool,
     },
 }
@@ -135,7 +135,7 @@ pub enum PatternError {
     /// Not one of the built-in names.
     #[error("pattern set \"{name}\" is unknown: {KNOWN_SETS}; any other goes into a plan file")]
     UnknownName {
-        /// What was asked for.
+        /// Value asked for.
         name: String,
     },
     /// None, or more than twelve.
@@ -179,7 +179,7 @@ pub enum PatternError {
     Origin {
         /// Index of the frequency.
         set: usize,
-        /// What it was.
+        /// Value given.
         got: f64,
     },
     /// No bit, or more stripes than any projector has columns.
@@ -202,7 +202,7 @@ pub enum PatternError {
         "the first stripe of the Gray code begins at column {got}: must be within a projector's width of column 0"
     )]
     CodeOrigin {
-        /// What it was.
+        /// Value given.
         got: f64,
     },
 }
@@ -263,7 +263,7 @@ pub const NAMED: [(&str, &[(f64, u32)]); 5] = [
     ("high12", &[(36.0, 4), (39.0, 4), (48.0, 4)]),
     ("high16", &[(41.0, 4), (45.0, 4), (48.0, 8)]),
 ];
-/// What `pattern_set` may name.
+/// Values allowed for `pattern_set`.
 pub(crate) const KNOWN_SETS: &str = "must be article8, insitu12, scan16, high12 or high16";
 /// More than micro phase shifting needs.
 pub const MAX_FREQUENCIES: usize = 12;
@@ -424,7 +424,7 @@ impl PatternSet {
         fringes.chain(bits)
     }
 
-    /// What the projector shows in column `column` (pixel centres at integers), 0 dark to 1 bright.
+    /// Brightness of the projector in column `column` (pixel centres at integers), 0 dark to 1 bright.
     pub fn intensity(&self, picture: Shown, column: f64, width_px: f64) -> f64 {
         let (set, step) = match picture {
             Shown::Fringe { set, step } => (set, step),

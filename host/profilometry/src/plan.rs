@@ -21,7 +21,7 @@ pub struct Plan {
     pub patterns: PatternSet,
     /// Exposures, ascending; a single one of unknown length counts as 1 us.
     pub exposures_us: Vec<u32>,
-    /// Whether there is a dark frame.
+    /// Whether a dark frame is taken.
     pub dark_frame: bool,
     /// The measured sensor, if the plan has one.
     pub sensor: Option<Sensor>,
@@ -313,7 +313,7 @@ fn fringe_sets(file: &PlanFile, order: &[usize]) -> Result<Vec<FringeSet>, BadVa
     }
 }
 
-/// What the folder's images show when they are taken by name: the dark frame, then exposure by exposure the tables as they stand in
+/// Content of the folder's images in order of their names: the dark frame, then exposure by exposure the tables as they stand in
 /// the file, whatever their frequencies.
 fn sorted_frames(
     file: &PlanFile,
@@ -328,7 +328,7 @@ fn sorted_frames(
             "must be absent (use dark_first = true) when the sets list no frames",
         ));
     }
-    // Of a built-in set, which has no tables, the order is its own.
+    // A built-in set has no tables and an order of its own.
     let mut sets: Vec<usize> = (0..patterns.sets.len()).collect();
     sets.sort_by_key(|&set| order.get(set));
     let mut kinds = Vec::new();
@@ -411,7 +411,7 @@ fn named_frames(
     Ok(frames)
 }
 
-/// What is wrong with patterns whose tables stand in this order, lowest frequency first.
+/// Error of patterns whose tables stand in this order, lowest frequency first.
 fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
     let key = |set: usize, name: &str| match order.get(set) {
         Some(index) => format!("set[{index}].{name}"),

@@ -21,7 +21,7 @@ pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
     wrapped_rad + TAU * ((expected_rad - wrapped_rad) / TAU).round()
 }
 
-/// What one frequency says about the column, beside the finest one.
+/// Clue of one frequency other than the finest to the projector column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clue {
     /// Periods of its phase per period of the finest; negative for a phase less that of the finest.
@@ -64,7 +64,7 @@ impl Clue {
     }
 }
 
-/// What a volume leaves of the ladder.
+/// The ladder of frequencies restricted to the columns that the measuring volume allows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ladder {
     /// Phase of the finest frequency in the middle.
@@ -84,8 +84,8 @@ pub struct Decision {
     pub chi_square: f64,
     /// Distance of the nearest other order, in predicted standard deviations.
     pub separation: f64,
-    /// Whether the clues lie nearer to this order than half way to the point in the middle between it and any other: what
-    /// lies beyond is no noise (an edge inside the cell, stray light).
+    /// Whether the clues lie within a quarter of the distance from this order to any other; clues farther off are not explained by
+    /// noise (an edge inside the cell, stray light).
     pub agreed: bool,
 }
 
@@ -143,7 +143,7 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
     let mut decision = Decision {
         absolute_rad: phase_rad(best),
         chi_square: least,
-        // Of a NaN nothing is sure.
+        // A NaN is never certain.
         separation: if least.is_finite() {
             f64::INFINITY
         } else {

@@ -97,7 +97,7 @@ fn truth() -> HeadModel {
     }
 }
 
-/// What a drawing says of it.
+/// Head with the drawing's nominal values, from which the adjustment starts.
 fn start() -> HeadModel {
     let mut head = truth();
     head.camera = lens(1920, 1200, 2510.0, [959.5, 599.5], [0.0; 5]);
@@ -390,7 +390,7 @@ fn perfect_marks_give_both_projectors_against_one_camera() {
         }
     }
     assert_eq!(adjusted.dropped, 0);
-    // What only the second one was off by is not put into the first.
+    // The error of the second projector alone is not attributed to the first.
     let one = sightings(&truth(), &target, SWING, &mut Random(1), [0.0; 2]);
     let alone = adjust(&start(), &target, &one, STAGE_SIGMA).unwrap();
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Whether the exposures of a cell show one scene.
+//! Test whether the exposures of a cell show the same scene.
 //!
 //! Two exposures of one scene have one phase, and amplitudes in the ratio of their times. An exposure that saturates nowhere in
 //! the cell is therefore compared with the sum of those before it, frequency by frequency, before it joins them. With `r` the ratio
@@ -25,10 +25,10 @@ const EXPOSURE_TOLERANCE_US: f64 = 100.0;
 /// Statistic of a cell that saturates at an exposure and not at a longer one, which no scene does. Finite, as all that is stored.
 const IMPOSSIBLE: f32 = 1e30;
 
-/// What the comparison needs of exposures and patterns.
+/// Exposures and patterns for the comparison.
 #[derive(Debug)]
 pub(crate) struct Agreement {
-    /// Of every exposure after the first.
+    /// One entry per exposure after the first.
     joining: Vec<Joining>,
     /// Standard deviation of each frequency's phase by motion, rad.
     motion_rad: Vec<f32>,
@@ -101,9 +101,9 @@ impl Agreement {
         let count = steps as f32;
         let per_frame = 1.0 / count;
         let before = exposure as f32;
-        // Of three steps, light's own noise follows the fringe: at most half as much again (see `phase::estimate`).
+        // With three steps shot noise follows the fringe: at most half as much again (see `phase::estimate`).
         let variance_per_frame = 0.5 * count * if steps == 3 { 1.5 } else { 1.0 };
-        // What an exposure has of the sum of all.
+        // Share of one exposure in the sum of all.
         let share = ratio / (1.0 + ratio);
         let frame = |light: f32, frames: f32| {
             let light = light.max(0.0);

@@ -58,7 +58,7 @@ pub(crate) struct Band {
     row: CellRow,
 }
 
-/// What one frame does to a band.
+/// Operation of one frame on a band.
 #[derive(Clone, Copy)]
 pub(super) enum Work {
     Dark,

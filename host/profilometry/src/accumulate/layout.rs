@@ -1,4 +1,4 @@
-//! What an accumulator is laid out for: grid, frames in capture order, limits.
+//! Layout of an accumulator: grid, frames in capture order, limits.
 
 use super::agreement::Agreement;
 use super::consistency::FrameNoise;
@@ -6,7 +6,7 @@ use crate::cells::Grid;
 use crate::frame::FrameKind;
 use crate::pattern::Shown;
 
-/// What an accumulator is laid out for.
+/// Layout of an accumulator.
 #[derive(Debug)]
 pub(crate) struct Layout {
     pub width: usize,
@@ -22,7 +22,7 @@ pub(crate) struct Layout {
     pub dark_frame: bool,
     /// Counts above this are saturated.
     pub saturation_limit_dn: u16,
-    /// What frames scatter by, where that is to be tested.
+    /// Predicted noise of frames, if their consistency is tested.
     pub noise: Option<FrameNoise>,
     /// How its exposures are compared, where there are several and `noise` is known.
     pub agreement: Option<Agreement>,

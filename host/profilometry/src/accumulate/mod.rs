@@ -218,7 +218,7 @@ mod tests {
     use crate::gray::GrayCode;
     use crate::pattern::{FringeSet, PatternSet};
 
-    /// What the wide registers compute, against the code for every machine.
+    /// The vectorised code against the portable code.
     #[test]
     fn wide_registers_give_the_same_bytes() {
         let sets = vec![FringeSet::new(4.0, 3), FringeSet::new(48.0, 8)];
@@ -284,7 +284,7 @@ mod tests {
                 }
                 assert_eq!(wide.code, plain.code);
             }
-            // As bytes and back, the code included.
+            // Round trip through bytes, the Gray code included.
             let mut again = Accumulator::new(Arc::clone(&layout));
             let bytes = wide.to_bytes();
             assert_eq!(bytes.len(), wide.byte_count());

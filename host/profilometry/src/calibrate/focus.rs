@@ -59,7 +59,7 @@ pub struct FocusSeries {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Focus {
-    /// What the driver was told, dpt.
+    /// Setting of the lens driver, dpt.
     pub setting_dpt: f64,
     /// How warm the lens was.
     pub celsius: f64,
@@ -90,9 +90,9 @@ pub enum FocusError {
         "a lens of {celsius} °C at {setting_dpt} dpt: both must be finite, and the temperature -50 to 100 °C"
     )]
     State {
-        /// As asked for.
+        /// Setting asked for.
         setting_dpt: f64,
-        /// As asked for.
+        /// Setting asked for.
         celsius: f64,
     },
     /// Beyond what was calibrated: nothing is extrapolated.
@@ -101,9 +101,9 @@ pub enum FocusError {
         range_dpt[0], range_dpt[1]
     )]
     OutOfRange {
-        /// As asked for.
+        /// Setting asked for.
         setting_dpt: f64,
-        /// As asked for.
+        /// Setting asked for.
         celsius: f64,
         /// Least and most setting at that temperature.
         range_dpt: [f64; 2],
@@ -117,7 +117,7 @@ pub enum FocusError {
         /// The head's file.
         file: PathBuf,
     },
-    /// What the mean of the settings says is no head.
+    /// The interpolated values are not a valid head.
     #[error("between the settings, {} = {}: {}: do they lie close enough?", .0.key, .0.got, .0.expected)]
     NoHead(BadValue),
 }
@@ -353,7 +353,7 @@ impl FocusedHeads {
             });
         }
         let nodes: Vec<&Node> = self.nodes.iter().collect();
-        // What a driver is told comes in steps: the head is that of the nearest.
+        // The driver's settings are discrete: the head is computed for the nearest one.
         let lens = nodes[0].head.lens.map(|lens| lens.driven_to(setting_dpt));
         let lens = lens.transpose().map_err(FocusError::Beyond)?;
         let setting_dpt = lens.map_or(setting_dpt, |lens| lens.setting_dpt());
@@ -386,7 +386,7 @@ impl FocusedHeads {
         let moved_mm = apart_mm(&nearer, &farther).ok_or_else(strange)?;
         let power_sigma_dpt = self.power_sigma_dpt(&by, celsius);
         let drift_um = moved_mm.map(|mm| 1e3 * mm * power_sigma_dpt / (2.0 * SMALL_STEP_DPT));
-        // As if all settings were wrong by one and the same cause, which the target's certificate is.
+        // Errors are added linearly, as fully correlated: all settings were calibrated with the same target.
         let own_um = |of: fn(&CalibrationRecord) -> f64| {
             let each = nodes.iter().zip(&by);
             each.map(|(node, by)| by.abs() * of(&node.record))
@@ -419,7 +419,7 @@ impl FocusedHeads {
             projector_rms_px: most(|record| record.projector_rms_px),
             depth_sigma_um,
             lateral_sigma_um,
-            // As sure as the least sure of them, where all say.
+            // The largest uncertainty of the settings, if all state one.
             farther_sigma_um: records()
                 .map(|record| record.farther_sigma_um)
                 .reduce(|one, other| Some(one?.max(other?)))
@@ -455,7 +455,7 @@ impl FocusedHeads {
     }
 }
 
-/// Whether two files may be of one head: what no focus changes is the same.
+/// Whether two files may belong to one head: every value that does not depend on the focus is the same.
 fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
     let size = |lens: &Pinhole| (lens.width_px, lens.height_px, lens.residual.is_some());
     size(&a.camera) == size(&b.camera)
@@ -476,7 +476,7 @@ fn driver(head: &HeadModel) -> Option<LensDrive> {
     head.lens.map(|lens| LensDrive { counts: 0, ..lens })
 }
 
-/// Whether a driver is told a setting, as nearly as it can be.
+/// Whether the driver stands at the count nearest to a setting.
 fn is_told(lens: &LensDrive, setting_dpt: f64) -> bool {
     let off_dpt = (lens.setting_dpt() - setting_dpt).abs();
     off_dpt <= (0.5 + 1e-6) * lens.dpt_per_count.abs()

@@ -5,7 +5,7 @@ const DRIFT: f64 = 0.05;
 /// From lens to stop, mm.
 const APART_MM: f64 = 1.5;
 
-/// What spoils it, and a word of the refusal.
+/// A change that makes the series invalid, and a word of the resulting error message.
 type Wrong<T> = (fn(&mut T), &'static str);
 
 /// A head behind a thin lens of a power: its focal lengths, and where its pinholes appear. `bent` adds what no mean of settings can

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, SymmetricEigen, Vector3, Vec
 use flankscope_foundation::order::quantile;
 use flankscope_foundation::rigid::nearest_rotation;
 
-/// What is left over after a fit.
+/// Residuals of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Residuals {
     /// Distance of each point from the fitted surface, signed.
@@ -221,7 +221,7 @@ mod tests {
         assert!((found.centre_mm - Point3::new(5.0, -3.0, 20.0)).norm() < 1e-9);
         assert!((found.radius_mm - 1.2).abs() < 1e-9);
         assert!(found.residuals.range_mm() < 1e-9);
-        // Of 400 points one may be left out: of two dents of 3 um, one shows in full.
+        // Of 400 points the farthest 0.3 % are one: with two dents of 3 um, one remains in the range.
         let centre = Vector3::new(5.0, -3.0, 20.0);
         for i in [7, 209] {
             let away = Vector3::from(points[i]) - centre;

@@ -19,7 +19,7 @@ const KEY_TOLERANCE: f64 = 0.35;
 
 /// More large dots than this are no three with something beside them.
 const MOST_LARGE: usize = 8;
-/// Of two ways to read the middle, the right one labels more than this many times the dots of the other.
+/// The three large dots can be read in two ways; the right one labels at least this many times the dots of the other.
 const CLEARLY: usize = 2;
 
 /// Places of dots: column and row, with the dot's number.
@@ -119,7 +119,7 @@ impl Middle {
         (self.ratio - KEY_RATIO).abs() < KEY_TOLERANCE * KEY_RATIO
     }
 
-    /// Whether all three stand at their places on the plate that follows from them.
+    /// Whether the three large dots lie where the lattice derived from them expects them.
     fn is_read_by(&self, labelled: &Labelled) -> bool {
         let mut keys = KEYS.into_iter().zip([self.corner, self.far, self.near]);
         keys.all(|key| labelled.contains(&key))

@@ -78,7 +78,7 @@ pub enum CalibrateError {
         key: String,
         /// Its value.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: std::borrow::Cow<'static, str>,
     },
     /// Hardly any light, or hardly any dots.
@@ -158,7 +158,7 @@ pub enum CalibrateError {
         /// Steps done.
         limit: usize,
     },
-    /// What is left over is more than noise.
+    /// Residuals larger than noise explains.
     #[error(
         "after the adjustment {what} are off by {got_px:.3} px rms, at most {limit_px} px are allowed: is the target this one, and was it at rest?"
     )]

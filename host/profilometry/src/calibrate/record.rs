@@ -1,4 +1,4 @@
-//! What an adjustment writes into the head's file.
+//! The `[calibration]` record of a head, from an adjustment.
 
 use super::adjust::Adjusted;
 use super::board::{Board, BoardAdjusted};

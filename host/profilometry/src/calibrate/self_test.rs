@@ -145,7 +145,7 @@ impl SelfTest {
     }
 }
 
-/// What is seen of a place, in the light of each projector, to points in the camera frame.
+/// Triangulates the cells of one place, separately for each projector, to points in the camera frame.
 type Points<'a> = dyn Fn(&[Vec<CellColumn>]) -> Vec<[f64; 3]> + 'a;
 
 fn few(what: &'static str, by: &'static str, got: usize) -> SelfTestError {

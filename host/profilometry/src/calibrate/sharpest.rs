@@ -34,10 +34,10 @@ const MIN_CELLS: usize = 200;
 /// A vertex that is less sure than this share of a coarse step found nothing.
 const MAX_SIGMA_RATIO: f64 = 0.2;
 
-/// What the driver was told, and the fringes' contrast there.
+/// Lens driver counts and the fringe contrast measured there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpness {
-    /// What the driver was told.
+    /// Lens driver counts.
     pub counts: u16,
     /// Mean contrast of the finest fringes in the middle of the field.
     pub contrast: f64,
@@ -67,11 +67,11 @@ pub struct Sharpest {
     pub contrast: f64,
     /// Where the plate's middle is.
     pub place: Place,
-    /// What was added to the vertex because the projector is farther than the camera.
+    /// Correction added to the vertex because the projector is farther away than the camera.
     pub projector_dpt: f64,
-    /// What was added because best focus is curved.
+    /// Correction added because the surface of best focus is curved.
     pub curvature_dpt: f64,
-    /// What the setting is not known to.
+    /// Standard uncertainty of the setting.
     pub sigma: Components,
 }
 
@@ -84,7 +84,7 @@ pub struct Components {
     pub projector_dpt: f64,
     /// How well the head knows where both pinholes are.
     pub head_dpt: f64,
-    /// What of the field is no parabola.
+    /// Part of the uncertainty due to field curvature that a parabola does not describe.
     pub curvature_dpt: f64,
 }
 
@@ -125,7 +125,7 @@ pub enum NotSharp {
         "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the plate there, and lit?"
     )]
     Dark {
-        /// What the driver was told.
+        /// Lens driver counts.
         counts: u16,
         /// Cells with fringes.
         got: usize,
@@ -163,7 +163,7 @@ pub enum NotSharp {
 }
 
 impl Sharpness {
-    /// Of a view of a white plate through a lens that was told `counts`.
+    /// Evaluates a view of a white plate, taken with the lens driver at `counts`.
     ///
     /// # Errors
     /// [`NotSharp::Dark`].
@@ -205,7 +205,7 @@ impl Sharpness {
 }
 
 impl Place {
-    /// What a pixel sees in the light of a column.
+    /// The point that a pixel sees in the light of a projector column.
     pub(super) fn of(
         head: &HeadModel,
         light: &Triangulator,

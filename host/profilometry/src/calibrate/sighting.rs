@@ -9,7 +9,7 @@ use super::target::{StageOffset, Target};
 use crate::cloud::CellColumn;
 use crate::head::HeadModel;
 
-/// What the stages were told, rotary and vertical.
+/// Commanded positions of the rotary and the vertical stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StagePose {
     /// Angle by which the seat is turned.

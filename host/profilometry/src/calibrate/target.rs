@@ -25,7 +25,7 @@ pub struct Target {
     /// Where plane and spheres are looked at in a self-test, one place after the other; none: `blank` and `sphere` in the middle.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub test_place: Vec<TestPlace>,
-    /// What is printed on the plates.
+    /// Dots printed on the plates.
     pub dots: Dots,
     /// A white plate without print: shows the cores, and how evenly the head lights.
     pub blank: Plate,
@@ -40,7 +40,7 @@ pub struct Target {
     /// Further ones, with a partner or without.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub test_sphere: Vec<Sphere>,
-    /// What the self-test allows.
+    /// Limits of the self-test.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limits: Option<Limits>,
     /// Where the stages stand beside facing a printed plate, a view each; the last one is kept aside.
@@ -183,7 +183,7 @@ pub struct Partner {
 }
 
 impl Sphere {
-    /// What is to be in the middle of the field: its centre, or the middle of the pair.
+    /// Point to be placed in the middle of the field: the centre of the sphere, or the midpoint of the pair.
     #[must_use]
     pub fn middle_mm(&self) -> [f64; 3] {
         let other = self.partner.map_or(self.centre_mm, |of| of.centre_mm);

@@ -108,7 +108,7 @@ impl CoreGrid {
         self.left_px.len()
     }
 
-    /// Whether there is none.
+    /// Whether the map has no cores.
     pub fn is_empty(&self) -> bool {
         self.left_px.is_empty()
     }

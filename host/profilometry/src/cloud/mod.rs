@@ -1,4 +1,4 @@
-//! What comes out of a view: points, and why the other cells gave none.
+//! Result of a view: points, and the reasons why the other cells gave none.
 
 mod patches;
 
@@ -23,7 +23,7 @@ pub struct Cloud {
     pub modulation_e: Vec<f32>,
     /// Light straight from the projector and over other ways.
     pub light: Vec<LightParts>,
-    /// What the mask goes by: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
+    /// Modulation for the mask: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
     /// Empty when no mask was asked for; a mask with threshold 0 drops nothing.
     pub fringes_dn: Vec<f32>,
 }
@@ -45,13 +45,13 @@ impl Cloud {
         self.points_mm.len()
     }
 
-    /// Whether there is none.
+    /// Whether it has no points.
     pub fn is_empty(&self) -> bool {
         self.points_mm.is_empty()
     }
 }
 
-/// What a cell shows before any geometry.
+/// Decoded projector column of a cell, before triangulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellColumn {
     /// Where the cell looks: column, row of the camera.
@@ -118,7 +118,7 @@ impl Rejected {
     }
 }
 
-/// What the points of a view say of their light: medians, each for itself.
+/// Parts of the light of a view's points; each figure is a median of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LightMedians {
     /// Straight from the projector with every mirror on, electrons.
@@ -141,7 +141,7 @@ impl LightMedians {
     }
 }
 
-/// What both projectors made of a view.
+/// Comparison of both projectors in a view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Projectors {
     /// Cells that each of them measured alone.
@@ -164,8 +164,8 @@ pub struct Decoded {
     pub cells: usize,
     /// Numbers of the cells without a point, in row order: [`crate::decode::Decoder::direction`] says where they look.
     pub without_point: Vec<u32>,
-    /// Of each of them, whether no fringes came back that tell a place within the measuring volume; else there was light, of which
-    /// no point could be made.
+    /// For each of them, whether no fringes were seen that belong to a place within the measuring volume; otherwise there was light,
+    /// but no valid point.
     pub is_dark: Vec<bool>,
     /// Cells without a point.
     pub rejected: Rejected,
@@ -178,6 +178,6 @@ pub struct Decoded {
     /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
     /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.
     pub contrast: Vec<f64>,
-    /// What two projectors made of it; `None` of a head with one.
+    /// Comparison of both projectors; `None` for a head with one.
     pub projectors: Option<Projectors>,
 }

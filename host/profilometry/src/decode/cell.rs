@@ -49,7 +49,7 @@ pub(super) struct CellResult {
 /// The projector column of a cell and the uncertainty of its phase.
 pub(super) struct Column {
     pub column_px: f64,
-    /// Of the phase of the finest frequency.
+    /// Standard deviation of the phase of the finest frequency, rad.
     pub sigma_rad: f64,
     pub modulation_e: f64,
     pub clue_chi_square: f32,
@@ -118,7 +118,7 @@ impl Depths for Vec<CellResult> {
 /// what light from elsewhere does to a phase falls with the frequency.
 pub(super) const FINE_RATIO: f64 = 0.5;
 
-/// What one frequency shows in a cell.
+/// Estimate of one frequency in a cell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     /// Wrapped, counted from where the finest frequency's phase is zero.
@@ -219,7 +219,7 @@ impl Decoder {
         })
     }
 
-    /// What a frequency says about the order of the finest.
+    /// Clue of a frequency to the fringe order of the finest.
     fn clue(
         &self,
         view: &Conditioned<'_>,
@@ -288,7 +288,7 @@ impl Decoder {
         self.floors_dn[set] * noise.gain_e_per_dn * noise.pixels * exposures
     }
 
-    /// Whether noise alone hardly ever leaves so much over of a cell's frames.
+    /// Whether the residuals of a cell's frames exceed what noise alone explains (chi-square test).
     fn is_inconsistent(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
         let (chi_square, freedom) = self.chi_square(band, index);
         let scale = noise_ratio.max(1.0).powi(2) as f32;
@@ -310,7 +310,7 @@ impl Decoder {
         (chi_square, freedom)
     }
 
-    /// Whether noise alone hardly ever lets a cell's exposures differ so much.
+    /// Whether a cell's exposures differ by more than noise alone explains (chi-square test).
     fn exposures_disagree(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
         let scale = noise_ratio.max(1.0).powi(2) as f32;
         self.disagreement(band, index)

@@ -41,7 +41,7 @@ const BIT_SEPARATION: f64 = 0.5 * MIN_SEPARATION;
 pub(super) struct CodedCell<'a> {
     pub band: &'a Band,
     pub index: usize,
-    /// What its finest fringes show.
+    /// Estimate of its finest fringes.
     pub finest: &'a PhaseEstimate,
     pub noise: &'a CellNoise,
 }
@@ -56,7 +56,7 @@ impl CodeLadder {
     ) -> Result<Self, DecodeError> {
         let finest = patterns.finest();
         let fringes = finest.periods / code.stripes;
-        // What a stripe holds, rounding forgiven; where the frequencies allow, half a fringe at either side, too.
+        // Orders within the stripe, with a rounding margin; where the frequencies allow, half a fringe more at either side.
         let held = ((fringes - 1e-9).ceil() as usize).max(1);
         if held > distinct {
             return Err(DecodeError::WideStripes {
@@ -146,7 +146,7 @@ impl Decoder {
         if (found.absolute_rad - middle_rad).abs() > ladder.reach_rad(place) {
             return Err(Fate::Disagreeing);
         }
-        // Of its neighbours other frequencies must not be sure.
+        // A neighbouring order must not be certain by the other frequencies.
         if self.orders >= 3 {
             let other = decide(clues, wrapped_rad, &about(found.absolute_rad, 3));
             let sure = other.separation >= MIN_SEPARATION && other.agreed;

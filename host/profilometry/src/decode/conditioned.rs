@@ -12,11 +12,11 @@ use crate::phase::smoothing::{self, Blur, Difference};
 /// Phasors to take phases from.
 pub(super) struct Conditioned<'a> {
     pub accumulator: Cow<'a, Accumulator>,
-    /// What smoothing did to the standard deviation of each frequency's phase.
+    /// Factor by which smoothing changed the standard deviation of each frequency's phase.
     pub sigma_ratios: Vec<f64>,
     /// Where the light of the finest frequency comes from, in cells from each cell; empty where nothing was smoothed.
     pub centroids: Vec<[f32; 2]>,
-    /// Of each frequency, its difference to the finest, where that stands in for its own phase.
+    /// Per frequency its phase difference to the finest, where that is used instead of its own phase.
     pub differences: Vec<Option<Difference>>,
     /// By how much frames scatter more than light and sensor should make them; 1 where that is not asked.
     pub frame_noise_ratio: f64,

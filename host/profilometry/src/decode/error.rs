@@ -32,7 +32,7 @@ pub enum DecodeError {
         key: String,
         /// Its value.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: std::borrow::Cow<'static, str>,
     },
     /// An option beyond its limits.
@@ -42,7 +42,7 @@ pub enum DecodeError {
         option: &'static str,
         /// Its value.
         got: f64,
-        /// What would be right.
+        /// Allowed values.
         expected: &'static str,
     },
     /// Binning or image circle leave nothing.

@@ -1,4 +1,4 @@
-//! What every cell of a view shows on the way to its point: for those who compare decoders.
+//! Intermediate results of every cell of a view (phases, orders, modulation), for comparisons of decoders.
 
 use std::f64::consts::TAU;
 

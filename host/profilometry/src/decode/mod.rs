@@ -62,9 +62,9 @@ pub struct Decoder {
     rays: Vec<Ray>,
     /// Orders of the finest frequency that the set tells apart.
     orders: usize,
-    /// What the code tells, if there is one.
+    /// Decoded Gray code, if the patterns have one.
     code: Option<CodeLadder>,
-    /// Of each frequency, its phase where that of the finest is zero.
+    /// Per frequency its phase at which that of the finest is zero, rad.
     origins_rad: Vec<f64>,
     /// Standard deviation of all phases with which a cell tells the order by itself.
     enough_rad: f64,
@@ -78,7 +78,7 @@ pub struct Decoder {
     cell_by_depth: f64,
     /// The same head by its second projector, if it has one.
     second: Option<Box<Self>>,
-    /// What the calibrations of both projectors may differ by, mm.
+    /// Standard uncertainty of the difference between the depths by both projectors, mm.
     allowed_apart_mm: f64,
 }
 
@@ -315,7 +315,7 @@ impl Decoder {
         })
     }
 
-    /// What one projector makes of every cell by itself.
+    /// Decodes every cell in the light of one projector.
     fn measure(&self, accumulator: &Accumulator) -> Measured {
         let fringes_dn = self
             .options
@@ -488,7 +488,7 @@ impl Decoder {
             .collect())
     }
 
-    /// What every cell of a complete view shows, without triangulation: for a calibration, which does not know the
+    /// Decodes every cell of a complete view, without triangulation: for a calibration, which does not know the
     /// geometry yet. One entry per cell, in the grid's order.
     ///
     /// # Errors
@@ -637,15 +637,15 @@ impl Decoder {
     }
 }
 
-/// What the frames of one projector tell of every cell.
+/// Decoded frames of one projector, cell by cell.
 struct Measured {
     results: Vec<CellResult>,
-    /// What the mask goes by, if there is one.
+    /// Modulation that the mask is compared with, if there is a mask.
     fringes_dn: Option<Vec<f32>>,
     frame_noise_ratio: f64,
 }
 
-/// What a frame of one cell scatters by.
+/// Standard deviation of one frame of one cell.
 fn frame_noise(sensor: &Sensor, grid: &Grid, response_ratio: f64) -> FrameNoise {
     let pixels = grid.pixels_per_cell() as f64;
     let gain = sensor.gain_e_per_dn;

@@ -1,4 +1,4 @@
-//! What cells show together: how far frequencies disagree, and how far phases scatter.
+//! Statistics over neighbouring cells: disagreement between frequencies, scatter of phases.
 //!
 //! Predicted noise is that of light and sensor. What it leaves out - light over a second surface, fibres, a lamp - shows where
 //! frequencies that should name one column do not, and where neighbours do not continue each other. Both are averaged over

@@ -1,4 +1,4 @@
-//! What a decoder keeps and smooths.
+//! Thresholds and smoothing of a decoder.
 
 use super::DecodeError;
 use crate::accumulate::consistency::ConsistencyOptions;
@@ -6,7 +6,7 @@ use crate::cloud::PatchOptions;
 use crate::head::HeadModel;
 use crate::phase::mask::MaskOptions;
 
-/// What a point is made of.
+/// Cell of the grid: a block of pixels or a fibre core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GridKind {
     /// Blocks of pixels: for a lens.
@@ -15,10 +15,10 @@ pub enum GridKind {
     Core,
 }
 
-/// What to keep and what to smooth. [`DecodeOptions::for_head`] is the instrument's choice.
+/// Thresholds and smoothing. [`DecodeOptions::for_head`] is the instrument's choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DecodeOptions {
-    /// What a point is made of.
+    /// Cell of the grid: a block of pixels or a fibre core.
     pub grid: GridKind,
     /// Pixels along a cell's side, on the pixel grid.
     pub binning: usize,
@@ -89,7 +89,7 @@ impl DecodeOptions {
             max_sigma_z_mm: None,
             smoothing_px: 0.0,
             coarse_smoothing_px: 0.0,
-            // Of a sensor that nobody described no noise can be predicted.
+            // Without a sensor model no noise can be predicted.
             consistency: head.sensor.map(|_| ConsistencyOptions::INSTRUMENT),
             order_consistency: OrderConsistency::INSTRUMENT,
             mask: None,

@@ -1,4 +1,4 @@
-//! Of passes that light one part of the field after the other, the sums of one view.
+//! Joins the sums of several passes, each of which lights another part of the field, to those of one view.
 
 use std::sync::Arc;
 

@@ -63,9 +63,9 @@ pub enum CoreMapError {
         path: PathBuf,
         /// Its line.
         line: usize,
-        /// What stands there.
+        /// Text found there.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: &'static str,
     },
 }

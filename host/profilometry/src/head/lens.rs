@@ -12,7 +12,7 @@ const SETTLE_MAX_MS: u32 = 2_000;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LensDrive {
-    /// What the driver is told for no power; between two counts, as a rule.
+    /// Driver counts at zero optical power, usually not an integer.
     pub zero_counts: f64,
     /// Power gained per count.
     pub dpt_per_count: f64,
@@ -20,7 +20,7 @@ pub struct LensDrive {
     pub range: [u16; 2],
     /// From the voltage to rest.
     pub settle_ms: u32,
-    /// What the driver is told while this head measures.
+    /// Driver counts while this head measures.
     pub counts: u16,
 }
 

@@ -185,7 +185,7 @@ impl HeadModel {
         }
     }
 
-    /// Whether a calibrated head may judge on a day: its calibration counts, and its last self-test was passed and is not
+    /// Whether a calibrated head may be used for verdicts on a day: its calibration is valid, and its last self-test was passed and is not
     /// overdue. Of a head without `[calibration]` nothing was promised.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! What a lens does beyond Brown's distortion: a smooth, irregular shift of the image.
+//! Residual field of a lens: a smooth, irregular image shift beyond Brown's distortion.
 //!
 //! A gradient-index objective behind a fibre bundle bends light by a micrometre or two where no polynomial of its radius
 //! follows. The shift is a tensor product of uniform cubic B-splines (de Boor 1978): continuous in its second derivative, and

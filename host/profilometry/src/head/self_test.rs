@@ -62,7 +62,7 @@ impl Limits {
     }
 }
 
-/// What a plane showed.
+/// Figures of one plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaneFigures {
     /// Points on the plane.
@@ -74,7 +74,7 @@ pub struct PlaneFigures {
     pub flatness_cells_um: Option<f64>,
 }
 
-/// What a sphere or a pair of spheres showed.
+/// Figures of one sphere or pair of spheres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SphereFigures {
     /// Points on the sphere; of a pair, the fewer, as below the worse.
@@ -91,7 +91,7 @@ pub struct SphereFigures {
     pub sphere_spacing_um: Option<f64>,
 }
 
-/// What planes and spheres showed: the worst of all places, and each of them.
+/// Figures of all planes and spheres: the worst of all places, and each place.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// The worst of the planes.
@@ -154,7 +154,7 @@ fn worse_of(a: Option<f64>, b: Option<f64>) -> Option<f64> {
 /// In how many arrangements something was measured, and how many VDI/VDE 2634, part 2, asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Arrangements {
-    /// Of what.
+    /// Quantity that is limited.
     pub of: &'static str,
     /// Measured.
     pub measured: usize,
@@ -162,7 +162,7 @@ pub struct Arrangements {
     pub asked: usize,
 }
 
-/// What each of two projectors shows alone.
+/// Figures of each of two projectors alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alone {
@@ -199,7 +199,7 @@ impl Judged {
 }
 
 impl Figures {
-    /// Of what was measured at one place after the other.
+    /// Worst figures of all places.
     pub(crate) fn of(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
         let of_planes = plane.iter().copied().reduce(PlaneFigures::worse);
         let of_spheres = sphere.iter().copied().reduce(SphereFigures::worse);
@@ -271,12 +271,12 @@ pub struct SelfTest {
     /// Places at which plane and spheres were measured, where it was more than one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub places: Option<u32>,
-    /// Of the points that a check measures: with two projectors, what both make together.
+    /// Figures of the points that a check uses: with two projectors, the merged points.
     #[serde(flatten)]
     pub figures: Figures,
-    /// What was allowed.
+    /// Limits.
     pub limits: Limits,
-    /// Of a head with two projectors: what is wrong with one of them, both together hide in part.
+    /// Figures of each projector of a head with two: merged points hide part of the error of either.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alone: Option<Alone>,
     /// Whose word the file is, where it says so.
@@ -325,7 +325,7 @@ pub enum Unfit {
         /// The figure farthest beyond its limit.
         worst: Judged,
     },
-    /// Of a head with two projectors, and says nothing of each.
+    /// The head has two projectors, the record lacks the figures of each.
     #[error(
         "the self-test of {date} says nothing of each projector alone: run flankscope calibrate --check"
     )]
@@ -408,7 +408,7 @@ impl SelfTest {
             .max_by(|a, b| a.share().total_cmp(&b.share()))
     }
 
-    /// Whether it allows a calibration of a head with so many projectors to be used on a day.
+    /// Whether it permits the use of a head with this number of projectors on a day.
     ///
     /// # Errors
     /// [`Unfit`].
@@ -512,7 +512,7 @@ mod tests {
         let refused = of(&together);
         assert_eq!(refused, Err(Unfit::OnlyTogether { date: today }));
         assert_eq!(together.allows("0", 1, today), Ok(()));
-        // What is limited and was not measured, or is no number, is beyond.
+        // A limited quantity that was not measured or is not a number exceeds its limit.
         let no_spacing = SphereFigures {
             sphere_spacing_um: None,
             ..ROUND

@@ -62,7 +62,7 @@ pub enum ImageError {
     TiffLayout {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// None of the formats that are read.
@@ -76,7 +76,7 @@ pub enum ImageError {
     Pgm {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: &'static str,
     },
     /// Colour, palette, alpha or fewer bits.
@@ -229,7 +229,7 @@ impl<R: BufRead + Seek> Opened<R> {
             path: path.to_owned(),
             source,
         })?;
-        // What calls itself a PNG is told what it lacks as one.
+        // A file named .png is read as PNG, so that the error names the defect of the PNG.
         let named_png = has_extension(path, "png");
         if start.starts_with(b"P5") && !named_png {
             let header = pgm_header(&mut file).map_err(|reason| ImageError::Pgm {
@@ -285,7 +285,7 @@ impl<R: BufRead + Seek> Opened<R> {
                 });
             }
         };
-        // What the format says where a tag is missing, and what is read.
+        // Default of the TIFF specification where a tag is missing, and the only value supported.
         for (tag, usual) in [
             (Tag::PhotometricInterpretation, 1),
             (Tag::Orientation, 1),

@@ -18,7 +18,7 @@ pub(crate) struct Storage<'a> {
     nodes: Vec<Node>,
 }
 
-/// Whether a text is FileStorage: XML, or YAML with its directive.
+/// Whether a text is an OpenCV FileStorage: XML, or YAML with its directive.
 pub fn is_file_storage(text: &str) -> bool {
     let start = start_of(text);
     start.starts_with('<') || start.starts_with("%YAML")

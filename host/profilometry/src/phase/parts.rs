@@ -23,7 +23,7 @@ pub struct LightParts {
 }
 
 impl LightParts {
-    /// Of the finest fringes, which global light can follow least.
+    /// Separates direct from global light by the finest fringes, which global light follows least.
     pub fn of(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
         let direct_e = 2.0 * finest.modulation_e / fringe_contrast;
         // Noise can leave less than nothing.

@@ -146,7 +146,7 @@ pub(crate) struct CellPlane<'a> {
     grid: &'a Grid,
     columns: usize,
     rows: usize,
-    /// Of cores, where each lies.
+    /// Position of each core, for a fibre bundle.
     squares: Vec<u32>,
 }
 

@@ -20,7 +20,7 @@ pub struct Hit {
 /// Camera and projector, ready to intersect.
 #[derive(Clone, Debug)]
 pub struct Triangulator {
-    /// What the fringes count: 0 columns, 1 rows. "Column" means either here.
+    /// Projector coordinate that the fringes encode: 0 columns, 1 rows. "Column" stands for either in this file.
     axis: usize,
     projector: Pinhole,
     rotation: [[f64; 3]; 3],
@@ -66,8 +66,8 @@ impl Triangulator {
         self.rotation.map(|row| row[0] * x + row[1] * y + row[2])
     }
 
-    /// Whether fringes that count light the point `depth_mm (x, y, 1)`: at the rim of a bundle there is light from one side only, and
-    /// what it shows is the rim's own phase.
+    /// Whether the point `depth_mm (x, y, 1)` lies inside the projector's lit circle: at the rim of a fibre bundle light comes from one
+    /// side only, and its phase is that of the rim.
     pub fn is_lit(&self, ray: [f64; 2], depth_mm: f64) -> bool {
         let Some(circle) = &self.circle else {
             return true;

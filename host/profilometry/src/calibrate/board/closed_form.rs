@@ -82,7 +82,7 @@ pub(super) fn lenses(homographies: &[Matrix3<f64>], size_px: [u32; 2]) -> Vec<Pi
         0.0,
         1.0,
     );
-    // Of b = (B11, B22, B13, B23, B33), B = K^-T K^-1 without skew: the two constraints of each view.
+    // Two linear constraints per view on b = (B11, B22, B13, B23, B33), where B = K^-T K^-1 without skew (Zhang 2000, eq. 3 and 4).
     let mut equations = DMatrix::zeros(2 * homographies.len(), 5);
     for (view, h) in homographies.iter().enumerate() {
         let h = to_units * h;

@@ -10,9 +10,9 @@ use super::closed_form::homography;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub at_px: [f64; 2],
-    /// Of a crossing, which way white lies (cosine and sine of twice the angle): neighbours have the opposite.
+    /// Direction of the white squares at a crossing, as cosine and sine of twice the angle; neighbouring crossings have the opposite.
     pub white: Option<[f64; 2]>,
-    /// Of a crossing, directions of its two edges.
+    /// Directions of a crossing's two edges.
     pub edges: Option<[[f64; 2]; 2]>,
 }
 
@@ -27,7 +27,7 @@ pub(super) struct Labelled {
 const NEAR: f64 = 0.3;
 /// A point lies this near to the middle of its neighbours on either side.
 const STRAIGHT: f64 = 0.1;
-/// Of a crossing, how far a neighbour may lie beside the line of its edge (sine of the angle).
+/// Largest angle (its sine) between a crossing's edge and the direction to its neighbour.
 const BESIDE_EDGE: f64 = 0.2;
 /// Neighbours' white lies across (cosine of twice the angle between them).
 pub(super) const ACROSS: f64 = -0.5;
@@ -158,7 +158,7 @@ impl Search<'_> {
             bases.extend(steps.iter().find(across).map(|&second| [first, second]));
         }
         for basis in &mut bases {
-            // As columns and rows of an image turn.
+            // The same handedness as an image's columns and rows.
             if cross(basis[0], basis[1]) < 0.0 {
                 basis.swap(0, 1);
             }

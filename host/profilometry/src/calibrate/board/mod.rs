@@ -21,7 +21,7 @@
 //!
 //! The projector is calibrated as a camera that sees the board by its fringes (Zhang and Huang 2006; Moreno and Taubin 2012). Nothing is
 //! known of the poses, so which point of the board is called the first does not matter: markers of a ChArUco board are not read.
-//! What cannot be told: where the head is on its stage, and, of a board whose pitch nobody certified, the scale.
+//! Not determined by such a calibration: the pose of the head on its stage, and the scale if the board's pitch is not certified.
 
 mod adjust;
 mod bundle;
@@ -47,7 +47,7 @@ pub use adjust::{BoardAdjusted, LEAST_POSES, PoseReport, adjust};
 pub use left_out::LeftOut;
 pub use uncertainty::Parameter;
 
-/// What is printed on a board.
+/// Pattern printed on a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BoardKind {
@@ -62,7 +62,7 @@ pub enum BoardKind {
 /// A board: kind, points along its sides and their distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Board {
-    /// What is printed.
+    /// Printed pattern.
     pub kind: BoardKind,
     /// Points (inner crossings of squares, or circles) along one side and along the other; which is which does not matter.
     pub points: [usize; 2],
@@ -70,7 +70,7 @@ pub struct Board {
     pub pitch_mm: f64,
     /// Diameter of circles.
     pub diameter_mm: Option<f64>,
-    /// Whether circles are brighter than what is about them.
+    /// Whether circles are brighter than their background.
     pub bright: bool,
 }
 
@@ -95,19 +95,19 @@ impl std::fmt::Display for Board {
     }
 }
 
-/// What the adjustment must know of a board.
+/// Dimensions of a board that the adjustment needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometry {
     /// From point to point.
     pub pitch_mm: f64,
-    /// Of circles; 0 for crossings.
+    /// Radius of the circles; 0 for crossings.
     pub radius_mm: f64,
     /// Standard uncertainty of the pitch as a part of it, if it is known.
     pub scale_sigma_ratio: Option<f64>,
 }
 
 impl Board {
-    /// What the adjustment must know of it; `pitch_sigma_mm` if somebody certified its pitch.
+    /// Dimensions for the adjustment; `pitch_sigma_mm` is the standard uncertainty of a certified pitch.
     #[must_use]
     pub fn geometry(&self, pitch_sigma_mm: Option<f64>) -> Geometry {
         let diameter_mm = match self.kind {
@@ -151,13 +151,13 @@ impl BoardMark {
 /// One pose of the board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardView {
-    /// What messages call it.
+    /// Name in messages.
     pub name: String,
     /// Its points.
     pub marks: Vec<BoardMark>,
 }
 
-/// What a view shows, pixel by pixel.
+/// Mean image and decoded coordinates of one view, pixel by pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct BoardFrames<'a> {
     /// Columns and rows of the camera.
@@ -199,7 +199,7 @@ pub enum BoardError {
         view: String,
         /// Seen.
         got: [usize; 2],
-        /// As the file says.
+        /// Points given by the board file.
         expected: [usize; 2],
     },
     /// The fringes are not decoded where the points are.
@@ -267,7 +267,7 @@ pub enum BoardError {
         /// Steps done.
         limit: usize,
     },
-    /// What is left over is more than noise.
+    /// Residuals larger than noise explains.
     #[error(
         "after the adjustment points are off by {got_px:.2} px rms per axis in the {what}'s image, at most {limit_px} px are allowed: is the board flat, and was it at rest?"
     )]
@@ -428,7 +428,7 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
     }
 }
 
-/// Whether a board has so many columns and rows, however it lies.
+/// Whether a lattice of this extent fits on the board, either way round.
 fn fits(extent: [usize; 2], board: &Board) -> bool {
     let sorted = |[a, b]: [usize; 2]| [a.min(b), a.max(b)];
     let ([short, long], [least, most]) = (sorted(extent), sorted(board.points));

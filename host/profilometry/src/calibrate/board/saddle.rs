@@ -63,7 +63,7 @@ pub(super) fn candidates(image: &Grey, sigma_px: f64) -> Vec<Candidate> {
             .flat_map(|y| (column - reach..=column + reach).map(move |x| (x, y)));
         near.filter(|&place| place != (column, row)).all(|(x, y)| {
             let other = strength[y * columns + x];
-            // Of equals the first.
+            // Of equal neighbours the first in reading order is the peak.
             other < own || other == own && (y, x) > (row, column)
         })
     };
@@ -142,7 +142,7 @@ impl Slopes {
         Self(image.blurred(GRADIENT_SIGMA_PX))
     }
 
-    /// Whether a crossing is there whose white lies across that of its neighbour.
+    /// Whether a crossing lies at `at_px` whose white squares are turned by 90° against those of its neighbour, as on a checkerboard.
     pub fn is_crossing(&self, at_px: [f64; 2], spacing_px: f64, neighbour_px: [f64; 2]) -> bool {
         let white = |at| white(&self.0, at, REACH * spacing_px);
         match (white(at_px), white(neighbour_px)) {
