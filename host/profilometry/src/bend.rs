@@ -23,7 +23,7 @@ pub struct Bend {
 
 /// The shift at a place, px, and its slope along and across.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shift {
+pub struct FringeShift {
     /// How much further along straight fringes show the same.
     pub shift_px: f64,
     /// Its change by one pixel along.
@@ -56,7 +56,7 @@ pub enum BendError {
     },
     /// Not a number, or beyond any projector.
     #[error("a coefficient of {got} px: must be within {MAX_SHIFT_PX} px")]
-    Shift {
+    FringeShift {
         /// As given.
         got: f64,
     },
@@ -85,7 +85,7 @@ const SPACING_PX: [f64; 2] = [4.0, 1024.0];
 const MAX_NODES: usize = 1024;
 /// Wider than any projector.
 const MAX_SHIFT_PX: f64 = 16384.0;
-/// Fringes may be so many times as dense as straight ones.
+/// Allowed density of bent fringes relative to straight ones.
 pub const DENSITY: [f64; 2] = [0.2, 5.0];
 
 impl Bend {
@@ -116,7 +116,7 @@ impl Bend {
         for &got in self.shift_px.iter().flatten() {
             // Written so that a NaN fails.
             if !(got.abs() <= MAX_SHIFT_PX) {
-                return Err(BendError::Shift { got });
+                return Err(BendError::FringeShift { got });
             }
         }
         // The slope of a B-spline is a weighted mean of those between its coefficients.
@@ -176,7 +176,7 @@ impl Bend {
 
     /// The shift at a place: along, across, px.
     #[must_use]
-    pub fn at(&self, place_px: [f64; 2]) -> Shift {
+    pub fn at(&self, place_px: [f64; 2]) -> FringeShift {
         let nodes = [self.shift_px[0].len(), self.shift_px.len()];
         let [along, across] = [0, 1].map(|way| {
             let reach = (nodes[way] - 3) as f64;
@@ -186,7 +186,7 @@ impl Bend {
             let cell = (inside.floor() as usize).min(nodes[way] - 4);
             (cell, basis(inside - cell as f64), at == inside)
         });
-        let mut shift = Shift {
+        let mut shift = FringeShift {
             shift_px: 0.0,
             along: 0.0,
             across: 0.0,
@@ -205,7 +205,7 @@ impl Bend {
             true => slope / self.spacing_px[way],
             false => 0.0,
         };
-        Shift {
+        FringeShift {
             along: slope(shift.along, 0, along.2),
             across: slope(shift.across, 1, across.2),
             ..shift
@@ -309,7 +309,7 @@ mod tests {
         let none = refused(&|bend| bend.shift_px.clear());
         assert!(matches!(none, BendError::Nodes { lists: 0, .. }));
         let shift = refused(&|bend| bend.shift_px[1][3] = f64::INFINITY);
-        assert!(matches!(shift, BendError::Shift { .. }));
+        assert!(matches!(shift, BendError::FringeShift { .. }));
         // Fringes that run backwards.
         let density = refused(&|bend| bend.shift_px[1][3] -= 40.0);
         assert!(matches!(density, BendError::Density { .. }), "{density}");

@@ -2,7 +2,7 @@
 
 use crate::pattern::Shown;
 
-/// A frame in somebody else's memory (a shared memory slice, a decoded image). Never copied.
+/// A borrowed frame (a shared memory slice, a decoded image). Never copied.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameView<'a> {
     /// Row after row, `stride` apart; the last row may end after `width`.
@@ -93,7 +93,7 @@ pub enum FrameKind {
 
 impl FrameKind {
     /// A picture at one exposure.
-    pub fn of(picture: Shown, exposure: usize) -> Self {
+    pub fn from_picture(picture: Shown, exposure: usize) -> Self {
         match picture {
             Shown::Fringe { set, step } => Self::Fringe {
                 exposure,

@@ -23,7 +23,7 @@ pub struct GrayCode {
 
 /// Where a word says that a cell lies, in stripes from where stripe 0 begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct StripePosition {
     /// Middle of a stripe, or the edge of two.
     pub stripes: f64,
     /// Farthest from there, but for blur: half a stripe, or nothing at an edge.
@@ -54,7 +54,7 @@ impl GrayCode {
 
     /// Where a cell lies that shows these bits, most significant first; `None` stands for one that cannot be told. `None` if words
     /// other than those of two neighbours are possible.
-    pub fn place(&self, bits: &[Option<bool>]) -> Option<Place> {
+    pub fn place(&self, bits: &[Option<bool>]) -> Option<StripePosition> {
         let untold = bits.iter().filter(|bit| bit.is_none()).count();
         // Bits of the binary number: each is the parity of the word's bits so far.
         let stripe = |instead: bool| {
@@ -66,7 +66,7 @@ impl GrayCode {
         };
         let (first, second) = (stripe(false), stripe(true));
         match untold {
-            0 => Some(Place {
+            0 => Some(StripePosition {
                 stripes: f64::from(first) + 0.5,
                 half_width: 0.5,
             }),
@@ -77,7 +77,7 @@ impl GrayCode {
                     apart if apart + 1 == self.period() => 0,
                     _ => return None,
                 };
-                Some(Place {
+                Some(StripePosition {
                     stripes: f64::from(edge),
                     half_width: 0.0,
                 })

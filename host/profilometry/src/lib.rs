@@ -14,7 +14,7 @@
 //!  triangulate  camera ray and projector column to a depth
 //!  cloud        points, and why other cells gave none
 //!  decode       the whole way, made once per head: sums of a view to a cloud (mm, camera frame, sigma_z per point)
-//!  plan         somebody's capture: which image shows which frame
+//!  plan         external captures: which image shows which frame
 //!  calibrate    captures of a target to a head, and the head's self-test
 //! ```
 //!

@@ -209,7 +209,7 @@ pub enum PatternError {
 
 impl PatternError {
     /// The value of a file that is wrong; `key` says what a frequency's own are called there.
-    pub(crate) fn of_key(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
+    pub(crate) fn bad_value(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
         match *self {
             Self::Steps { set, got } => BadValue::new(
                 key(set, "steps"),
@@ -283,7 +283,7 @@ impl PatternSet {
         Self::with_convention(name, sets, StepSign::Plus, Axis::Columns)
     }
 
-    /// A set of somebody else's patterns.
+    /// A set of patterns that are not the instrument's own.
     ///
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.

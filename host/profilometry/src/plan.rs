@@ -1,4 +1,4 @@
-//! `PLAN.toml`: the patterns of somebody's capture and which image shows which (see `docs/formats.md`).
+//! `PLAN.toml`: the patterns of an external capture and the image of each (see `docs/formats.md`).
 
 use std::path::{Path, PathBuf};
 
@@ -344,7 +344,9 @@ fn sorted_frames(
                 step,
             }));
         }
-        kinds.extend(code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure)));
+        kinds.extend(
+            code_pictures(patterns).map(|picture| FrameKind::from_picture(picture, exposure)),
+        );
     }
     Ok(kinds)
 }
@@ -404,7 +406,8 @@ fn named_frames(
                 ));
             }
             let images = file.frames[exposure * pictures..].iter();
-            let kinds = code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure));
+            let kinds =
+                code_pictures(patterns).map(|picture| FrameKind::from_picture(picture, exposure));
             frames.extend(kinds.zip(images.cloned()));
         }
     }
@@ -424,7 +427,7 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
         PatternError::FrequencyCount { got } => {
             BadValue::new("set", got, "must be 1 to 12 [[set]] tables")
         }
-        ref other => other.of_key(key),
+        ref other => other.bad_value(key),
     }
 }
 
@@ -575,7 +578,7 @@ mod tests {
         // Their places agree with those that the sums expect.
         let pictures: Vec<Shown> = named.patterns.pictures().collect();
         let expected = (0..2).flat_map(|exposure| {
-            let of = |picture: &Shown| FrameKind::of(*picture, exposure);
+            let of = |picture: &Shown| FrameKind::from_picture(*picture, exposure);
             pictures.iter().map(of).collect::<Vec<_>>()
         });
         assert_eq!(listed, expected.collect::<Vec<_>>());

@@ -43,7 +43,7 @@ pub(crate) const NO_CLUE: Clue = Clue {
 };
 
 impl Clue {
-    /// How far its phase is from what the finest frequency's absolute phase asks for.
+    /// Difference of its phase from the one predicted by the finest frequency's absolute phase, rad.
     fn residual_rad(&self, absolute_rad: f64) -> f64 {
         nearest_turn(self.phase_rad - self.ratio * absolute_rad, 0.0)
     }
@@ -58,7 +58,7 @@ impl Clue {
         }
     }
 
-    /// How far its phase moves over so many orders.
+    /// Change of its phase over this number of orders, rad.
     fn step_rad(&self, orders: f64) -> f64 {
         nearest_turn(self.ratio * TAU * orders, 0.0)
     }
@@ -190,7 +190,7 @@ pub fn distinct_orders(periods: &[f64]) -> usize {
         .unwrap_or(most)
 }
 
-/// How far apart so many orders are for equally noisy phases, in standard deviations of one phase.
+/// Separation of orders this far apart for equally noisy phases, in standard deviations of one phase.
 fn apart_rad(periods: &[f64], orders: f64) -> f64 {
     let Some((finest, others)) = periods.split_last() else {
         return 0.0;

@@ -467,7 +467,7 @@ fn residual_fields_take_up_what_brown_leaves() {
 #[test]
 fn plates_that_say_too_little_are_refused() {
     let facing = target(&[[0.0; 2]; 6]);
-    // Neither tilted nor turned against each other: distance and focal length cannot be told apart.
+    // Plates neither tilted nor turned against each other do not determine distance and focal length separately.
     let marks = sightings(&truth(), &facing, 0.0, &mut Random(3), [1.0, 0.0]);
     let refused = adjust(&start(), &facing, &marks, STAGE_SIGMA).err();
     assert!(

@@ -80,7 +80,7 @@ impl Agreement {
     pub fn add(
         &self,
         sums: Sums<'_>,
-        merged: Merged<'_>,
+        merged: MergedExposures<'_>,
         (exposure, set): (usize, usize),
         steps: u32,
         noise: &FrameNoise,
@@ -146,14 +146,14 @@ impl Agreement {
 
 /// The exposures that went in so far, some cells of one frequency.
 #[derive(Clone, Copy)]
-pub(crate) struct Merged<'a> {
+pub(crate) struct MergedExposures<'a> {
     re: &'a [f32],
     im: &'a [f32],
     sum: &'a [f32],
     exposures: &'a [u8],
 }
 
-impl<'a> Merged<'a> {
+impl<'a> MergedExposures<'a> {
     pub fn new(planes: &'a Planes, exposures: &'a [u8], cells: std::ops::Range<usize>) -> Self {
         Self {
             re: &planes.re[cells.clone()],
@@ -185,14 +185,14 @@ mod tests {
 
     /// A cell's light: electrons per ms in the mean, contrast, and phase of either frequency.
     #[derive(Clone, Copy)]
-    struct Scene {
+    struct CellLight {
         mean_e_per_ms: f64,
         contrast: f64,
         phase_rad: [f64; 2],
     }
 
     /// Light of the middle exposure of a bright core: 40 000 electrons.
-    const BRIGHT: Scene = Scene {
+    const BRIGHT: CellLight = CellLight {
         mean_e_per_ms: 4_000.0,
         contrast: 0.5,
         phase_rad: [0.7, -2.1],
@@ -215,7 +215,7 @@ mod tests {
     fn found(
         agreement: &Agreement,
         steps: [u32; 2],
-        scenes: [Option<Scene>; 3],
+        scenes: [Option<CellLight>; 3],
         mut noise: impl FnMut() -> f64,
     ) -> f32 {
         let mut into = [7.0];
@@ -242,7 +242,7 @@ mod tests {
                     squares: &[0.0],
                 };
                 let [merged_re, merged_im, merged_sum] = merged[set];
-                let before = Merged {
+                let before = MergedExposures {
                     re: &[merged_re],
                     im: &[merged_im],
                     sum: &[merged_sum],
@@ -290,7 +290,7 @@ mod tests {
     fn noise_alone_exceeds_the_limit_as_often_as_asked() {
         let agreement = of_noise_alone();
         assert_eq!(agreement.most_freedom(), 8);
-        let dim = Scene {
+        let dim = CellLight {
             mean_e_per_ms: 80.0,
             ..BRIGHT
         };
@@ -322,7 +322,7 @@ mod tests {
 
     /// What two scenes differ by, in one of three exposures, and whether that is more than limits allow.
     #[track_caller]
-    fn disagrees(change: impl Fn(&mut Scene), expected: bool) {
+    fn disagrees(change: impl Fn(&mut CellLight), expected: bool) {
         let mut other = BRIGHT;
         change(&mut other);
         let limit = consistency::limits(1e-3, 8)[8];

@@ -1,7 +1,7 @@
 //! Some cell rows with their sums: what one thread adds a frame to.
 
 use super::Phasor;
-use super::agreement::Merged as MergedCells;
+use super::agreement::MergedExposures;
 use super::cell_row::CellRow;
 use super::code::{BitPart, BitSums, Finest, add_difference};
 use super::consistency::{Sums, add_chi_square, deviate};
@@ -220,7 +220,7 @@ impl Band {
                                 } = &self.merged[set];
                                 agreement.add(
                                     sums,
-                                    MergedCells::new(planes, exposures, cells.clone()),
+                                    MergedExposures::new(planes, exposures, cells.clone()),
                                     (exposure, set),
                                     layout.steps[set],
                                     noise,

@@ -10,7 +10,7 @@
 
 use flankscope_foundation::normal::guard_factor;
 
-/// When a cell's frames are believed.
+/// Limits of the test of a cell's frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyOptions {
     /// A cell whose chi-square would be exceeded by noise alone with less than this probability is dropped.
@@ -31,8 +31,8 @@ impl ConsistencyOptions {
         relative_to_view: false,
     };
 
-    /// For somebody's images, where noise alone drops a cell with this probability; none for 0.
-    pub fn of_images(least_probability: f64) -> Option<Self> {
+    /// For images from other instruments, where noise alone drops a cell with this probability; none for 0.
+    pub fn for_images(least_probability: f64) -> Option<Self> {
         (least_probability != 0.0).then_some(Self {
             least_probability,
             relative_to_view: true,

@@ -39,7 +39,7 @@ impl Layout {
         let Some(exposure) = kind.exposure() else {
             return self.dark_frame.then_some(0);
         };
-        let is_this = |&picture: &Shown| FrameKind::of(picture, exposure) == kind;
+        let is_this = |&picture: &Shown| FrameKind::from_picture(picture, exposure) == kind;
         let in_exposure = self.pictures.iter().position(is_this)?;
         let before = usize::from(self.dark_frame) + exposure * self.pictures.len();
         (exposure < self.exposures).then_some(before + in_exposure)
@@ -55,7 +55,7 @@ impl Layout {
         };
         let exposure = index / self.pictures.len();
         let picture = self.pictures.get(index % self.pictures.len())?;
-        Some(FrameKind::of(*picture, exposure))
+        Some(FrameKind::from_picture(*picture, exposure))
     }
 
     /// Whether every bit is followed by its complement.

@@ -124,7 +124,7 @@ pub enum FocusError {
 
 /// One setting with its calibration.
 #[derive(Clone, Debug)]
-struct Node {
+struct CalibratedSetting {
     setting_dpt: f64,
     power_dpt: f64,
     celsius: f64,
@@ -137,7 +137,7 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct FocusedHeads {
     series: FocusSeries,
-    nodes: Vec<Node>,
+    nodes: Vec<CalibratedSetting>,
     /// Worst of the inner settings computed from the others: along the view and across, mm.
     left_out_mm: [f64; 2],
 }
@@ -245,7 +245,7 @@ impl FocusedHeads {
         series: FocusSeries,
         heads: Vec<(Focus, PathBuf, HeadModel)>,
     ) -> Result<Self, FocusError> {
-        let mut nodes: Vec<Node> = Vec::with_capacity(heads.len());
+        let mut nodes: Vec<CalibratedSetting> = Vec::with_capacity(heads.len());
         for (focus, file, head) in heads {
             let unfit = |why| FocusError::Unfit {
                 file: file.clone(),
@@ -299,7 +299,7 @@ impl FocusedHeads {
             let setting_dpt = head
                 .lens
                 .map_or(focus.setting_dpt, |lens| lens.setting_dpt());
-            nodes.push(Node {
+            nodes.push(CalibratedSetting {
                 setting_dpt,
                 power_dpt: series.power_dpt(setting_dpt, focus.celsius),
                 celsius: focus.celsius,
@@ -311,7 +311,7 @@ impl FocusedHeads {
         nodes.sort_by(|a, b| a.power_dpt.total_cmp(&b.power_dpt));
         let mut left_out_mm = [0.0f64; 2];
         for (k, node) in nodes.iter().enumerate().take(nodes.len() - 1).skip(1) {
-            let others: Vec<&Node> = nodes
+            let others: Vec<&CalibratedSetting> = nodes
                 .iter()
                 .enumerate()
                 .filter_map(|(i, other)| (i != k).then_some(other))
@@ -352,7 +352,7 @@ impl FocusedHeads {
                 celsius,
             });
         }
-        let nodes: Vec<&Node> = self.nodes.iter().collect();
+        let nodes: Vec<&CalibratedSetting> = self.nodes.iter().collect();
         // The driver's settings are discrete: the head is computed for the nearest one.
         let lens = nodes[0].head.lens.map(|lens| lens.driven_to(setting_dpt));
         let lens = lens.transpose().map_err(FocusError::Beyond)?;
@@ -471,7 +471,7 @@ fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
         && a.core_map.is_some() == b.core_map.is_some()
 }
 
-/// The lens' driver, whatever it is told.
+/// The lens driver without its present setting.
 fn driver(head: &HeadModel) -> Option<LensDrive> {
     head.lens.map(|lens| LensDrive { counts: 0, ..lens })
 }
@@ -487,7 +487,7 @@ fn is_made_alike(a: &CalibrationRecord, b: &CalibrationRecord) -> bool {
 }
 
 /// Lagrange's weights at a power.
-fn weights(nodes: &[&Node], power_dpt: f64) -> Vec<f64> {
+fn weights(nodes: &[&CalibratedSetting], power_dpt: f64) -> Vec<f64> {
     let weight = |i: usize| {
         let others = (0..nodes.len()).filter(|&j| j != i);
         others
@@ -498,7 +498,7 @@ fn weights(nodes: &[&Node], power_dpt: f64) -> Vec<f64> {
 }
 
 /// The polynomial's remainder at a power against the largest between the settings: 0 at each of them.
-fn remainder_ratio(nodes: &[&Node], power_dpt: f64) -> f64 {
+fn remainder_ratio(nodes: &[&CalibratedSetting], power_dpt: f64) -> f64 {
     let remainder = |at_dpt: f64| {
         let factors = nodes.iter().map(|node| at_dpt - node.power_dpt);
         factors.product::<f64>().abs()
@@ -510,7 +510,7 @@ fn remainder_ratio(nodes: &[&Node], power_dpt: f64) -> f64 {
 }
 
 /// The head on the straight line between the two settings beside a power.
-fn straight(nodes: &[&Node], power_dpt: f64) -> HeadModel {
+fn straight(nodes: &[&CalibratedSetting], power_dpt: f64) -> HeadModel {
     let above = nodes.partition_point(|node| node.power_dpt < power_dpt);
     let above = above.clamp(1, nodes.len() - 1);
     let beside = &nodes[above - 1..=above];
@@ -518,7 +518,7 @@ fn straight(nodes: &[&Node], power_dpt: f64) -> HeadModel {
 }
 
 /// The weighted mean of heads; what is no number is the nearest one's.
-fn mean(nodes: &[&Node], weights: &[f64]) -> HeadModel {
+fn mean(nodes: &[&CalibratedSetting], weights: &[f64]) -> HeadModel {
     let heaviest = (0..nodes.len())
         .max_by(|&a, &b| weights[a].total_cmp(&weights[b]))
         .unwrap_or(0);

@@ -26,7 +26,7 @@ impl Residuals {
 
     /// Means over squares of `side_mm` across the view, of `points` in the camera frame that these are the residuals of. Squares at
     /// the rim, of less than half the usual number of points, do not count.
-    pub fn of_squares(&self, points: &[[f64; 3]], side_mm: f64) -> Self {
+    pub fn averaged_over_squares(&self, points: &[[f64; 3]], side_mm: f64) -> Self {
         let mut squares: HashMap<[i64; 2], (f64, f64)> = HashMap::new();
         for (&[x, y, _], off) in points.iter().zip(&self.off_mm) {
             let square = [x, y].map(|x| (x / side_mm).floor() as i64);
@@ -94,24 +94,24 @@ fn moments(points: &[[f64; 3]]) -> (Vector3<f64>, Matrix3<f64>) {
 }
 
 /// A point and its partner.
-pub(crate) type Pair = ([f64; 3], [f64; 3]);
+pub(crate) type PointPair = ([f64; 3], [f64; 3]);
 
 /// Root mean square distance between points and their partners after the best rigid motion; `None` as of [`rigid_motion`].
-pub(crate) fn rigid_rms_mm(pairs: &[Pair]) -> Option<f64> {
+pub(crate) fn rigid_rms_mm(pairs: &[PointPair]) -> Option<f64> {
     let motion = rigid_motion(pairs)?;
     let square =
-        |(from, to): &Pair| (motion * Point3::from(*from) - Point3::from(*to)).norm_squared();
+        |(from, to): &PointPair| (motion * Point3::from(*from) - Point3::from(*to)).norm_squared();
     let squares: f64 = pairs.iter().map(square).sum();
     Some((squares / pairs.len() as f64).sqrt())
 }
 
 /// The rigid motion that lays points onto their partners best (Kabsch 1976); `None` for fewer than three pairs or points on a line.
-pub(crate) fn rigid_motion(pairs: &[Pair]) -> Option<Isometry3<f64>> {
+pub(crate) fn rigid_motion(pairs: &[PointPair]) -> Option<Isometry3<f64>> {
     if pairs.len() < 3 {
         return None;
     }
     let count = pairs.len() as f64;
-    let mean = |which: fn(&Pair) -> [f64; 3]| {
+    let mean = |which: fn(&PointPair) -> [f64; 3]| {
         pairs
             .iter()
             .map(|p| Vector3::from(which(p)))
@@ -119,7 +119,7 @@ pub(crate) fn rigid_motion(pairs: &[Pair]) -> Option<Isometry3<f64>> {
             / count
     };
     let (from_centre, to_centre) = (mean(|p| p.0), mean(|p| p.1));
-    let away = |(from, to): &Pair| {
+    let away = |(from, to): &PointPair| {
         (
             Vector3::from(*from) - from_centre,
             Vector3::from(*to) - to_centre,

@@ -56,7 +56,7 @@ pub(crate) trait Problem {
 pub(crate) enum NoMinimum {
     /// The equations are singular.
     Singular,
-    /// Still moving after so many steps.
+    /// No minimum within this number of steps.
     NotSettled(usize),
 }
 

@@ -57,7 +57,9 @@ pub use captures::{CapturedView, Captures};
 pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
-pub use sharpest::{Components, NotSharp, Place, Sharpest, Sharpness, coarse, fine, sharpest};
+pub use sharpest::{
+    AxialDistance, Components, NotSharp, Sharpest, Sharpness, coarse, fine, sharpest,
+};
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Partner, Plate, Sphere, SphereAt, StageOffset, Target, TestPlace};
 

@@ -44,12 +44,12 @@ pub struct Sharpness {
     /// The same of twice that radius.
     pub wider_contrast: f64,
     /// Where the middle is, if fringes of known order say so.
-    pub place: Option<Place>,
+    pub place: Option<AxialDistance>,
 }
 
 /// How far a place is from both pinholes, each along its own axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct AxialDistance {
     /// From the camera's.
     pub distance_mm: f64,
     /// From the projector's, minus that.
@@ -66,7 +66,7 @@ pub struct Sharpest {
     /// Contrast there.
     pub contrast: f64,
     /// Where the plate's middle is.
-    pub place: Place,
+    pub place: AxialDistance,
     /// Correction added to the vertex because the projector is farther away than the camera.
     pub projector_dpt: f64,
     /// Correction added because the surface of best focus is curved.
@@ -167,7 +167,11 @@ impl Sharpness {
     ///
     /// # Errors
     /// [`NotSharp::Dark`].
-    pub fn of(counts: u16, cells: &[CellColumn], head: &HeadModel) -> Result<Self, NotSharp> {
+    pub fn from_view(
+        counts: u16,
+        cells: &[CellColumn],
+        head: &HeadModel,
+    ) -> Result<Self, NotSharp> {
         let size_px = [head.camera.width_px, head.camera.height_px].map(f64::from);
         let (centre_px, radius_px) = match &head.image_circle {
             Some(circle) => (circle.centre_px, circle.radius_px),
@@ -192,21 +196,23 @@ impl Sharpness {
             }
         };
         let light = Triangulator::new(head, Axis::Columns);
-        let places: Vec<Place> = within(MIDDLE)
-            .filter_map(|cell| Place::of(head, &light, cell.pixel, cell.column_px?))
+        let places: Vec<AxialDistance> = within(MIDDLE)
+            .filter_map(|cell| {
+                AxialDistance::triangulate(head, &light, cell.pixel, cell.column_px?)
+            })
             .collect();
         Ok(Self {
             counts,
             contrast: contrast(MIDDLE)?,
             wider_contrast: contrast(WIDER)?,
-            place: Place::mean(&places).filter(|_| places.len() >= MIN_CELLS),
+            place: AxialDistance::mean(&places).filter(|_| places.len() >= MIN_CELLS),
         })
     }
 }
 
-impl Place {
+impl AxialDistance {
     /// The point that a pixel sees in the light of a projector column.
-    pub(super) fn of(
+    pub(super) fn triangulate(
         head: &HeadModel,
         light: &Triangulator,
         pixel: [f64; 2],
@@ -295,15 +301,15 @@ pub fn sharpest(
         vertex(fine, between, contrast).ok_or(NotSharp::NoVertex { between })
     };
     let (middle, wider) = (of(|of| of.contrast)?, of(|of| of.wider_contrast)?);
-    let places: Vec<Place> = fine.iter().filter_map(|of| of.place).collect();
-    let place = Place::mean(&places).ok_or(NotSharp::NoPlace { limit: MIN_CELLS })?;
+    let places: Vec<AxialDistance> = fine.iter().filter_map(|of| of.place).collect();
+    let place = AxialDistance::mean(&places).ok_or(NotSharp::NoPlace { limit: MIN_CELLS })?;
 
     let vertex_dpt = (middle.counts - lens.zero_counts) * lens.dpt_per_count;
     let curvature_dpt = (middle.counts - wider.counts) * lens.dpt_per_count / 3.0;
     // Focus and power are reciprocal: 1 / mm² is 1000 dpt / mm.
     let dpt_per_mm = 1e3 / (place.distance_mm * place.distance_mm);
     let farther_dpt = place.farther_mm * dpt_per_mm;
-    let farther_sigma_dpt = Place::farther_sigma_mm(head) * dpt_per_mm;
+    let farther_sigma_dpt = AxialDistance::farther_sigma_mm(head) * dpt_per_mm;
     let [of_middle, of_wider] = [middle, wider].map(|of| of.sigma_counts * lens.dpt_per_count);
     Ok(Sharpest {
         setting_dpt: vertex_dpt + 0.5 * farther_dpt + curvature_dpt,
@@ -485,7 +491,7 @@ mod tests {
         let look = |at: Vec<u16>| -> Vec<Sharpness> {
             let of = |counts| {
                 let cells = plate(focus_mm(best_dpt), focus_mm(LENS.power_dpt(counts)), blurs);
-                Sharpness::of(counts, &cells, &head()).unwrap()
+                Sharpness::from_view(counts, &cells, &head()).unwrap()
             };
             at.into_iter().map(of).collect()
         };

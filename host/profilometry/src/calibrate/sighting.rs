@@ -117,7 +117,7 @@ impl Sighting {
 
     /// The same view, by the second projector alone.
     #[must_use]
-    pub fn of_second(&self) -> Self {
+    pub fn by_second_projector(&self) -> Self {
         Self {
             marks: self.by_second.clone(),
             by_second: Vec::new(),

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix3, SVector, Vector3};
 
 use super::model::{Scene, head_unknowns};
-use super::sharpest::Place;
+use super::sharpest::AxialDistance;
 use crate::head::HeadModel;
 use crate::pattern::Axis;
 use crate::triangulate::Triangulator;
@@ -124,9 +124,10 @@ pub(crate) fn farther_sigma_mm(
         covariance.nrows(),
         |head, pixel, column_px| {
             let light = Triangulator::new(head, Axis::Columns);
-            Some(SVector::from([
-                Place::of(head, &light, pixel, column_px)?.farther_mm
-            ]))
+            Some(SVector::from([AxialDistance::triangulate(
+                head, &light, pixel, column_px,
+            )?
+            .farther_mm]))
         },
     )?;
     Some((&slopes * covariance * slopes.transpose())[(0, 0)].sqrt())

@@ -60,7 +60,7 @@ pub struct CellColumn {
     pub mean_e: f64,
     /// Contrast of those steps; not a number likewise.
     pub contrast: f64,
-    /// Projector column that lights the place, where it could be told.
+    /// Projector column that lights the cell, where it was decoded.
     pub column_px: Option<f64>,
 }
 
@@ -131,7 +131,7 @@ pub struct LightMedians {
 
 impl LightMedians {
     /// Over some points.
-    pub fn of(light: &[LightParts]) -> Option<Self> {
+    pub fn from_points(light: &[LightParts]) -> Option<Self> {
         let median = |part: fn(&LightParts) -> f64| median_of(light.iter().map(part));
         Some(Self {
             direct_e: median(|light| light.direct_e)?,

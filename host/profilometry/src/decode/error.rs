@@ -101,7 +101,7 @@ pub enum DecodeError {
     WideStripes {
         /// Fringes in a stripe.
         fringes: f64,
-        /// How many are told apart.
+        /// Number of orders that can be distinguished.
         limit: usize,
     },
     /// The accumulator belongs to another decoder.

@@ -66,7 +66,7 @@ pub struct Decoder {
     code: Option<CodeLadder>,
     /// Per frequency its phase at which that of the finest is zero, rad.
     origins_rad: Vec<f64>,
-    /// Standard deviation of all phases with which a cell tells the order by itself.
+    /// Standard deviation of all phases up to which a cell's order is certain without its neighbours, rad.
     enough_rad: f64,
     /// Least amplitude of each frequency, counts per pixel and exposure.
     floors_dn: Vec<f64>,
@@ -309,7 +309,7 @@ impl Decoder {
         Ok(Decoded {
             frame_noise_ratio,
             contrast: self.contrasts(accumulator, &results),
-            light: LightMedians::of(&decoded.cloud.light),
+            light: LightMedians::from_points(&decoded.cloud.light),
             projectors,
             ..decoded
         })
@@ -427,7 +427,9 @@ impl Decoder {
         };
         let of_cell = |decoder: &Self, band: &Band, index: usize| {
             let estimate = decoder.estimate(band, index, finest, &decoder.noise(band, index));
-            estimate.map_or(dark, |own| LightParts::of(&own, decoder.fringe_contrast))
+            estimate.map_or(dark, |own| {
+                LightParts::from_phase(&own, decoder.fringe_contrast)
+            })
         };
         let of_band = |(at, band): (usize, &Band)| -> Vec<LightParts> {
             let second = second.map(|(decoder, sums)| (decoder, &sums.bands[at]));

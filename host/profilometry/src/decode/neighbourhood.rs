@@ -69,7 +69,7 @@ impl<'a> Neighbourhood<'a> {
 
     /// Drops cells about which the frequencies disagree so much, whatever their noise should be, that the order is not sure.
     pub fn judge_orders(&self, results: &mut [CellResult], least: OrderConsistency) {
-        // A cell with a single possible order says nothing.
+        // A cell with a single possible order gives no information on the disagreement.
         let asked = |result: &CellResult| {
             let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
             decided && result.clue_chi_square.is_finite()

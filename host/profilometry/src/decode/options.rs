@@ -101,7 +101,7 @@ impl DecodeOptions {
         }
     }
 
-    /// For somebody's images of any scene, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
+    /// For images of any scene from other instruments, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
     /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. Noise of a
     /// sensor that was only assumed judges nobody.
     pub fn for_images(head: &HeadModel, dark_frame: bool, sensor_assumed: bool) -> Self {
@@ -113,7 +113,7 @@ impl DecodeOptions {
                 GridKind::Pixel => 0.7,
                 GridKind::Core => 0.0,
             },
-            consistency: ConsistencyOptions::of_images(match sensor_assumed {
+            consistency: ConsistencyOptions::for_images(match sensor_assumed {
                 true => 0.0,
                 false => ConsistencyOptions::INSTRUMENT.least_probability,
             }),
@@ -129,9 +129,9 @@ impl DecodeOptions {
         }
     }
 
-    /// Least contrast of somebody's images.
+    /// Least contrast of images from other instruments.
     pub const IMAGE_CONTRAST: f64 = 0.1;
-    /// Cells of the smallest patch of somebody's images.
+    /// Cells of the smallest patch of images from other instruments.
     pub const IMAGE_PATCH: usize = 200;
 
     /// The same with smoothing of what only counts fringes, on the pixel grid; points stay their own cell's. Cores stay as they are.

@@ -1,4 +1,4 @@
-//! The liquid lens that a head's focus follows: what its driver is told.
+//! The liquid lens that sets the focus of a head, and its driver's counts.
 
 use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};

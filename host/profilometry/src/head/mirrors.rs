@@ -36,7 +36,7 @@ const ORTHOGONAL_ASPECT: std::ops::RangeInclusive<f64> = 0.8..=1.25;
 impl Mirrors {
     /// Mirrors that are the projector's columns and rows, for a head that does not say.
     #[must_use]
-    pub fn of(projector: &Pinhole) -> Self {
+    pub fn from_projector(projector: &Pinhole) -> Self {
         Self {
             arrangement: Arrangement::Orthogonal,
             columns: projector.width_px,

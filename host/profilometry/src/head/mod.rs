@@ -89,7 +89,7 @@ pub struct HeadModel {
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage_from_camera: Option<RigidTransform>,
-    /// The camera's sensor. An OpenCV calibration says nothing about it.
+    /// The camera's sensor; unknown in an OpenCV calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<Sensor>,
     /// The measuring volume along the camera's axis.
@@ -152,7 +152,7 @@ impl HeadModel {
 
     /// A head of which nothing but lenses and their places is known.
     #[must_use]
-    pub fn of_lenses(
+    pub fn from_lenses(
         name: &str,
         camera: Pinhole,
         projector: Pinhole,
@@ -202,7 +202,8 @@ impl HeadModel {
     /// How the mirrors of the projector's DMD lie.
     #[must_use]
     pub fn mirrors(&self) -> Mirrors {
-        self.mirrors.unwrap_or_else(|| Mirrors::of(&self.projector))
+        self.mirrors
+            .unwrap_or_else(|| Mirrors::from_projector(&self.projector))
     }
 
     /// BLAKE3 of everything that a calibration determines, bit for bit: what `[calibration]` belongs to.

@@ -37,7 +37,7 @@ impl SecondProjector {
 }
 
 impl HeadModel {
-    /// The head with one of its projectors alone, counted from 1. What its file says of a calibration is said of all of them.
+    /// The head with one of its projectors alone, counted from 1. The calibration record applies to both.
     #[must_use]
     pub fn with_projector(&self, number: u8) -> Option<Self> {
         let all = self.clone();

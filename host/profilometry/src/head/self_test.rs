@@ -1,4 +1,4 @@
-//! The last self-test of a head, `<head>.check.toml` beside its file, and whether it allows the head to judge.
+//! The last self-test of a head, `<head>.check.toml` beside its file, and whether it permits verdicts with this head.
 
 use std::path::{Path, PathBuf};
 
@@ -151,7 +151,7 @@ fn worse_of(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
-/// In how many arrangements something was measured, and how many VDI/VDE 2634, part 2, asks for.
+/// Number of arrangements measured, and number required by VDI/VDE 2634, part 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Arrangements {
     /// Quantity that is limited.
@@ -172,7 +172,7 @@ pub struct Alone {
     pub second: Figures,
 }
 
-/// A figure beside its limit.
+/// A figure and its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Judged {
     /// Which figure.
@@ -200,7 +200,7 @@ impl Judged {
 
 impl Figures {
     /// Worst figures of all places.
-    pub(crate) fn of(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
+    pub(crate) fn from_places(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
         let of_planes = plane.iter().copied().reduce(PlaneFigures::worse);
         let of_spheres = sphere.iter().copied().reduce(SphereFigures::worse);
         Self {
@@ -453,7 +453,7 @@ mod tests {
     };
 
     fn sound() -> Figures {
-        Figures::of(vec![FLAT; 2], vec![ROUND; 2])
+        Figures::from_places(vec![FLAT; 2], vec![ROUND; 2])
     }
 
     fn test_of(together: Figures, alone: Option<Alone>) -> SelfTest {
@@ -488,7 +488,7 @@ mod tests {
             probing_form_um: 46.0,
             ..ROUND
         };
-        let bent = || Figures::of(vec![FLAT, bent_plane], vec![bent_sphere, ROUND]);
+        let bent = || Figures::from_places(vec![FLAT, bent_plane], vec![bent_sphere, ROUND]);
         let today = test_of(sound(), None).date;
         let alone = |first, second| Some(Alone { first, second });
         let of = |test: &SelfTest| test.allows("0", 2, today);
@@ -522,7 +522,7 @@ mod tests {
             ..ROUND
         };
         for at in [vec![no_spacing], vec![ROUND, no_number, ROUND]] {
-            let figures = Figures::of(vec![FLAT], at);
+            let figures = Figures::from_places(vec![FLAT], at);
             let refused = test_of(figures, None).allows("0", 1, today);
             assert!(matches!(refused, Err(Unfit::Failed { .. })), "{refused:?}");
         }
@@ -536,7 +536,7 @@ mod tests {
             sphere_spacing_um: Some(-2.0),
             ..ROUND
         };
-        let figures = Figures::of(vec![FLAT], vec![ROUND, here]);
+        let figures = Figures::from_places(vec![FLAT], vec![ROUND, here]);
         let worst = SphereFigures {
             sphere_points: 400,
             probing_size_um: 3.5,
@@ -548,7 +548,7 @@ mod tests {
             sphere_spacing_um: None,
             ..ROUND
         };
-        let test = test_of(Figures::of(vec![FLAT; 6], vec![ROUND, one]), None);
+        let test = test_of(Figures::from_places(vec![FLAT; 6], vec![ROUND, one]), None);
         let measured = test.arrangements().map(|of| of.map(|of| of.measured));
         // Two spheres and one; the one is no bar.
         assert_eq!(measured, Some([3, 1, 6]));
@@ -560,7 +560,7 @@ mod tests {
             probing_size_um: 2.5,
             ..ROUND
         };
-        let second = Figures::of(vec![FLAT], vec![larger, ROUND]);
+        let second = Figures::from_places(vec![FLAT], vec![larger, ROUND]);
         let first = sound();
         for alone in [None, Some(Alone { first, second })] {
             let test = test_of(sound(), alone);

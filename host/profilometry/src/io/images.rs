@@ -168,7 +168,7 @@ impl ImageHeader {
     ///
     /// # Errors
     /// [`ImageError`]: no file, neither PNG nor PGM, not grey.
-    pub fn of(path: &Path) -> Result<Self, ImageError> {
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
         let opened = |source| ImageError::Open {
             path: path.to_owned(),
             source,
@@ -205,7 +205,7 @@ pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError
         source,
     };
     let file = File::open(path).map_err(opened)?;
-    Opened::new(path, BufReader::new(file))?.of_size(path, size_px)
+    Opened::new(path, BufReader::new(file))?.read_image(path, size_px)
 }
 
 /// Reads one grey image of exactly `size_px` (columns, rows) from the content of the file at `path`.
@@ -213,7 +213,7 @@ pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError
 /// # Errors
 /// As [`load_grey`].
 pub fn read_grey(path: &Path, content: &[u8], size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
-    Opened::new(path, Cursor::new(content))?.of_size(path, size_px)
+    Opened::new(path, Cursor::new(content))?.read_image(path, size_px)
 }
 
 /// An image whose header was read.
@@ -319,7 +319,7 @@ impl<R: BufRead + Seek> Opened<R> {
         *header
     }
 
-    fn of_size(self, path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
+    fn read_image(self, path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
         self.header().check(path, size_px)?;
         let ImageHeader {
             width,

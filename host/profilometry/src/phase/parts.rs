@@ -24,7 +24,7 @@ pub struct LightParts {
 
 impl LightParts {
     /// Separates direct from global light by the finest fringes, which global light follows least.
-    pub fn of(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
+    pub fn from_phase(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
         let direct_e = 2.0 * finest.modulation_e / fringe_contrast;
         // Noise can leave less than nothing.
         let global_e = (2.0 * finest.mean_e - direct_e).max(0.0);

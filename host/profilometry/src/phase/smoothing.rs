@@ -1,4 +1,4 @@
-//! Optional smoothing of the phasors before they become phases, and of what is said of cells.
+//! Optional smoothing of phasors before phases are computed, and of other figures of cells.
 
 use rayon::prelude::*;
 

@@ -304,7 +304,7 @@ pub(super) fn rms_px(off: &[[f64; 4]]) -> [[f64; 2]; 2] {
 
 pub(super) fn head_of(rig: &Rig, name: &str) -> HeadModel {
     let (camera, projector) = (rig.camera.clone(), rig.projector.clone());
-    HeadModel::of_lenses(
+    HeadModel::from_lenses(
         name,
         camera,
         projector,
@@ -341,9 +341,9 @@ fn conclude(
         .map(|(index, view)| {
             let at = used.iter().position(|&pose| pose == index);
             let others = at.map_or(all, |at| &without[at]);
-            let left_out = LeftOut::of(view, geometry, &others.rig);
+            let left_out = LeftOut::measure(view, geometry, &others.rig);
             let own = at.map(|at| (residuals[at].as_slice(), all.kept[at].len()));
-            PoseReport::of(view, own, left_out)
+            PoseReport::new(view, own, left_out)
         })
         .collect();
     let measured = poses.iter().filter(|pose| pose.used);
@@ -381,7 +381,7 @@ fn conclude(
 
 impl PoseReport {
     /// `own`: what is left over of a pose that took part, and how many of its points did.
-    fn of(view: &BoardView, own: Option<(&[[f64; 4]], usize)>, left_out: Option<LeftOut>) -> Self {
+    fn new(view: &BoardView, own: Option<(&[[f64; 4]], usize)>, left_out: Option<LeftOut>) -> Self {
         let both = |px: f64| [px, px * std::f64::consts::SQRT_2];
         let [camera_rms_px, projector_rms_px] = match (own, left_out) {
             (Some((residuals, _)), _) => rms_px(residuals),

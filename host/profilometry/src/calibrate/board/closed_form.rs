@@ -6,15 +6,15 @@ use crate::head::Pinhole;
 use flankscope_foundation::rigid::nearest_rotation;
 
 /// A point of the board and its image.
-pub(super) type Pair = ([f64; 2], [f64; 2]);
+pub(super) type ImagePair = ([f64; 2], [f64; 2]);
 
 /// The homography `image ~ H (board, 1)` by direct linear transformation of centred and scaled points (Hartley 1997).
-pub(super) fn homography(pairs: &[Pair]) -> Option<Matrix3<f64>> {
+pub(super) fn homography(pairs: &[ImagePair]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 {
         return None;
     }
-    let board = Scaling::of(pairs.iter().map(|pair| pair.0))?;
-    let image = Scaling::of(pairs.iter().map(|pair| pair.1))?;
+    let board = Scaling::about_centre(pairs.iter().map(|pair| pair.0))?;
+    let image = Scaling::about_centre(pairs.iter().map(|pair| pair.1))?;
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for &(from, to) in pairs {
         let ([x, y], [u, v]) = (board.apply(from), image.apply(to));
@@ -41,7 +41,7 @@ struct Scaling {
 }
 
 impl Scaling {
-    fn of(points: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
+    fn about_centre(points: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let count = points.clone().count() as f64;
         let sum = points
             .clone()

@@ -28,7 +28,7 @@ pub struct LeftOut {
 
 impl LeftOut {
     /// Measures a pose; `None` if a lens does not see all of it.
-    pub(super) fn of(view: &BoardView, geometry: Geometry, rig: &Rig) -> Option<Self> {
+    pub(super) fn measure(view: &BoardView, geometry: Geometry, rig: &Rig) -> Option<Self> {
         let pairs: Vec<_> = view
             .marks
             .iter()

@@ -40,7 +40,7 @@ use serde::{Deserialize, Serialize};
 use crate::cloud::CellColumn;
 use flankscope_foundation::textfile::BadValue;
 use image::Grey;
-use lattice::{Candidate, Labelled};
+use lattice::{Candidate, LatticePoint};
 use lit::Coordinates;
 
 pub use adjust::{BoardAdjusted, LEAST_POSES, PoseReport, adjust};
@@ -353,9 +353,9 @@ pub fn find(name: &str, board: &Board, frames: &BoardFrames<'_>) -> Result<Board
 }
 
 /// The points of the board in an image, to fractions of a pixel.
-fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
+fn locate(image: &Grey, board: &Board) -> Vec<LatticePoint> {
     let all = board.points[0] * board.points[1];
-    let mut best: Vec<Labelled> = Vec::new();
+    let mut best: Vec<LatticePoint> = Vec::new();
     match board.kind {
         BoardKind::Checkerboard | BoardKind::Charuco => {
             for blur_px in BLURS_PX {
@@ -367,11 +367,11 @@ fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
                     break;
                 }
             }
-            let slopes = saddle::Slopes::of(image);
+            let slopes = saddle::Slopes::new(image);
             let spacings = lattice::spacings_px(&best);
             let refined = best.iter().zip(&spacings).filter_map(|(point, &spacing)| {
                 let at_px = slopes.crossing(point.at_px, spacing)?;
-                Some(Labelled { at_px, ..*point })
+                Some(LatticePoint { at_px, ..*point })
             });
             completed(refined.collect(), &slopes, board)
         }
@@ -394,7 +394,11 @@ fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
 const EXPECTED: f64 = 0.15;
 
 /// With crossings that no candidate was at, in poor light or under dirt, where those about them put them.
-fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) -> Vec<Labelled> {
+fn completed(
+    mut points: Vec<LatticePoint>,
+    slopes: &saddle::Slopes,
+    board: &Board,
+) -> Vec<LatticePoint> {
     loop {
         let before = points.len();
         for expected in lattice::expected_beside(&points) {
@@ -402,7 +406,7 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
                 let [x, y] = [0, 1].map(|axis| to[axis] - expected.at_px[axis]);
                 x.hypot(y)
             };
-            let beside = |point: &&Labelled| {
+            let beside = |point: &&LatticePoint| {
                 let apart = [0, 1].map(|axis| (point.place[axis] - expected.place[axis]).abs());
                 apart[0] + apart[1] == 1
             };
@@ -413,7 +417,7 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
             let Some(at_px) = slopes.crossing(expected.at_px, spacing) else {
                 continue;
             };
-            let found = Labelled { at_px, ..expected };
+            let found = LatticePoint { at_px, ..expected };
             let more = [points.as_slice(), &[found]].concat();
             if away(at_px) < EXPECTED * spacing
                 && slopes.is_crossing(at_px, spacing, neighbour_px)
@@ -435,6 +439,6 @@ fn fits(extent: [usize; 2], board: &Board) -> bool {
     short <= least && long <= most
 }
 
-fn largest(candidates: &[Candidate], image: &Grey) -> Vec<Labelled> {
+fn largest(candidates: &[Candidate], image: &Grey) -> Vec<LatticePoint> {
     lattice::grow(candidates, image.columns as f64)
 }

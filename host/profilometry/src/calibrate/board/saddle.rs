@@ -138,7 +138,7 @@ fn white(smooth: &Grey, at_px: [f64; 2], reach: f64) -> Option<[f64; 2]> {
 pub(super) struct Slopes(Grey);
 
 impl Slopes {
-    pub fn of(image: &Grey) -> Self {
+    pub fn new(image: &Grey) -> Self {
         Self(image.blurred(GRADIENT_SIGMA_PX))
     }
 
