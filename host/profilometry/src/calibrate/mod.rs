@@ -15,18 +15,18 @@
 //! | file | holds |
 //! |---|---|
 //! | `target` | the artefact: plates, dots, sphere (`target.toml`) |
-//! | `captures` | images of it made elsewhere (`captures.toml`) |
+//! | `captures` | images of it from other instruments (`captures.toml`) |
 //! | `dots` | dots of one view, to hundredths of a pixel |
 //! | `label` | their places on the plate |
 //! | `sighting` | one view: stages, plate, marks |
 //! | `least_squares` | Levenberg and Marquardt |
-//! | `model` | the unknowns, and where they put a mark in the images |
-//! | `bundle` | their equations |
-//! | `adjust` | all unknowns from all marks |
-//! | `uncertainty` | what that leaves uncertain of a point |
+//! | `rig` | camera and projector: where a dot appears in their images |
+//! | `bundle` | bundle adjustment with robust weights, over an observation model |
+//! | `model` | the observation model of plates on the stages |
+//! | `adjust` | from views of plates to a head |
+//! | `uncertainty` | standard uncertainty of a point by the calibration |
 //! | `form` | planes and spheres through points |
-//! | `holdout` | plates measured with the result |
-//! | `eye` | triangulation with a head |
+//! | `hold_out` | plates measured with the result |
 //! | `self_test` | a plane and a sphere, measured |
 //! | `sharpest` | the setting of a lens at which the camera is sharp, by the contrast of fringes |
 //! | `focus` | a head between the settings of its lens at which it was calibrated (`focus.toml`) |
@@ -46,6 +46,7 @@ mod label;
 mod least_squares;
 mod model;
 mod record;
+mod rig;
 mod self_test;
 mod sharpest;
 mod sighting;
@@ -192,6 +193,15 @@ impl From<flankscope_foundation::textfile::BadValue> for CalibrateError {
             key: bad.key,
             got: bad.got,
             expected: bad.expected,
+        }
+    }
+}
+
+impl From<least_squares::NoMinimum> for CalibrateError {
+    fn from(why: least_squares::NoMinimum) -> Self {
+        match why {
+            least_squares::NoMinimum::Singular => Self::Singular,
+            least_squares::NoMinimum::NotSettled(limit) => Self::NotSettled { limit },
         }
     }
 }

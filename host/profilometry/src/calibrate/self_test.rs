@@ -5,7 +5,7 @@
 use nalgebra::{Isometry3, Point3};
 
 use super::form;
-use super::model::isometry;
+use super::rig::isometry;
 use super::target::{Sphere, Target};
 use crate::cloud::CellColumn;
 use crate::head::{Alone, Figures, HeadModel, PlaneFigures, SelfTest, SphereFigures};

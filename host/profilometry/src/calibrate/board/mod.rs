@@ -14,17 +14,16 @@
 //! | `lattice` | which point each is |
 //! | `lit` | the projector's coordinates there |
 //! | `closed_form` | lenses and poses without any guess |
-//! | `model`, `bundle` | the unknowns, and their equations |
+//! | `model` | the observation model of a board, for the bundle adjustment |
 //! | `adjust` | from all poses to a head |
-//! | `left_out` | a pose measured by the others' head |
-//! | `uncertainty` | what the poses leave uncertain |
+//! | `left_out` | a pose measured by the head of the others |
+//! | `uncertainty` | uncertainties of head and points by leaving out poses |
 //!
 //! The projector is calibrated as a camera that sees the board by its fringes (Zhang and Huang 2006; Moreno and Taubin 2012). Nothing is
 //! known of the poses, so which point of the board is called the first does not matter: markers of a ChArUco board are not read.
 //! Not determined by such a calibration: the pose of the head on its stage, and the scale if the board's pitch is not certified.
 
 mod adjust;
-mod bundle;
 mod circles;
 mod closed_form;
 mod image;
