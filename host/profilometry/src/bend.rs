@@ -1,9 +1,9 @@
 //! Fringes that are not straight.
 //!
-//! Where a steep face lies under the fringes they are wide on it, and on one that faces the projector narrow. A projector that knows
-//! the face shows them denser on the first and farther apart on the second (inverse fringe projection: Pösch, Vynnyk and
-//! Reithmeier, Proc. SPIE 8500, 2012). All frequencies are bent alike, so that phases and orders are told as those of straight fringes are; only the sheet of light
-//! that a ray is met with is no longer that of a column.
+//! Fringes appear wide on a steep face and narrow on one that faces the projector. For a known face the projector shows them denser on
+//! the first and farther apart on the second (inverse fringe projection: Pösch, Vynnyk and Reithmeier, Proc. SPIE 8500, 2012). All
+//! frequencies are bent alike, so phases and orders are decoded as for straight fringes; only the sheet of light that a ray is
+//! intersected with is no longer that of a column.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,11 +24,11 @@ pub struct Bend {
 /// The shift at a place, px, and its slope along and across.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FringeShift {
-    /// How much further along straight fringes show the same.
+    /// Shift along, px, after which straight fringes show the same.
     pub shift_px: f64,
     /// Its change by one pixel along.
     pub along: f64,
-    /// And across.
+    /// Its change by one pixel across.
     pub across: f64,
 }
 
@@ -51,7 +51,7 @@ pub enum BendError {
         got: usize,
         /// Where.
         list: usize,
-        /// How many there are.
+        /// Values given.
         lists: usize,
     },
     /// Not a number, or beyond any projector.

@@ -140,12 +140,12 @@ impl std::fmt::Display for FrameKind {
     }
 }
 
-/// How bright a frame was, found while it was added (no second read).
+/// Mean level of a frame, computed while it was accumulated (no second read).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameLevel {
     /// Mean over the pixels inside the image circle, in raw counts (offset included).
     pub mean_dn: f64,
-    /// How many pixels that were.
+    /// Number of these pixels.
     pub pixels: u64,
 }
 
@@ -225,7 +225,7 @@ pub enum FrameError {
         got: FrameKind,
         /// Expected.
         expected: FrameKind,
-        /// How many were skipped.
+        /// Number of frames skipped.
         missing: usize,
     },
     /// No such frame in the plan.
@@ -265,7 +265,7 @@ pub enum FrameError {
         "{kind} has a mean of {mean_dn:.1} DN, must exceed {limit_dn:.1}: no light, or frames lost step"
     )]
     FringeFrameDark {
-        /// Which frame.
+        /// The frame.
         kind: FrameKind,
         /// Mean level.
         mean_dn: f64,

@@ -1,4 +1,4 @@
-//! Which fringes are projected: frequencies, low to high, with their phase steps.
+//! Sets of projected fringes: frequencies, low to high, with their phase steps.
 
 use std::f64::consts::TAU;
 
@@ -70,7 +70,7 @@ impl Axis {
     }
 }
 
-/// Which way the fringes move from step to step.
+/// Direction in which the fringes move from step to step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StepSign {
     /// Step n shows `cos(phase + TAU n / N)`: the instrument's own patterns.
@@ -97,14 +97,14 @@ pub struct PatternSet {
     pub name: String,
     /// 1 to 12 frequencies, ascending.
     pub sets: Vec<FringeSet>,
-    /// Which way the fringes step.
+    /// Direction in which the fringes move from step to step.
     pub step_sign: StepSign,
     /// Projector coordinate that the fringes encode.
     pub axis: Axis,
     /// A code that tells the stripe, shown after the fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub code: Option<GrayCode>,
-    /// How fringes and code are bent; without it they are straight. "Column" then means what straight ones would count.
+    /// Bend of fringes and code; `None` for straight ones. "Column" then stands for that of the straight fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bend: Option<Bend>,
 }
@@ -141,7 +141,7 @@ pub enum PatternError {
     /// None, or more than twelve.
     #[error("{got} frequencies: 1 to {MAX_FREQUENCIES} are possible")]
     FrequencyCount {
-        /// How many there were.
+        /// Frequencies given.
         got: usize,
     },
     /// A sinusoid has three unknowns.
@@ -185,7 +185,7 @@ pub enum PatternError {
     /// No bit, or more stripes than any projector has columns.
     #[error("a Gray code of {got} bits: 1 to {MAX_BITS} are possible")]
     CodeBits {
-        /// How many.
+        /// Number given.
         got: u32,
     },
     /// Zero, negative or not finite.

@@ -58,7 +58,7 @@ struct PlanFile {
     bend: Option<Bend>,
 }
 
-/// Which way the stripes run.
+/// Direction of the stripes.
 #[derive(Clone, Copy, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum FringesAlong {

@@ -1,10 +1,10 @@
-//! Which fringe is it? From the wrapped phases of several frequencies to one absolute phase of the finest.
+//! Phase unwrapping: from the wrapped phases of several frequencies to one absolute phase of the finest.
 //!
 //! The finest frequency's phase leaves a ladder of columns, one per fringe order. Every other frequency is a [`Clue`]: it
 //! says what its phase should be at each of these columns. The order is the one with the smallest chi-square of all clues
-//! together, each weighted by its variance (maximum likelihood, but for what the clues share: the finest phase). Nothing is presumed of the frequencies' ratio: coarse fringes
-//! under fine ones, and high frequencies of which only the beat is slow (Gupta and Nayar, Micro phase shifting, CVPR 2012), are
-//! the same sum. Low frequencies are spoiled by light that arrives over a second surface; of high ones it is blurred out.
+//! together, each weighted by its variance (maximum likelihood except for their common part, the finest phase). Any ratios of
+//! frequencies are allowed: coarse and fine fringes, or high frequencies with a slow beat (Gupta and Nayar, Micro phase shifting,
+//! CVPR 2012). Interreflections disturb low frequencies, while high ones average them out.
 //!
 //! Two orders lie `d` standard deviations of the clues apart ([`Decision::separation`]); noise takes the one for the other with
 //! probability `erfc(d / (2 sqrt 2)) / 2`. For one clue of ratio `R` that is the familiar
@@ -92,8 +92,8 @@ pub struct Decision {
 /// Keeps noiseless clues finite; far below any camera.
 const LEAST_VARIANCE_RAD2: f64 = 1e-16;
 
-/// How clues are weighted: each by its own variance. What they share is left out of the weights, so that each may be wrapped by
-/// itself, but not out of what is said about their sum.
+/// Weighting of clues by their own variances. Their common error (the finest phase) is left out of the weights, so that each clue can be
+/// wrapped independently, but is included in the uncertainty of their sum.
 struct Weights<'a>(&'a [Clue]);
 
 impl Weights<'_> {
@@ -172,10 +172,10 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
 /// Separation that counts as telling two orders apart, radians of equally noisy clues: ten standard deviations of 0.05 rad.
 const TOLD_APART_RAD: f64 = 0.5;
 
-/// How many neighbouring orders of the finest frequency a set tells apart, the finest last in `periods`.
+/// Number of neighbouring orders of the finest frequency that a set distinguishes, the finest last in `periods`.
 ///
-/// Up to the first that looks so much like the order itself that noise which leaves the neighbours apart, or 0.05 rad in every
-/// phase, could exchange them. A single frequency tells nothing apart; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
+/// It ends at the first order that could be exchanged with the present one by noise that does not exchange neighbours, or by 0.05 rad
+/// in every phase. A single frequency distinguishes none; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
 /// with 41, 45 and 48 all 48, with 41 and 48 only 7.
 pub fn distinct_orders(periods: &[f64]) -> usize {
     let Some(finest) = periods.last() else {

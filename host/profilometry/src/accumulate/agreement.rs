@@ -34,10 +34,10 @@ pub(crate) struct Agreement {
     motion_rad: Vec<f32>,
 }
 
-/// An exposure beside the sum of those before it.
+/// An exposure relative to the sum of those before it.
 #[derive(Clone, Copy, Debug)]
 struct Joining {
-    /// Its time by theirs.
+    /// Ratio of its exposure time to the sum of theirs.
     ratio: f32,
     /// Standard deviation of its amplitude, relative to it, beside noise.
     amplitude_ratio: f32,

@@ -49,7 +49,7 @@ pub(crate) struct Band {
     first: Vec<f32>,
     squares: Vec<f32>,
     pub merged: Vec<Merged>,
-    /// How far the exposures disagree, over all frequencies, per cell; empty where nothing is compared.
+    /// Disagreement of the exposures over all frequencies, per cell; empty where nothing is compared.
     pub disagreement: Vec<f32>,
     /// Every bit of the code.
     pub code: Vec<BitSums>,

@@ -24,7 +24,7 @@ pub(crate) struct Layout {
     pub saturation_limit_dn: u16,
     /// Predicted noise of frames, if their consistency is tested.
     pub noise: Option<FrameNoise>,
-    /// How its exposures are compared, where there are several and `noise` is known.
+    /// Comparison of its exposures, where there are several and `noise` is known.
     pub agreement: Option<Agreement>,
 }
 

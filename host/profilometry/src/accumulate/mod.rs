@@ -4,8 +4,8 @@
 //! best estimate. An exposure whose frames saturate anywhere in a cell is dropped for that cell, so the sums of one
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
-//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
-//! show one scene ([`agreement`]), if wanted.
+//! The sums of squares are kept as well, to test whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
+//! show the same scene ([`agreement`]), where configured.
 //!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
 
@@ -39,7 +39,7 @@ pub struct Phasor {
     pub im: f32,
     /// Sum of all frames, offset included.
     pub sum: f32,
-    /// How many exposures went in; 0 when all were saturated.
+    /// Number of exposures used; 0 when all were saturated.
     pub exposures: u8,
 }
 

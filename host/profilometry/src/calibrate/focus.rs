@@ -5,7 +5,7 @@
 //! distance, say) stays together, and a measured point is, to first order, the same weighted mean of the points that the settings'
 //! calibrations would measure. Rotations are turned from the first setting's by a weighted vector.
 //!
-//! How far that may be off is measured: each inner setting is computed from the others alone and compared with its own calibration
+//! The error of that interpolation is measured: each inner setting is computed from the others alone and compared with its own calibration
 //! over the measuring volume. The worst counts in full between the settings, less towards them as the polynomial's remainder does:
 //! the others alone have one order less and stand twice as far apart, and what noise both calibrations have is in it, too. Where a
 //! straight line between the two neighbouring settings is farther from the polynomial than that, it counts instead: of a symmetric
@@ -61,7 +61,7 @@ pub struct FocusSeries {
 pub struct Focus {
     /// Setting of the lens driver, dpt.
     pub setting_dpt: f64,
-    /// How warm the lens was.
+    /// Temperature of the lens, °C.
     pub celsius: f64,
     /// The head's file as `calibrate` wrote it; relative to this one.
     pub file: PathBuf,
@@ -598,7 +598,7 @@ fn mean(nodes: &[&CalibratedSetting], weights: &[f64]) -> HeadModel {
     }
 }
 
-/// How far the points of one head lie from those of another, over the other's measuring volume in the stage frame: root mean square
+/// Distance of the points of one head from those of another, over the other's measuring volume in the stage frame: root mean square
 /// along the view and across, mm.
 fn apart_mm(head: &HeadModel, other: &HeadModel) -> Option<[f64; 2]> {
     let view = Vector3::from(other.stage_from_camera?.direction([0.0, 0.0, 1.0]));

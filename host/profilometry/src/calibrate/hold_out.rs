@@ -1,4 +1,4 @@
-//! Plates that took no part in the adjustment, measured with its result: by each projector alone, and one against the other.
+//! Plates that took no part in the adjustment, measured with its result: by each projector alone, and both compared.
 
 use super::adjust::Adjusted;
 use super::form;
@@ -41,7 +41,7 @@ pub fn hold_out(
 }
 
 impl ApartRecord {
-    /// How well the two projectors of an adjusted head go together, by views that both see; none of a head with one, or without views.
+    /// Agreement of the two projectors of an adjusted head, by views that both light; `None` for a head with one, or without views.
     #[must_use]
     pub fn from_views(
         adjusted: &Adjusted,

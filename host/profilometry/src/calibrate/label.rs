@@ -1,4 +1,4 @@
-//! Which dot of the plate is which: three large ones mark the middle and the axes, the others follow from neighbour to
+//! Assignment of the dots to those of the plate: three large ones mark the middle and the axes, the others follow from neighbour to
 //! neighbour.
 
 use std::collections::{HashMap, VecDeque};
@@ -83,7 +83,7 @@ struct Middle {
     corner: usize,
     far: usize,
     near: usize,
-    /// How much farther than the near one the far one stands from the corner.
+    /// Distance of the far one from the corner relative to that of the near one.
     ratio: f64,
     /// Steps along columns and rows, pixels.
     axes: [[f64; 2]; 2],

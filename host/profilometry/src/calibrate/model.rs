@@ -35,10 +35,10 @@ const OF_PROJECTOR_FIELD: std::ops::Range<usize> = 2 * SIDE * SIDE..FIELD;
 
 /// The coefficients of the fields stand behind all other unknowns that a view depends on.
 const FIRST_OF_FIELD: usize = STAGES + OF_VIEW;
-/// A field reaches this far beyond what is seen, so that its border is not.
+/// Half side of a field relative to the visible part, so that its border is not visible.
 const FIELD_MARGIN: f64 = 1.05;
 
-/// Places among the shared unknowns.
+/// Positions among the shared unknowns.
 pub(crate) const CAMERA_FOCAL: usize = 0;
 pub(crate) const CAMERA_PRINCIPAL: usize = 2;
 const CAMERA_DISTORTION: usize = 4;
@@ -48,7 +48,7 @@ const PROJECTOR_DISTORTION: usize = 10;
 const PROJECTOR_POSE: usize = 14;
 const HAND_EYE: usize = 20;
 
-/// The position errors of plates and stages stand behind the shared unknowns in a view's own numbering.
+/// In a view's own numbering the unknowns of its plate and of its stages follow the shared ones.
 const PLATE: usize = SHARED;
 const STAGES: usize = PLATE + OF_PLATE;
 
@@ -386,7 +386,7 @@ impl<'a> PlateModel<'a> {
         Some(self.shared.lit_by(self.second.as_ref()?))
     }
 
-    /// Where the head's unknowns of a scene stand among all, first and second projector's; nothing without such a projector.
+    /// Positions, among all unknowns, of the head's unknowns of a scene in the light of the first or the second projector.
     pub fn head_positions(&self, by_second: bool) -> Vec<usize> {
         let mut positions: Vec<usize> = (0..head_unknowns(&self.shared).count()).collect();
         if by_second {

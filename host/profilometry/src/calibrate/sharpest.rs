@@ -1,15 +1,15 @@
 //! Autofocus: the setting of a lens at which the camera is sharp on the middle of a plate, by the contrast of fringes on it.
 //!
 //! Blur of a standard deviation `s` leaves `exp(-2 (pi f s)^2)` of fringes of frequency `f`, and its square grows with that of the
-//! distance from best focus: over the focal power the logarithm of the contrast is a parabola, but for what is left of higher order
+//! distance from best focus: over the focal power the logarithm of the contrast is a parabola, with small terms of higher order
 //! over a few dioptres. Coarse steps over the whole range find the highest place, fine ones about it give the parabola its vertex.
 //!
 //! The vertex is not yet best focus of the camera. Camera and projector both blur, from pinholes that are not equally far from the plate
-//! unless it stands where their axes cross: of two parabolas the sum has its vertex between theirs, anywhere between where nobody says
-//! which blurs more. So half the way is corrected, and all of it is the width of an even distribution. Best focus is curved, too: the
+//! unless it stands where their axes cross: the sum of two parabolas has its vertex between theirs, at an unknown place unless it is known
+//! which lens blurs more. So half the distance is corrected, and the whole of it is the width of a uniform distribution. Best focus is curved, too: the
 //! mean over a disc has half the curvature at its rim, which a disc of twice the radius shows fourfold, so a third of the difference of
 //! their vertices is corrected, and counts as the half width of what a field that is no parabola may leave. That both objectives are
-//! sharp equally far before their pinholes, nothing here can test: it is how a pair on one driver is made.
+//! in focus at equal distances from their pinholes is assumed, as pairs on one driver are made; it cannot be tested here.
 
 use std::f64::consts::SQRT_2;
 
@@ -43,11 +43,11 @@ pub struct Sharpness {
     pub contrast: f64,
     /// The same of twice that radius.
     pub wider_contrast: f64,
-    /// Where the middle is, if fringes of known order say so.
+    /// Distances of the middle, if it was triangulated by fringes of known order.
     pub place: Option<AxialDistance>,
 }
 
-/// How far a place is from both pinholes, each along its own axis.
+/// Distances of a point from both pinholes, each along its own axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxialDistance {
     /// From the camera's.
@@ -56,7 +56,7 @@ pub struct AxialDistance {
     pub farther_mm: f64,
 }
 
-/// Where the camera is sharp on the middle of a plate.
+/// Lens setting at which the camera is in focus on the middle of a plate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpest {
     /// The setting: best focus of the camera in the middle of its field.
@@ -65,7 +65,7 @@ pub struct Sharpest {
     pub vertex_dpt: f64,
     /// Contrast there.
     pub contrast: f64,
-    /// Where the plate's middle is.
+    /// Distances of the plate's middle.
     pub place: AxialDistance,
     /// Correction added to the vertex because the projector is farther away than the camera.
     pub projector_dpt: f64,
@@ -78,11 +78,11 @@ pub struct Sharpest {
 /// Parts of a standard uncertainty, dpt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Components {
-    /// How far contrasts lie from a parabola.
+    /// Part due to deviations of the contrasts from a parabola.
     pub scatter_dpt: f64,
-    /// Which share camera and projector have in the blur.
+    /// Part due to the unknown shares of camera and projector in the blur.
     pub projector_dpt: f64,
-    /// How well the head knows where both pinholes are.
+    /// Part due to the calibrated distances of both pinholes.
     pub head_dpt: f64,
     /// Part of the uncertainty due to field curvature that a parabola does not describe.
     pub curvature_dpt: f64,
@@ -157,7 +157,7 @@ pub enum NotSharp {
         between[0], between[1]
     )]
     NoVertex {
-        /// Where it was looked for.
+        /// Counts between which it was searched.
         between: [u16; 2],
     },
 }
@@ -228,7 +228,7 @@ impl AxialDistance {
         })
     }
 
-    /// Over places all about a middle the slope of a plate has no part in it.
+    /// Mean over points on all sides of a middle, so that the tilt of a plate cancels.
     fn mean(places: &[Self]) -> Option<Self> {
         let mean = |of: fn(&Self) -> f64| {
             let mean = places.iter().map(of).sum::<f64>() / places.len() as f64;
@@ -286,7 +286,7 @@ pub fn fine(coarse: &[Sharpness]) -> Result<Vec<u16>, NotSharp> {
     }
 }
 
-/// Where the camera is sharp, by the fine settings of the lens of `head`.
+/// Lens setting at which the camera is in focus, from the fine settings of the lens of `head`.
 ///
 /// # Errors
 /// [`NotSharp::NoVertex`], [`NotSharp::NoPlace`].

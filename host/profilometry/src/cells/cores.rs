@@ -18,7 +18,7 @@ pub struct CoreGrid {
     pub(crate) left_px: Vec<u16>,
     /// First cell of each image row, by the first row of the boxes, and the number of cells as a last entry.
     starts: Vec<u32>,
-    /// Where a box's light comes from on average: column, row.
+    /// Mean position of a box's light: column, row of the camera.
     seen_px: Vec<[f64; 2]>,
     /// Cells of neighbouring cores with smaller numbers.
     earlier_neighbours: Vec<[u32; 6]>,
@@ -123,7 +123,7 @@ impl CoreGrid {
         self.starts[row] as usize..self.starts[row + 1] as usize
     }
 
-    /// Where a box's light comes from: column, row of the camera.
+    /// Position of a box's light: column, row of the camera.
     pub fn seen_px(&self) -> &[[f64; 2]] {
         &self.seen_px
     }

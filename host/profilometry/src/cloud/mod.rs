@@ -54,7 +54,7 @@ impl Cloud {
 /// Decoded projector column of a cell, before triangulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellColumn {
-    /// Where the cell looks: column, row of the camera.
+    /// Position of the cell: column, row of the camera.
     pub pixel: [f64; 2],
     /// Mean light over the finest frequency's steps in electrons, NaN where every exposure was saturated.
     pub mean_e: f64,
@@ -64,7 +64,7 @@ pub struct CellColumn {
     pub column_px: Option<f64>,
 }
 
-/// How many cells gave no point, by the first reason found.
+/// Numbers of cells without a point, by the first reason found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Rejected {
     /// Every exposure was saturated.
@@ -123,14 +123,14 @@ impl Rejected {
 pub struct LightMedians {
     /// Straight from the projector with every mirror on, electrons.
     pub direct_e: f64,
-    /// Over any other way, electrons.
+    /// By any other path, electrons.
     pub global_e: f64,
     /// Share of the latter.
     pub global_ratio: f64,
 }
 
 impl LightMedians {
-    /// Over some points.
+    /// Medians over some points; `None` without any.
     pub fn from_points(light: &[LightParts]) -> Option<Self> {
         let median = |part: fn(&LightParts) -> f64| median_of(light.iter().map(part));
         Some(Self {
@@ -169,7 +169,7 @@ pub struct Decoded {
     pub is_dark: Vec<bool>,
     /// Cells without a point.
     pub rejected: Rejected,
-    /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and
+    /// Ratio of the frames' scatter to the one predicted from light and sensor, median over the view; limits and
     /// uncertainties have been raised by it. 1 unless [`crate::decode::ConsistencyOptions::relative_to_view`].
     pub frame_noise_ratio: f64,
     /// Direct and global light, medians over the points; `None` without any.

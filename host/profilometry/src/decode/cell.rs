@@ -34,15 +34,15 @@ pub(super) struct CellResult {
     /// The second projector counts more in it.
     pub by_second: bool,
     pub depth_mm: f64,
-    /// Where its light comes from, x and y at z = 1.
+    /// Direction of its light, x and y at z = 1.
     pub direction: [f64; 2],
     pub sigma_z_mm: f32,
     pub modulation_e: f32,
-    /// How far the clues to the fringe order miss: chi-square per degree of freedom. NaN where no order was found.
+    /// Misfit of the clues to the fringe order: chi-square per degree of freedom. NaN where no order was found.
     pub clue_chi_square: f32,
     /// Distance to the next order, in predicted standard deviations of the clues.
     pub separation: f32,
-    /// How far the frequencies that make up the column disagree: chi-square per degree of freedom. NaN for a single one.
+    /// Disagreement of the frequencies that make up the column: chi-square per degree of freedom. NaN for a single one.
     pub column_chi_square: f32,
 }
 
@@ -317,7 +317,7 @@ impl Decoder {
             .is_some_and(|(found, freedom)| found > self.agreement_limits[freedom] * scale)
     }
 
-    /// How far a cell's exposures disagree, over all frequencies, and its degrees of freedom; none where nothing was compared.
+    /// Disagreement of a cell's exposures over all frequencies, and its degrees of freedom; none where nothing was compared.
     pub(super) fn disagreement(&self, band: &Band, index: usize) -> Option<(f32, usize)> {
         let &found = band.disagreement.get(index)?;
         let joined = |merged: &Merged| usize::from(merged.exposures[index].saturating_sub(1));
@@ -393,7 +393,7 @@ impl Decoder {
 }
 
 impl Decoder {
-    /// Where the light of a cell's smoothed phasor comes from: its own ray, but where cells beside it are brighter.
+    /// Direction of the light of a cell's smoothed phasor: its own ray, shifted towards brighter neighbours.
     fn lit_direction(&self, view: &Conditioned<'_>, cell: usize, ray: &Ray) -> [f64; 2] {
         let Some(&centroid) = view.centroids.get(cell) else {
             return ray.direction;

@@ -92,7 +92,7 @@ impl CodeLadder {
         0.5 * (PI + place.half_width * self.stripe_rad)
     }
 
-    /// Where the bits of a cell put it.
+    /// Position of a cell by its bits.
     fn place(&self, cell: &CodedCell<'_>) -> Option<StripePosition> {
         let &CodedCell {
             band,

@@ -10,7 +10,7 @@ pub enum DecodeError {
     /// No exposure, or more than a byte can count.
     #[error("{got} exposures: 1 to 255 are possible")]
     ExposureCount {
-        /// How many.
+        /// Number given.
         got: usize,
     },
     /// Not ascending, or zero.

@@ -1,4 +1,4 @@
-//! How little modulation still tells the fringe order.
+//! Least modulation at which the fringe order is certain.
 
 use super::DecodeOptions;
 use super::cell::FINE_RATIO;

@@ -188,7 +188,7 @@ impl Decoder {
         let compared = options.consistency.zip(layout.agreement.as_ref());
         let agreement_limits = compared.map_or(Vec::new(), |(gate, agreement)| {
             let mut limits = consistency::limits(gate.least_probability, agreement.most_freedom());
-            // Where nothing could be compared, only what is impossible was found.
+            // Where nothing was compared, only impossible saturation was found.
             limits[0] = 0.0;
             limits
         });
@@ -238,7 +238,7 @@ impl Decoder {
         sums
     }
 
-    /// How many projectors its head has; each shows all patterns, one after the other.
+    /// Number of projectors of its head; each shows all patterns, one after the other.
     pub fn projectors(&self) -> usize {
         1 + usize::from(self.second.is_some())
     }
@@ -370,7 +370,7 @@ impl Decoder {
         results
     }
 
-    /// How far the exposures of every cell disagree, per degree of freedom and at most by the limit for one cell, so that no
+    /// Disagreement of every cell's exposures, chi-square per degree of freedom and at most by the limit for one cell, so that no
     /// single cell speaks for those about it; nothing where they were not compared.
     fn disagreements(&self, view: &Conditioned<'_>) -> Values {
         let scale = view.frame_noise_ratio.max(1.0).powi(2) as f32;
@@ -387,7 +387,7 @@ impl Decoder {
         bands.concat()
     }
 
-    /// By how much the frames of cells with fringes scatter more than predicted, in the median over the view; 1 unless the
+    /// Ratio of the scatter of frames of cells with fringes to the predicted one, median over the view; 1 unless the
     /// options say that cells are laid beside the view.
     fn frame_noise_ratio(&self, accumulator: &Accumulator) -> f64 {
         if !self
@@ -469,8 +469,8 @@ impl Decoder {
         (0..self.patterns.sets.len()).filter_map(of_set).collect()
     }
 
-    /// How many orders of the finest fringes lie between two points of a camera ray: what tells whether a point has the order that
-    /// was expected. None behind the projector.
+    /// Number of orders of the finest fringes between two points of a camera ray, to check whether a point has the expected order. `None`
+    /// behind the projector.
     pub fn orders_between(&self, from_mm: [f64; 3], to_mm: [f64; 3]) -> Option<f64> {
         let column = |[x, y, z]: [f64; 3]| self.triangulator.column([x / z, y / z], z);
         let apart_px = column(to_mm)?.0 - column(from_mm)?.0;
@@ -572,7 +572,7 @@ impl Decoder {
         }
     }
 
-    /// Where a cell looks, in the camera frame: x and y at z = 1. None beyond the last cell.
+    /// Viewing direction of a cell in the camera frame: x and y at z = 1. `None` beyond the last cell.
     pub fn direction(&self, cell: u32) -> Option<[f64; 2]> {
         self.rays.get(cell as usize).map(|ray| ray.direction)
     }

@@ -9,7 +9,7 @@ use super::options::OrderConsistency;
 use crate::cells::{CellGrid, Grid};
 use crate::phase::smoothing::{Blur, CellPlane};
 
-/// How cells are averaged.
+/// Averaging over cells.
 pub(super) struct Neighbourhood<'a> {
     grid: &'a Grid,
     plane: CellPlane<'a>,
@@ -24,13 +24,14 @@ const NEAR_UNITS: f64 = 3.0;
 /// Sigma of the Gaussian over which frequencies must mostly agree, in units: wider than the strips in which a spoiled phase
 /// happens to fit a wrong order.
 const WIDE_UNITS: f64 = 15.0;
-/// Up to so many predicted variances the scatter about a cell may be chance: three standard deviations of the mean of some
+/// Ratio to the predicted variance up to which the scatter about a cell may be chance: three standard deviations of the mean of some
 /// seventy squares.
 const CHANCE_VARIANCES: f32 = 1.5;
-/// Beyond so many predicted variances the exposures about a cell disagree: some hundred cells leave 1.0 ± 0.1 by chance, and a
+/// Ratio to the predicted variance beyond which the exposures about a cell disagree: some hundred cells leave 1.0 ± 0.1 by chance, and a
 /// sensor whose noise was described too low by a third leaves 1.8.
 const APART_VARIANCES: f32 = 2.0;
-/// Beyond so many predicted variances a bend is an edge. Of noise ten times the predicted less than a hundredth is.
+/// Ratio to the predicted variance beyond which a bend is an edge. With noise of ten times the prediction, fewer than one bend in a
+/// hundred exceeds it.
 const EDGE_VARIANCES: f64 = 700.0;
 
 /// Three places are evenly spaced when the middle one is off by less than this part of the way between the others.

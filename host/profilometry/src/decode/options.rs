@@ -46,7 +46,7 @@ pub struct DecodeOptions {
     pub patches: Option<PatchOptions>,
 }
 
-/// How sure the fringe orders about a cell must be, whatever noise was predicted.
+/// Required certainty of the fringe orders about a cell, by the measured scatter instead of the predicted noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderConsistency {
     /// Least distance to the next order in standard deviations measured from how far the clues about the cell miss, which takes

@@ -7,7 +7,7 @@ use flankscope_foundation::date::Date;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::textfile::BadValue;
 
-/// Where a head's geometry comes from, how good it is, and until when it counts.
+/// Origin, quality and expiry of a head's geometry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationRecord {
@@ -64,7 +64,7 @@ pub struct CalibrationRecord {
     pub focus: Option<FocusRecord>,
 }
 
-/// How far apart two projectors see the same point, depth by the second minus depth by the first.
+/// Difference between the depths of the same point by two projectors, second minus first.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ApartRecord {
@@ -106,13 +106,13 @@ impl ApartRecord {
 pub struct FocusRecord {
     /// Lens driver counts.
     pub setting_dpt: f64,
-    /// How warm the lens is.
+    /// Temperature of the lens, °C.
     pub celsius: f64,
     /// Settings that were calibrated.
     pub between_dpt: Vec<f64>,
-    /// By the way from setting to setting.
+    /// Part due to the interpolation between settings.
     pub interpolation_um: [f64; 2],
-    /// By how well the drift and the temperatures of the lens are known.
+    /// Part due to the uncertainty of the lens' drift and temperatures.
     pub drift_um: [f64; 2],
 }
 
@@ -129,7 +129,7 @@ pub struct BoardRecord {
     /// Standard uncertainty of that, as a part of it; absent: not known, and so is the scale of every length.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale_sigma_ratio: Option<f64>,
-    /// Where its points were along the camera's axis, nearest and farthest: beyond, the lenses are extrapolated.
+    /// Depths of its nearest and farthest point along the camera's axis: outside, the lens models are extrapolated.
     pub depth_mm: [f64; 2],
     /// Quantities that such a calibration does not determine.
     pub unknown: Vec<String>,

@@ -1,4 +1,4 @@
-//! Which fringes a head throws: a set that the instrument knows by name, or one of its own.
+//! Fringes that a head projects: a set that the instrument knows by name, or one of its own.
 
 use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};

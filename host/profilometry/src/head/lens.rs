@@ -8,7 +8,7 @@ const COUNTS_MAX: u16 = 1023;
 /// Longest that a lens may take to come to rest.
 const SETTLE_MAX_MS: u32 = 2_000;
 
-/// How a head's focus is driven. Both lenses, before camera and projector, hang on one driver.
+/// Driver of a head's focus. Both liquid lenses, in front of camera and projector, are on one driver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LensDrive {

@@ -1,4 +1,4 @@
-//! How the mirrors of the projector's DMD lie: `[mirrors]` in `head.toml`.
+//! Arrangement of the mirrors of the projector's DMD: `[mirrors]` in `head.toml`.
 
 use serde::{Deserialize, Serialize};
 
@@ -44,7 +44,7 @@ impl Mirrors {
         }
     }
 
-    /// Where a mirror's centre lies along the rows, in columns.
+    /// Position of a mirror's centre along the rows, in columns.
     ///
     /// Odd rows of diamond mirrors are half a column to the right, as in SLStudio (`cvtools::diamondDownsample` takes column
     /// `2 c + r % 2` of a pattern with twice the columns).

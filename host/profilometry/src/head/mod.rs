@@ -68,7 +68,7 @@ pub struct HeadModel {
     pub camera: Pinhole,
     /// The projector, as an inverse camera.
     pub projector: Pinhole,
-    /// How the mirrors of its DMD lie; absent: above each other.
+    /// Arrangement of its DMD's mirrors; absent: orthogonal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
     /// The part of its DMD whose fringes count, in the DMD's pixels; absent: all of it.
@@ -95,16 +95,16 @@ pub struct HeadModel {
     /// The measuring volume along the camera's axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub volume: Option<DepthRange>,
-    /// Where the optics show an image; everything outside is skipped.
+    /// Part of the sensor with an image; everything outside is skipped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image_circle: Option<ImageCircle>,
-    /// Where the map of the bundle's cores lies.
+    /// File of the bundle's core map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cores: Option<CoreMapFile>,
-    /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
+    /// Origin and expiry of the geometry above; absent for a drawing's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationRecord>,
-    /// Whose word the file is, where it says so; whoever judges by it checks that.
+    /// Seal of the file, if it has one; checked before verdicts are given with this head.
     #[serde(default, skip_serializing)]
     pub seal: Option<Seal>,
     /// The last test of that calibration, `<head>.check.toml` beside the file; [`HeadModel::load`] reads it.
@@ -120,15 +120,14 @@ fn one() -> u32 {
 }
 
 impl HeadModel {
-    /// Settles which sensor frames are of: what a plan says goes before what the head says, and where neither does, one of `bits` is
-    /// assumed. Returns whether it had to be.
+    /// Sets the sensor model of the frames: the plan's, else the head's, else one assumed for `bits`. Returns whether it was assumed.
     pub fn take_sensor(&mut self, of_plan: Option<Sensor>, bits: u32) -> bool {
         let said = of_plan.or(self.sensor);
         self.sensor = said.or(Some(Sensor::assumed(bits)));
         said.is_none()
     }
 
-    /// Reads `head.toml`, or an OpenCV calibration (XML, or YAML) with `Kc kc Kp kp Rp Tp`.
+    /// Reads `head.toml`, or an OpenCV calibration (XML or YAML) with `Kc kc Kp kp Rp Tp`.
     ///
     /// # Errors
     /// [`CoreMapError`] with file, line and what would be right; [`CoreMapError::File`] for the head's own file.
@@ -199,7 +198,7 @@ impl HeadModel {
         test.allows(&record.blake3, self.projectors(), today)
     }
 
-    /// How the mirrors of the projector's DMD lie.
+    /// Arrangement of the mirrors of the projector's DMD.
     #[must_use]
     pub fn mirrors(&self) -> Mirrors {
         self.mirrors

@@ -175,7 +175,7 @@ pub struct Alone {
 /// A figure and its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Judged {
-    /// Which figure.
+    /// The figure.
     pub what: &'static str,
     /// In whose light, where a head has two projectors; empty otherwise.
     pub by: &'static str,
@@ -191,7 +191,7 @@ impl Judged {
         self.um <= self.limit_um
     }
 
-    /// How much of the limit is used; what is no number uses most.
+    /// Ratio of the figure to its limit; infinite for NaN.
     fn share(&self) -> f64 {
         let share = self.um / self.limit_um;
         if share.is_nan() { f64::INFINITY } else { share }
@@ -288,7 +288,7 @@ pub struct SelfTest {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Unfit {
-    /// Its calibration does not count.
+    /// Its calibration has expired or does not match the head.
     #[error(transparent)]
     Calibration(#[from] super::RecordError),
     /// Never tested.
@@ -336,7 +336,7 @@ pub enum Unfit {
 }
 
 impl SelfTest {
-    /// Where the self-test of a head lies.
+    /// Path of a head's self-test.
     #[must_use]
     pub fn path_of(head: &Path) -> PathBuf {
         head.with_extension("check.toml")
@@ -379,7 +379,7 @@ impl SelfTest {
         std::iter::once((together, &self.figures)).chain(alone)
     }
 
-    /// How much of what VDI/VDE 2634, part 2, asks for was measured: the probing error in ten arrangements of a sphere, sphere spacing
+    /// Arrangements measured out of those required by VDI/VDE 2634, part 2: the probing error in ten arrangements of a sphere, sphere spacing
     /// in seven of a bar, flatness in six of a plate. None of a file that does not list them.
     #[must_use]
     pub fn arrangements(&self) -> Option<[Arrangements; 3]> {

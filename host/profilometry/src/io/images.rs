@@ -152,7 +152,7 @@ pub enum ImageError {
     },
 }
 
-/// How large an image is and how its counts are stored, as its header says.
+/// Size and sample depth of an image, from its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageHeader {
     /// Columns.

@@ -51,7 +51,7 @@ impl<'a> Storage<'a> {
         })
     }
 
-    /// Which of several names for one thing the file uses; the first of them, if it has none.
+    /// The name, out of several synonyms, that the file uses; the first of them, if it has none.
     ///
     /// # Errors
     /// [`TextFileError::Value`]: the file has two of them.

@@ -18,7 +18,7 @@ use super::PhaseEstimate;
 pub struct LightParts {
     /// Straight from the projector.
     pub direct_e: f64,
-    /// Over any other way.
+    /// By any other path, electrons.
     pub global_e: f64,
 }
 

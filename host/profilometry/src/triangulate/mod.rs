@@ -8,12 +8,12 @@ use crate::pattern::Axis;
 
 pub(crate) use head::HeadTriangulator;
 
-/// Where a ray meets a sheet of light.
+/// Intersection of a camera ray with a sheet of light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Depth z in the camera frame; the point is `z (x, y, 1)`.
     pub depth_mm: f64,
-    /// How far the projector column moves when the point moves 1 mm in depth along the ray.
+    /// Change of the projector column when the point moves 1 mm in depth along the ray, px/mm.
     pub column_by_depth_px_per_mm: f64,
 }
 
@@ -26,9 +26,9 @@ pub struct Triangulator {
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
     distorted: bool,
-    /// Where the projector's fringes count.
+    /// Part of the projector whose fringes are used.
     circle: Option<ImageCircle>,
-    /// How the sheets of light are bent; what is called a column is then what straight ones would count.
+    /// Bend of the sheets of light; a column is then that of the straight fringes.
     bend: Option<Bend>,
 }
 

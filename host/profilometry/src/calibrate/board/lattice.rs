@@ -1,4 +1,4 @@
-//! Which point of a board each candidate is: a square lattice grown from neighbour to neighbour.
+//! Assignment of candidates to points of a board: a square lattice grown from neighbour to neighbour.
 //!
 //! Nothing presumes that the whole board is seen or how it lies: where the lattice begins is part of a pose, which is unknown anyway.
 
@@ -253,7 +253,7 @@ pub(super) fn spacings_px(points: &[LatticePoint]) -> Vec<f64> {
     points.iter().map(nearest).collect()
 }
 
-/// Where the lattice puts a place that it lacks beside one that it has, by the homography of the points about it.
+/// Expected positions of lattice points missing beside present ones, by the homography of the points about them.
 pub(super) fn expected_beside(points: &[LatticePoint]) -> Vec<LatticePoint> {
     const ABOUT: i32 = 3;
     let has: HashMap<[i32; 2], [f64; 2]> = points.iter().map(|p| (p.place, p.at_px)).collect();

@@ -167,7 +167,7 @@ pub struct BoardFrames<'a> {
     pub columns: &'a [CellColumn],
     /// The projector's rows.
     pub rows: &'a [CellColumn],
-    /// How large the finest fringes are in the projector, columns and rows.
+    /// Period of the finest fringes in the projector, columns and rows, px.
     pub fringe_px: [f64; 2],
 }
 
@@ -218,7 +218,7 @@ pub enum BoardError {
     /// Too few poses, or too few that agree.
     #[error("{got} of {of} poses of the board agree, at least {limit} are needed")]
     FewPoses {
-        /// That agree.
+        /// Poses that agree.
         got: usize,
         /// All.
         of: usize,

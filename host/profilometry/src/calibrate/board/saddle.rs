@@ -20,7 +20,7 @@ const CIRCLE: f64 = 2.5;
 const SAMPLES: usize = 32;
 /// The two periods on the circle exceed one and three by this.
 const LEAST_TWOFOLD: f64 = 1.5;
-/// How far gradients are asked, in distances of crossings: neighbouring edges stay outside.
+/// Radius of the window of gradients, in distances of crossings: neighbouring edges stay outside.
 const REACH: f64 = 0.3;
 const REACH_LIMITS_PX: [f64; 2] = [3.0, 30.0];
 const GRADIENT_SIGMA_PX: f64 = 1.0;
@@ -114,7 +114,7 @@ fn candidate(
     })
 }
 
-/// Which way white lies (cosine and sine of twice the angle), if brightness has two periods on a circle of `reach` pixels.
+/// Direction of the white squares (cosine and sine of twice the angle), if brightness has two periods on a circle of `reach` pixels.
 fn white(smooth: &Grey, at_px: [f64; 2], reach: f64) -> Option<[f64; 2]> {
     let mut waves = [[0.0; 2]; 5];
     for sample in 0..SAMPLES {
