@@ -19,7 +19,7 @@ pub struct FringeSet {
     /// Phase steps, at least 3.
     pub steps: u32,
     /// The column where the phase is zero: -0.5, the outer edge of the first column, for the instrument's own patterns; 0
-    /// where somebody counted phase from the centre of the first column.
+    /// where phase is counted from the centre of the first column.
     pub phase_origin_px: f64,
 }
 

@@ -172,7 +172,7 @@ impl Random {
     }
 }
 
-/// What no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
+/// An image shift that no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
 /// their root mean square along each axis.
 fn waves(lens: &Pinhole, height_px: f64, pixel: [f64; 2]) -> [f64; 2] {
     let [x, y] = [0, 1].map(|k| (pixel[k] - lens.principal_px[k]) / lens.focal_px[k] / 0.45);

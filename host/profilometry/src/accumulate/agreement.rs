@@ -7,13 +7,13 @@
 //! chi-square distribution with two degrees of freedom for every frequency and every exposure that joined others, and these are
 //! independent of each other, since the variances are in the ratio of the times, too.
 //!
-//! The means are not compared: offset and ambient light enter them, of which one dark frame at one exposure does not tell enough,
+//! The means are not compared: offset and ambient light enter them, which one dark frame at one exposure does not determine,
 //! and no depth depends on them.
 
 use super::band::Planes;
 use super::consistency::{FrameNoise, Sums};
 
-/// What head and press move by between two exposures, as a standard deviation of the finest frequency's phase: about 1 µm of
+/// Motion of head and press between two exposures, as a standard deviation of the finest frequency's phase: about 1 µm of
 /// depth for fringes of 0.1 to 0.2 mm at 30 degrees. More than 1 µm from frame to frame is found by [`super::consistency`].
 const MOTION_RAD: f64 = 0.02;
 /// Standard deviation of the ratio of two amplitudes that camera and lamp leave: a sensor whose counts are linear to 1 % of
@@ -320,7 +320,7 @@ mod tests {
         }
     }
 
-    /// What two scenes differ by, in one of three exposures, and whether that is more than limits allow.
+    /// Asserts whether a change of the scene in one of three exposures exceeds the limits.
     #[track_caller]
     fn disagrees(change: impl Fn(&mut CellLight), expected: bool) {
         let mut other = BRIGHT;

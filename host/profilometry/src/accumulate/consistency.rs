@@ -1,12 +1,12 @@
 //! Test whether a cell's frames follow one sinusoid within their noise.
 //!
-//! N frames of a fringe have three unknowns; what is left over has N - 3 degrees of freedom and, divided by the predicted
+//! N frames of a fringe have three unknowns; the residual has N - 3 degrees of freedom and, divided by the predicted
 //! variance of a frame, follows a chi-square distribution. Vibration between the frames, a flickering lamp and saturation too
-//! short to reach the limit all leave more. Light that comes over a second reflection does not: two sinusoids of one frequency
+//! short to reach the limit all enlarge it. Interreflections do not: two sinusoids of one frequency
 //! add up to one sinusoid, with another phase, which only a comparison of frequencies could show.
 //!
-//! What is left over is the sum of squares about the first frame (small numbers, so that single precision lasts) less what
-//! mean and phasor explain.
+//! The residual is the sum of squares about the first frame (small numbers, so that single precision suffices) less the part
+//! explained by mean and phasor.
 
 use flankscope_foundation::normal::guard_factor;
 

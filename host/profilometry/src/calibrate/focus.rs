@@ -6,11 +6,11 @@
 //! calibrations would measure. Rotations are turned from the first setting's by a weighted vector.
 //!
 //! The error of that interpolation is measured: each inner setting is computed from the others alone and compared with its own calibration
-//! over the measuring volume. The worst counts in full between the settings, less towards them as the polynomial's remainder does:
-//! the others alone have one order less and stand twice as far apart, and what noise both calibrations have is in it, too. Where a
-//! straight line between the two neighbouring settings is farther from the polynomial than that, it counts instead: of a symmetric
-//! set, orders that cancel would hide from the first. What bends between two settings and shows at none, no figure tells: a lens that
-//! does needs more of them.
+//! over the measuring volume. The largest error counts in full between the settings, and less towards them as the polynomial's
+//! remainder does: the other settings alone have one order less and twice the spacing, and the noise of both calibrations is included.
+//! Where a straight line between the two neighbouring settings differs from the polynomial by more than that, the difference counts
+//! instead, since orders that cancel in a symmetric set would hide from the first figure. Variations between two settings that show at
+//! neither of them are not detected: such a lens needs more settings.
 
 use std::path::{Path, PathBuf};
 

@@ -84,7 +84,7 @@ pub enum CalibrateError {
         /// Allowed values.
         expected: std::borrow::Cow<'static, str>,
     },
-    /// Hardly any light, or hardly any dots.
+    /// Too little light, or too few dots.
     #[error(
         "view {view} shows {got} dots, at least {limit} are needed: is the plate there, in focus and evenly lit?"
     )]

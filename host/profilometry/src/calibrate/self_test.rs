@@ -55,9 +55,9 @@ pub enum SelfTestError {
 
 const LEAST_POINTS: usize = 200;
 /// Cell of the wear figures. Single points ripple with the cores of the projector's bundle, the same in every capture of a
-/// place; means of some seventy points hardly do.
+/// place; in means of some seventy points the ripple averages out.
 const CELL_MM: f64 = 0.25;
-/// The cap of the sphere that counts: up to this angle from the direction to the camera. Beyond, light grazes.
+/// Cosine of the largest angle between a sphere's normal and the direction to the camera. Beyond, light is grazing.
 const CAP_COS: f64 = 0.77;
 /// Points farther off the certified radius than this are something else's, mm.
 const BELONGS_MM: f64 = 0.15;

@@ -33,8 +33,8 @@ const RING_PITCH: f64 = 1.45;
 impl CoreGrid {
     /// Cores whose boxes lie on the sensor and whose centres lie in the circle.
     ///
-    /// A box also catches its neighbours' light. For fringes that hardly bend from core to core the sum has the phase
-    /// of the brightness-weighted mean place, so that place, from the map, is what the box is said to look at.
+    /// A box also catches its neighbours' light. For fringes that are nearly straight from core to core the sum has the
+    /// phase at the brightness-weighted mean position, so that position, from the map, is taken as the box's.
     pub fn new(map: &CoreMap, circle: Option<&ImageCircle>) -> Self {
         let pitch_px = map.pitch_px().unwrap_or(BOX_PX as f64);
         let reach = (0.5 * BOX_PX as f64 * std::f64::consts::SQRT_2 + 3.5 * map.core_sigma_px)

@@ -1,8 +1,8 @@
 //! Statistics over neighbouring cells: disagreement between frequencies, scatter of phases.
 //!
-//! Predicted noise is that of light and sensor. What it leaves out - light over a second surface, fibres, a lamp - shows where
-//! frequencies that should name one column do not, and where neighbours do not continue each other. Both are averaged over
-//! some cells about each and laid beside the prediction.
+//! Predicted noise is that of light and sensor. Other errors (interreflections, fibres, the lamp) show as frequencies that disagree on
+//! the column, and as scatter between neighbours. Both are averaged over some cells about each and compared with the
+//! prediction.
 
 use super::cell::{CellResult, Fate};
 use super::options::OrderConsistency;
@@ -75,7 +75,7 @@ impl<'a> Neighbourhood<'a> {
             let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
             decided && result.clue_chi_square.is_finite()
         };
-        // In distances to the next order: bright cells, of which hardly any noise is predicted, must not speak for dim ones.
+        // In distances to the next order: bright cells, whose predicted noise is small, must not dominate dim ones.
         let predicted = |result: &CellResult| {
             let variance = result.separation.powi(-2);
             asked(result).then_some(variance)

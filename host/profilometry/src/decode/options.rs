@@ -102,8 +102,8 @@ impl DecodeOptions {
     }
 
     /// For images of any scene from other instruments, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
-    /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. Noise of a
-    /// sensor that was only assumed judges nobody.
+    /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. The
+    /// noise of an assumed sensor rejects no cell.
     pub fn for_images(head: &HeadModel, dark_frame: bool, sensor_assumed: bool) -> Self {
         let defaults = Self::for_head(head).with_smoothed_orders();
         Self {

@@ -70,7 +70,7 @@ pub struct CalibrationRecord {
 pub struct ApartRecord {
     /// Standard uncertainty by the calibration alone, over the measuring volume.
     pub apart_sigma_um: f64,
-    /// On plates that took no part: 95 % of the cells are nearer together. What lenses and bundles do beyond the model is in it.
+    /// 95 % quantile of the cells' differences on plates that took no part, including errors of lenses and bundles beyond the model.
     pub apart_um: f64,
     /// Those plates by the second projector alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]

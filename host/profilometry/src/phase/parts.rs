@@ -8,8 +8,8 @@
 //!
 //! `D = 2 B / c`, `G = 2 A - D`.
 //!
-//! Presumed: what is not direct is even over a fringe. What of it still has fringes counts as direct. Without a stated c it is
-//! taken as 1: D is then the least, G the most it can be.
+//! Assumed: global light is uniform over a fringe; the part of it that still has fringes counts as direct. Without a stated c it is
+//! taken as 1, which makes D a lower and G an upper bound.
 
 use super::PhaseEstimate;
 

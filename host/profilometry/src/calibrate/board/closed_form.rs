@@ -65,7 +65,7 @@ impl Scaling {
 }
 
 /// Lenses of no distortion that the homographies suggest, for images of a size: with the principal point found, and with the principal
-/// point in the middle, which few or hardly tilted boards determine better.
+/// point in the middle, which suits few or slightly tilted boards better.
 pub(super) fn lenses(homographies: &[Matrix3<f64>], size_px: [u32; 2]) -> Vec<Pinhole> {
     let size = size_px.map(f64::from);
     let middle = size.map(|px| 0.5 * (px - 1.0));

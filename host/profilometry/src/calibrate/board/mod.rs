@@ -175,7 +175,7 @@ pub struct BoardFrames<'a> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardError {
-    /// No lattice of the board's kind, or hardly one.
+    /// No lattice of the board's kind, or one of too few points.
     #[error(
         "{view}: {got} {points} of the board were found, at least {limit} are needed: is the board of this kind, in focus, lit, and not over-exposed?"
     )]
