@@ -228,7 +228,7 @@ fn options(args: &Args, defaults: DecodeOptions) -> DecodeOptions {
         min_contrast: args.min_contrast,
         min_modulation_dn: args.min_modulation,
         max_sigma_z_mm: args.max_sigma,
-        consistency: consistency.map_or(defaults.consistency, ConsistencyOptions::of_images),
+        consistency: consistency.map_or(defaults.consistency, ConsistencyOptions::for_images),
         smoothing_px: args.smooth.unwrap_or(defaults.smoothing_px),
         coarse_smoothing_px: args.smooth_coarse.unwrap_or(defaults.coarse_smoothing_px),
         mask: args.mask_threshold.map(|threshold_dn| MaskOptions {

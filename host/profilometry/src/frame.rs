@@ -2,7 +2,7 @@
 
 use crate::pattern::Shown;
 
-/// A frame in somebody else's memory (a shared memory slice, a decoded image). Never copied.
+/// A borrowed frame (a shared memory slice, a decoded image). Never copied.
 #[derive(Clone, Copy, Debug)]
 pub struct FrameView<'a> {
     /// Row after row, `stride` apart; the last row may end after `width`.
@@ -66,7 +66,7 @@ impl<'a> FrameView<'a> {
     }
 }
 
-/// What a frame shows.
+/// Content of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum FrameKind {
     /// Projector black, shortest exposure: the index frame of a view.
@@ -93,7 +93,7 @@ pub enum FrameKind {
 
 impl FrameKind {
     /// A picture at one exposure.
-    pub fn of(picture: Shown, exposure: usize) -> Self {
+    pub fn from_picture(picture: Shown, exposure: usize) -> Self {
         match picture {
             Shown::Fringe { set, step } => Self::Fringe {
                 exposure,
@@ -140,18 +140,18 @@ impl std::fmt::Display for FrameKind {
     }
 }
 
-/// How bright a frame was, found while it was added (no second read).
+/// Mean level of a frame, computed while it was accumulated (no second read).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameLevel {
     /// Mean over the pixels inside the image circle, in raw counts (offset included).
     pub mean_dn: f64,
-    /// How many pixels that were.
+    /// Number of these pixels.
     pub pixels: u64,
 }
 
 impl FrameLevel {
-    /// Whether the frame shows what it should: the dark frame no more than `dark_limit_dn`, a fringe frame more. Of a code a view
-    /// may lie in a single stripe: its frames may be either.
+    /// Whether the mean level fits the content: the dark frame at most `dark_limit_dn`, a fringe frame above it. Code frames may be
+    /// either, since a view may lie in a single stripe.
     ///
     /// A dark frame between the fringes, or light in the dark frame, means that triggers and frames lost step.
     ///
@@ -213,19 +213,19 @@ pub enum FrameError {
     /// This frame was added before.
     #[error("{got} came twice; next should be {expected}")]
     Repeated {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
     },
     /// A later frame came first: one or more are missing.
     #[error("{got} came, but {missing} frame(s) before it are missing, first {expected}")]
     Missing {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
-        /// How many were skipped.
+        /// Number of frames skipped.
         missing: usize,
     },
     /// No such frame in the plan.
@@ -233,9 +233,9 @@ pub enum FrameError {
         "{got} is not in the plan of {exposures} exposure(s) and {sets} frequencies; next should be {expected}"
     )]
     NotPlanned {
-        /// What came.
+        /// Received.
         got: FrameKind,
-        /// What should have come.
+        /// Expected.
         expected: FrameKind,
         /// Exposures in the plan.
         exposures: usize,
@@ -245,7 +245,7 @@ pub enum FrameError {
     /// All frames were there already.
     #[error("{got} came after all {planned} frames of the view")]
     Extra {
-        /// What came.
+        /// Received.
         got: FrameKind,
         /// Frames in the plan.
         planned: usize,
@@ -265,7 +265,7 @@ pub enum FrameError {
         "{kind} has a mean of {mean_dn:.1} DN, must exceed {limit_dn:.1}: no light, or frames lost step"
     )]
     FringeFrameDark {
-        /// Which frame.
+        /// The frame.
         kind: FrameKind,
         /// Mean level.
         mean_dn: f64,

@@ -2,7 +2,7 @@
 //!
 //! The projector's width is cut into stripes; each bit's frame is lit where that bit of the stripe's code word is set, most
 //! significant bit first. Neighbouring words differ in one bit, the first and the last too, so a cell on the edge of two stripes has
-//! one bit that cannot be told and two words that are neighbours: it is known to lie at their edge.
+//! one uncertain bit and two possible words, which are neighbours: it lies at their edge.
 
 use serde::{Deserialize, Serialize};
 
@@ -21,9 +21,9 @@ pub struct GrayCode {
     pub complement: bool,
 }
 
-/// Where a word says that a cell lies, in stripes from where stripe 0 begins.
+/// Position of a cell by its code word, in stripes from the beginning of stripe 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct StripePosition {
     /// Middle of a stripe, or the edge of two.
     pub stripes: f64,
     /// Farthest from there, but for blur: half a stripe, or nothing at an edge.
@@ -52,9 +52,9 @@ impl GrayCode {
         word >> (self.bits - 1 - bit) & 1 == 1
     }
 
-    /// Where a cell lies that shows these bits, most significant first; `None` stands for one that cannot be told. `None` if words
-    /// other than those of two neighbours are possible.
-    pub fn place(&self, bits: &[Option<bool>]) -> Option<Place> {
+    /// Position of a cell from its bits, most significant first; a `None` among them is an uncertain bit. `None` if words other than
+    /// those of two neighbouring stripes are possible.
+    pub fn place(&self, bits: &[Option<bool>]) -> Option<StripePosition> {
         let untold = bits.iter().filter(|bit| bit.is_none()).count();
         // Bits of the binary number: each is the parity of the word's bits so far.
         let stripe = |instead: bool| {
@@ -66,7 +66,7 @@ impl GrayCode {
         };
         let (first, second) = (stripe(false), stripe(true));
         match untold {
-            0 => Some(Place {
+            0 => Some(StripePosition {
                 stripes: f64::from(first) + 0.5,
                 half_width: 0.5,
             }),
@@ -77,7 +77,7 @@ impl GrayCode {
                     apart if apart + 1 == self.period() => 0,
                     _ => return None,
                 };
-                Some(Place {
+                Some(StripePosition {
                     stripes: f64::from(edge),
                     half_width: 0.0,
                 })

@@ -13,14 +13,14 @@
 //!  triangulate  camera ray and projector column to a depth
 //!  cloud        points, and why other cells gave none
 //!  decode       the whole way, made once per head: sums of a view to a cloud (mm, camera frame, sigma_z per point)
-//!  plan         somebody's capture: which image shows which frame
+//!  plan         external captures: which image shows which frame
 //!  calibrate    captures of a target to a head, and the head's self-test
 //! ```
 //!
-//! A floor uses those above it in this list, never one below.
+//! A module uses those above it in this list, never one below.
 //!
-//! No frame is ever copied or kept: each is read once, while it is added. What a *cell* is (a pixel, a block of pixels,
-//! or a core of the fibre bundle) is decided by [`cells::Grid`]; the instrument's geometry comes from [`head::HeadModel`], the
+//! No frame is ever copied or kept: each is read once, while it is added. [`cells::Grid`] decides whether a *cell* is a pixel, a block
+//! of pixels, or a core of the fibre bundle; the instrument's geometry comes from [`head::HeadModel`], the
 //! projected patterns from [`pattern::PatternSet`]. [`decode::Decoder`] joins them and is made once per head.
 //!
 //! Depends on nothing of the instrument: `station` and `cli` use it, it uses neither, and it does not know `metrology`.

@@ -1,4 +1,4 @@
-//! Which fringes are projected: frequencies, low to high, with their phase steps.
+//! Sets of projected fringes: frequencies, low to high, with their phase steps.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ pub struct FringeSet {
     /// Phase steps, at least 3.
     pub steps: u32,
     /// The column where the phase is zero: -0.5, the outer edge of the first column, for the instrument's own patterns; 0
-    /// where somebody counted phase from the centre of the first column.
+    /// where phase is counted from the centre of the first column.
     pub phase_origin_px: f64,
 }
 
@@ -43,7 +43,7 @@ impl FringeSet {
     }
 }
 
-/// What the fringes count.
+/// Projector coordinate that the fringes encode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Axis {
     /// The projector's columns: stripes stand upright.
@@ -63,7 +63,7 @@ impl Axis {
     }
 }
 
-/// Which way the fringes move from step to step.
+/// Direction in which the fringes move from step to step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum StepSign {
     /// Step n shows `cos(phase + TAU n / N)`: the instrument's own patterns.
@@ -90,9 +90,9 @@ pub struct PatternSet {
     pub name: String,
     /// 1 to 12 frequencies, ascending.
     pub sets: Vec<FringeSet>,
-    /// Which way the fringes step.
+    /// Direction in which the fringes move from step to step.
     pub step_sign: StepSign,
-    /// What the fringes count.
+    /// Projector coordinate that the fringes encode.
     pub axis: Axis,
     /// A code that tells the stripe, shown after the fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -113,7 +113,7 @@ pub enum Shown {
     Code {
         /// Index of the bit, 0 the most significant.
         bit: u32,
-        /// Whether dark and bright are exchanged.
+        /// Whether dark and bright are exchanged (complement of the bit).
         complement: bool,
     },
 }
@@ -125,13 +125,13 @@ pub enum PatternError {
     /// Not one of the built-in names.
     #[error("pattern set \"{name}\" is unknown: {KNOWN_SETS}; any other goes into a plan file")]
     UnknownName {
-        /// What was asked for.
+        /// Value asked for.
         name: String,
     },
     /// None, or more than twelve.
     #[error("{got} frequencies: 1 to {MAX_FREQUENCIES} are possible")]
     FrequencyCount {
-        /// How many there were.
+        /// Frequencies given.
         got: usize,
     },
     /// A sinusoid has three unknowns.
@@ -169,13 +169,13 @@ pub enum PatternError {
     Origin {
         /// Index of the frequency.
         set: usize,
-        /// What it was.
+        /// Value given.
         got: f64,
     },
     /// No bit, or more stripes than any projector has columns.
     #[error("a Gray code of {got} bits: 1 to {MAX_BITS} are possible")]
     CodeBits {
-        /// How many.
+        /// Number given.
         got: u32,
     },
     /// Zero, negative or not finite.
@@ -189,14 +189,14 @@ pub enum PatternError {
         "the first stripe of the Gray code begins at column {got}: must be within a projector's width of column 0"
     )]
     CodeOrigin {
-        /// What it was.
+        /// Value given.
         got: f64,
     },
 }
 
 impl PatternError {
     /// The value of a file that is wrong; `key` says what a frequency's own are called there.
-    pub(crate) fn of_key(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
+    pub(crate) fn bad_value(&self, key: impl Fn(usize, &str) -> String) -> BadValue {
         match *self {
             Self::Steps { set, got } => BadValue::new(
                 key(set, "steps"),
@@ -245,7 +245,7 @@ pub const NAMED: [(&str, &[(f64, u32)]); 5] = [
     ("high12", &[(36.0, 4), (39.0, 4), (48.0, 4)]),
     ("high16", &[(41.0, 4), (45.0, 4), (48.0, 8)]),
 ];
-/// What `pattern_set` may name.
+/// Values allowed for `pattern_set`.
 pub(crate) const KNOWN_SETS: &str = "must be article8, insitu12, scan16, high12 or high16";
 /// More than micro phase shifting needs.
 pub const MAX_FREQUENCIES: usize = 12;
@@ -265,7 +265,7 @@ impl PatternSet {
         Self::with_convention(name, sets, StepSign::Plus, Axis::Columns)
     }
 
-    /// A set of somebody else's patterns.
+    /// A set of patterns that are not the instrument's own.
     ///
     /// # Errors
     /// [`PatternError`]: see its variants for the limits.
@@ -392,7 +392,7 @@ impl PatternSet {
         fringes.chain(bits)
     }
 
-    /// What the projector shows in column `column` (pixel centres at integers), 0 dark to 1 bright.
+    /// Brightness of the projector in column `column` (pixel centres at integers), 0 dark to 1 bright.
     pub fn intensity(&self, picture: Shown, column: f64, width_px: f64) -> f64 {
         let (set, step) = match picture {
             Shown::Fringe { set, step } => (set, step),

@@ -1,4 +1,4 @@
-//! `PLAN.toml`: the patterns of somebody's capture and which image shows which (see `docs/formats.md`).
+//! `PLAN.toml`: the patterns of an external capture and the image of each (see `docs/formats.md`).
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ pub struct Plan {
     pub patterns: PatternSet,
     /// Exposures, ascending; a single one of unknown length counts as 1 us.
     pub exposures_us: Vec<u32>,
-    /// Whether there is a dark frame.
+    /// Whether a dark frame is taken.
     pub dark_frame: bool,
     /// The measured sensor, if the plan has one.
     pub sensor: Option<Sensor>,
@@ -56,7 +56,7 @@ struct PlanFile {
     gray_code: Option<CodeFile>,
 }
 
-/// Which way the stripes run.
+/// Direction of the stripes.
 #[derive(Clone, Copy, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum FringesAlong {
@@ -310,7 +310,7 @@ fn fringe_sets(file: &PlanFile, order: &[usize]) -> Result<Vec<FringeSet>, BadVa
     }
 }
 
-/// What the folder's images show when they are taken by name: the dark frame, then exposure by exposure the tables as they stand in
+/// Content of the folder's images in order of their names: the dark frame, then exposure by exposure the tables as they stand in
 /// the file, whatever their frequencies.
 fn sorted_frames(
     file: &PlanFile,
@@ -325,7 +325,7 @@ fn sorted_frames(
             "must be absent (use dark_first = true) when the sets list no frames",
         ));
     }
-    // Of a built-in set, which has no tables, the order is its own.
+    // A built-in set has no tables and an order of its own.
     let mut sets: Vec<usize> = (0..patterns.sets.len()).collect();
     sets.sort_by_key(|&set| order.get(set));
     let mut kinds = Vec::new();
@@ -341,7 +341,9 @@ fn sorted_frames(
                 step,
             }));
         }
-        kinds.extend(code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure)));
+        kinds.extend(
+            code_pictures(patterns).map(|picture| FrameKind::from_picture(picture, exposure)),
+        );
     }
     Ok(kinds)
 }
@@ -401,14 +403,15 @@ fn named_frames(
                 ));
             }
             let images = file.frames[exposure * pictures..].iter();
-            let kinds = code_pictures(patterns).map(|picture| FrameKind::of(picture, exposure));
+            let kinds =
+                code_pictures(patterns).map(|picture| FrameKind::from_picture(picture, exposure));
             frames.extend(kinds.zip(images.cloned()));
         }
     }
     Ok(frames)
 }
 
-/// What is wrong with patterns whose tables stand in this order, lowest frequency first.
+/// Error of patterns whose tables stand in this order, lowest frequency first.
 fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
     let key = |set: usize, name: &str| match order.get(set) {
         Some(index) => format!("set[{index}].{name}"),
@@ -421,7 +424,7 @@ fn bad_pattern(error: &PatternError, order: &[usize]) -> BadValue {
         PatternError::FrequencyCount { got } => {
             BadValue::new("set", got, "must be 1 to 12 [[set]] tables")
         }
-        ref other => other.of_key(key),
+        ref other => other.bad_value(key),
     }
 }
 
@@ -572,7 +575,7 @@ mod tests {
         // Their places agree with those that the sums expect.
         let pictures: Vec<Shown> = named.patterns.pictures().collect();
         let expected = (0..2).flat_map(|exposure| {
-            let of = |picture: &Shown| FrameKind::of(*picture, exposure);
+            let of = |picture: &Shown| FrameKind::from_picture(*picture, exposure);
             pictures.iter().map(of).collect::<Vec<_>>()
         });
         assert_eq!(listed, expected.collect::<Vec<_>>());

@@ -1,10 +1,10 @@
-//! Which fringe is it? From the wrapped phases of several frequencies to one absolute phase of the finest.
+//! Phase unwrapping: from the wrapped phases of several frequencies to one absolute phase of the finest.
 //!
 //! The finest frequency's phase leaves a ladder of columns, one per fringe order. Every other frequency is a [`Clue`]: it
 //! says what its phase should be at each of these columns. The order is the one with the smallest chi-square of all clues
-//! together, each weighted by its variance (maximum likelihood, but for what the clues share: the finest phase). Nothing is presumed of the frequencies' ratio: coarse fringes
-//! under fine ones, and high frequencies of which only the beat is slow (Gupta and Nayar, Micro phase shifting, CVPR 2012), are
-//! the same sum. Low frequencies are spoiled by light that arrives over a second surface; of high ones it is blurred out.
+//! together, each weighted by its variance (maximum likelihood except for their common part, the finest phase). Any ratios of
+//! frequencies are allowed: coarse and fine fringes, or high frequencies with a slow beat (Gupta and Nayar, Micro phase shifting,
+//! CVPR 2012). Interreflections disturb low frequencies, while high ones average them out.
 //!
 //! Two orders lie `d` standard deviations of the clues apart ([`Decision::separation`]); noise takes the one for the other with
 //! probability `erfc(d / (2 sqrt 2)) / 2`. For one clue of ratio `R` that is the familiar
@@ -21,7 +21,7 @@ pub fn nearest_turn(wrapped_rad: f64, expected_rad: f64) -> f64 {
     wrapped_rad + TAU * ((expected_rad - wrapped_rad) / TAU).round()
 }
 
-/// What one frequency says about the column, beside the finest one.
+/// Clue of one frequency other than the finest to the projector column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clue {
     /// Periods of its phase per period of the finest; negative for a phase less that of the finest.
@@ -43,7 +43,7 @@ pub(crate) const NO_CLUE: Clue = Clue {
 };
 
 impl Clue {
-    /// How far its phase is from what the finest frequency's absolute phase asks for.
+    /// Difference of its phase from the one predicted by the finest frequency's absolute phase, rad.
     fn residual_rad(&self, absolute_rad: f64) -> f64 {
         nearest_turn(self.phase_rad - self.ratio * absolute_rad, 0.0)
     }
@@ -58,13 +58,13 @@ impl Clue {
         }
     }
 
-    /// How far its phase moves over so many orders.
+    /// Change of its phase over this number of orders, rad.
     fn step_rad(&self, orders: f64) -> f64 {
         nearest_turn(self.ratio * TAU * orders, 0.0)
     }
 }
 
-/// What a volume leaves of the ladder.
+/// The ladder of frequencies restricted to the columns that the measuring volume allows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ladder {
     /// Phase of the finest frequency in the middle.
@@ -84,16 +84,16 @@ pub struct Decision {
     pub chi_square: f64,
     /// Distance of the nearest other order, in predicted standard deviations.
     pub separation: f64,
-    /// Whether the clues lie nearer to this order than half way to the point in the middle between it and any other: what
-    /// lies beyond is no noise (an edge inside the cell, stray light).
+    /// Whether the clues lie within a quarter of the distance from this order to any other; clues farther off are not explained by
+    /// noise (an edge inside the cell, stray light).
     pub agreed: bool,
 }
 
 /// Keeps noiseless clues finite; far below any camera.
 const LEAST_VARIANCE_RAD2: f64 = 1e-16;
 
-/// How clues are weighted: each by its own variance. What they share is left out of the weights, so that each may be wrapped by
-/// itself, but not out of what is said about their sum.
+/// Weighting of clues by their own variances. Their common error (the finest phase) is left out of the weights, so that each clue can be
+/// wrapped independently, but is included in the uncertainty of their sum.
 struct Weights<'a>(&'a [Clue]);
 
 impl Weights<'_> {
@@ -143,7 +143,7 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
     let mut decision = Decision {
         absolute_rad: phase_rad(best),
         chi_square: least,
-        // Of a NaN nothing is sure.
+        // A NaN is never certain.
         separation: if least.is_finite() {
             f64::INFINITY
         } else {
@@ -172,10 +172,10 @@ pub fn decide(clues: &[Clue], wrapped_rad: f64, ladder: &Ladder) -> Decision {
 /// Separation that counts as telling two orders apart, radians of equally noisy clues: ten standard deviations of 0.05 rad.
 const TOLD_APART_RAD: f64 = 0.5;
 
-/// How many neighbouring orders of the finest frequency a set tells apart, the finest last in `periods`.
+/// Number of neighbouring orders of the finest frequency that a set distinguishes, the finest last in `periods`.
 ///
-/// Up to the first that looks so much like the order itself that noise which leaves the neighbours apart, or 0.05 rad in every
-/// phase, could exchange them. A single frequency tells nothing apart; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
+/// It ends at the first order that could be exchanged with the present one by noise that does not exchange neighbours, or by 0.05 rad
+/// in every phase. A single frequency distinguishes none; with 1 and 16 periods it is all 16, with 4 and 48 it is 12,
 /// with 41, 45 and 48 all 48, with 41 and 48 only 7.
 pub fn distinct_orders(periods: &[f64]) -> usize {
     let Some(finest) = periods.last() else {
@@ -190,7 +190,7 @@ pub fn distinct_orders(periods: &[f64]) -> usize {
         .unwrap_or(most)
 }
 
-/// How far apart so many orders are for equally noisy phases, in standard deviations of one phase.
+/// Separation of orders this far apart for equally noisy phases, in standard deviations of one phase.
 fn apart_rad(periods: &[f64], orders: f64) -> f64 {
     let Some((finest, others)) = periods.split_last() else {
         return 0.0;

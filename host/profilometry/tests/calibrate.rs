@@ -97,7 +97,7 @@ fn truth() -> HeadModel {
     }
 }
 
-/// What a drawing says of it.
+/// Head with the drawing's nominal values, from which the adjustment starts.
 fn start() -> HeadModel {
     let mut head = truth();
     head.camera = lens(1920, 1200, 2510.0, [959.5, 599.5], [0.0; 5]);
@@ -172,7 +172,7 @@ impl Random {
     }
 }
 
-/// What no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
+/// An image shift that no polynomial of the radius follows: waves across the image, two fifths to a half as long as it is wide; `height_px` is
 /// their root mean square along each axis.
 fn waves(lens: &Pinhole, height_px: f64, pixel: [f64; 2]) -> [f64; 2] {
     let [x, y] = [0, 1].map(|k| (pixel[k] - lens.principal_px[k]) / lens.focal_px[k] / 0.45);
@@ -390,7 +390,7 @@ fn perfect_marks_give_both_projectors_against_one_camera() {
         }
     }
     assert_eq!(adjusted.dropped, 0);
-    // What only the second one was off by is not put into the first.
+    // The error of the second projector alone is not attributed to the first.
     let one = sightings(&truth(), &target, SWING, &mut Random(1), [0.0; 2]);
     let alone = adjust(&start(), &target, &one, STAGE_SIGMA).unwrap();
     assert_eq!(
@@ -467,7 +467,7 @@ fn residual_fields_take_up_what_brown_leaves() {
 #[test]
 fn plates_that_say_too_little_are_refused() {
     let facing = target(&[[0.0; 2]; 6]);
-    // Neither tilted nor turned against each other: distance and focal length cannot be told apart.
+    // Plates neither tilted nor turned against each other do not determine distance and focal length separately.
     let marks = sightings(&truth(), &facing, 0.0, &mut Random(3), [1.0, 0.0]);
     let refused = adjust(&start(), &facing, &marks, STAGE_SIGMA).err();
     assert!(

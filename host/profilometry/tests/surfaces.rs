@@ -27,7 +27,7 @@ fn decode(
     light: &Light,
     binning: usize,
 ) -> Decoded {
-    // As long as they are bright: the exposures of a scene must agree.
+    // Exposure times in proportion to the gains, so that all exposures show the same scene.
     let exposures_us: Vec<u32> = gains.iter().map(|gain| (1000.0 * gain) as u32).collect();
     let options = DecodeOptions {
         binning,
@@ -508,7 +508,7 @@ fn two_projectors_measure_what_either_sees_and_nothing_that_they_contradict_each
     for (point, cell) in decoded.cloud.points_mm.iter().zip(&decoded.cloud.cell) {
         let [column, row] = cell.map(usize::from);
         let z = surface(ray(&twin, column as f64, row as f64));
-        // What only the misled one saw nobody contradicts.
+        // Points seen by the misled projector alone are contradicted by nothing.
         let deeper = if misled(row) && column < 40 { 0.2 } else { 0.0 };
         let off = (point[2] - z - deeper).abs();
         assert!(off < 1e-5, "{cell:?}: {off} mm");
@@ -524,7 +524,7 @@ fn two_projectors_measure_what_either_sees_and_nothing_that_they_contradict_each
     );
     assert!(found.apart_um.unwrap().abs() < 0.01, "{found:?}");
     assert_eq!(decoded.cloud.light.len(), decoded.cloud.len());
-    // As bytes and back.
+    // Round trip through bytes.
     let bytes = sums.to_bytes();
     assert_eq!(bytes.len(), sums.byte_count());
     let mut again = decoder.begin();
@@ -541,7 +541,7 @@ fn two_projectors_measure_what_either_sees_and_nothing_that_they_contradict_each
     assert!(matches!(error, DecodeError::Incomplete { .. }), "{error}");
 }
 
-/// What both measured is as uncertain as is said, and less than what either does.
+/// Points merged from both projectors scatter by their stated uncertainty, and by less than those of either alone.
 #[test]
 fn two_projectors_are_surer_than_one() {
     let twin = twin();

@@ -289,7 +289,7 @@ fn the_target_gives_the_head() {
     // Plane and sphere of a fit head, and of one whose lens has been knocked out of place since.
     let planes = [vec![blank]];
     let spheres: Vec<_> = spheres.into_iter().map(|cells| vec![cells]).collect();
-    let test = SelfTest::of(&head, &target, &planes, &spheres, today).expect("a self-test");
+    let test = SelfTest::measure(&head, &target, &planes, &spheres, today).expect("a self-test");
     eprintln!("{test:?}");
     let limits = test.limits;
     assert!(
@@ -330,7 +330,8 @@ fn the_target_gives_the_head() {
     assert_eq!(fit(&other, today), Err(Unfit::Foreign { date: today }));
     let mut knocked = head.clone();
     knocked.camera.focal_px = knocked.camera.focal_px.map(|focal| 1.01 * focal);
-    let failed = SelfTest::of(&knocked, &target, &planes, &spheres, today).expect("a self-test");
+    let failed =
+        SelfTest::measure(&knocked, &target, &planes, &spheres, today).expect("a self-test");
     eprintln!("{failed:?}");
     assert!(matches!(fit(&failed, today), Err(Unfit::Failed { .. })));
     // Two centres as the bench's optics have them, read with the knocked lens.
@@ -357,7 +358,7 @@ fn the_target_gives_the_head() {
         .expect("two spheres");
     eprintln!("knocked: {failed_um:.2} um, by the optics {farthest_um:.2}");
     assert!((failed_um - farthest_um).abs() < 4.3);
-    let one = SelfTest::of(&head, &target, &planes, &spheres[..1], today);
+    let one = SelfTest::measure(&head, &target, &planes, &spheres[..1], today);
     assert!(
         matches!(
             one,
@@ -524,7 +525,7 @@ fn captures_in_a_folder_give_the_same_head() {
     };
     let offset_dn = start.sensor.expect("a sensor").offset_dn;
     let flat = frames(&decoder(&without_circle, by_pixel), &views[0]);
-    let flat = FlatField::of_view(&flat, offset_dn).expect("a flat field");
+    let flat = FlatField::from_view(&flat, offset_dn).expect("a flat field");
     start.core_map = Some(Arc::new(cores::find(&flat).expect("cores")));
     let by_core = decoder(&start, DecodeOptions::for_head(&start));
     let columns = |view: &TargetView| by_core.columns(&frames(&by_core, view)).expect("a view");

@@ -132,7 +132,7 @@ impl Rig {
         };
         let offset_dn = start.sensor.context("the head has no sensor")?.offset_dn;
         let flat = sums(&decoder(&without_circle, by_pixel)?, blank)?;
-        start.core_map = Some(Arc::new(cores::find(&FlatField::of_view(
+        start.core_map = Some(Arc::new(cores::find(&FlatField::from_view(
             &flat, offset_dn,
         )?)?));
 
@@ -159,7 +159,7 @@ impl Rig {
             &head,
             &target.name,
             [None, None],
-            ApartRecord::of(&adjusted, &target, &seen),
+            ApartRecord::from_views(&adjusted, &target, &seen),
             day,
             90,
         ));

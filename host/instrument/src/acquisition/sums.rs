@@ -166,7 +166,10 @@ mod tests {
             };
             assert_eq!(frame.pass, shown / 12);
             let exposure = usize::from(place.exposure);
-            assert_eq!(frame.kind, FrameKind::of(pictures[shown % 12], exposure));
+            assert_eq!(
+                frame.kind,
+                FrameKind::from_picture(pictures[shown % 12], exposure)
+            );
             let limit_dn = offset_dn + lit_ratios[frame.pass] * span_dn;
             assert_eq!(frame.dark_limit_dn, limit_dn);
         }

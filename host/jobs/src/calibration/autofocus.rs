@@ -76,7 +76,7 @@ impl Autofocus {
         surveyor.through(port, settings, watch, |views| {
             if !at.is_empty() {
                 let seen = at.iter().zip(views).map(|(&counts, cells)| {
-                    Ok::<_, CalibrationError>(Sharpness::of(counts, &cells?, head)?)
+                    Ok::<_, CalibrationError>(Sharpness::from_view(counts, &cells?, head)?)
                 });
                 looks.push(seen.collect::<Result<_, _>>()?);
             }

@@ -182,7 +182,7 @@ impl BoardFolder {
         date: Date,
         valid_days: u32,
     ) -> Result<CalibrationRecord, SaveError> {
-        let record = CalibrationRecord::of_board(
+        let record = CalibrationRecord::from_board(
             adjusted,
             &self.board,
             self.pitch_sigma_mm,
@@ -245,7 +245,7 @@ impl BoardFolder {
         };
         let head = HeadModel {
             sensor: plan.sensor.or(Some(Sensor::assumed(bits))),
-            ..HeadModel::of_lenses(
+            ..HeadModel::from_lenses(
                 "not calibrated",
                 ideal(self.camera_px),
                 ideal(self.projector_px),
@@ -425,7 +425,7 @@ fn images_of(plan: &Plan, pose: &Path, camera_px: &mut Option<[u32; 2]>, lacks: 
         Err(error) => return lacks.push(error.to_string()),
     };
     for (_, path) in frames {
-        let header = ImageHeader::of(&path).and_then(|header| {
+        let header = ImageHeader::read(&path).and_then(|header| {
             let size_px = camera_px.get_or_insert([header.width, header.height]);
             header.check(&path, *size_px)
         });

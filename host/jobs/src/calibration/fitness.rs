@@ -65,7 +65,7 @@ impl FitnessSurvey {
         let captured = self.surveyor.survey(port, settings, watch)?.into_iter();
         let captured: Vec<Vec<Vec<CellColumn>>> = captured.collect::<Result<_, _>>()?;
         let (planes, spheres) = captured.split_at(captured.len() / 2);
-        let test = SelfTest::of(&self.head, &self.target, planes, spheres, date);
+        let test = SelfTest::measure(&self.head, &self.target, planes, spheres, date);
         Ok(test?)
     }
 }

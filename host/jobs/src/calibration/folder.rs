@@ -105,7 +105,7 @@ impl CaptureFolder {
         let spheres = self.captures.sphere.iter().map(|folder| by_each(folder));
         let spheres: Vec<Vec<Vec<CellColumn>>> =
             spheres.collect::<Result<_, CalibrationError>>()?;
-        let test = SelfTest::of(head, &self.target, &[plane], &spheres, date);
+        let test = SelfTest::measure(head, &self.target, &[plane], &spheres, date);
         Ok(Some(test?))
     }
 
@@ -114,7 +114,10 @@ impl CaptureFolder {
         let (head, options) = for_cores(&self.start);
         let decoder = self.decoder(&head, options)?;
         let sums = self.sums(&decoder, &self.captures.blank)?;
-        Ok(cores::find(&FlatField::of_view(&sums, sensor.offset_dn)?)?)
+        Ok(cores::find(&FlatField::from_view(
+            &sums,
+            sensor.offset_dn,
+        )?)?)
     }
 
     fn decoder(

@@ -112,7 +112,7 @@ impl CoreSearch {
         let (head, options) = for_cores(start);
         let at = [views::facing(&target.blank)];
         let to_flat =
-            move |_: &Decoder, sums: &Accumulator| FlatField::of_view(sums, sensor.offset_dn);
+            move |_: &Decoder, sums: &Accumulator| FlatField::from_view(sums, sensor.offset_dn);
         Ok(Self(Surveyor::open(
             &head,
             options,
@@ -286,7 +286,7 @@ impl Calibrated {
         Ok(Self {
             hold_out: [&adjusted.head, &adjusted.without_field]
                 .map(|head| hold_out(head, target, &by_first)),
-            apart: ApartRecord::of(&adjusted, target, &kept_aside),
+            apart: ApartRecord::from_views(&adjusted, target, &kept_aside),
             adjusted,
             target: target.name.clone(),
             views: reports,

@@ -1,4 +1,4 @@
-//! Whether the exposures of a cell show one scene.
+//! Test whether the exposures of a cell show the same scene.
 //!
 //! Two exposures of one scene have one phase, and amplitudes in the ratio of their times. An exposure that saturates nowhere in
 //! the cell is therefore compared with the sum of those before it, frequency by frequency, before it joins them. With `r` the ratio
@@ -7,13 +7,13 @@
 //! chi-square distribution with two degrees of freedom for every frequency and every exposure that joined others, and these are
 //! independent of each other, since the variances are in the ratio of the times, too.
 //!
-//! The means are not compared: offset and ambient light enter them, of which one dark frame at one exposure does not tell enough,
+//! The means are not compared: offset and ambient light enter them, which one dark frame at one exposure does not determine,
 //! and no depth depends on them.
 
 use super::band::Planes;
 use super::consistency::{FrameNoise, Sums};
 
-/// What head and press move by between two exposures, as a standard deviation of the finest frequency's phase: about 1 µm of
+/// Motion of head and press between two exposures, as a standard deviation of the finest frequency's phase: about 1 µm of
 /// depth for fringes of 0.1 to 0.2 mm at 30 degrees. More than 1 µm from frame to frame is found by [`super::consistency`].
 const MOTION_RAD: f64 = 0.02;
 /// Standard deviation of the ratio of two amplitudes that camera and lamp leave: a sensor whose counts are linear to 1 % of
@@ -25,19 +25,19 @@ const EXPOSURE_TOLERANCE_US: f64 = 100.0;
 /// Statistic of a cell that saturates at an exposure and not at a longer one, which no scene does. Finite, as all that is stored.
 const IMPOSSIBLE: f32 = 1e30;
 
-/// What the comparison needs of exposures and patterns.
+/// Exposures and patterns for the comparison.
 #[derive(Debug)]
 pub(crate) struct Agreement {
-    /// Of every exposure after the first.
+    /// One entry per exposure after the first.
     joining: Vec<Joining>,
     /// Standard deviation of each frequency's phase by motion, rad.
     motion_rad: Vec<f32>,
 }
 
-/// An exposure beside the sum of those before it.
+/// An exposure relative to the sum of those before it.
 #[derive(Clone, Copy, Debug)]
 struct Joining {
-    /// Its time by theirs.
+    /// Ratio of its exposure time to the sum of theirs.
     ratio: f32,
     /// Standard deviation of its amplitude, relative to it, beside noise.
     amplitude_ratio: f32,
@@ -80,7 +80,7 @@ impl Agreement {
     pub fn add(
         &self,
         sums: Sums<'_>,
-        merged: Merged<'_>,
+        merged: MergedExposures<'_>,
         (exposure, set): (usize, usize),
         steps: u32,
         noise: &FrameNoise,
@@ -101,9 +101,9 @@ impl Agreement {
         let count = steps as f32;
         let per_frame = 1.0 / count;
         let before = exposure as f32;
-        // Of three steps, light's own noise follows the fringe: at most half as much again (see `phase::estimate`).
+        // With three steps shot noise follows the fringe: at most half as much again (see `phase::estimate`).
         let variance_per_frame = 0.5 * count * if steps == 3 { 1.5 } else { 1.0 };
-        // What an exposure has of the sum of all.
+        // Share of one exposure in the sum of all.
         let share = ratio / (1.0 + ratio);
         let frame = |light: f32, frames: f32| {
             let light = light.max(0.0);
@@ -146,14 +146,14 @@ impl Agreement {
 
 /// The exposures that went in so far, some cells of one frequency.
 #[derive(Clone, Copy)]
-pub(crate) struct Merged<'a> {
+pub(crate) struct MergedExposures<'a> {
     re: &'a [f32],
     im: &'a [f32],
     sum: &'a [f32],
     exposures: &'a [u8],
 }
 
-impl<'a> Merged<'a> {
+impl<'a> MergedExposures<'a> {
     pub fn new(planes: &'a Planes, exposures: &'a [u8], cells: std::ops::Range<usize>) -> Self {
         Self {
             re: &planes.re[cells.clone()],
@@ -185,14 +185,14 @@ mod tests {
 
     /// A cell's light: electrons per ms in the mean, contrast, and phase of either frequency.
     #[derive(Clone, Copy)]
-    struct Scene {
+    struct CellLight {
         mean_e_per_ms: f64,
         contrast: f64,
         phase_rad: [f64; 2],
     }
 
     /// Light of the middle exposure of a bright core: 40 000 electrons.
-    const BRIGHT: Scene = Scene {
+    const BRIGHT: CellLight = CellLight {
         mean_e_per_ms: 4_000.0,
         contrast: 0.5,
         phase_rad: [0.7, -2.1],
@@ -215,7 +215,7 @@ mod tests {
     fn found(
         agreement: &Agreement,
         steps: [u32; 2],
-        scenes: [Option<Scene>; 3],
+        scenes: [Option<CellLight>; 3],
         mut noise: impl FnMut() -> f64,
     ) -> f32 {
         let mut into = [7.0];
@@ -242,7 +242,7 @@ mod tests {
                     squares: &[0.0],
                 };
                 let [merged_re, merged_im, merged_sum] = merged[set];
-                let before = Merged {
+                let before = MergedExposures {
                     re: &[merged_re],
                     im: &[merged_im],
                     sum: &[merged_sum],
@@ -290,7 +290,7 @@ mod tests {
     fn noise_alone_exceeds_the_limit_as_often_as_asked() {
         let agreement = of_noise_alone();
         assert_eq!(agreement.most_freedom(), 8);
-        let dim = Scene {
+        let dim = CellLight {
             mean_e_per_ms: 80.0,
             ..BRIGHT
         };
@@ -320,9 +320,9 @@ mod tests {
         }
     }
 
-    /// What two scenes differ by, in one of three exposures, and whether that is more than limits allow.
+    /// Asserts whether a change of the scene in one of three exposures exceeds the limits.
     #[track_caller]
-    fn disagrees(change: impl Fn(&mut Scene), expected: bool) {
+    fn disagrees(change: impl Fn(&mut CellLight), expected: bool) {
         let mut other = BRIGHT;
         change(&mut other);
         let limit = consistency::limits(1e-3, 8)[8];

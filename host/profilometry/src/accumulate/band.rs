@@ -1,7 +1,7 @@
 //! Some cell rows with their sums: what one thread adds a frame to.
 
 use super::Phasor;
-use super::agreement::Merged as MergedCells;
+use super::agreement::MergedExposures;
 use super::cell_row::CellRow;
 use super::code::{BitPart, BitSums, Finest, add_difference};
 use super::consistency::{Sums, add_chi_square, deviate};
@@ -49,7 +49,7 @@ pub(crate) struct Band {
     first: Vec<f32>,
     squares: Vec<f32>,
     pub merged: Vec<Merged>,
-    /// How far the exposures disagree, over all frequencies, per cell; empty where nothing is compared.
+    /// Disagreement of the exposures over all frequencies, per cell; empty where nothing is compared.
     pub disagreement: Vec<f32>,
     /// Every bit of the code.
     pub code: Vec<BitSums>,
@@ -58,7 +58,7 @@ pub(crate) struct Band {
     row: CellRow,
 }
 
-/// What one frame does to a band.
+/// Operation of one frame on a band.
 #[derive(Clone, Copy)]
 pub(super) enum Work {
     Dark,
@@ -220,7 +220,7 @@ impl Band {
                                 } = &self.merged[set];
                                 agreement.add(
                                     sums,
-                                    MergedCells::new(planes, exposures, cells.clone()),
+                                    MergedExposures::new(planes, exposures, cells.clone()),
                                     (exposure, set),
                                     layout.steps[set],
                                     noise,

@@ -141,7 +141,7 @@ impl CellRow {
         total
     }
 
-    /// As above where the sum of a whole cell fits 16 bits, as it does for 12-bit counts and cells of up to 4 x 4 pixels.
+    /// The same for cells whose sum fits 16 bits: 12-bit counts and up to 4 x 4 pixels.
     /// Counts beyond the limit enter the brightness as the limit and one.
     #[inline(always)]
     fn read_short_blocks<const B: usize>(&mut self, limit: u16, rows: [&[u16]; B]) -> u64 {

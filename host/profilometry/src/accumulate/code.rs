@@ -22,7 +22,7 @@ impl BitSums {
     }
 }
 
-/// Which frame of a bit.
+/// Frame of a bit: the bit or its complement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BitPart {
     /// The only one.

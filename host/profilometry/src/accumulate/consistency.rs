@@ -1,24 +1,25 @@
-//! Whether a cell's frames follow one sinusoid as closely as their noise allows.
+//! Test whether a cell's frames follow one sinusoid within their noise.
 //!
-//! N frames of a fringe have three unknowns; what is left over has N - 3 degrees of freedom and, divided by the predicted
+//! N frames of a fringe have three unknowns; the residual has N - 3 degrees of freedom and, divided by the predicted
 //! variance of a frame, follows a chi-square distribution. Vibration between the frames, a flickering lamp and saturation too
-//! short to reach the limit all leave more. Light that comes over a second reflection does not: two sinusoids of one frequency
+//! short to reach the limit all enlarge it. Interreflections do not: two sinusoids of one frequency
 //! add up to one sinusoid, with another phase, which only a comparison of frequencies could show.
 //!
-//! What is left over is the sum of squares about the first frame (small numbers, so that single precision lasts) less what
-//! mean and phasor explain.
+//! The residual is the sum of squares about the first frame (small numbers, so that single precision suffices) less the part
+//! explained by mean and phasor.
 
 use flankscope_foundation::normal::guard_factor;
 
-/// When a cell's frames are believed.
+/// Limits of the test of a cell's frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConsistencyOptions {
     /// A cell whose chi-square would be exceeded by noise alone with less than this probability is dropped.
     pub least_probability: f64,
-    /// What lamp and response contribute beside noise, relative to the light: standard deviation from frame to frame.
+    /// Standard deviation of lamp and response from frame to frame, relative to the light, beside shot and read noise.
     pub response_ratio: f64,
-    /// Whether a cell is laid beside the median of its view where that exceeds the prediction: for frames of an instrument that
-    /// nobody characterised as closely as its sensor. The instrument's own frames must keep to the prediction, or something shakes.
+    /// Whether cells are compared with the median of their view where that exceeds the predicted noise: for frames of instruments
+    /// whose noise is known less well than that of their sensor. The instrument's own frames must keep to the prediction, since
+    /// larger scatter means vibration.
     pub relative_to_view: bool,
 }
 
@@ -30,8 +31,8 @@ impl ConsistencyOptions {
         relative_to_view: false,
     };
 
-    /// For somebody's images, where noise alone drops a cell with this probability; none for 0.
-    pub fn of_images(least_probability: f64) -> Option<Self> {
+    /// For images from other instruments, where noise alone drops a cell with this probability; none for 0.
+    pub fn for_images(least_probability: f64) -> Option<Self> {
         (least_probability != 0.0).then_some(Self {
             least_probability,
             relative_to_view: true,
@@ -40,7 +41,7 @@ impl ConsistencyOptions {
     }
 }
 
-/// What a frame of one cell scatters by, in counts.
+/// Standard deviation of one frame of one cell, counts.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FrameNoise {
     /// Counts without light.
@@ -189,7 +190,7 @@ mod tests {
             f64::from(into[0])
         };
         assert!(chi_square(0.0) < 0.01);
-        // Of one frame's error 1 - 3/8 is not explained; the variance is 10 + 0.1 x 1000, and a little of the error.
+        // The fit absorbs 3/8 of one frame's error; the variance is 10 + 0.1 x 1000, and a little of the error.
         let expected = 60.0 * 60.0 * 0.625 / (110.0 + 0.1 * 60.0 / 8.0);
         assert!((chi_square(60.0) / expected - 1.0).abs() < 1e-3);
     }

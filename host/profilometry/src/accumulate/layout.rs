@@ -1,4 +1,4 @@
-//! What an accumulator is laid out for: grid, frames in capture order, limits.
+//! Layout of an accumulator: grid, frames in capture order, limits.
 
 use super::agreement::Agreement;
 use super::consistency::FrameNoise;
@@ -6,7 +6,7 @@ use crate::cells::Grid;
 use crate::frame::FrameKind;
 use crate::pattern::Shown;
 
-/// What an accumulator is laid out for.
+/// Layout of an accumulator.
 #[derive(Debug)]
 pub(crate) struct Layout {
     pub width: usize,
@@ -22,9 +22,9 @@ pub(crate) struct Layout {
     pub dark_frame: bool,
     /// Counts above this are saturated.
     pub saturation_limit_dn: u16,
-    /// What frames scatter by, where that is to be tested.
+    /// Predicted noise of frames, if their consistency is tested.
     pub noise: Option<FrameNoise>,
-    /// How its exposures are compared, where there are several and `noise` is known.
+    /// Comparison of its exposures, where there are several and `noise` is known.
     pub agreement: Option<Agreement>,
 }
 
@@ -39,7 +39,7 @@ impl Layout {
         let Some(exposure) = kind.exposure() else {
             return self.dark_frame.then_some(0);
         };
-        let is_this = |&picture: &Shown| FrameKind::of(picture, exposure) == kind;
+        let is_this = |&picture: &Shown| FrameKind::from_picture(picture, exposure) == kind;
         let in_exposure = self.pictures.iter().position(is_this)?;
         let before = usize::from(self.dark_frame) + exposure * self.pictures.len();
         (exposure < self.exposures).then_some(before + in_exposure)
@@ -55,7 +55,7 @@ impl Layout {
         };
         let exposure = index / self.pictures.len();
         let picture = self.pictures.get(index % self.pictures.len())?;
-        Some(FrameKind::of(*picture, exposure))
+        Some(FrameKind::from_picture(*picture, exposure))
     }
 
     /// Whether every bit is followed by its complement.

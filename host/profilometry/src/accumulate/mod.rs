@@ -4,8 +4,8 @@
 //! best estimate. An exposure whose frames saturate anywhere in a cell is dropped for that cell, so the sums of one
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
-//! Beside them run the squares that tell whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
-//! show one scene ([`agreement`]), if wanted.
+//! The sums of squares are kept as well, to test whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
+//! show the same scene ([`agreement`]), where configured.
 //!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
 
@@ -39,7 +39,7 @@ pub struct Phasor {
     pub im: f32,
     /// Sum of all frames, offset included.
     pub sum: f32,
-    /// How many exposures went in; 0 when all were saturated.
+    /// Number of exposures used; 0 when all were saturated.
     pub exposures: u8,
 }
 
@@ -218,7 +218,7 @@ mod tests {
     use crate::gray::GrayCode;
     use crate::pattern::{FringeSet, PatternSet};
 
-    /// What the wide registers compute, against the code for every machine.
+    /// The vectorised code against the portable code.
     #[test]
     fn wide_registers_give_the_same_bytes() {
         let sets = vec![FringeSet::new(4.0, 3), FringeSet::new(48.0, 8)];
@@ -284,7 +284,7 @@ mod tests {
                 }
                 assert_eq!(wide.code, plain.code);
             }
-            // As bytes and back, the code included.
+            // Round trip through bytes, the Gray code included.
             let mut again = Accumulator::new(Arc::clone(&layout));
             let bytes = wide.to_bytes();
             assert_eq!(bytes.len(), wide.byte_count());

@@ -9,7 +9,7 @@
 //!  difference f32, amplitude f32               for each bit of a code, most significant first
 //! ```
 //!
-//! Of a head with two projectors those of the second follow, in the same way. All little endian. The phasor of a cell is
+//! For a head with two projectors those of the second follow in the same way. All little endian. The phasor of a cell is
 //! `re + i im` over `sum`, each summed over steps and over the exposures that did not saturate.
 
 use crate::accumulate::{Accumulator, Band};

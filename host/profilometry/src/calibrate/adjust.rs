@@ -1,24 +1,25 @@
-//! All unknowns from all marks together: bundle adjustment.
+//! A head from views of plates of certified pose on the stages.
 //!
 //! First pinholes with Brown's distortion, then, from there, with the residual field of both lenses as well.
 
-use nalgebra::{DMatrix, DMatrixView};
+use nalgebra::DMatrix;
 
 use super::CalibrateError;
-use super::bundle::{Bundle, Setting, State, Weights};
-use super::least_squares::{NoMinimum, SETTLED, minimise};
-use super::model::{CAMERA_FOCAL, CAMERA_PRINCIPAL, PROJECTOR_FOCAL, SHARED, Scene, certified};
-use super::sighting::{Mark, Sighting};
+use super::bundle::{Bundle, FIRST_SIGMA_PX, Reweighting, mean_squares_px2, settle};
+use super::model::{
+    CAMERA_FOCAL, CAMERA_PRINCIPAL, COORDINATES, PROJECTOR_FOCAL, PlateModel, Scene, Setting,
+};
+use super::sighting::Sighting;
 use super::target::Target;
 use super::uncertainty::{Lit, apart_sigma_mm, farther_sigma_mm, volume_sigma_mm};
 use crate::head::HeadModel;
 
-/// A head that explains its marks.
+/// A head with the quality of its adjustment.
 #[derive(Clone, Debug)]
 pub struct Adjusted {
     /// The head.
     pub head: HeadModel,
-    /// The same marks explained without residual fields.
+    /// The same without residual fields.
     pub without_field: HeadModel,
     /// Views that took part.
     pub views: usize,
@@ -26,9 +27,9 @@ pub struct Adjusted {
     pub marks: usize,
     /// Marks left out because they do not fit.
     pub dropped: usize,
-    /// What is left over of the dots' pixels, root mean square per axis.
+    /// Residuals of the dots' pixels, root mean square per axis.
     pub camera_rms_px: f64,
-    /// What is left over of their projector columns.
+    /// Residuals of their projector columns, root mean square.
     pub projector_rms_px: f64,
     /// Standard uncertainty of a point's depth by the calibration alone, root mean square over the measuring volume,
     /// in the stage frame.
@@ -42,24 +43,18 @@ pub struct Adjusted {
     pub apart_sigma_mm: Option<f64>,
 }
 
-/// Fewer views than this leave no redundancy worth the name.
+/// Least number of views that leaves any redundancy.
 pub(super) const LEAST_VIEWS: usize = 6;
-const MAX_STEPS: usize = 100;
-/// Rounds of weighing and of leaving out what does not fit.
-const ROUNDS: usize = 4;
-/// More of them for the fields: how large they are believed to be comes nearer step by step.
-const FIELD_ROUNDS: usize = 4;
-/// First guess of their coefficients, camera and projector, and what they may be believed to be.
+/// Residual fields need several rounds, since the size of their coefficients is estimated anew in each. Before the weights are final, a
+/// minimum is near enough where a step gains one of ten thousand residuals. Weights that change by less than 2 % are final.
+const REWEIGHTING: Reweighting = Reweighting {
+    rounds: 5,
+    unfinished: 1e-4,
+    same: 0.02,
+};
+/// First guess of the standard deviation of the fields' coefficients, camera and projector.
 const FIRST_FIELD_SIGMA_PX: [f64; 2] = [0.1, 0.1];
-const FIELD_SIGMA_LIMITS_PX: [f64; 2] = [1e-3, 2.0];
-/// Before the weights are found, a minimum may be as near as this: of ten thousand residuals, one.
-const UNFINISHED: f64 = 1e-4;
-/// Weights that differ by less make no difference.
-const SAME_WEIGHT: f64 = 0.02;
-/// First guess of what a dot's centre and its column are known to.
-const FIRST_SIGMA_PX: [f64; 2] = [0.1, 0.1];
-/// A mark farther off than this many standard deviations does not fit.
-const OUTLIER: f64 = 5.0;
+/// Largest share of dots that may be left out.
 const MOST_OUTLIERS_PERCENT: usize = 5;
 /// Largest residuals of an instrument that measures micrometres: a quarter pixel is 2 um in the field.
 const LIMIT_PX: [f64; 2] = [0.25, 0.5];
@@ -67,12 +62,12 @@ const LIMIT_PX: [f64; 2] = [0.25, 0.5];
 const FOCAL_LIMIT: f64 = 0.005;
 const PRINCIPAL_LIMIT_PX: f64 = 10.0;
 
-/// Finds the head that `sightings` of `target` ask for, starting from `start` (drawing values are near enough).
+/// Adjusts the head to `sightings` of `target`, starting from `start` (drawing values are near enough).
 ///
 /// `stage_sigma` is the standard uncertainty of the rotary stage in rad and of the vertical one in mm.
 ///
 /// # Errors
-/// [`CalibrateError`]: too few views, unknowns that they leave open, residuals beyond noise.
+/// [`CalibrateError`]: too few views, unknowns that they do not determine, residuals beyond noise.
 pub fn adjust(
     start: &HeadModel,
     target: &Target,
@@ -88,79 +83,53 @@ pub fn adjust(
     let hand_eye = start.stage_from_camera.ok_or(CalibrateError::HeadLacks {
         what: "stage_from_camera",
     })?;
-    let plates = certified(target);
+    let plates = target.plate.len();
     for (view, sighting) in sightings.iter().enumerate() {
-        if sighting.plate >= plates.len() {
+        if sighting.plate >= plates {
             return Err(CalibrateError::NoSuchPlate {
                 view,
                 got: sighting.plate,
-                plates: plates.len(),
+                plates,
             });
         }
     }
-    let by_second = start.with_projector(2);
-    let setting = Setting {
-        target,
-        sightings,
-        certified: plates.clone(),
-        start: Scene::new(start, &hand_eye),
-        start_of_second: by_second.map(|head| Scene::new(&head, &hand_eye)),
-        stage_sigma,
-    };
-    let mut kept: Vec<Vec<Mark>> = sightings.iter().map(|s| s.marks.clone()).collect();
-    if setting.start_of_second.is_some() {
-        kept.extend(sightings.iter().map(|s| s.by_second.clone()));
-    }
+    let setting = Setting::new(start, &hand_eye, target, sightings, stage_sigma);
+    let mut kept = setting.observations();
     let all: usize = kept.iter().map(Vec::len).sum();
-    let first = State {
-        shared: setting.start.clone(),
-        second: setting.start_of_second.clone(),
-        plates,
-        stage_errors: vec![[0.0; 2]; sightings.len()],
+    let first = PlateModel::new(&setting, FIRST_FIELD_SIGMA_PX);
+    let plain = settle(first, FIRST_SIGMA_PX, &mut kept, REWEIGHTING)?;
+    let without_field = plain.model.head(start);
+    let with_fields = plain.model.with_fields(&without_field);
+    let settled = settle(with_fields, plain.sigma_px, &mut kept, REWEIGHTING)?;
+    let covariance = settled.covariance;
+    let bundle = Bundle {
+        model: settled.model,
+        kept: &kept,
+        sigma_px: settled.sigma_px,
     };
-    let weights = Weights {
-        sigma_px: FIRST_SIGMA_PX,
-        field_sigma_px: FIRST_FIELD_SIGMA_PX,
-    };
-    let plain = settle(&setting, first, weights, &mut kept, ROUNDS)?;
-    let without_field = plain.state.head(start);
-    let with_fields = |scene: Scene| scene.with_fields(&without_field);
-    let with_fields = State {
-        shared: with_fields(plain.state.shared),
-        second: plain.state.second.map(with_fields),
-        ..plain.state
-    };
-    let Settled {
-        state,
-        covariance,
-        rms_px,
-        ..
-    } = settle(
-        &setting,
-        with_fields,
-        plain.weights,
-        &mut kept,
-        FIELD_ROUNDS,
-    )?;
+    let rms_px = mean_squares_px2(bundle.all_residuals(), COORDINATES).map(f64::sqrt);
+    let model = bundle.model;
     let marks = kept.iter().map(Vec::len).sum();
     check_fit(all - marks, all, rms_px)?;
-    let head = state.head(start);
+    let head = model.head(start);
     head.check()?;
     let mut sigmas_mm = Vec::new();
     let mut by_each = Vec::new();
-    for (number, scene) in [Some(state.shared.clone()), state.scene_of_second()]
+    for (number, scene) in [Some(model.shared.clone()), model.scene_of_second()]
         .into_iter()
         .flatten()
         .enumerate()
     {
-        let places = state.head_places(number == 1);
-        let of_scene = covariance.select_rows(&places).select_columns(&places);
+        let positions = model.head_positions(number == 1);
+        let of_scene = covariance
+            .select_rows(&positions)
+            .select_columns(&positions);
         check_determined(&scene, &of_scene)?;
-        let projector = Lit::new(&scene.head(start), &scene, places);
+        let projector = Lit::new(&scene.head(start), &scene, positions);
         sigmas_mm.push(volume_sigma_mm(&head, &projector, &covariance));
         by_each.push(projector);
     }
-    // A point may be either's alone.
+    // Points may come from either projector alone, so the larger uncertainty counts.
     let worst = |along: usize| {
         sigmas_mm
             .iter()
@@ -190,118 +159,6 @@ pub fn adjust(
     })
 }
 
-impl State {
-    /// The head of these values.
-    fn head(&self, start: &HeadModel) -> HeadModel {
-        let second = self.second.as_ref().zip(start.second_projector.as_ref());
-        HeadModel {
-            second_projector: second.map(|(scene, start)| scene.second_projector(start)),
-            ..self.shared.head(start)
-        }
-    }
-}
-
-/// A minimum, with weights that agree with what is left over there.
-struct Settled {
-    state: State,
-    weights: Weights,
-    /// Of the head's unknowns.
-    covariance: DMatrix<f64>,
-    rms_px: [f64; 2],
-}
-
-/// Solves, weighs the marks by what they then scatter, leaves out those that do not fit, and so on.
-fn settle(
-    setting: &Setting<'_>,
-    mut state: State,
-    mut weights: Weights,
-    kept: &mut [Vec<Mark>],
-    rounds: usize,
-) -> Result<Settled, CalibrateError> {
-    let mut round = 0;
-    let mut settled = UNFINISHED;
-    loop {
-        let bundle = Bundle {
-            setting,
-            state,
-            kept,
-            weights,
-        };
-        let minimum = minimise(bundle, MAX_STEPS, settled).map_err(|why| match why {
-            NoMinimum::Singular => CalibrateError::Singular,
-            NoMinimum::NotSettled(limit) => CalibrateError::NotSettled { limit },
-        })?;
-        let bundle = minimum.state;
-        let of_head = bundle.state.of_head();
-        let covariance = minimum.covariance.view((0, 0), (of_head, of_head));
-        if settled == SETTLED {
-            return Ok(Settled {
-                covariance: covariance.into_owned(),
-                rms_px: bundle.rms(),
-                state: bundle.state,
-                weights,
-            });
-        }
-        let next = Weights {
-            sigma_px: bundle.scatter(),
-            field_sigma_px: believed_fields_px(&bundle.state, &covariance, weights),
-        };
-        if round == rounds || next.agrees_with(&weights) {
-            settled = SETTLED;
-        }
-        weights = next;
-        let mut fits = bundle.fits(OUTLIER, weights.sigma_px).into_iter();
-        state = bundle.state;
-        for marks in kept.iter_mut() {
-            marks.retain(|_| fits.next().unwrap_or(false));
-        }
-        round += 1;
-    }
-}
-
-impl Weights {
-    /// Whether nothing would change noticeably with these weights instead.
-    fn agrees_with(&self, other: &Self) -> bool {
-        let all = |w: &Self| [w.sigma_px, w.field_sigma_px];
-        let (own, others) = (all(self), all(other));
-        own.as_flattened()
-            .iter()
-            .zip(others.as_flattened())
-            .all(|(a, b)| (a / b - 1.0).abs() < SAME_WEIGHT)
-    }
-}
-
-/// How large the coefficients of the fields are, from the coefficients found: sum of squares over the number of them that the
-/// marks determine rather than the prior (MacKay 1992, Bayesian interpolation). Lenses without irregularities end near zero.
-fn believed_fields_px(
-    state: &State,
-    covariance: &DMatrixView<'_, f64>,
-    weights: Weights,
-) -> [f64; 2] {
-    let [camera, first] = state.shared.field_px();
-    let mut places = SHARED..;
-    let mut lenses = [camera, first]
-        .map(|px| -> Vec<(f64, usize)> { px.into_iter().zip(places.by_ref()).collect() });
-    if let Some(scene) = &state.second {
-        let [_, second] = scene.field_px();
-        let first_of_field = state.of_head() - second.len();
-        lenses[1].extend(second.into_iter().zip(first_of_field..));
-    }
-    let mut believed_px = weights.field_sigma_px;
-    for (sigma_px, coefficients) in believed_px.iter_mut().zip(lenses) {
-        let (mut squares, mut determined) = (0.0, 0.0);
-        for (px, place) in coefficients {
-            squares += px * px;
-            determined += 1.0 - covariance[(place, place)] / (*sigma_px * *sigma_px);
-        }
-        if determined > 0.0 {
-            *sigma_px = f64::sqrt(squares / determined)
-                .clamp(FIELD_SIGMA_LIMITS_PX[0], FIELD_SIGMA_LIMITS_PX[1]);
-        }
-    }
-    believed_px
-}
-
 fn check_fit(dropped: usize, all: usize, rms_px: [f64; 2]) -> Result<(), CalibrateError> {
     if dropped * 100 > all * MOST_OUTLIERS_PERCENT {
         return Err(CalibrateError::Outliers {
@@ -328,7 +185,7 @@ fn check_determined(scene: &Scene, covariance: &DMatrix<f64>) -> Result<(), Cali
     let unknowns = [
         (
             "the camera's focal length (relative)",
-            sigma(CAMERA_FOCAL) / scene.camera.focal_px[0],
+            sigma(CAMERA_FOCAL) / scene.rig.camera.focal_px[0],
             FOCAL_LIMIT,
         ),
         (
@@ -343,7 +200,7 @@ fn check_determined(scene: &Scene, covariance: &DMatrix<f64>) -> Result<(), Cali
         ),
         (
             "a projector's focal length (relative)",
-            sigma(PROJECTOR_FOCAL) / scene.projector.focal_px[0],
+            sigma(PROJECTOR_FOCAL) / scene.rig.projector.focal_px[0],
             FOCAL_LIMIT,
         ),
     ];

@@ -1,312 +1,199 @@
-//! The equations of an adjustment: every unknown from every mark.
+//! Bundle adjustment: all unknowns of a head and of its plates from all dots of all views, with robust weights.
 //!
-//! A view in the light of a second projector counts as a view of its own, of the same plate with the stages where they were: first
-//! all views by the first projector, then all by the second.
+//! Two calibrations use it, each with an [`ObservationModel`] of its own: plates of certified pose on the stages
+//! ([`model`](super::model)), and an ordinary board in unknown poses ([`board`](super::board)).
 //!
-//! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A mark depends on
+//! With a few dozen plates and views the unknowns are some hundreds, so the normal equations are solved whole. A dot depends on
 //! a few of them, and only those are summed.
 
-use nalgebra::{DVector, Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, DMatrixView, DVector, Isometry3};
 use rayon::prelude::*;
 
-use super::least_squares::{Normal, Problem};
-use super::model::{
-    FIELD, OF_PLATE, OF_VIEW, Observation, SHARED, Scene, head_unknowns, projector_places,
-};
-use super::sighting::{Mark, Sighting, StagePose};
-use super::target::Target;
+use super::least_squares::{NoMinimum, Normal, Problem, SETTLED, minimise};
+use super::rig::{ImagePoint, Rig};
 use flankscope_foundation::order::{SIGMA_PER_MAD, quantile};
 
-/// What does not change.
-pub(crate) struct Setting<'a> {
-    pub target: &'a Target,
-    pub sightings: &'a [Sighting],
-    /// Places of the plates by their certificate.
-    pub certified: Vec<Isometry3<f64>>,
-    pub start: Scene,
-    /// Its second projector's lens and place.
-    pub start_of_second: Option<Scene>,
-    /// Standard uncertainty of the stages: rad, mm.
-    pub stage_sigma: [f64; 2],
+pub(crate) const MAX_STEPS: usize = 100;
+/// First guess of the standard uncertainty of a dot's place in the camera's and in the projector's image.
+pub(crate) const FIRST_SIGMA_PX: [f64; 2] = [0.1, 0.1];
+/// A dot farther off than this many standard deviations does not fit.
+const OUTLIER: f64 = 5.0;
+/// Standard uncertainties by which coefficients of distortion (k1, k2, p1, p2) are held where no dot determines them.
+pub(crate) const DISTORTION_SIGMA: [f64; 4] = [1.0, 10.0, 0.05, 0.05];
+
+/// A dot of a plate, observed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Observation {
+    /// Its place on the plate.
+    pub at_mm: [f64; 2],
+    /// Its radius; 0 for a crossing of squares.
+    pub radius_mm: f64,
+    /// Where it was seen; coordinates that were not observed stand last.
+    pub seen_px: ImagePoint,
 }
 
-/// All unknowns: those of the head, of the plates, of the stages in each view.
-#[derive(Clone)]
-pub(crate) struct State {
-    pub shared: Scene,
-    /// A second projector's lens and place.
-    pub second: Option<Scene>,
-    pub plates: Vec<Isometry3<f64>>,
-    pub stage_errors: Vec<[f64; 2]>,
+/// The values of all unknowns that the dots of one view depend on.
+pub(crate) trait ViewState: Clone {
+    fn rig(&self) -> &Rig;
+    fn camera_from_plate(&self) -> Isometry3<f64>;
+    /// Number of unknowns by which derivatives are computed numerically. Coefficients of the residual fields follow behind them.
+    fn stepped(&self) -> usize;
+    /// Adds to one of the unknowns.
+    fn step(&mut self, unknown: usize, by: f64);
+    /// A step that moves a dot in the images by about a hundredth of a pixel.
+    fn small_step(&self, unknown: usize) -> f64;
 }
 
-/// What is believed of the marks, and of the fields.
-#[derive(Clone, Copy)]
-pub(crate) struct Weights {
-    /// Standard uncertainty of a dot's place and of its column.
-    pub sigma_px: [f64; 2],
-    /// How large the coefficients of the residual fields are, camera and projector; without effect where the scene has none.
-    pub field_sigma_px: [f64; 2],
+/// Knowledge about an unknown before any observation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prior {
+    /// Position among all unknowns.
+    pub unknown: usize,
+    /// Its present value less the expected one.
+    pub off: f64,
+    /// Standard uncertainty of the expected value.
+    pub sigma: f64,
+}
+
+/// The values of all unknowns, and how views depend on them.
+pub(crate) trait ObservationModel: Clone + Sync {
+    type View: ViewState;
+    /// How many of an image point's coordinates are observed.
+    fn coordinates(&self) -> usize;
+    /// Number of all unknowns.
+    fn unknowns(&self) -> usize;
+    /// Number of those of the head, which stand first.
+    fn head_unknowns(&self) -> usize;
+    fn view(&self, view: usize) -> Self::View;
+    /// Positions, among all unknowns, of those that a view depends on.
+    fn positions(&self, view: usize) -> Vec<usize>;
+    fn priors(&self) -> Vec<Prior>;
+    /// Adds to all unknowns.
+    fn step(&mut self, step: &DVector<f64>);
+    /// Estimates standard uncertainties of priors anew, from the unknowns at a minimum and the covariance of the head's; whether
+    /// none changed by more than the part `same`.
+    fn update_priors(&mut self, _covariance: &DMatrixView<'_, f64>, _same: f64) -> bool {
+        true
+    }
 }
 
 /// The equations about a state.
 #[derive(Clone)]
-pub(crate) struct Bundle<'a> {
-    pub setting: &'a Setting<'a>,
-    pub state: State,
-    /// Marks that take part, view by view; those by a second projector behind all others.
-    pub kept: &'a [Vec<Mark>],
-    pub weights: Weights,
+pub(crate) struct Bundle<'a, M> {
+    pub model: M,
+    /// Dots that take part, view by view.
+    pub kept: &'a [Vec<Observation>],
+    /// Standard uncertainty of a coordinate in the camera's and in the projector's image.
+    pub sigma_px: [f64; 2],
 }
 
-impl State {
-    /// The scene in the light of the second projector.
-    pub fn scene_of_second(&self) -> Option<Scene> {
-        Some(self.shared.lit_by(self.second.as_ref()?))
-    }
-
-    /// Where the head's unknowns of a scene stand among all, first and second projector's; nothing without such a projector.
-    pub fn head_places(&self, by_second: bool) -> Vec<usize> {
-        let mut places: Vec<usize> = (0..head_unknowns(&self.shared).count()).collect();
-        if by_second {
-            let first = places.len();
-            for (number, place) in projector_places(&self.shared).enumerate() {
-                places[place] = first + number;
-            }
-        }
-        places
-    }
-
-    /// Unknowns of the head; they stand first.
-    pub fn of_head(&self) -> usize {
-        let own = self.second.as_ref();
-        head_unknowns(&self.shared).count()
-            + own.map_or(0, |_| projector_places(&self.shared).count())
-    }
-}
-
-impl Bundle<'_> {
-    fn unknowns(&self) -> usize {
-        self.of_head()
-            + OF_PLATE * self.state.plates.len()
-            + OF_VIEW * self.state.stage_errors.len()
-    }
-
-    pub fn of_head(&self) -> usize {
-        self.state.of_head()
-    }
-
-    /// Number of a view's sighting, and whether it is by the second projector.
-    fn sighting(&self, view: usize) -> (usize, bool) {
-        let sightings = self.setting.sightings.len();
-        (view % sightings, view >= sightings)
-    }
-
-    fn of_fields(&self) -> usize {
-        if self.state.shared.has_fields() {
-            FIELD
-        } else {
-            0
-        }
-    }
-
-    /// Where the unknowns that a view depends on, in the order of [`Scene::step`], stand among all.
-    fn places(&self, view: usize) -> Vec<usize> {
-        let (view, by_second) = self.sighting(view);
-        let plate = self.of_head() + OF_PLATE * self.setting.sightings[view].plate;
-        let stages = self.of_head() + OF_PLATE * self.state.plates.len() + OF_VIEW * view;
-        let own = (plate..plate + OF_PLATE).chain(stages..stages + OF_VIEW);
-        let head = self.state.head_places(by_second);
-        let (shared, fields) = head.split_at(SHARED);
-        let (shared, fields) = (shared.iter().copied(), fields.iter().copied());
-        shared.chain(own).chain(fields).collect()
-    }
-
-    fn scene(&self, view: usize) -> Scene {
-        let (view, by_second) = self.sighting(view);
-        let shared = &self.state.shared;
-        let lit = match &self.state.second {
-            Some(second) if by_second => shared.lit_by(second),
-            _ => shared.clone(),
-        };
-        Scene {
-            tool_from_plate: self.state.plates[self.setting.sightings[view].plate],
-            stage_error: self.state.stage_errors[view],
-            ..lit
-        }
-    }
-
-    /// Where the stages were told to stand.
-    fn stage(&self, view: usize) -> StagePose {
-        self.setting.sightings[self.sighting(view).0].stage
-    }
-
-    /// Where a scene puts the kept marks of a view.
-    fn predicted(&self, view: usize, scene: &Scene) -> Option<Vec<Observation>> {
-        let dots = &self.setting.target.dots;
-        let pose = scene.camera_from_plate(self.stage(view));
+impl<M: ObservationModel> Bundle<'_, M> {
+    /// Where the kept dots of a view appear; `None` where one would lie behind the head.
+    fn images(&self, view: usize, state: &M::View) -> Option<Vec<ImagePoint>> {
+        let (rig, pose) = (state.rig(), state.camera_from_plate());
         self.kept[view]
             .iter()
-            .map(|mark| {
-                let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
-                scene.observation(&pose, at_mm, dots.radius_mm(mark.place))
-            })
+            .map(|dot| rig.image(&pose, dot.at_mm, dot.radius_mm))
             .collect()
     }
 
-    /// What a view's marks are off by; `None` where a mark would lie behind the head.
-    fn residuals(&self, view: usize) -> Option<Vec<Observation>> {
-        let predicted = self.predicted(view, &self.scene(view))?;
-        let off = |(seen, mark): (Observation, &Mark)| {
-            [
-                seen[0] - mark.pixel[0],
-                seen[1] - mark.pixel[1],
-                seen[2] - mark.column_px,
-            ]
+    /// Computed less observed coordinates of a view's dots; `None` where one would lie behind the head.
+    pub fn residuals(&self, view: usize) -> Option<Vec<ImagePoint>> {
+        let images = self.images(view, &self.model.view(view))?;
+        let off = |(image, dot): (ImagePoint, &Observation)| {
+            std::array::from_fn(|k| image[k] - dot.seen_px[k])
         };
-        Some(
-            predicted
-                .into_iter()
-                .zip(&self.kept[view])
-                .map(off)
-                .collect(),
-        )
+        Some(images.into_iter().zip(&self.kept[view]).map(off).collect())
     }
 
-    fn sigmas(&self) -> Observation {
-        let [dot, fringe] = self.weights.sigma_px;
-        [dot, dot, fringe]
+    /// The same of all views; none of a view with a dot behind the head.
+    pub fn all_residuals(&self) -> impl Iterator<Item = ImagePoint> {
+        (0..self.kept.len())
+            .filter_map(|view| self.residuals(view))
+            .flatten()
     }
 
-    /// Prior knowledge about all unknowns: place, offset, sigma.
-    fn priors(&self) -> Vec<(usize, f64, f64)> {
-        let Setting {
-            target,
-            certified,
-            start,
-            start_of_second,
-            stage_sigma,
-            ..
-        } = self.setting;
-        let mut priors = self.state.shared.priors(start, self.weights.field_sigma_px);
-        let second = self.state.scene_of_second();
-        if let Some((now, then)) = second.zip(start_of_second.as_ref()) {
-            // What it shares with the first projector is believed once.
-            let places = self.state.head_places(true);
-            let its_own = now.priors(then, self.weights.field_sigma_px).into_iter();
-            let its_own = its_own.filter(|(place, ..)| places[*place] != *place);
-            priors.extend(its_own.map(|(place, off, sigma)| (places[place], off, sigma)));
-        }
-        for (plate, (now, then)) in self.state.plates.iter().zip(certified).enumerate() {
-            let turn = (now.rotation * then.rotation.inverse()).scaled_axis();
-            let shift = now.translation.vector - then.translation.vector;
-            for axis in 0..3 {
-                let at = self.of_head() + OF_PLATE * plate + axis;
-                priors.push((at, turn[axis], target.pose_sigma_rad));
-                priors.push((at + 3, shift[axis], target.pose_sigma_mm));
-            }
-        }
-        let first = self.of_head() + OF_PLATE * self.state.plates.len();
-        for (view, errors) in self.state.stage_errors.iter().enumerate() {
-            for axis in 0..OF_VIEW {
-                let at = first + OF_VIEW * view + axis;
-                priors.push((at, errors[axis], stage_sigma[axis]));
-            }
-        }
-        priors
+    /// Sum of weighted squares of residuals.
+    fn squares(&self, residuals: &[ImagePoint]) -> f64 {
+        let of_dot = |off: &ImagePoint| {
+            let off = *off;
+            (0..self.model.coordinates()).map(move |k| (off[k] / self.sigma_px[k / 2]).powi(2))
+        };
+        residuals.iter().flat_map(of_dot).sum()
     }
 
     fn cost(&self) -> f64 {
-        let sigmas = self.sigmas();
-        let of_view = |view: usize| -> f64 {
-            let Some(residuals) = self.residuals(view) else {
-                return f64::INFINITY;
-            };
-            residuals
-                .iter()
-                .flat_map(|off| (0..3).map(|k| (off[k] / sigmas[k]).powi(2)))
-                .sum()
+        let views = (0..self.kept.len()).map(|view| match self.residuals(view) {
+            Some(residuals) => self.squares(&residuals),
+            None => f64::INFINITY,
+        });
+        let priors = self.model.priors();
+        let priors = priors.iter().map(|prior| (prior.off / prior.sigma).powi(2));
+        views.sum::<f64>() + priors.sum::<f64>()
+    }
+
+    /// Robust standard deviations of the coordinates in both images.
+    pub fn scatter_px(&self) -> [f64; 2] {
+        let mut off_px = [Vec::new(), Vec::new()];
+        for off in self.all_residuals() {
+            for k in 0..self.model.coordinates() {
+                off_px[k / 2].push(off[k].abs());
+            }
+        }
+        // A floor of a thousandth of a pixel, below any camera's noise, so that perfect data get finite weights.
+        off_px.map(|mut off| (SIGMA_PER_MAD * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
+    }
+
+    /// Whether each kept dot of a view agrees with the others.
+    fn fits(&self, view: usize, sigma_px: [f64; 2]) -> Vec<bool> {
+        let fits = |off: &ImagePoint| {
+            (0..self.model.coordinates()).all(|k| off[k].abs() < OUTLIER * sigma_px[k / 2])
         };
-        let views: f64 = (0..self.kept.len()).map(of_view).sum();
-        let priors: f64 = self
-            .priors()
-            .iter()
-            .map(|(_, off, sigma)| (off / sigma).powi(2))
-            .sum();
-        views + priors
-    }
-
-    /// Robust standard deviations of dots and fringes.
-    pub fn scatter(&self) -> [f64; 2] {
-        let (mut dots, mut fringes) = (Vec::new(), Vec::new());
-        for off in (0..self.kept.len())
-            .filter_map(|view| self.residuals(view))
-            .flatten()
-        {
-            dots.extend([off[0].abs(), off[1].abs()]);
-            fringes.push(off[2].abs());
-        }
-        // A thousandth of a pixel is nobody's noise, and keeps perfect data from being weighed infinitely.
-        [dots, fringes]
-            .map(|mut off| (SIGMA_PER_MAD * quantile(&mut off, 0.5).unwrap_or(0.0)).max(1e-3))
-    }
-
-    /// Whether each kept mark, view by view, agrees with the others to `outlier` standard deviations.
-    pub fn fits(&self, outlier: f64, sigma_px: [f64; 2]) -> Vec<bool> {
-        let [dot, fringe] = sigma_px.map(|sigma| outlier * sigma);
-        (0..self.kept.len())
-            .flat_map(|view| self.residuals(view).unwrap_or_default())
-            .map(|off| off[0].abs() < dot && off[1].abs() < dot && off[2].abs() < fringe)
-            .collect()
-    }
-
-    pub fn rms(&self) -> [f64; 2] {
-        let (mut count, mut squares) = (0.0, [0.0; 2]);
-        for off in (0..self.kept.len())
-            .filter_map(|view| self.residuals(view))
-            .flatten()
-        {
-            count += 1.0;
-            squares[0] += 0.5 * (off[0] * off[0] + off[1] * off[1]);
-            squares[1] += off[2] * off[2];
-        }
-        squares.map(|sum: f64| (sum / count).sqrt())
+        let residuals = self.residuals(view).unwrap_or_default();
+        residuals.iter().map(fits).collect()
     }
 
     /// One view's share of the equations about the unknowns that it depends on; of the symmetric part the lower half.
-    fn of_view(&self, view: usize) -> Normal {
-        const PLAIN: usize = SHARED + OF_PLATE + OF_VIEW;
-        let unknowns = PLAIN + self.of_fields();
+    fn view_equations(&self, view: usize) -> Normal {
+        let state = self.model.view(view);
+        let unknowns = self.model.positions(view).len();
         let mut share = Normal::zero(unknowns);
-        let scene = self.scene(view);
-        let stepped = |unknown: usize, sign: f64| {
-            let mut scene = scene.clone();
-            scene.step(unknown, sign * Scene::small_step(unknown));
-            self.predicted(view, &scene)
+        let stepped = |unknown: usize, by: f64| {
+            let mut state = state.clone();
+            state.step(unknown, by);
+            self.images(view, &state)
         };
-        let sides: Option<Vec<_>> = (0..PLAIN)
-            .map(|unknown| Some((stepped(unknown, 1.0)?, stepped(unknown, -1.0)?)))
+        let sides: Option<Vec<_>> = (0..state.stepped())
+            .map(|unknown| {
+                let step = state.small_step(unknown);
+                Some((stepped(unknown, step)?, stepped(unknown, -step)?, step))
+            })
             .collect();
         let (Some(residuals), Some(sides)) = (self.residuals(view), sides) else {
             share.cost = f64::INFINITY;
             return share;
         };
-        let dots = &self.setting.target.dots;
-        let pose = scene.camera_from_plate(self.stage(view));
+        share.cost = self.squares(&residuals);
+        let (rig, pose) = (state.rig(), state.camera_from_plate());
         let mut slopes: Vec<(usize, f64)> = Vec::with_capacity(unknowns);
-        for (number, (mark, off)) in self.kept[view].iter().zip(&residuals).enumerate() {
-            let at_mm = mark.place.map(|n| f64::from(n) * dots.pitch_mm);
-            let fields = scene.field_slopes(&pose, at_mm, dots.radius_mm(mark.place));
-            for (k, sigma) in self.sigmas().into_iter().enumerate() {
-                let plain = sides.iter().enumerate().map(|(unknown, (plus, minus))| {
-                    let change = plus[number][k] - minus[number][k];
-                    (unknown, change / (2.0 * Scene::small_step(unknown) * sigma))
-                });
-                let of_part = fields.iter().filter(|(_, part, _)| *part == k);
+        for (number, (dot, off)) in self.kept[view].iter().zip(&residuals).enumerate() {
+            let fields = rig.field_slopes(&pose, dot.at_mm, dot.radius_mm);
+            for k in 0..self.model.coordinates() {
+                let sigma = self.sigma_px[k / 2];
+                let numeric = sides
+                    .iter()
+                    .enumerate()
+                    .map(|(unknown, (plus, minus, step))| {
+                        let change = plus[number][k] - minus[number][k];
+                        (unknown, change / (2.0 * step * sigma))
+                    });
+                let of_fields = fields
+                    .iter()
+                    .filter(|(_, coordinate, _)| *coordinate == k)
+                    .map(|&(coefficient, _, slope)| (sides.len() + coefficient, slope / sigma));
                 slopes.clear();
-                slopes.extend(plain.chain(of_part.map(|&(at, _, slope)| (at, slope / sigma))));
+                slopes.extend(numeric.chain(of_fields));
                 let residual = off[k] / sigma;
-                share.cost += residual * residual;
                 for (position, &(i, by_i)) in slopes.iter().enumerate() {
                     share.gradient[i] += residual * by_i;
                     let column = share.hessian.column_mut(i);
@@ -321,46 +208,115 @@ impl Bundle<'_> {
     }
 }
 
-impl Problem for Bundle<'_> {
+impl<M: ObservationModel> Problem for Bundle<'_, M> {
     fn normal(&self) -> Normal {
-        let mut normal = Normal::zero(self.unknowns());
+        let mut normal = Normal::zero(self.model.unknowns());
         let shares: Vec<_> = (0..self.kept.len())
             .into_par_iter()
-            .map(|view| self.of_view(view))
+            .map(|view| self.view_equations(view))
             .collect();
         for (view, share) in shares.into_iter().enumerate() {
-            normal.add(&share, &self.places(view));
+            normal.add(&share, &self.model.positions(view));
         }
-        for (at, off, sigma) in self.priors() {
-            normal.add_prior(at, off, sigma);
+        for Prior {
+            unknown,
+            off,
+            sigma,
+        } in self.model.priors()
+        {
+            normal.add_prior(unknown, off, sigma);
         }
         normal
     }
 
     fn stepped(&self, step: &DVector<f64>) -> (Self, f64) {
         let mut next = self.clone();
-        let places = self.state.head_places(true);
-        for (place, unknown) in head_unknowns(&self.state.shared).enumerate() {
-            next.state.shared.step(unknown, step[place]);
-            if let Some(second) = &mut next.state.second
-                && places[place] != place
-            {
-                second.step(unknown, step[places[place]]);
-            }
-        }
-        for (plate, pose) in next.state.plates.iter_mut().enumerate() {
-            let at = self.of_head() + OF_PLATE * plate;
-            let part = |first: usize| Vector3::new(step[first], step[first + 1], step[first + 2]);
-            pose.rotation = UnitQuaternion::from_scaled_axis(part(at)) * pose.rotation;
-            pose.translation.vector += part(at + 3);
-        }
-        let first = self.of_head() + OF_PLATE * next.state.plates.len();
-        for (view, errors) in next.state.stage_errors.iter_mut().enumerate() {
-            for axis in 0..OF_VIEW {
-                errors[axis] += step[first + OF_VIEW * view + axis];
-            }
-        }
+        next.model.step(step);
         let cost = next.cost();
         (next, cost)
+    }
+}
+
+/// Mean squares of the observed coordinates in both images, px².
+pub(crate) fn mean_squares_px2(
+    residuals: impl Iterator<Item = ImagePoint>,
+    coordinates: usize,
+) -> [f64; 2] {
+    let (mut count, mut squares) = (0.0, [0.0; 2]);
+    for off in residuals {
+        count += 1.0;
+        for image in 0..2 {
+            let observed = &off[2 * image..coordinates.min(2 * image + 2)];
+            squares[image] += observed.iter().map(|x| x * x).sum::<f64>();
+        }
+    }
+    [0, 1]
+        .map(|image| squares[image] / (count * coordinates.saturating_sub(2 * image).min(2) as f64))
+}
+
+/// How often dots are weighed anew, and how near to the minimum that is done.
+#[derive(Clone, Copy)]
+pub(crate) struct Reweighting {
+    /// Most times.
+    pub rounds: usize,
+    /// Relative improvement below which a minimum is near enough before the weights are final; then it is [`SETTLED`].
+    pub unfinished: f64,
+    /// Weights that change by less than this part are final; 0 for all rounds.
+    pub same: f64,
+}
+
+/// A minimum with weights that agree with the residuals there.
+pub(crate) struct Settled<M> {
+    pub model: M,
+    pub sigma_px: [f64; 2],
+    /// Of the head's unknowns.
+    pub covariance: DMatrix<f64>,
+}
+
+/// Solves, weighs the dots by what they then scatter, drops those that do not fit from `kept`, and so on.
+pub(crate) fn settle<M: ObservationModel>(
+    mut model: M,
+    mut sigma_px: [f64; 2],
+    kept: &mut [Vec<Observation>],
+    reweighting: Reweighting,
+) -> Result<Settled<M>, NoMinimum> {
+    let (mut round, mut is_last) = (0, false);
+    loop {
+        let bundle = Bundle {
+            model,
+            kept: &*kept,
+            sigma_px,
+        };
+        let near = if is_last {
+            SETTLED
+        } else {
+            reweighting.unfinished
+        };
+        let minimum = minimise(bundle, MAX_STEPS, near)?;
+        let bundle = minimum.state;
+        let of_head = bundle.model.head_unknowns();
+        let covariance = minimum.covariance.view((0, 0), (of_head, of_head));
+        if is_last {
+            return Ok(Settled {
+                covariance: covariance.into_owned(),
+                model: bundle.model,
+                sigma_px,
+            });
+        }
+        let scatter_px = bundle.scatter_px();
+        let fits: Vec<_> = (0..kept.len())
+            .map(|view| bundle.fits(view, scatter_px))
+            .collect();
+        model = bundle.model;
+        let same_priors = model.update_priors(&covariance, reweighting.same);
+        let same_weights =
+            (0..2).all(|k| (scatter_px[k] / sigma_px[k] - 1.0).abs() < reweighting.same);
+        round += 1;
+        is_last = round == reweighting.rounds || (same_priors && same_weights);
+        sigma_px = scatter_px;
+        for (dots, fits) in kept.iter_mut().zip(fits) {
+            let mut fits = fits.into_iter();
+            dots.retain(|_| fits.next().unwrap_or(false));
+        }
     }
 }

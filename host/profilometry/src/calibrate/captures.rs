@@ -37,9 +37,9 @@ pub struct CapturedView {
     pub folder: PathBuf,
     /// Plate of the target; the first is 1.
     pub plate: usize,
-    /// Angle told to the rotary stage.
+    /// Commanded angle of the rotary stage.
     pub rotation_rad: f64,
-    /// Height told to the vertical stage.
+    /// Commanded height of the vertical stage.
     pub vertical_mm: f64,
     /// Takes no part in the adjustment and is measured with its result.
     #[serde(default)]

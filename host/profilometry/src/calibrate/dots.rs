@@ -24,7 +24,7 @@ pub(crate) struct Dot {
     pub column_px: f64,
 }
 
-/// How large dots appear, roughly.
+/// Approximate size of dots in the image, px.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
     /// From dot to dot.

@@ -5,12 +5,12 @@
 //! distance, say) stays together, and a measured point is, to first order, the same weighted mean of the points that the settings'
 //! calibrations would measure. Rotations are turned from the first setting's by a weighted vector.
 //!
-//! How far that may be off is measured: each inner setting is computed from the others alone and compared with its own calibration
-//! over the measuring volume. The worst counts in full between the settings, less towards them as the polynomial's remainder does:
-//! the others alone have one order less and stand twice as far apart, and what noise both calibrations have is in it, too. Where a
-//! straight line between the two neighbouring settings is farther from the polynomial than that, it counts instead: of a symmetric
-//! set, orders that cancel would hide from the first. What bends between two settings and shows at none, no figure tells: a lens that
-//! does needs more of them.
+//! The error of that interpolation is measured: each inner setting is computed from the others alone and compared with its own calibration
+//! over the measuring volume. The largest error counts in full between the settings, and less towards them as the polynomial's
+//! remainder does: the other settings alone have one order less and twice the spacing, and the noise of both calibrations is included.
+//! Where a straight line between the two neighbouring settings differs from the polynomial by more than that, the difference counts
+//! instead, since orders that cancel in a symmetric set would hide from the first figure. Variations between two settings that show at
+//! neither of them are not detected: such a lens needs more settings.
 
 use std::path::{Path, PathBuf};
 
@@ -59,9 +59,9 @@ pub struct FocusSeries {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Focus {
-    /// What the driver was told, dpt.
+    /// Setting of the lens driver, dpt.
     pub setting_dpt: f64,
-    /// How warm the lens was.
+    /// Temperature of the lens, °C.
     pub celsius: f64,
     /// The head's file as `calibrate` wrote it; relative to this one.
     pub file: PathBuf,
@@ -90,9 +90,9 @@ pub enum FocusError {
         "a lens of {celsius} °C at {setting_dpt} dpt: both must be finite, and the temperature -50 to 100 °C"
     )]
     State {
-        /// As asked for.
+        /// Setting asked for.
         setting_dpt: f64,
-        /// As asked for.
+        /// Setting asked for.
         celsius: f64,
     },
     /// Beyond what was calibrated: nothing is extrapolated.
@@ -101,9 +101,9 @@ pub enum FocusError {
         range_dpt[0], range_dpt[1]
     )]
     OutOfRange {
-        /// As asked for.
+        /// Setting asked for.
         setting_dpt: f64,
-        /// As asked for.
+        /// Setting asked for.
         celsius: f64,
         /// Least and most setting at that temperature.
         range_dpt: [f64; 2],
@@ -117,14 +117,14 @@ pub enum FocusError {
         /// The head's file.
         file: PathBuf,
     },
-    /// What the mean of the settings says is no head.
+    /// The interpolated values are not a valid head.
     #[error("between the settings, {} = {}: {}: do they lie close enough?", .0.key, .0.got, .0.expected)]
     NoHead(BadValue),
 }
 
 /// One setting with its calibration.
 #[derive(Clone, Debug)]
-struct Node {
+struct CalibratedSetting {
     setting_dpt: f64,
     power_dpt: f64,
     celsius: f64,
@@ -137,7 +137,7 @@ struct Node {
 #[derive(Clone, Debug)]
 pub struct FocusedHeads {
     series: FocusSeries,
-    nodes: Vec<Node>,
+    nodes: Vec<CalibratedSetting>,
     /// Worst of the inner settings computed from the others: along the view and across, mm.
     left_out_mm: [f64; 2],
 }
@@ -245,7 +245,7 @@ impl FocusedHeads {
         series: FocusSeries,
         heads: Vec<(Focus, PathBuf, HeadModel)>,
     ) -> Result<Self, FocusError> {
-        let mut nodes: Vec<Node> = Vec::with_capacity(heads.len());
+        let mut nodes: Vec<CalibratedSetting> = Vec::with_capacity(heads.len());
         for (focus, file, head) in heads {
             let unfit = |why| FocusError::Unfit {
                 file: file.clone(),
@@ -299,7 +299,7 @@ impl FocusedHeads {
             let setting_dpt = head
                 .lens
                 .map_or(focus.setting_dpt, |lens| lens.setting_dpt());
-            nodes.push(Node {
+            nodes.push(CalibratedSetting {
                 setting_dpt,
                 power_dpt: series.power_dpt(setting_dpt, focus.celsius),
                 celsius: focus.celsius,
@@ -311,7 +311,7 @@ impl FocusedHeads {
         nodes.sort_by(|a, b| a.power_dpt.total_cmp(&b.power_dpt));
         let mut left_out_mm = [0.0f64; 2];
         for (k, node) in nodes.iter().enumerate().take(nodes.len() - 1).skip(1) {
-            let others: Vec<&Node> = nodes
+            let others: Vec<&CalibratedSetting> = nodes
                 .iter()
                 .enumerate()
                 .filter_map(|(i, other)| (i != k).then_some(other))
@@ -352,8 +352,8 @@ impl FocusedHeads {
                 celsius,
             });
         }
-        let nodes: Vec<&Node> = self.nodes.iter().collect();
-        // What a driver is told comes in steps: the head is that of the nearest.
+        let nodes: Vec<&CalibratedSetting> = self.nodes.iter().collect();
+        // The driver's settings are discrete: the head is computed for the nearest one.
         let lens = nodes[0].head.lens.map(|lens| lens.driven_to(setting_dpt));
         let lens = lens.transpose().map_err(FocusError::Beyond)?;
         let setting_dpt = lens.map_or(setting_dpt, |lens| lens.setting_dpt());
@@ -386,7 +386,7 @@ impl FocusedHeads {
         let moved_mm = apart_mm(&nearer, &farther).ok_or_else(strange)?;
         let power_sigma_dpt = self.power_sigma_dpt(&by, celsius);
         let drift_um = moved_mm.map(|mm| 1e3 * mm * power_sigma_dpt / (2.0 * SMALL_STEP_DPT));
-        // As if all settings were wrong by one and the same cause, which the target's certificate is.
+        // Errors are added linearly, as fully correlated: all settings were calibrated with the same target.
         let own_um = |of: fn(&CalibrationRecord) -> f64| {
             let each = nodes.iter().zip(&by);
             each.map(|(node, by)| by.abs() * of(&node.record))
@@ -419,7 +419,7 @@ impl FocusedHeads {
             projector_rms_px: most(|record| record.projector_rms_px),
             depth_sigma_um,
             lateral_sigma_um,
-            // As sure as the least sure of them, where all say.
+            // The largest uncertainty of the settings, if all state one.
             farther_sigma_um: records()
                 .map(|record| record.farther_sigma_um)
                 .reduce(|one, other| Some(one?.max(other?)))
@@ -455,7 +455,7 @@ impl FocusedHeads {
     }
 }
 
-/// Whether two files may be of one head: what no focus changes is the same.
+/// Whether two files may belong to one head: every value that does not depend on the focus is the same.
 fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
     let size = |lens: &Pinhole| (lens.width_px, lens.height_px, lens.residual.is_some());
     size(&a.camera) == size(&b.camera)
@@ -471,12 +471,12 @@ fn is_same(a: &HeadModel, b: &HeadModel) -> bool {
         && a.core_map.is_some() == b.core_map.is_some()
 }
 
-/// The lens' driver, whatever it is told.
+/// The lens driver without its present setting.
 fn driver(head: &HeadModel) -> Option<LensDrive> {
     head.lens.map(|lens| LensDrive { counts: 0, ..lens })
 }
 
-/// Whether a driver is told a setting, as nearly as it can be.
+/// Whether the driver stands at the count nearest to a setting.
 fn is_told(lens: &LensDrive, setting_dpt: f64) -> bool {
     let off_dpt = (lens.setting_dpt() - setting_dpt).abs();
     off_dpt <= (0.5 + 1e-6) * lens.dpt_per_count.abs()
@@ -487,7 +487,7 @@ fn is_made_alike(a: &CalibrationRecord, b: &CalibrationRecord) -> bool {
 }
 
 /// Lagrange's weights at a power.
-fn weights(nodes: &[&Node], power_dpt: f64) -> Vec<f64> {
+fn weights(nodes: &[&CalibratedSetting], power_dpt: f64) -> Vec<f64> {
     let weight = |i: usize| {
         let others = (0..nodes.len()).filter(|&j| j != i);
         others
@@ -498,7 +498,7 @@ fn weights(nodes: &[&Node], power_dpt: f64) -> Vec<f64> {
 }
 
 /// The polynomial's remainder at a power against the largest between the settings: 0 at each of them.
-fn remainder_ratio(nodes: &[&Node], power_dpt: f64) -> f64 {
+fn remainder_ratio(nodes: &[&CalibratedSetting], power_dpt: f64) -> f64 {
     let remainder = |at_dpt: f64| {
         let factors = nodes.iter().map(|node| at_dpt - node.power_dpt);
         factors.product::<f64>().abs()
@@ -510,7 +510,7 @@ fn remainder_ratio(nodes: &[&Node], power_dpt: f64) -> f64 {
 }
 
 /// The head on the straight line between the two settings beside a power.
-fn straight(nodes: &[&Node], power_dpt: f64) -> HeadModel {
+fn straight(nodes: &[&CalibratedSetting], power_dpt: f64) -> HeadModel {
     let above = nodes.partition_point(|node| node.power_dpt < power_dpt);
     let above = above.clamp(1, nodes.len() - 1);
     let beside = &nodes[above - 1..=above];
@@ -518,7 +518,7 @@ fn straight(nodes: &[&Node], power_dpt: f64) -> HeadModel {
 }
 
 /// The weighted mean of heads; what is no number is the nearest one's.
-fn mean(nodes: &[&Node], weights: &[f64]) -> HeadModel {
+fn mean(nodes: &[&CalibratedSetting], weights: &[f64]) -> HeadModel {
     let heaviest = (0..nodes.len())
         .max_by(|&a, &b| weights[a].total_cmp(&weights[b]))
         .unwrap_or(0);
@@ -598,7 +598,7 @@ fn mean(nodes: &[&Node], weights: &[f64]) -> HeadModel {
     }
 }
 
-/// How far the points of one head lie from those of another, over the other's measuring volume in the stage frame: root mean square
+/// Distance of the points of one head from those of another, over the other's measuring volume in the stage frame: root mean square
 /// along the view and across, mm.
 fn apart_mm(head: &HeadModel, other: &HeadModel) -> Option<[f64; 2]> {
     let view = Vector3::from(other.stage_from_camera?.direction([0.0, 0.0, 1.0]));

@@ -5,7 +5,7 @@ const DRIFT: f64 = 0.05;
 /// From lens to stop, mm.
 const APART_MM: f64 = 1.5;
 
-/// What spoils it, and a word of the refusal.
+/// A change that makes the series invalid, and a word of the resulting error message.
 type Wrong<T> = (fn(&mut T), &'static str);
 
 /// A head behind a thin lens of a power: its focal lengths, and where its pinholes appear. `bent` adds what no mean of settings can
@@ -30,7 +30,7 @@ fn head_at(power_dpt: f64, bent_px: f64) -> HeadModel {
         rotation,
         translation_mm: [-22.0 * sin + back_mm * sin, 0.0, 22.0 * (1.0 - cos)],
     };
-    let mut head = HeadModel::of_lenses(
+    let mut head = HeadModel::from_lenses(
         "thin",
         camera,
         lens(2253.0, [1024, 768]),
@@ -122,7 +122,7 @@ fn at_a_setting_the_head_is_its_own_calibration() {
 
 #[test]
 fn between_settings_it_is_off_by_less_than_it_says() {
-    // A thin lens is so smooth that three settings over 6 dpt leave nothing to speak of. What swings beyond that is told.
+    // For a thin lens three settings over 6 dpt interpolate to negligible error. An oscillation beyond that must be reported.
     for (settings_dpt, bent_px) in [
         (&[-3.0, 0.0, 3.0][..], 0.0),
         (&[-3.0, -2.0, 0.0, 2.0, 3.0][..], 0.0),

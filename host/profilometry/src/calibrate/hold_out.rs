@@ -1,4 +1,4 @@
-//! Plates that took no part in the adjustment, measured with its result: by each projector alone, and one against the other.
+//! Plates that took no part in the adjustment, measured with its result: by each projector alone, and both compared.
 
 use super::adjust::Adjusted;
 use super::form;
@@ -41,9 +41,9 @@ pub fn hold_out(
 }
 
 impl ApartRecord {
-    /// How well the two projectors of an adjusted head go together, by views that both see; none of a head with one, or without views.
+    /// Agreement of the two projectors of an adjusted head, by views that both light; `None` for a head with one, or without views.
     #[must_use]
-    pub fn of(
+    pub fn from_views(
         adjusted: &Adjusted,
         target: &Target,
         views: &[(Sighting, Vec<Vec<CellColumn>>)],
@@ -51,7 +51,9 @@ impl ApartRecord {
         let second = adjusted.head.with_projector(2)?;
         let by_second: Vec<_> = views
             .iter()
-            .filter_map(|(sighting, cells)| Some((sighting.of_second(), cells.get(1)?.clone())))
+            .filter_map(|(sighting, cells)| {
+                Some((sighting.by_second_projector(), cells.get(1)?.clone()))
+            })
             .collect();
         let [one, two] = [&adjusted.head, &second].map(HeadTriangulator::new);
         let apart_um = |[first, second]: [&CellColumn; 2]| {

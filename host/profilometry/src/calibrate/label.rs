@@ -1,4 +1,4 @@
-//! Which dot of the plate is which: three large ones mark the middle and the axes, the others follow from neighbour to
+//! Assignment of the dots to those of the plate: three large ones mark the middle and the axes, the others follow from neighbour to
 //! neighbour.
 
 use std::collections::{HashMap, VecDeque};
@@ -19,20 +19,20 @@ const KEY_TOLERANCE: f64 = 0.35;
 
 /// More large dots than this are no three with something beside them.
 const MOST_LARGE: usize = 8;
-/// Of two ways to read the middle, the right one labels more than this many times the dots of the other.
+/// The three large dots can be read in two ways; the right one labels at least this many times the dots of the other.
 const CLEARLY: usize = 2;
 
 /// Places of dots: column and row, with the dot's number.
-type Labelled = Vec<([i32; 2], usize)>;
+type LabelledDots = Vec<([i32; 2], usize)>;
 
-/// The column and row of every dot that hangs together with the middle of the plate, with its number in `dots`.
+/// The column and row of every dot that is connected to the middle of the plate over neighbouring dots, with its number in `dots`.
 ///
-/// Where more than three dots are large (dirt, or a plate that leans towards the head), the middle is the three by which the plate
-/// hangs together.
+/// Where more than three dots are large (dirt, or a plate that leans towards the head), the middle is the triple to which the most dots
+/// are connected.
 ///
 /// # Errors
 /// The three large dots are not there, or stand otherwise than the target's, or more than one reading is possible.
-pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Labelled, CalibrateError> {
+pub(crate) fn label(dots: &[Dot], view: usize) -> Result<LabelledDots, CalibrateError> {
     let mut radii: Vec<f64> = dots.iter().map(|dot| dot.radius_px).collect();
     let usual = quantile(&mut radii, 0.5).unwrap_or(0.0);
     let large: Vec<usize> = (0..dots.len())
@@ -43,7 +43,7 @@ pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Labelled, CalibrateErro
         got: large.len(),
     };
     if let &[a, b, c] = large.as_slice() {
-        let middle = Middle::of(dots, [a, b, c]);
+        let middle = Middle::new(dots, [a, b, c]);
         return match middle.has_the_shape() {
             true => Ok(spread(dots, &middle)),
             false => Err(CalibrateError::KeyShape {
@@ -56,8 +56,8 @@ pub(crate) fn label(dots: &[Dot], view: usize) -> Result<Labelled, CalibrateErro
     if !(3..=MOST_LARGE).contains(&large.len()) {
         return Err(unclear);
     }
-    let mut readings: Vec<Labelled> = triples(&large)
-        .map(|triple| Middle::of(dots, triple))
+    let mut readings: Vec<LabelledDots> = triples(&large)
+        .map(|triple| Middle::new(dots, triple))
         .filter(Middle::has_the_shape)
         .map(|middle| (spread(dots, &middle), middle))
         .filter(|(labelled, middle)| middle.is_read_by(labelled))
@@ -83,14 +83,14 @@ struct Middle {
     corner: usize,
     far: usize,
     near: usize,
-    /// How much farther than the near one the far one stands from the corner.
+    /// Distance of the far one from the corner relative to that of the near one.
     ratio: f64,
     /// Steps along columns and rows, pixels.
     axes: [[f64; 2]; 2],
 }
 
 impl Middle {
-    fn of(dots: &[Dot], [a, b, c]: [usize; 3]) -> Self {
+    fn new(dots: &[Dot], [a, b, c]: [usize; 3]) -> Self {
         let way = |from: usize, to: usize| {
             [0, 1].map(|axis| dots[to].centre_px[axis] - dots[from].centre_px[axis])
         };
@@ -119,15 +119,15 @@ impl Middle {
         (self.ratio - KEY_RATIO).abs() < KEY_TOLERANCE * KEY_RATIO
     }
 
-    /// Whether all three stand at their places on the plate that follows from them.
-    fn is_read_by(&self, labelled: &Labelled) -> bool {
+    /// Whether the three large dots lie where the lattice derived from them expects them.
+    fn is_read_by(&self, labelled: &LabelledDots) -> bool {
         let mut keys = KEYS.into_iter().zip([self.corner, self.far, self.near]);
         keys.all(|key| labelled.contains(&key))
     }
 }
 
 /// From the corner outwards: each dot hands its own steps on to its neighbours.
-fn spread(dots: &[Dot], &Middle { corner, axes, .. }: &Middle) -> Labelled {
+fn spread(dots: &[Dot], &Middle { corner, axes, .. }: &Middle) -> LabelledDots {
     let mut places: HashMap<[i32; 2], usize> = HashMap::from([([0, 0], corner)]);
     let mut taken = vec![false; dots.len()];
     taken[corner] = true;

@@ -41,7 +41,7 @@ impl Normal {
     }
 }
 
-/// What is minimised. Unknowns are steps from the state that the problem holds.
+/// A sum of squares to minimise. Unknowns are steps from the state that the problem holds.
 pub(crate) trait Problem {
     /// Equations about the present state.
     fn normal(&self) -> Normal;
@@ -56,7 +56,7 @@ pub(crate) trait Problem {
 pub(crate) enum NoMinimum {
     /// The equations are singular.
     Singular,
-    /// Still moving after so many steps.
+    /// No minimum within this number of steps.
     NotSettled(usize),
 }
 

@@ -15,18 +15,18 @@
 //! | file | holds |
 //! |---|---|
 //! | `target` | the artefact: plates, dots, sphere (`target.toml`) |
-//! | `captures` | images of it made elsewhere (`captures.toml`) |
+//! | `captures` | images of it from other instruments (`captures.toml`) |
 //! | `dots` | dots of one view, to hundredths of a pixel |
 //! | `label` | their places on the plate |
 //! | `sighting` | one view: stages, plate, marks |
 //! | `least_squares` | Levenberg and Marquardt |
-//! | `model` | the unknowns, and where they put a mark in the images |
-//! | `bundle` | their equations |
-//! | `adjust` | all unknowns from all marks |
-//! | `uncertainty` | what that leaves uncertain of a point |
+//! | `rig` | camera and projector: where a dot appears in their images |
+//! | `bundle` | bundle adjustment with robust weights, over an observation model |
+//! | `model` | the observation model of plates on the stages |
+//! | `adjust` | from views of plates to a head |
+//! | `uncertainty` | standard uncertainty of a point by the calibration |
 //! | `form` | planes and spheres through points |
-//! | `holdout` | plates measured with the result |
-//! | `eye` | triangulation with a head |
+//! | `hold_out` | plates measured with the result |
 //! | `self_test` | a plane and a sphere, measured |
 //! | `sharpest` | the setting of a lens at which the camera is sharp, by the contrast of fringes |
 //! | `focus` | a head between the settings of its lens at which it was calibrated (`focus.toml`) |
@@ -46,6 +46,7 @@ mod label;
 mod least_squares;
 mod model;
 mod record;
+mod rig;
 mod self_test;
 mod sharpest;
 mod sighting;
@@ -57,7 +58,9 @@ pub use captures::{CapturedView, Captures};
 pub use focus::{Focus, FocusError, FocusSeries, FocusedHeads};
 pub use hold_out::hold_out;
 pub use self_test::SelfTestError;
-pub use sharpest::{Components, NotSharp, Place, Sharpest, Sharpness, coarse, fine, sharpest};
+pub use sharpest::{
+    AxialDistance, Components, NotSharp, Sharpest, Sharpness, coarse, fine, sharpest,
+};
 pub use sighting::{Mark, Sighting, StagePose};
 pub use target::{Dots, KEYS, Partner, Plate, Sphere, SphereAt, StageOffset, Target, TestPlace};
 
@@ -78,10 +81,10 @@ pub enum CalibrateError {
         key: String,
         /// Its value.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: std::borrow::Cow<'static, str>,
     },
-    /// Hardly any light, or hardly any dots.
+    /// Too little light, or too few dots.
     #[error(
         "view {view} shows {got} dots, at least {limit} are needed: is the plate there, in focus and evenly lit?"
     )]
@@ -158,7 +161,7 @@ pub enum CalibrateError {
         /// Steps done.
         limit: usize,
     },
-    /// What is left over is more than noise.
+    /// Residuals larger than noise explains.
     #[error(
         "after the adjustment {what} are off by {got_px:.3} px rms, at most {limit_px} px are allowed: is the target this one, and was it at rest?"
     )]
@@ -190,6 +193,15 @@ impl From<flankscope_foundation::textfile::BadValue> for CalibrateError {
             key: bad.key,
             got: bad.got,
             expected: bad.expected,
+        }
+    }
+}
+
+impl From<least_squares::NoMinimum> for CalibrateError {
+    fn from(why: least_squares::NoMinimum) -> Self {
+        match why {
+            least_squares::NoMinimum::Singular => Self::Singular,
+            least_squares::NoMinimum::NotSettled(limit) => Self::NotSettled { limit },
         }
     }
 }

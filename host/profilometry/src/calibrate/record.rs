@@ -1,4 +1,4 @@
-//! What an adjustment writes into the head's file.
+//! The `[calibration]` record of a head, from an adjustment.
 
 use super::adjust::Adjusted;
 use super::board::{Board, BoardAdjusted};
@@ -45,8 +45,8 @@ impl CalibrationRecord {
         }
     }
 
-    /// The record of a head by an ordinary board; `pitch_sigma_mm` if somebody certified its pitch.
-    pub fn of_board(
+    /// The record of a head calibrated with an ordinary board; `pitch_sigma_mm` is the standard uncertainty of a certified pitch.
+    pub fn from_board(
         adjusted: &BoardAdjusted,
         board: &Board,
         pitch_sigma_mm: Option<f64>,

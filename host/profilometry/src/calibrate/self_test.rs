@@ -5,14 +5,14 @@
 use nalgebra::{Isometry3, Point3};
 
 use super::form;
-use super::model::isometry;
+use super::rig::isometry;
 use super::target::{Sphere, Target};
 use crate::cloud::CellColumn;
 use crate::head::{Alone, Figures, HeadModel, PlaneFigures, SelfTest, SphereFigures};
 use crate::triangulate::HeadTriangulator;
 use flankscope_foundation::date::Date;
 
-/// Why a self-test says nothing.
+/// Why a self-test has no result.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SelfTestError {
@@ -55,9 +55,9 @@ pub enum SelfTestError {
 
 const LEAST_POINTS: usize = 200;
 /// Cell of the wear figures. Single points ripple with the cores of the projector's bundle, the same in every capture of a
-/// place; means of some seventy points hardly do.
+/// place; in means of some seventy points the ripple averages out.
 const CELL_MM: f64 = 0.25;
-/// The cap of the sphere that counts: up to this angle from the direction to the camera. Beyond, light grazes.
+/// Cosine of the largest angle between a sphere's normal and the direction to the camera. Beyond, light is grazing.
 const CAP_COS: f64 = 0.77;
 /// Points farther off the certified radius than this are something else's, mm.
 const BELONGS_MM: f64 = 0.15;
@@ -71,7 +71,7 @@ impl SelfTest {
     ///
     /// # Errors
     /// [`SelfTestError`].
-    pub fn of(
+    pub fn measure(
         head: &HeadModel,
         target: &Target,
         planes: &[Vec<Vec<CellColumn>>],
@@ -108,7 +108,7 @@ impl SelfTest {
                 let camera_from_tool = camera_from_stage * at.stood.stage_from_tool();
                 probing(&points(seen), &at.sphere, camera_from_tool, by)
             });
-            Ok(Figures::of(
+            Ok(Figures::from_places(
                 plane.collect::<Result<_, _>>()?,
                 sphere.collect::<Result<_, _>>()?,
             ))
@@ -145,7 +145,7 @@ impl SelfTest {
     }
 }
 
-/// What is seen of a place, in the light of each projector, to points in the camera frame.
+/// Triangulates the cells of one place, separately for each projector, to points in the camera frame.
 type Points<'a> = dyn Fn(&[Vec<CellColumn>]) -> Vec<[f64; 3]> + 'a;
 
 fn few(what: &'static str, by: &'static str, got: usize) -> SelfTestError {
@@ -161,7 +161,7 @@ fn flatness(cloud: &[[f64; 3]], by: &'static str) -> Result<PlaneFigures, SelfTe
     let enough = Some(cloud).filter(|cloud| cloud.len() >= LEAST_POINTS);
     let flat = enough.and_then(form::plane);
     let flat = flat.ok_or(few("plane", by, cloud.len()))?;
-    let of_cells = flat.of_squares(cloud, CELL_MM);
+    let of_cells = flat.averaged_over_squares(cloud, CELL_MM);
     Ok(PlaneFigures {
         plane_points: cloud.len() as u32,
         flatness_um: 1e3 * flat.range_mm(),
@@ -182,7 +182,7 @@ fn probing(
         let enough = Some(&on_sphere[..]).filter(|cloud| cloud.len() >= LEAST_POINTS);
         let round = enough.and_then(form::sphere);
         let round = round.ok_or(few("sphere", by, on_sphere.len()))?;
-        let of_cells = round.residuals.of_squares(&on_sphere, CELL_MM);
+        let of_cells = round.residuals.averaged_over_squares(&on_sphere, CELL_MM);
         let figures = SphereFigures {
             sphere_points: on_sphere.len() as u32,
             probing_form_um: 1e3 * round.residuals.range_mm(),

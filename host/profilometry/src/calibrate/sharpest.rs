@@ -1,15 +1,15 @@
 //! Autofocus: the setting of a lens at which the camera is sharp on the middle of a plate, by the contrast of fringes on it.
 //!
 //! Blur of a standard deviation `s` leaves `exp(-2 (pi f s)^2)` of fringes of frequency `f`, and its square grows with that of the
-//! distance from best focus: over the focal power the logarithm of the contrast is a parabola, but for what is left of higher order
+//! distance from best focus: over the focal power the logarithm of the contrast is a parabola, with small terms of higher order
 //! over a few dioptres. Coarse steps over the whole range find the highest place, fine ones about it give the parabola its vertex.
 //!
 //! The vertex is not yet best focus of the camera. Camera and projector both blur, from pinholes that are not equally far from the plate
-//! unless it stands where their axes cross: of two parabolas the sum has its vertex between theirs, anywhere between where nobody says
-//! which blurs more. So half the way is corrected, and all of it is the width of an even distribution. Best focus is curved, too: the
+//! unless it stands where their axes cross: the sum of two parabolas has its vertex between theirs, at an unknown place unless it is known
+//! which lens blurs more. So half the distance is corrected, and the whole of it is the width of a uniform distribution. Best focus is curved, too: the
 //! mean over a disc has half the curvature at its rim, which a disc of twice the radius shows fourfold, so a third of the difference of
 //! their vertices is corrected, and counts as the half width of what a field that is no parabola may leave. That both objectives are
-//! sharp equally far before their pinholes, nothing here can test: it is how a pair on one driver is made.
+//! in focus at equal distances from their pinholes is assumed, as pairs on one driver are made; it cannot be tested here.
 
 use std::f64::consts::SQRT_2;
 
@@ -34,29 +34,29 @@ const MIN_CELLS: usize = 200;
 /// A vertex that is less sure than this share of a coarse step found nothing.
 const MAX_SIGMA_RATIO: f64 = 0.2;
 
-/// What the driver was told, and the fringes' contrast there.
+/// Lens driver counts and the fringe contrast measured there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpness {
-    /// What the driver was told.
+    /// Lens driver counts.
     pub counts: u16,
     /// Mean contrast of the finest fringes in the middle of the field.
     pub contrast: f64,
     /// The same of twice that radius.
     pub wider_contrast: f64,
-    /// Where the middle is, if fringes of known order say so.
-    pub place: Option<Place>,
+    /// Distances of the middle, if it was triangulated by fringes of known order.
+    pub place: Option<AxialDistance>,
 }
 
-/// How far a place is from both pinholes, each along its own axis.
+/// Distances of a point from both pinholes, each along its own axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct AxialDistance {
     /// From the camera's.
     pub distance_mm: f64,
     /// From the projector's, minus that.
     pub farther_mm: f64,
 }
 
-/// Where the camera is sharp on the middle of a plate.
+/// Lens setting at which the camera is in focus on the middle of a plate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sharpest {
     /// The setting: best focus of the camera in the middle of its field.
@@ -65,26 +65,26 @@ pub struct Sharpest {
     pub vertex_dpt: f64,
     /// Contrast there.
     pub contrast: f64,
-    /// Where the plate's middle is.
-    pub place: Place,
-    /// What was added to the vertex because the projector is farther than the camera.
+    /// Distances of the plate's middle.
+    pub place: AxialDistance,
+    /// Correction added to the vertex because the projector is farther away than the camera.
     pub projector_dpt: f64,
-    /// What was added because best focus is curved.
+    /// Correction added because the surface of best focus is curved.
     pub curvature_dpt: f64,
-    /// What the setting is not known to.
+    /// Standard uncertainty of the setting.
     pub sigma: Components,
 }
 
 /// Parts of a standard uncertainty, dpt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Components {
-    /// How far contrasts lie from a parabola.
+    /// Part due to deviations of the contrasts from a parabola.
     pub scatter_dpt: f64,
-    /// Which share camera and projector have in the blur.
+    /// Part due to the unknown shares of camera and projector in the blur.
     pub projector_dpt: f64,
-    /// How well the head knows where both pinholes are.
+    /// Part due to the calibrated distances of both pinholes.
     pub head_dpt: f64,
-    /// What of the field is no parabola.
+    /// Part of the uncertainty due to field curvature that a parabola does not describe.
     pub curvature_dpt: f64,
 }
 
@@ -125,7 +125,7 @@ pub enum NotSharp {
         "at {counts} counts {got} cells in the middle of the field show fringes, at least {limit} are needed: is the plate there, and lit?"
     )]
     Dark {
-        /// What the driver was told.
+        /// Lens driver counts.
         counts: u16,
         /// Cells with fringes.
         got: usize,
@@ -157,17 +157,21 @@ pub enum NotSharp {
         between[0], between[1]
     )]
     NoVertex {
-        /// Where it was looked for.
+        /// Counts between which it was searched.
         between: [u16; 2],
     },
 }
 
 impl Sharpness {
-    /// Of a view of a white plate through a lens that was told `counts`.
+    /// Evaluates a view of a white plate, taken with the lens driver at `counts`.
     ///
     /// # Errors
     /// [`NotSharp::Dark`].
-    pub fn of(counts: u16, cells: &[CellColumn], head: &HeadModel) -> Result<Self, NotSharp> {
+    pub fn from_view(
+        counts: u16,
+        cells: &[CellColumn],
+        head: &HeadModel,
+    ) -> Result<Self, NotSharp> {
         let size_px = [head.camera.width_px, head.camera.height_px].map(f64::from);
         let (centre_px, radius_px) = match &head.image_circle {
             Some(circle) => (circle.centre_px, circle.radius_px),
@@ -192,21 +196,23 @@ impl Sharpness {
             }
         };
         let light = Triangulator::new(head, Axis::Columns);
-        let places: Vec<Place> = within(MIDDLE)
-            .filter_map(|cell| Place::of(head, &light, cell.pixel, cell.column_px?))
+        let places: Vec<AxialDistance> = within(MIDDLE)
+            .filter_map(|cell| {
+                AxialDistance::triangulate(head, &light, cell.pixel, cell.column_px?)
+            })
             .collect();
         Ok(Self {
             counts,
             contrast: contrast(MIDDLE)?,
             wider_contrast: contrast(WIDER)?,
-            place: Place::mean(&places).filter(|_| places.len() >= MIN_CELLS),
+            place: AxialDistance::mean(&places).filter(|_| places.len() >= MIN_CELLS),
         })
     }
 }
 
-impl Place {
-    /// What a pixel sees in the light of a column.
-    pub(super) fn of(
+impl AxialDistance {
+    /// The point that a pixel sees in the light of a projector column.
+    pub(super) fn triangulate(
         head: &HeadModel,
         light: &Triangulator,
         pixel: [f64; 2],
@@ -222,7 +228,7 @@ impl Place {
         })
     }
 
-    /// Over places all about a middle the slope of a plate has no part in it.
+    /// Mean over points on all sides of a middle, so that the tilt of a plate cancels.
     fn mean(places: &[Self]) -> Option<Self> {
         let mean = |of: fn(&Self) -> f64| {
             let mean = places.iter().map(of).sum::<f64>() / places.len() as f64;
@@ -280,7 +286,7 @@ pub fn fine(coarse: &[Sharpness]) -> Result<Vec<u16>, NotSharp> {
     }
 }
 
-/// Where the camera is sharp, by the fine settings of the lens of `head`.
+/// Lens setting at which the camera is in focus, from the fine settings of the lens of `head`.
 ///
 /// # Errors
 /// [`NotSharp::NoVertex`], [`NotSharp::NoPlace`].
@@ -295,15 +301,15 @@ pub fn sharpest(
         vertex(fine, between, contrast).ok_or(NotSharp::NoVertex { between })
     };
     let (middle, wider) = (of(|of| of.contrast)?, of(|of| of.wider_contrast)?);
-    let places: Vec<Place> = fine.iter().filter_map(|of| of.place).collect();
-    let place = Place::mean(&places).ok_or(NotSharp::NoPlace { limit: MIN_CELLS })?;
+    let places: Vec<AxialDistance> = fine.iter().filter_map(|of| of.place).collect();
+    let place = AxialDistance::mean(&places).ok_or(NotSharp::NoPlace { limit: MIN_CELLS })?;
 
     let vertex_dpt = (middle.counts - lens.zero_counts) * lens.dpt_per_count;
     let curvature_dpt = (middle.counts - wider.counts) * lens.dpt_per_count / 3.0;
     // Focus and power are reciprocal: 1 / mm² is 1000 dpt / mm.
     let dpt_per_mm = 1e3 / (place.distance_mm * place.distance_mm);
     let farther_dpt = place.farther_mm * dpt_per_mm;
-    let farther_sigma_dpt = Place::farther_sigma_mm(head) * dpt_per_mm;
+    let farther_sigma_dpt = AxialDistance::farther_sigma_mm(head) * dpt_per_mm;
     let [of_middle, of_wider] = [middle, wider].map(|of| of.sigma_counts * lens.dpt_per_count);
     Ok(Sharpest {
         setting_dpt: vertex_dpt + 0.5 * farther_dpt + curvature_dpt,
@@ -485,7 +491,7 @@ mod tests {
         let look = |at: Vec<u16>| -> Vec<Sharpness> {
             let of = |counts| {
                 let cells = plate(focus_mm(best_dpt), focus_mm(LENS.power_dpt(counts)), blurs);
-                Sharpness::of(counts, &cells, &head()).unwrap()
+                Sharpness::from_view(counts, &cells, &head()).unwrap()
             };
             at.into_iter().map(of).collect()
         };

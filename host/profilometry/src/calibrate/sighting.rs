@@ -9,7 +9,7 @@ use super::target::{StageOffset, Target};
 use crate::cloud::CellColumn;
 use crate::head::HeadModel;
 
-/// What the stages were told, rotary and vertical.
+/// Commanded positions of the rotary and the vertical stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StagePose {
     /// Angle by which the seat is turned.
@@ -19,7 +19,7 @@ pub struct StagePose {
 }
 
 impl StagePose {
-    /// Where a place of the target, in the tool frame, comes to the middle of the field.
+    /// Stage position that brings a place of the target, in the tool frame, to the middle of the field.
     #[must_use]
     pub fn before([x, y, z]: [f64; 3]) -> Self {
         Self {
@@ -28,7 +28,7 @@ impl StagePose {
         }
     }
 
-    /// Beside it.
+    /// The position moved by an offset.
     #[must_use]
     pub fn beside(self, place: StageOffset) -> Self {
         Self {
@@ -59,9 +59,9 @@ pub struct Mark {
 /// One view of one plate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sighting {
-    /// Which plate of the target.
+    /// Index of the target's plate.
     pub plate: usize,
-    /// Where the stages stood.
+    /// Commanded position of the stages.
     pub stage: StagePose,
     /// The dots.
     pub marks: Vec<Mark>,
@@ -117,7 +117,7 @@ impl Sighting {
 
     /// The same view, by the second projector alone.
     #[must_use]
-    pub fn of_second(&self) -> Self {
+    pub fn by_second_projector(&self) -> Self {
         Self {
             marks: self.by_second.clone(),
             by_second: Vec::new(),

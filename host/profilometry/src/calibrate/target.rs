@@ -22,10 +22,10 @@ pub struct Target {
     pub pose_sigma_mm: f64,
     /// Standard uncertainty of each plate's orientation.
     pub pose_sigma_rad: f64,
-    /// Where plane and spheres are looked at in a self-test, one place after the other; none: `blank` and `sphere` in the middle.
+    /// Places of plane and spheres in a self-test, one after the other; empty: `blank` and `sphere` in the middle.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub test_place: Vec<TestPlace>,
-    /// What is printed on the plates.
+    /// Dots printed on the plates.
     pub dots: Dots,
     /// A white plate without print: shows the cores, and how evenly the head lights.
     pub blank: Plate,
@@ -40,10 +40,10 @@ pub struct Target {
     /// Further ones, with a partner or without.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub test_sphere: Vec<Sphere>,
-    /// What the self-test allows.
+    /// Limits of the self-test.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limits: Option<Limits>,
-    /// Where the stages stand beside facing a printed plate, a view each; the last one is kept aside.
+    /// Stage offsets from the position facing a printed plate, one view each; the last view is kept aside.
     #[serde(default = "beside_of_10_mm")]
     pub beside: Vec<StageOffset>,
 }
@@ -74,7 +74,7 @@ pub struct Dots {
 /// Places of the three larger dots, in pitches.
 pub const KEYS: [[i32; 2]; 3] = [[0, 0], [2, 0], [0, 1]];
 
-/// How many views a plate may have: one at least for the adjustment, one kept aside.
+/// Allowed number of views of a plate: at least one for the adjustment and one kept aside.
 const BESIDE: std::ops::RangeInclusive<usize> = 2..=16;
 
 impl Dots {
@@ -93,17 +93,17 @@ impl Dots {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plate {
-    /// Where it sits.
+    /// Its pose in the tool frame.
     pub tool_from_plate: RigidTransform,
 }
 
-/// A place of the stages beside another one.
+/// Offset of the stages from another position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StageOffset {
-    /// Turned by.
+    /// Rotation.
     pub turned_rad: f64,
-    /// Raised by.
+    /// Height.
     pub raised_mm: f64,
 }
 
@@ -111,14 +111,14 @@ pub struct StageOffset {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TestPlace {
-    /// The stages are turned by, beside facing plane or spheres.
+    /// Rotation of the stages from the position facing plane or spheres.
     pub turned_rad: f64,
-    /// And raised by.
+    /// Their height from there.
     pub raised_mm: f64,
-    /// Which plate without print is looked at: 1 is `blank`, 2 the first `test_blank`.
+    /// Plate without print: 1 is `blank`, 2 the first `test_blank`.
     #[serde(default = "first", skip_serializing_if = "is_first")]
     pub blank: usize,
-    /// Which sphere or pair of spheres: 1 is `sphere`, 2 the first `test_sphere`.
+    /// Sphere or pair of spheres: 1 is `sphere`, 2 the first `test_sphere`.
     #[serde(default = "first", skip_serializing_if = "is_first")]
     pub sphere: usize,
 }
@@ -153,7 +153,7 @@ impl TestPlace {
 pub struct SphereAt {
     /// The sphere or pair.
     pub sphere: Sphere,
-    /// Where the stages stand.
+    /// Positions of the stages.
     pub stood: StagePose,
 }
 
@@ -183,7 +183,7 @@ pub struct Partner {
 }
 
 impl Sphere {
-    /// What is to be in the middle of the field: its centre, or the middle of the pair.
+    /// Point to be placed in the middle of the field: the centre of the sphere, or the midpoint of the pair.
     #[must_use]
     pub fn middle_mm(&self) -> [f64; 3] {
         let other = self.partner.map_or(self.centre_mm, |of| of.centre_mm);
@@ -268,7 +268,7 @@ impl Target {
         }
     }
 
-    /// Where the stages stand before plates without print, one place after the other, in a self-test.
+    /// Stage positions in front of plates without print in a self-test, one after the other.
     #[must_use]
     pub fn planes(&self) -> Vec<StagePose> {
         let plates = [&[self.blank][..], &self.test_blank].concat();

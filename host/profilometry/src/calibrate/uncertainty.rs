@@ -1,30 +1,31 @@
-//! What a calibration leaves uncertain of a measured point.
+//! Standard uncertainty of a measured point by the calibration alone, from the covariance of the head's unknowns.
 
 use nalgebra::{DMatrix, Matrix3, SVector, Vector3};
 
+use super::bundle::ViewState;
 use super::model::{Scene, head_unknowns};
-use super::sharpest::Place;
+use super::sharpest::AxialDistance;
 use crate::head::HeadModel;
 use crate::pattern::Axis;
 use crate::triangulate::Triangulator;
 
-/// Where in the field, in parts of 0.7 of its radius.
+/// Places in the field, in units of 0.7 of its radius.
 const SAMPLES: [[f64; 2]; 5] = [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.7], [0.0, -0.7]];
 
-/// A head in the light of one of its projectors, and how it follows its unknowns.
+/// A head in the light of one of its projectors, with its neighbours along every unknown for numerical derivatives.
 pub(crate) struct Lit {
     head: HeadModel,
     view: Vector3<f64>,
     neighbours: Vec<Neighbours>,
-    /// Where its unknowns stand among those of the head.
-    places: Vec<usize>,
+    /// Positions of its unknowns among those of the head.
+    positions: Vec<usize>,
 }
 
 impl Lit {
     /// `scene` is the head's in that light.
-    pub fn new(head: &HeadModel, scene: &Scene, places: Vec<usize>) -> Self {
+    pub fn new(head: &HeadModel, scene: &Scene, positions: Vec<usize>) -> Self {
         let neighbours = head_unknowns(scene).map(|unknown| {
-            let step = Scene::small_step(unknown);
+            let step = scene.small_step(unknown);
             let heads = [step, -step].map(|by| {
                 let mut scene = scene.clone();
                 scene.step(unknown, by);
@@ -36,16 +37,16 @@ impl Lit {
             neighbours: neighbours.collect(),
             head: head.clone(),
             view: scene.stage_from_camera.rotation * Vector3::z(),
-            places,
+            positions,
         }
     }
 
-    /// How the point that a pixel sees at a depth follows the head's unknowns, `of` of them, in the stage frame.
+    /// Derivatives of the point, in the stage frame, that a pixel sees at a depth, by the head's unknowns, `of` of them.
     fn jacobian(&self, pixel: [f64; 2], depth_mm: f64, of: usize) -> Option<DMatrix<f64>> {
         self.slopes(pixel, depth_mm, of, seen_point)
     }
 
-    /// How what a head makes of a pixel and a column follows its unknowns, for the column that lights a depth.
+    /// Derivatives of a function of head, pixel and column by the head's unknowns, at the column that lights a depth.
     fn slopes<const ROWS: usize>(
         &self,
         pixel: [f64; 2],
@@ -57,9 +58,9 @@ impl Lit {
         let (column_px, _) = Triangulator::new(&self.head, Axis::Columns).column(ray, depth_mm)?;
         let made = |head: &HeadModel| made(head, pixel, column_px);
         let mut jacobian = DMatrix::zeros(ROWS, of);
-        for (&place, Neighbours { heads, step }) in self.places.iter().zip(&self.neighbours) {
+        for (&position, Neighbours { heads, step }) in self.positions.iter().zip(&self.neighbours) {
             let change = (made(&heads[0])? - made(&heads[1])?) / (2.0 * step);
-            jacobian.set_column(place, &change);
+            jacobian.set_column(position, &change);
         }
         Some(jacobian)
     }
@@ -124,9 +125,10 @@ pub(crate) fn farther_sigma_mm(
         covariance.nrows(),
         |head, pixel, column_px| {
             let light = Triangulator::new(head, Axis::Columns);
-            Some(SVector::from([
-                Place::of(head, &light, pixel, column_px)?.farther_mm
-            ]))
+            Some(SVector::from([AxialDistance::triangulate(
+                head, &light, pixel, column_px,
+            )?
+            .farther_mm]))
         },
     )?;
     Some((&slopes * covariance * slopes.transpose())[(0, 0)].sqrt())

@@ -33,7 +33,7 @@ impl Span {
         self.end - self.begin
     }
 
-    /// Whether the row has none.
+    /// Whether the row has no cells.
     pub fn is_empty(&self) -> bool {
         self.begin == self.end
     }

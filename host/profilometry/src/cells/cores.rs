@@ -18,7 +18,7 @@ pub struct CoreGrid {
     pub(crate) left_px: Vec<u16>,
     /// First cell of each image row, by the first row of the boxes, and the number of cells as a last entry.
     starts: Vec<u32>,
-    /// Where a box's light comes from on average: column, row.
+    /// Mean position of a box's light: column, row of the camera.
     seen_px: Vec<[f64; 2]>,
     /// Cells of neighbouring cores with smaller numbers.
     earlier_neighbours: Vec<[u32; 6]>,
@@ -33,8 +33,8 @@ const RING_PITCH: f64 = 1.45;
 impl CoreGrid {
     /// Cores whose boxes lie on the sensor and whose centres lie in the circle.
     ///
-    /// A box also catches its neighbours' light. For fringes that hardly bend from core to core the sum has the phase
-    /// of the brightness-weighted mean place, so that place, from the map, is what the box is said to look at.
+    /// A box also catches its neighbours' light. For fringes that are nearly straight from core to core the sum has the
+    /// phase at the brightness-weighted mean position, so that position, from the map, is taken as the box's.
     pub fn new(map: &CoreMap, circle: Option<&ImageCircle>) -> Self {
         let pitch_px = map.pitch_px().unwrap_or(BOX_PX as f64);
         let reach = (0.5 * BOX_PX as f64 * std::f64::consts::SQRT_2 + 3.5 * map.core_sigma_px)
@@ -108,7 +108,7 @@ impl CoreGrid {
         self.left_px.len()
     }
 
-    /// Whether there is none.
+    /// Whether the map has no cores.
     pub fn is_empty(&self) -> bool {
         self.left_px.is_empty()
     }
@@ -123,7 +123,7 @@ impl CoreGrid {
         self.starts[row] as usize..self.starts[row + 1] as usize
     }
 
-    /// Where a box's light comes from: column, row of the camera.
+    /// Position of a box's light: column, row of the camera.
     pub fn seen_px(&self) -> &[[f64; 2]] {
         &self.seen_px
     }

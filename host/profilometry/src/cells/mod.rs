@@ -12,7 +12,7 @@ pub(crate) use cores::BOX_PX;
 pub use cores::CoreGrid;
 pub(crate) use disjoint_sets::DisjointSets;
 
-/// What a cell is: a block of pixels behind a lens, a core behind a fibre bundle.
+/// Kind of cell: a block of pixels behind a lens, a core behind a fibre bundle.
 #[derive(Clone, Debug)]
 pub enum Grid {
     /// Blocks of pixels.

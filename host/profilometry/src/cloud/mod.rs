@@ -1,4 +1,4 @@
-//! What comes out of a view: points, and why the other cells gave none.
+//! Result of a view: points, and the reasons why the other cells gave none.
 
 mod patches;
 
@@ -23,7 +23,7 @@ pub struct Cloud {
     pub modulation_e: Vec<f32>,
     /// Light straight from the projector and over other ways.
     pub light: Vec<LightParts>,
-    /// What the mask goes by: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
+    /// Modulation for the mask: smoothed standard deviation over the finest fringes' steps, counts per pixel and exposure.
     /// Empty when no mask was asked for; a mask with threshold 0 drops nothing.
     pub fringes_dn: Vec<f32>,
 }
@@ -45,26 +45,26 @@ impl Cloud {
         self.points_mm.len()
     }
 
-    /// Whether there is none.
+    /// Whether it has no points.
     pub fn is_empty(&self) -> bool {
         self.points_mm.is_empty()
     }
 }
 
-/// What a cell shows before any geometry.
+/// Decoded projector column of a cell, before triangulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellColumn {
-    /// Where the cell looks: column, row of the camera.
+    /// Position of the cell: column, row of the camera.
     pub pixel: [f64; 2],
     /// Mean light over the finest frequency's steps in electrons, NaN where every exposure was saturated.
     pub mean_e: f64,
     /// Contrast of those steps; not a number likewise.
     pub contrast: f64,
-    /// Projector column that lights the place, where it could be told.
+    /// Projector column that lights the cell, where it was decoded.
     pub column_px: Option<f64>,
 }
 
-/// How many cells gave no point, by the first reason found.
+/// Numbers of cells without a point, by the first reason found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Rejected {
     /// Every exposure was saturated.
@@ -118,20 +118,20 @@ impl Rejected {
     }
 }
 
-/// What the points of a view say of their light: medians, each for itself.
+/// Parts of the light of a view's points; each figure is a median of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LightMedians {
     /// Straight from the projector with every mirror on, electrons.
     pub direct_e: f64,
-    /// Over any other way, electrons.
+    /// By any other path, electrons.
     pub global_e: f64,
     /// Share of the latter.
     pub global_ratio: f64,
 }
 
 impl LightMedians {
-    /// Over some points.
-    pub fn of(light: &[LightParts]) -> Option<Self> {
+    /// Medians over some points; `None` without any.
+    pub fn from_points(light: &[LightParts]) -> Option<Self> {
         let median = |part: fn(&LightParts) -> f64| median_of(light.iter().map(part));
         Some(Self {
             direct_e: median(|light| light.direct_e)?,
@@ -141,7 +141,7 @@ impl LightMedians {
     }
 }
 
-/// What both projectors made of a view.
+/// Comparison of both projectors in a view.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Projectors {
     /// Cells that each of them measured alone.
@@ -164,12 +164,12 @@ pub struct Decoded {
     pub cells: usize,
     /// Numbers of the cells without a point, in row order: [`crate::decode::Decoder::direction`] says where they look.
     pub without_point: Vec<u32>,
-    /// Of each of them, whether no fringes came back that tell a place within the measuring volume; else there was light, of which
-    /// no point could be made.
+    /// For each of them, whether no fringes were seen that belong to a place within the measuring volume; otherwise there was light,
+    /// but no valid point.
     pub is_dark: Vec<bool>,
     /// Cells without a point.
     pub rejected: Rejected,
-    /// By how much frames scatter more than light and sensor should make them, in the median over the view; limits and
+    /// Ratio of the frames' scatter to the one predicted from light and sensor, median over the view; limits and
     /// uncertainties have been raised by it. 1 unless [`crate::decode::ConsistencyOptions::relative_to_view`].
     pub frame_noise_ratio: f64,
     /// Direct and global light, medians over the points; `None` without any.
@@ -178,6 +178,6 @@ pub struct Decoded {
     /// Light that comes over a second surface has lost its fringes, the sooner the finer they are: it is at most what this lacks of
     /// one (Nayar et al., Fast separation of direct and global components, SIGGRAPH 2006), and the optics take their part of that.
     pub contrast: Vec<f64>,
-    /// What two projectors made of it; `None` of a head with one.
+    /// Comparison of both projectors; `None` for a head with one.
     pub projectors: Option<Projectors>,
 }

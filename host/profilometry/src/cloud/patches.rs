@@ -2,7 +2,7 @@
 
 use crate::cells::{DisjointSets, Grid};
 
-/// Which cells belong to one surface.
+/// Cells grouped by connected surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PatchOptions {
     /// Patches with fewer cells are dropped.

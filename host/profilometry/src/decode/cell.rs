@@ -34,22 +34,22 @@ pub(super) struct CellResult {
     /// The second projector counts more in it.
     pub by_second: bool,
     pub depth_mm: f64,
-    /// Where its light comes from, x and y at z = 1.
+    /// Direction of its light, x and y at z = 1.
     pub direction: [f64; 2],
     pub sigma_z_mm: f32,
     pub modulation_e: f32,
-    /// How far the clues to the fringe order miss: chi-square per degree of freedom. NaN where no order was found.
+    /// Misfit of the clues to the fringe order: chi-square per degree of freedom. NaN where no order was found.
     pub clue_chi_square: f32,
     /// Distance to the next order, in predicted standard deviations of the clues.
     pub separation: f32,
-    /// How far the frequencies that make up the column disagree: chi-square per degree of freedom. NaN for a single one.
+    /// Disagreement of the frequencies that make up the column: chi-square per degree of freedom. NaN for a single one.
     pub column_chi_square: f32,
 }
 
 /// The projector column of a cell and the uncertainty of its phase.
 pub(super) struct Column {
     pub column_px: f64,
-    /// Of the phase of the finest frequency.
+    /// Standard deviation of the phase of the finest frequency, rad.
     pub sigma_rad: f64,
     pub modulation_e: f64,
     pub clue_chi_square: f32,
@@ -118,7 +118,7 @@ impl Depths for Vec<CellResult> {
 /// what light from elsewhere does to a phase falls with the frequency.
 pub(super) const FINE_RATIO: f64 = 0.5;
 
-/// What one frequency shows in a cell.
+/// Estimate of one frequency in a cell.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     /// Wrapped, counted from where the finest frequency's phase is zero.
@@ -219,7 +219,7 @@ impl Decoder {
         })
     }
 
-    /// What a frequency says about the order of the finest.
+    /// Clue of a frequency to the fringe order of the finest.
     fn clue(
         &self,
         view: &Conditioned<'_>,
@@ -288,7 +288,7 @@ impl Decoder {
         self.floors_dn[set] * noise.gain_e_per_dn * noise.pixels * exposures
     }
 
-    /// Whether noise alone hardly ever leaves so much over of a cell's frames.
+    /// Whether the residuals of a cell's frames exceed what noise alone explains (chi-square test).
     fn is_inconsistent(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
         let (chi_square, freedom) = self.chi_square(band, index);
         let scale = noise_ratio.max(1.0).powi(2) as f32;
@@ -310,14 +310,14 @@ impl Decoder {
         (chi_square, freedom)
     }
 
-    /// Whether noise alone hardly ever lets a cell's exposures differ so much.
+    /// Whether a cell's exposures differ by more than noise alone explains (chi-square test).
     fn exposures_disagree(&self, band: &Band, index: usize, noise_ratio: f64) -> bool {
         let scale = noise_ratio.max(1.0).powi(2) as f32;
         self.disagreement(band, index)
             .is_some_and(|(found, freedom)| found > self.agreement_limits[freedom] * scale)
     }
 
-    /// How far a cell's exposures disagree, over all frequencies, and its degrees of freedom; none where nothing was compared.
+    /// Disagreement of a cell's exposures over all frequencies, and its degrees of freedom; none where nothing was compared.
     pub(super) fn disagreement(&self, band: &Band, index: usize) -> Option<(f32, usize)> {
         let &found = band.disagreement.get(index)?;
         let joined = |merged: &Merged| usize::from(merged.exposures[index].saturating_sub(1));
@@ -393,7 +393,7 @@ impl Decoder {
 }
 
 impl Decoder {
-    /// Where the light of a cell's smoothed phasor comes from: its own ray, but where cells beside it are brighter.
+    /// Direction of the light of a cell's smoothed phasor: its own ray, shifted towards brighter neighbours.
     fn lit_direction(&self, view: &Conditioned<'_>, cell: usize, ray: &Ray) -> [f64; 2] {
         let Some(&centroid) = view.centroids.get(cell) else {
             return ray.direction;

@@ -11,7 +11,7 @@ use std::f64::consts::{PI, TAU};
 use super::cell::Fate;
 use super::{DecodeError, Decoder};
 use crate::accumulate::Band;
-use crate::gray::{GrayCode, MAX_BITS, Place};
+use crate::gray::{GrayCode, MAX_BITS, StripePosition};
 use crate::pattern::PatternSet;
 use crate::phase::{CellNoise, PhaseEstimate};
 use crate::unwrap::{Clue, Decision, Ladder, MIN_SEPARATION, decide};
@@ -34,14 +34,14 @@ pub(super) struct CodeLadder {
 /// Difference from the threshold below which a bit shows an edge, in amplitudes of the finest fringes. Far from edges it is one, more
 /// where the optics blur fringes: half of it bears a threshold that is off by as much.
 const EDGE_RATIO: f64 = 0.5;
-/// Half the distance of two orders that are told apart.
+/// Half the distance of two orders that can be distinguished.
 const BIT_SEPARATION: f64 = 0.5 * MIN_SEPARATION;
 
 /// A cell whose bits are asked.
 pub(super) struct CodedCell<'a> {
     pub band: &'a Band,
     pub index: usize,
-    /// What its finest fringes show.
+    /// Estimate of its finest fringes.
     pub finest: &'a PhaseEstimate,
     pub noise: &'a CellNoise,
 }
@@ -56,7 +56,7 @@ impl CodeLadder {
     ) -> Result<Self, DecodeError> {
         let finest = patterns.finest();
         let fringes = finest.periods / code.stripes;
-        // What a stripe holds, rounding forgiven; where the frequencies allow, half a fringe at either side, too.
+        // Orders within the stripe, with a rounding margin; where the frequencies allow, half a fringe more at either side.
         let held = ((fringes - 1e-9).ceil() as usize).max(1);
         if held > distinct {
             return Err(DecodeError::WideStripes {
@@ -81,19 +81,19 @@ impl CodeLadder {
     }
 
     /// Phase of the finest frequency about which a cell lies, of all repetitions the one nearest to the middle of what is possible.
-    fn middle_rad(&self, place: Place, expected_rad: f64) -> f64 {
+    fn middle_rad(&self, place: StripePosition, expected_rad: f64) -> f64 {
         let turn_rad = self.stripe_rad * f64::from(self.code.period());
         let phase_rad = self.origin_rad + place.stripes * self.stripe_rad;
         phase_rad + turn_rad * ((expected_rad - phase_rad) / turn_rad).round()
     }
 
     /// Farthest from the middle that is no other order's: half way between the end of the stripe and half a turn.
-    fn reach_rad(&self, place: Place) -> f64 {
+    fn reach_rad(&self, place: StripePosition) -> f64 {
         0.5 * (PI + place.half_width * self.stripe_rad)
     }
 
-    /// Where the bits of a cell put it.
-    fn place(&self, cell: &CodedCell<'_>) -> Option<Place> {
+    /// Position of a cell by its bits.
+    fn place(&self, cell: &CodedCell<'_>) -> Option<StripePosition> {
         let &CodedCell {
             band,
             index,
@@ -146,7 +146,7 @@ impl Decoder {
         if (found.absolute_rad - middle_rad).abs() > ladder.reach_rad(place) {
             return Err(Fate::Disagreeing);
         }
-        // Of its neighbours other frequencies must not be sure.
+        // A neighbouring order must not be certain by the other frequencies.
         if self.orders >= 3 {
             let other = decide(clues, wrapped_rad, &about(found.absolute_rad, 3));
             let sure = other.separation >= MIN_SEPARATION && other.agreed;

@@ -12,13 +12,13 @@ use crate::phase::smoothing::{self, Blur, Difference};
 /// Phasors to take phases from.
 pub(super) struct Conditioned<'a> {
     pub accumulator: Cow<'a, Accumulator>,
-    /// What smoothing did to the standard deviation of each frequency's phase.
+    /// Factor by which smoothing changed the standard deviation of each frequency's phase.
     pub sigma_ratios: Vec<f64>,
-    /// Where the light of the finest frequency comes from, in cells from each cell; empty where nothing was smoothed.
+    /// Centroid of the light of the finest frequency, in cells from each cell; empty where nothing was smoothed.
     pub centroids: Vec<[f32; 2]>,
-    /// Of each frequency, its difference to the finest, where that stands in for its own phase.
+    /// Per frequency its phase difference to the finest, where that is used instead of its own phase.
     pub differences: Vec<Option<Difference>>,
-    /// By how much frames scatter more than light and sensor should make them; 1 where that is not asked.
+    /// Ratio of the frames' scatter to the one predicted from light and sensor; 1 where it is not determined.
     pub frame_noise_ratio: f64,
 }
 
@@ -73,8 +73,8 @@ impl Decoder {
         view
     }
 
-    /// How much a cell's phase of one frequency counts among its neighbours: by its variance, but a phase that would tell the
-    /// order by itself hardly less than a better one. A highlight beside an edge would otherwise speak for what lies beyond.
+    /// Weight of a cell's phase of one frequency among its neighbours: by its variance, but levelling off where the phase alone makes the
+    /// order certain. Otherwise a highlight beside an edge would dominate the cells beyond the edge.
     fn phase_weight(&self, band: &Band, index: usize, set: usize) -> f32 {
         let noise = self.noise(band, index);
         let enough_rad2 = self.enough_rad * self.enough_rad;

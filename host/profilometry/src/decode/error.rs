@@ -9,7 +9,7 @@ pub enum DecodeError {
     /// No exposure, or more than a byte can count.
     #[error("{got} exposures: 1 to 255 are possible")]
     ExposureCount {
-        /// How many.
+        /// Number given.
         got: usize,
     },
     /// Not ascending, or zero.
@@ -28,7 +28,7 @@ pub enum DecodeError {
         key: String,
         /// Its value.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: std::borrow::Cow<'static, str>,
     },
     /// An option beyond its limits.
@@ -38,7 +38,7 @@ pub enum DecodeError {
         option: &'static str,
         /// Its value.
         got: f64,
-        /// What would be right.
+        /// Allowed values.
         expected: &'static str,
     },
     /// Binning or image circle leave nothing.
@@ -97,7 +97,7 @@ pub enum DecodeError {
     WideStripes {
         /// Fringes in a stripe.
         fringes: f64,
-        /// How many are told apart.
+        /// Number of orders that can be distinguished.
         limit: usize,
     },
     /// The accumulator belongs to another decoder.

@@ -1,4 +1,4 @@
-//! How little modulation still tells the fringe order.
+//! Least modulation at which the fringe order is certain.
 
 use super::DecodeOptions;
 use super::cell::FINE_RATIO;
@@ -38,7 +38,7 @@ pub(super) fn floors_dn(
         let alone = set == others.len() && !beats;
         let sigma_rad = if alone { by_turn_rad } else { by_clues_rad };
         let steps = f64::from(patterns.sets[set].steps);
-        // Without a clue (a single frequency) nothing is told apart.
+        // Without a clue (a single frequency) orders cannot be distinguished.
         if sigma_rad > 0.0 {
             (2.0 / steps).sqrt() * dark_dn / sigma_rad
         } else {

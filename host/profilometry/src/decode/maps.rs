@@ -1,4 +1,4 @@
-//! What every cell of a view shows on the way to its point: for those who compare decoders.
+//! Intermediate results of every cell of a view (phases, orders, modulation), for comparisons of decoders.
 
 use std::f64::consts::TAU;
 
@@ -22,7 +22,7 @@ pub struct PhaseMaps {
     pub modulation_e: Vec<f32>,
     /// Mean of every frequency, electrons, ambient light included.
     pub mean_e: Vec<f32>,
-    /// Which period of the finest fringes the wrapped phase lies in; [`Self::NO_ORDER`] where none was told.
+    /// Period of the finest fringes in which the wrapped phase lies; [`Self::NO_ORDER`] where it is unknown.
     pub order: Vec<i32>,
     /// Projector column (or row) that lights the cell, px, from all fine frequencies, smoothed as the points are; NaN where none
     /// was told.

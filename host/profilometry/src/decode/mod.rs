@@ -62,11 +62,11 @@ pub struct Decoder {
     rays: Vec<Ray>,
     /// Orders of the finest frequency that the set tells apart.
     orders: usize,
-    /// What the code tells, if there is one.
+    /// Decoded Gray code, if the patterns have one.
     code: Option<CodeLadder>,
-    /// Of each frequency, its phase where that of the finest is zero.
+    /// Per frequency its phase at which that of the finest is zero, rad.
     origins_rad: Vec<f64>,
-    /// Standard deviation of all phases with which a cell tells the order by itself.
+    /// Standard deviation of all phases up to which a cell's order is certain without its neighbours, rad.
     enough_rad: f64,
     /// Least amplitude of each frequency, counts per pixel and exposure.
     floors_dn: Vec<f64>,
@@ -78,7 +78,7 @@ pub struct Decoder {
     cell_by_depth: f64,
     /// The same head by its second projector, if it has one.
     second: Option<Box<Self>>,
-    /// What the calibrations of both projectors may differ by, mm.
+    /// Standard uncertainty of the difference between the depths by both projectors, mm.
     allowed_apart_mm: f64,
 }
 
@@ -183,7 +183,7 @@ impl Decoder {
         let compared = options.consistency.zip(layout.agreement.as_ref());
         let agreement_limits = compared.map_or(Vec::new(), |(gate, agreement)| {
             let mut limits = consistency::limits(gate.least_probability, agreement.most_freedom());
-            // Where nothing could be compared, only what is impossible was found.
+            // Where nothing was compared, only impossible saturation was found.
             limits[0] = 0.0;
             limits
         });
@@ -233,7 +233,7 @@ impl Decoder {
         sums
     }
 
-    /// How many projectors its head has; each shows all patterns, one after the other.
+    /// Number of projectors of its head; each shows all patterns, one after the other.
     pub fn projectors(&self) -> usize {
         1 + usize::from(self.second.is_some())
     }
@@ -304,13 +304,13 @@ impl Decoder {
         Ok(Decoded {
             frame_noise_ratio,
             contrast: self.contrasts(accumulator, &results),
-            light: LightMedians::of(&decoded.cloud.light),
+            light: LightMedians::from_points(&decoded.cloud.light),
             projectors,
             ..decoded
         })
     }
 
-    /// What one projector makes of every cell by itself.
+    /// Decodes every cell in the light of one projector.
     fn measure(&self, accumulator: &Accumulator) -> Measured {
         let fringes_dn = self
             .options
@@ -365,7 +365,7 @@ impl Decoder {
         results
     }
 
-    /// How far the exposures of every cell disagree, per degree of freedom and at most by the limit for one cell, so that no
+    /// Disagreement of every cell's exposures, chi-square per degree of freedom and at most by the limit for one cell, so that no
     /// single cell speaks for those about it; nothing where they were not compared.
     fn disagreements(&self, view: &Conditioned<'_>) -> Values {
         let scale = view.frame_noise_ratio.max(1.0).powi(2) as f32;
@@ -382,7 +382,7 @@ impl Decoder {
         bands.concat()
     }
 
-    /// By how much the frames of cells with fringes scatter more than predicted, in the median over the view; 1 unless the
+    /// Ratio of the scatter of frames of cells with fringes to the predicted one, median over the view; 1 unless the
     /// options say that cells are laid beside the view.
     fn frame_noise_ratio(&self, accumulator: &Accumulator) -> f64 {
         if !self
@@ -422,7 +422,9 @@ impl Decoder {
         };
         let of_cell = |decoder: &Self, band: &Band, index: usize| {
             let estimate = decoder.estimate(band, index, finest, &decoder.noise(band, index));
-            estimate.map_or(dark, |own| LightParts::of(&own, decoder.fringe_contrast))
+            estimate.map_or(dark, |own| {
+                LightParts::from_phase(&own, decoder.fringe_contrast)
+            })
         };
         let of_band = |(at, band): (usize, &Band)| -> Vec<LightParts> {
             let second = second.map(|(decoder, sums)| (decoder, &sums.bands[at]));
@@ -462,8 +464,8 @@ impl Decoder {
         (0..self.patterns.sets.len()).filter_map(of_set).collect()
     }
 
-    /// How many orders of the finest fringes lie between two points of a camera ray: what tells whether a point has the order that
-    /// was expected. None behind the projector.
+    /// Number of orders of the finest fringes between two points of a camera ray, to check whether a point has the expected order. `None`
+    /// behind the projector.
     pub fn orders_between(&self, from_mm: [f64; 3], to_mm: [f64; 3]) -> Option<f64> {
         let column = |[x, y, z]: [f64; 3]| self.triangulator.column([x / z, y / z], z);
         let apart_px = column(to_mm)?.0 - column(from_mm)?.0;
@@ -483,7 +485,7 @@ impl Decoder {
             .collect())
     }
 
-    /// What every cell of a complete view shows, without triangulation: for a calibration, which does not know the
+    /// Decodes every cell of a complete view, without triangulation: for a calibration, which does not know the
     /// geometry yet. One entry per cell, in the grid's order.
     ///
     /// # Errors
@@ -565,7 +567,7 @@ impl Decoder {
         }
     }
 
-    /// Where a cell looks, in the camera frame: x and y at z = 1. None beyond the last cell.
+    /// Viewing direction of a cell in the camera frame: x and y at z = 1. `None` beyond the last cell.
     pub fn direction(&self, cell: u32) -> Option<[f64; 2]> {
         self.rays.get(cell as usize).map(|ray| ray.direction)
     }
@@ -632,15 +634,15 @@ impl Decoder {
     }
 }
 
-/// What the frames of one projector tell of every cell.
+/// Decoded frames of one projector, cell by cell.
 struct Measured {
     results: Vec<CellResult>,
-    /// What the mask goes by, if there is one.
+    /// Modulation that the mask is compared with, if there is a mask.
     fringes_dn: Option<Vec<f32>>,
     frame_noise_ratio: f64,
 }
 
-/// What a frame of one cell scatters by.
+/// Standard deviation of one frame of one cell.
 fn frame_noise(sensor: &Sensor, grid: &Grid, response_ratio: f64) -> FrameNoise {
     let pixels = grid.pixels_per_cell() as f64;
     let gain = sensor.gain_e_per_dn;

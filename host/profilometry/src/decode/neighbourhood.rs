@@ -1,15 +1,15 @@
-//! What cells show together: how far frequencies disagree, and how far phases scatter.
+//! Statistics over neighbouring cells: disagreement between frequencies, scatter of phases.
 //!
-//! Predicted noise is that of light and sensor. What it leaves out - light over a second surface, fibres, a lamp - shows where
-//! frequencies that should name one column do not, and where neighbours do not continue each other. Both are averaged over
-//! some cells about each and laid beside the prediction.
+//! Predicted noise is that of light and sensor. Other errors (interreflections, fibres, the lamp) show as frequencies that disagree on
+//! the column, and as scatter between neighbours. Both are averaged over some cells about each and compared with the
+//! prediction.
 
 use super::cell::{CellResult, Fate};
 use super::options::OrderConsistency;
 use crate::cells::{CellGrid, Grid};
 use crate::phase::smoothing::{Blur, CellPlane};
 
-/// How cells are averaged.
+/// Averaging over cells.
 pub(super) struct Neighbourhood<'a> {
     grid: &'a Grid,
     plane: CellPlane<'a>,
@@ -24,13 +24,14 @@ const NEAR_UNITS: f64 = 3.0;
 /// Sigma of the Gaussian over which frequencies must mostly agree, in units: wider than the strips in which a spoiled phase
 /// happens to fit a wrong order.
 const WIDE_UNITS: f64 = 15.0;
-/// Up to so many predicted variances the scatter about a cell may be chance: three standard deviations of the mean of some
+/// Ratio to the predicted variance up to which the scatter about a cell may be chance: three standard deviations of the mean of some
 /// seventy squares.
 const CHANCE_VARIANCES: f32 = 1.5;
-/// Beyond so many predicted variances the exposures about a cell disagree: some hundred cells leave 1.0 ± 0.1 by chance, and a
+/// Ratio to the predicted variance beyond which the exposures about a cell disagree: some hundred cells leave 1.0 ± 0.1 by chance, and a
 /// sensor whose noise was described too low by a third leaves 1.8.
 const APART_VARIANCES: f32 = 2.0;
-/// Beyond so many predicted variances a bend is an edge. Of noise ten times the predicted less than a hundredth is.
+/// Ratio to the predicted variance beyond which a bend is an edge. With noise of ten times the prediction, fewer than one bend in a
+/// hundred exceeds it.
 const EDGE_VARIANCES: f64 = 700.0;
 
 /// Three places are evenly spaced when the middle one is off by less than this part of the way between the others.
@@ -69,12 +70,12 @@ impl<'a> Neighbourhood<'a> {
 
     /// Drops cells about which the frequencies disagree so much, whatever their noise should be, that the order is not sure.
     pub fn judge_orders(&self, results: &mut [CellResult], least: OrderConsistency) {
-        // A cell with a single possible order says nothing.
+        // A cell with a single possible order gives no information on the disagreement.
         let asked = |result: &CellResult| {
             let decided = matches!(result.fate, Fate::Point | Fate::Disagreeing);
             decided && result.clue_chi_square.is_finite()
         };
-        // In distances to the next order: bright cells, of which hardly any noise is predicted, must not speak for dim ones.
+        // In distances to the next order: bright cells, whose predicted noise is small, must not dominate dim ones.
         let predicted = |result: &CellResult| {
             let variance = result.separation.powi(-2);
             asked(result).then_some(variance)

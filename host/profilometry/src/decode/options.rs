@@ -1,4 +1,4 @@
-//! What a decoder keeps and smooths.
+//! Thresholds and smoothing of a decoder.
 
 use super::DecodeError;
 use crate::accumulate::consistency::ConsistencyOptions;
@@ -6,7 +6,7 @@ use crate::cloud::PatchOptions;
 use crate::head::HeadModel;
 use crate::phase::mask::MaskOptions;
 
-/// What a point is made of.
+/// Cell of the grid: a block of pixels or a fibre core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GridKind {
     /// Blocks of pixels: for a lens.
@@ -15,10 +15,10 @@ pub enum GridKind {
     Core,
 }
 
-/// What to keep and what to smooth. [`DecodeOptions::for_head`] is the instrument's choice.
+/// Thresholds and smoothing. [`DecodeOptions::for_head`] is the instrument's choice.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DecodeOptions {
-    /// What a point is made of.
+    /// Cell of the grid: a block of pixels or a fibre core.
     pub grid: GridKind,
     /// Pixels along a cell's side, on the pixel grid.
     pub binning: usize,
@@ -46,7 +46,7 @@ pub struct DecodeOptions {
     pub patches: Option<PatchOptions>,
 }
 
-/// How sure the fringe orders about a cell must be, whatever noise was predicted.
+/// Required certainty of the fringe orders about a cell, by the measured scatter instead of the predicted noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrderConsistency {
     /// Least distance to the next order in standard deviations measured from how far the clues about the cell miss, which takes
@@ -89,7 +89,7 @@ impl DecodeOptions {
             max_sigma_z_mm: None,
             smoothing_px: 0.0,
             coarse_smoothing_px: 0.0,
-            // Of a sensor that nobody described no noise can be predicted.
+            // Without a sensor model no noise can be predicted.
             consistency: head.sensor.map(|_| ConsistencyOptions::INSTRUMENT),
             order_consistency: OrderConsistency::INSTRUMENT,
             mask: None,
@@ -101,9 +101,9 @@ impl DecodeOptions {
         }
     }
 
-    /// For somebody's images of any scene, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
-    /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. Noise of a
-    /// sensor that was only assumed judges nobody.
+    /// For images of any scene from other instruments, by a head that knows its sensor ([`HeadModel::take_sensor`]): contrast of at least
+    /// [`Self::IMAGE_CONTRAST`], patches of at least [`Self::IMAGE_PATCH`] cells, phasors smoothed by less than a lens blurs. The
+    /// noise of an assumed sensor rejects no cell.
     pub fn for_images(head: &HeadModel, dark_frame: bool, sensor_assumed: bool) -> Self {
         let defaults = Self::for_head(head).with_smoothed_orders();
         Self {
@@ -113,7 +113,7 @@ impl DecodeOptions {
                 GridKind::Pixel => 0.7,
                 GridKind::Core => 0.0,
             },
-            consistency: ConsistencyOptions::of_images(match sensor_assumed {
+            consistency: ConsistencyOptions::for_images(match sensor_assumed {
                 true => 0.0,
                 false => ConsistencyOptions::INSTRUMENT.least_probability,
             }),
@@ -129,9 +129,9 @@ impl DecodeOptions {
         }
     }
 
-    /// Least contrast of somebody's images.
+    /// Least contrast of images from other instruments.
     pub const IMAGE_CONTRAST: f64 = 0.1;
-    /// Cells of the smallest patch of somebody's images.
+    /// Cells of the smallest patch of images from other instruments.
     pub const IMAGE_PATCH: usize = 200;
 
     /// The same with smoothing of what only counts fringes, on the pixel grid; points stay their own cell's. Cores stay as they are.

@@ -1,4 +1,4 @@
-//! Of passes that light one part of the field after the other, the sums of one view.
+//! Joins the sums of several passes, each of which lights another part of the field, to those of one view.
 
 use std::sync::Arc;
 
@@ -12,8 +12,8 @@ impl Decoder {
     /// surface which the cell sees; in the others it is reached over other surfaces at most.
     ///
     /// Strength is amplitude by exposure time, so that a pass of which long exposures saturate loses nothing. A cell that
-    /// saturates in all exposures of a pass is that pass's: what lights it cannot be told, and what the others have of it is not
-    /// believed. All sums of a cell come from one pass; the dark frame is that of `first`.
+    /// saturates in all exposures of a pass is assigned to that pass, since the light that reaches it
+    /// in the other passes may be indirect. All sums of a cell come from one pass; the dark frame is that of `first`.
     ///
     /// # Errors
     /// As [`Self::finish`], for each pass.

@@ -11,10 +11,10 @@ use crate::cloud::Projectors;
 
 /// Depths may differ by this many standard deviations of noise: one pair in 16 000 does by chance.
 const APART_SIGMA: f64 = 4.0;
-/// And by as much as two calibrations of one camera may leave between them, mm, where the head's file does not say: as drawn.
+/// Besides, by this calibration error between both projectors, mm, for a head without calibration record (drawing values).
 pub(super) const UNCALIBRATED_MM: f64 = 0.02;
 
-/// Puts the depths of both into `first`. `allowed_mm` is what their calibrations may differ by.
+/// Puts the depths of both into `first`. `allowed_mm` is the allowed difference of their calibrations.
 pub(super) fn join(first: &mut [CellResult], second: &[CellResult], allowed_mm: f64) -> Projectors {
     let mut found = Projectors {
         alone: [0; 2],

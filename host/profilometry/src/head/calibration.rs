@@ -1,4 +1,4 @@
-//! What a head file says of its calibration: `[calibration]` in `head.toml`.
+//! Calibration record of a head: `[calibration]` in `head.toml`.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use flankscope_foundation::date::Date;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::textfile::BadValue;
 
-/// Where a head's geometry comes from, how good it is, and until when it counts.
+/// Origin, quality and expiry of a head's geometry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationRecord {
@@ -20,7 +20,7 @@ pub struct CalibrationRecord {
     /// Through which link they were made, `sim` or `qemu` for the simulated bench; absent for images from elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub link: Option<String>,
-    /// Whether they are of the simulated bench; absent where nobody knows.
+    /// Whether the images came from the simulated bench; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulated: Option<bool>,
     /// Frames that the calibration ties together.
@@ -35,9 +35,9 @@ pub struct CalibrationRecord {
     pub dots: u32,
     /// Dots left out.
     pub dropped: u32,
-    /// What is left over of the dots' pixels, root mean square per axis.
+    /// Residuals of the dots' pixels, root mean square per axis.
     pub camera_rms_px: f64,
-    /// What is left over of their projector columns.
+    /// Residuals of the dots' projector columns, root mean square.
     pub projector_rms_px: f64,
     /// Standard uncertainty of a point's depth by the calibration alone, over the measuring volume.
     pub depth_sigma_um: f64,
@@ -53,24 +53,24 @@ pub struct CalibrationRecord {
     /// The same plates without the residual fields of the lenses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub without_field: Option<HoldOut>,
-    /// Of an ordinary board, whose poses nobody certified: what it was, and what it cannot tell.
+    /// Present if calibrated with an ordinary board, whose poses are not certified: the board, and the quantities not determined.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardRecord>,
-    /// Of a head with two projectors: how well they go together.
+    /// Present for a head with two projectors: agreement of their points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub second_projector: Option<ApartRecord>,
-    /// Of a head whose focus is driven, computed between settings: which, and what that leaves uncertain.
+    /// Present if interpolated between focus settings: which settings, and the uncertainty of the interpolation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focus: Option<FocusRecord>,
 }
 
-/// How far apart two projectors see the same point, depth by the second minus depth by the first.
+/// Difference between the depths of the same point by two projectors, second minus first.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ApartRecord {
     /// Standard uncertainty by the calibration alone, over the measuring volume.
     pub apart_sigma_um: f64,
-    /// On plates that took no part: 95 % of the cells are nearer together. What lenses and bundles do beyond the model is in it.
+    /// 95 % quantile of the cells' differences on plates that took no part, including errors of lenses and bundles beyond the model.
     pub apart_um: f64,
     /// Those plates by the second projector alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -78,7 +78,7 @@ pub struct ApartRecord {
 }
 
 impl ApartRecord {
-    /// What the calibrations may leave between both, 95 %.
+    /// Difference between the depths by both projectors that the calibration allows (95 %): measured, or by its uncertainty, whichever is larger.
     #[must_use]
     pub fn allowed_um(&self) -> f64 {
         self.apart_um.max(COVERAGE_95 * self.apart_sigma_um)
@@ -104,15 +104,15 @@ impl ApartRecord {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FocusRecord {
-    /// What the lens driver is told.
+    /// Lens driver counts.
     pub setting_dpt: f64,
-    /// How warm the lens is.
+    /// Temperature of the lens, °C.
     pub celsius: f64,
     /// Settings that were calibrated.
     pub between_dpt: Vec<f64>,
-    /// By the way from setting to setting.
+    /// Part due to the interpolation between settings.
     pub interpolation_um: [f64; 2],
-    /// By how well the drift and the temperatures of the lens are known.
+    /// Part due to the uncertainty of the lens' drift and temperatures.
     pub drift_um: [f64; 2],
 }
 
@@ -129,13 +129,13 @@ pub struct BoardRecord {
     /// Standard uncertainty of that, as a part of it; absent: not known, and so is the scale of every length.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale_sigma_ratio: Option<f64>,
-    /// Where its points were along the camera's axis, nearest and farthest: beyond, the lenses are extrapolated.
+    /// Depths of its nearest and farthest point along the camera's axis: outside, the lens models are extrapolated.
     pub depth_mm: [f64; 2],
-    /// What such a calibration does not tell.
+    /// Quantities that such a calibration does not determine.
     pub unknown: Vec<String>,
 }
 
-/// What a head makes of plates that it was not fitted to.
+/// Form errors of plates that took no part in the adjustment, measured with its result.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HoldOut {
@@ -179,7 +179,7 @@ pub enum RecordError {
 pub(crate) const FRAMES: [&str; 3] = ["camera", "projector", "stage"];
 
 impl CalibrationRecord {
-    /// Whether the calibration counts on a day.
+    /// Whether the calibration is valid on a day.
     ///
     /// # Errors
     /// [`RecordError`].

@@ -23,7 +23,7 @@ pub struct Pinhole {
     /// k1, k2, p1, p2, k3.
     #[serde(default)]
     pub distortion: [f64; 5],
-    /// What the lens does beyond that.
+    /// Residual image shift beyond Brown's distortion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub residual: Option<ResidualField>,
 }
@@ -103,7 +103,7 @@ impl Pinhole {
         Ok(())
     }
 
-    /// Whether straight lines stay straight.
+    /// Whether the lens has no distortion at all.
     pub(crate) fn is_ideal(&self) -> bool {
         self.distortion == [0.0; 5] && self.residual.is_none()
     }

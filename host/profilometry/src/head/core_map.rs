@@ -23,7 +23,7 @@ pub struct CoreMap {
     pub gains: Vec<f32>,
 }
 
-/// Where a head's core map lies: `[cores]` in `head.toml`.
+/// File of a head's core map: `[cores]` in `head.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoreMapFile {
@@ -63,9 +63,9 @@ pub enum CoreMapError {
         path: PathBuf,
         /// Its line.
         line: usize,
-        /// What stands there.
+        /// Text found there.
         got: String,
-        /// What would be right.
+        /// Allowed values.
         expected: &'static str,
     },
 }

@@ -1,4 +1,4 @@
-//! Which fringes a head throws: a set that the instrument knows by name, or one of its own.
+//! Fringes that a head projects: a set that the instrument knows by name, or one of its own.
 
 use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use crate::pattern::{FringeSet, NAMED, PatternError, PatternSet};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fringes {
-    /// Periods over the projector's full width: whole, for that is what a controller is told.
+    /// Periods over the projector's full width: integers, because the controller takes integers.
     pub periods: u32,
     /// Phase steps.
     pub steps: u32,
@@ -20,7 +20,7 @@ impl HeadModel {
     /// The set that it throws, if its file says which.
     ///
     /// # Errors
-    /// [`PatternError`]: a name that nobody knows, or frequencies that no phase comes of.
+    /// [`PatternError`]: an unknown name, or invalid frequencies.
     pub fn patterns(&self) -> Result<Option<PatternSet>, PatternError> {
         let Some(name) = &self.pattern_set else {
             return Ok(None);
@@ -51,7 +51,9 @@ impl HeadModel {
             _ => {}
         }
         let key = |set: usize, name: &str| format!("fringes[{set}].{name}");
-        self.patterns().map(drop).map_err(|error| error.of_key(key))
+        self.patterns()
+            .map(drop)
+            .map_err(|error| error.bad_value(key))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The liquid lens that a head's focus follows: what its driver is told.
+//! The liquid lens that sets the focus of a head, and its driver's counts.
 
 use flankscope_foundation::textfile::BadValue;
 use serde::{Deserialize, Serialize};
@@ -8,11 +8,11 @@ const COUNTS_MAX: u16 = 1023;
 /// Longest that a lens may take to come to rest.
 const SETTLE_MAX_MS: u32 = 2_000;
 
-/// How a head's focus is driven. Both lenses, before camera and projector, hang on one driver.
+/// Driver of a head's focus. Both liquid lenses, in front of camera and projector, are on one driver.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LensDrive {
-    /// What the driver is told for no power; between two counts, as a rule.
+    /// Driver counts at zero optical power, usually not an integer.
     pub zero_counts: f64,
     /// Power gained per count.
     pub dpt_per_count: f64,
@@ -20,7 +20,7 @@ pub struct LensDrive {
     pub range: [u16; 2],
     /// From the voltage to rest.
     pub settle_ms: u32,
-    /// What the driver is told while this head measures.
+    /// Driver counts while this head measures.
     pub counts: u16,
 }
 

@@ -1,4 +1,4 @@
-//! How the mirrors of the projector's DMD lie: `[mirrors]` in `head.toml`.
+//! Arrangement of the mirrors of the projector's DMD: `[mirrors]` in `head.toml`.
 
 use serde::{Deserialize, Serialize};
 
@@ -36,7 +36,7 @@ const ORTHOGONAL_ASPECT: std::ops::RangeInclusive<f64> = 0.8..=1.25;
 impl Mirrors {
     /// Mirrors that are the projector's columns and rows, for a head that does not say.
     #[must_use]
-    pub fn of(projector: &Pinhole) -> Self {
+    pub fn from_projector(projector: &Pinhole) -> Self {
         Self {
             arrangement: Arrangement::Orthogonal,
             columns: projector.width_px,
@@ -44,7 +44,7 @@ impl Mirrors {
         }
     }
 
-    /// Where a mirror's centre lies along the rows, in columns.
+    /// Position of a mirror's centre along the rows, in columns.
     ///
     /// Odd rows of diamond mirrors are half a column to the right, as in SLStudio (`cvtools::diamondDownsample` takes column
     /// `2 c + r % 2` of a pattern with twice the columns).

@@ -68,7 +68,7 @@ pub struct HeadModel {
     pub camera: Pinhole,
     /// The projector, as an inverse camera.
     pub projector: Pinhole,
-    /// How the mirrors of its DMD lie; absent: above each other.
+    /// Arrangement of its DMD's mirrors; absent: orthogonal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
     /// The part of its DMD whose fringes count, in the DMD's pixels; absent: all of it.
@@ -89,22 +89,22 @@ pub struct HeadModel {
     /// Hand-eye: `X_stage = rotation X_camera + translation_mm` with the vertical stage at its zero.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage_from_camera: Option<RigidTransform>,
-    /// The camera's sensor. An OpenCV calibration says nothing about it.
+    /// The camera's sensor; unknown in an OpenCV calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<Sensor>,
     /// The measuring volume along the camera's axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub volume: Option<DepthRange>,
-    /// Where the optics show an image; everything outside is skipped.
+    /// Part of the sensor with an image; everything outside is skipped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image_circle: Option<ImageCircle>,
-    /// Where the map of the bundle's cores lies.
+    /// File of the bundle's core map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cores: Option<CoreMapFile>,
-    /// Where the geometry above comes from, and until when it counts; absent for a drawing's values.
+    /// Origin and expiry of the geometry above; absent for a drawing's values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationRecord>,
-    /// Whose word the file is, where it says so; whoever judges by it checks that.
+    /// Seal of the file, if it has one; checked before verdicts are given with this head.
     #[serde(default, skip_serializing)]
     pub seal: Option<Seal>,
     /// The last test of that calibration, `<head>.check.toml` beside the file; [`HeadModel::load`] reads it.
@@ -120,15 +120,14 @@ fn one() -> u32 {
 }
 
 impl HeadModel {
-    /// Settles which sensor frames are of: what a plan says goes before what the head says, and where neither does, one of `bits` is
-    /// assumed. Returns whether it had to be.
+    /// Sets the sensor model of the frames: the plan's, else the head's, else one assumed for `bits`. Returns whether it was assumed.
     pub fn take_sensor(&mut self, of_plan: Option<Sensor>, bits: u32) -> bool {
         let said = of_plan.or(self.sensor);
         self.sensor = said.or(Some(Sensor::assumed(bits)));
         said.is_none()
     }
 
-    /// Reads `head.toml`, or an OpenCV calibration (XML, or YAML) with `Kc kc Kp kp Rp Tp`.
+    /// Reads `head.toml`, or an OpenCV calibration (XML or YAML) with `Kc kc Kp kp Rp Tp`.
     ///
     /// # Errors
     /// [`CoreMapError`] with file, line and what would be right; [`CoreMapError::File`] for the head's own file.
@@ -152,7 +151,7 @@ impl HeadModel {
 
     /// A head of which nothing but lenses and their places is known.
     #[must_use]
-    pub fn of_lenses(
+    pub fn from_lenses(
         name: &str,
         camera: Pinhole,
         projector: Pinhole,
@@ -185,7 +184,7 @@ impl HeadModel {
         }
     }
 
-    /// Whether a calibrated head may judge on a day: its calibration counts, and its last self-test was passed and is not
+    /// Whether a calibrated head may be used for verdicts on a day: its calibration is valid, and its last self-test was passed and is not
     /// overdue. Of a head without `[calibration]` nothing was promised.
     ///
     /// # Errors
@@ -199,10 +198,11 @@ impl HeadModel {
         test.allows(&record.blake3, self.projectors(), today)
     }
 
-    /// How the mirrors of the projector's DMD lie.
+    /// Arrangement of the mirrors of the projector's DMD.
     #[must_use]
     pub fn mirrors(&self) -> Mirrors {
-        self.mirrors.unwrap_or_else(|| Mirrors::of(&self.projector))
+        self.mirrors
+            .unwrap_or_else(|| Mirrors::from_projector(&self.projector))
     }
 
     /// BLAKE3 of everything that a calibration determines, bit for bit: what `[calibration]` belongs to.

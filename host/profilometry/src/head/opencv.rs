@@ -60,7 +60,7 @@ pub(super) fn head_from_file_storage(path: &Path, text: &str) -> Result<HeadMode
         translation_mm: storage.matrix::<3>(storage.which(TRANSLATION)?, "3 numbers in mm")?,
     };
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
-    Ok(HeadModel::of_lenses(
+    Ok(HeadModel::from_lenses(
         &name,
         camera,
         projector,

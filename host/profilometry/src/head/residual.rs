@@ -1,4 +1,4 @@
-//! What a lens does beyond Brown's distortion: a smooth, irregular shift of the image.
+//! Residual field of a lens: a smooth, irregular image shift beyond Brown's distortion.
 //!
 //! A gradient-index objective behind a fibre bundle bends light by a micrometre or two where no polynomial of its radius
 //! follows. The shift is a tensor product of uniform cubic B-splines (de Boor 1978): continuous in its second derivative, and
@@ -18,7 +18,7 @@ const MAX_SHIFT_PX: f64 = 10.0;
 /// Coefficients of one direction, row by row.
 pub type Coefficients = [[f64; SIDE]; SIDE];
 
-/// Shift of the image beyond the distortion, over a square of the undistorted image plane `z = 1`. Outside, it is what it is
+/// ImageShift of the image beyond the distortion, over a square of the undistorted image plane `z = 1`. Outside, it is what it is
 /// at the border.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -27,22 +27,22 @@ pub struct ResidualField {
     pub centre: [f64; 2],
     /// Half its side.
     pub half_side: f64,
-    /// Shift along the columns: 10 by 10 coefficients, those of the least y first.
+    /// ImageShift along the columns: 10 by 10 coefficients, those of the least y first.
     pub columns_px: Coefficients,
-    /// Shift along the rows; absent where nothing sees it, as in a projector of upright fringes.
+    /// ImageShift along the rows; absent where nothing sees it, as in a projector of upright fringes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows_px: Option<Coefficients>,
 }
 
 /// The four splines that are not zero at a place along one axis, with their derivatives.
-struct Span {
+struct SplineWeights {
     first: usize,
     weights: [f64; 4],
     slopes: [f64; 4],
 }
 
 /// A value and its derivatives by x and y.
-pub(crate) struct Shift {
+pub(crate) struct ImageShift {
     pub value_px: f64,
     pub gradient_px: [f64; 2],
 }
@@ -58,16 +58,16 @@ impl ResidualField {
         }
     }
 
-    /// Shift of a point of the undistorted image plane: along columns and rows, px.
+    /// ImageShift of a point of the undistorted image plane: along columns and rows, px.
     pub fn shift_px(&self, at: [f64; 2]) -> [f64; 2] {
         self.shifts(at).map(|shift| shift.value_px)
     }
 
     /// The same with derivatives.
-    pub(crate) fn shifts(&self, at: [f64; 2]) -> [Shift; 2] {
+    pub(crate) fn shifts(&self, at: [f64; 2]) -> [ImageShift; 2] {
         let [x, y] = [0, 1].map(|axis| self.span(at[axis] - self.centre[axis]));
         let along = |coefficients: &Coefficients| {
-            let mut shift = Shift {
+            let mut shift = ImageShift {
                 value_px: 0.0,
                 gradient_px: [0.0; 2],
             };
@@ -81,7 +81,7 @@ impl ResidualField {
             }
             shift
         };
-        let none = || Shift {
+        let none = || ImageShift {
             value_px: 0.0,
             gradient_px: [0.0; 2],
         };
@@ -100,7 +100,7 @@ impl ResidualField {
         })
     }
 
-    fn span(&self, from_centre: f64) -> Span {
+    fn span(&self, from_centre: f64) -> SplineWeights {
         let per_unit = PIECES as f64 / (2.0 * self.half_side);
         let at = (from_centre + self.half_side) * per_unit;
         let inside = at.clamp(0.0, PIECES as f64);
@@ -118,7 +118,7 @@ impl ResidualField {
         let per_unit = if inside == at { per_unit } else { 0.0 };
         let slopes = [-s * s, 3.0 * t * t - 4.0 * t, 4.0 * s - 3.0 * s * s, t * t]
             .map(|slope| 0.5 * slope * per_unit);
-        Span {
+        SplineWeights {
             first,
             weights,
             slopes,

@@ -12,7 +12,7 @@ use super::{HeadModel, ImageCircle, Mirrors, Pinhole, RigidTransform};
 pub struct SecondProjector {
     /// Its lens, as an inverse camera.
     pub projector: Pinhole,
-    /// How the mirrors of its DMD lie; absent: above each other.
+    /// Arrangement of its DMD's mirrors; absent: orthogonal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mirrors: Option<Mirrors>,
     /// The part of its DMD whose fringes count; absent: all of it.
@@ -37,7 +37,7 @@ impl SecondProjector {
 }
 
 impl HeadModel {
-    /// The head with one of its projectors alone, counted from 1. What its file says of a calibration is said of all of them.
+    /// The head with one of its projectors alone, counted from 1. The calibration record applies to both.
     #[must_use]
     pub fn with_projector(&self, number: u8) -> Option<Self> {
         let all = self.clone();
@@ -65,7 +65,7 @@ impl HeadModel {
         })
     }
 
-    /// How many projectors it has.
+    /// Number of projectors.
     #[must_use]
     pub fn projectors(&self) -> usize {
         1 + usize::from(self.second_projector.is_some())

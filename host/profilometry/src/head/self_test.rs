@@ -1,4 +1,4 @@
-//! The last self-test of a head, `<head>.check.toml` beside its file, and whether it allows the head to judge.
+//! The last self-test of a head, `<head>.check.toml` beside its file, and whether it permits verdicts with this head.
 
 use std::path::{Path, PathBuf};
 
@@ -62,7 +62,7 @@ impl Limits {
     }
 }
 
-/// What a plane showed.
+/// Figures of one plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaneFigures {
     /// Points on the plane.
@@ -74,7 +74,7 @@ pub struct PlaneFigures {
     pub flatness_cells_um: Option<f64>,
 }
 
-/// What a sphere or a pair of spheres showed.
+/// Figures of one sphere or pair of spheres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SphereFigures {
     /// Points on the sphere; of a pair, the fewer, as below the worse.
@@ -91,7 +91,7 @@ pub struct SphereFigures {
     pub sphere_spacing_um: Option<f64>,
 }
 
-/// What planes and spheres showed: the worst of all places, and each of them.
+/// Figures of all planes and spheres: the worst of all places, and each place.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// The worst of the planes.
@@ -151,10 +151,10 @@ fn worse_of(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
-/// In how many arrangements something was measured, and how many VDI/VDE 2634, part 2, asks for.
+/// Number of arrangements measured, and number required by VDI/VDE 2634, part 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Arrangements {
-    /// Of what.
+    /// Quantity that is limited.
     pub of: &'static str,
     /// Measured.
     pub measured: usize,
@@ -162,7 +162,7 @@ pub struct Arrangements {
     pub asked: usize,
 }
 
-/// What each of two projectors shows alone.
+/// Figures of each of two projectors alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Alone {
@@ -172,10 +172,10 @@ pub struct Alone {
     pub second: Figures,
 }
 
-/// A figure beside its limit.
+/// A figure and its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Judged {
-    /// Which figure.
+    /// The figure.
     pub what: &'static str,
     /// In whose light, where a head has two projectors; empty otherwise.
     pub by: &'static str,
@@ -191,7 +191,7 @@ impl Judged {
         self.um <= self.limit_um
     }
 
-    /// How much of the limit is used; what is no number uses most.
+    /// Ratio of the figure to its limit; infinite for NaN.
     fn share(&self) -> f64 {
         let share = self.um / self.limit_um;
         if share.is_nan() { f64::INFINITY } else { share }
@@ -199,8 +199,8 @@ impl Judged {
 }
 
 impl Figures {
-    /// Of what was measured at one place after the other.
-    pub(crate) fn of(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
+    /// Worst figures of all places.
+    pub(crate) fn from_places(plane: Vec<PlaneFigures>, sphere: Vec<SphereFigures>) -> Self {
         let of_planes = plane.iter().copied().reduce(PlaneFigures::worse);
         let of_spheres = sphere.iter().copied().reduce(SphereFigures::worse);
         Self {
@@ -271,12 +271,12 @@ pub struct SelfTest {
     /// Places at which plane and spheres were measured, where it was more than one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub places: Option<u32>,
-    /// Of the points that a check measures: with two projectors, what both make together.
+    /// Figures of the points that a check uses: with two projectors, the merged points.
     #[serde(flatten)]
     pub figures: Figures,
-    /// What was allowed.
+    /// Limits.
     pub limits: Limits,
-    /// Of a head with two projectors: what is wrong with one of them, both together hide in part.
+    /// Figures of each projector of a head with two: merged points hide part of the error of either.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alone: Option<Alone>,
     /// Whose word the file is, where it says so.
@@ -288,7 +288,7 @@ pub struct SelfTest {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Unfit {
-    /// Its calibration does not count.
+    /// Its calibration has expired or does not match the head.
     #[error(transparent)]
     Calibration(#[from] super::RecordError),
     /// Never tested.
@@ -325,7 +325,7 @@ pub enum Unfit {
         /// The figure farthest beyond its limit.
         worst: Judged,
     },
-    /// Of a head with two projectors, and says nothing of each.
+    /// The head has two projectors, the record lacks the figures of each.
     #[error(
         "the self-test of {date} says nothing of each projector alone: run flankscope calibrate --check"
     )]
@@ -336,7 +336,7 @@ pub enum Unfit {
 }
 
 impl SelfTest {
-    /// Where the self-test of a head lies.
+    /// Path of a head's self-test.
     #[must_use]
     pub fn path_of(head: &Path) -> PathBuf {
         head.with_extension("check.toml")
@@ -379,7 +379,7 @@ impl SelfTest {
         std::iter::once((together, &self.figures)).chain(alone)
     }
 
-    /// How much of what VDI/VDE 2634, part 2, asks for was measured: the probing error in ten arrangements of a sphere, sphere spacing
+    /// Arrangements measured out of those required by VDI/VDE 2634, part 2: the probing error in ten arrangements of a sphere, sphere spacing
     /// in seven of a bar, flatness in six of a plate. None of a file that does not list them.
     #[must_use]
     pub fn arrangements(&self) -> Option<[Arrangements; 3]> {
@@ -408,7 +408,7 @@ impl SelfTest {
             .max_by(|a, b| a.share().total_cmp(&b.share()))
     }
 
-    /// Whether it allows a calibration of a head with so many projectors to be used on a day.
+    /// Whether it permits the use of a head with this number of projectors on a day.
     ///
     /// # Errors
     /// [`Unfit`].
@@ -453,7 +453,7 @@ mod tests {
     };
 
     fn sound() -> Figures {
-        Figures::of(vec![FLAT; 2], vec![ROUND; 2])
+        Figures::from_places(vec![FLAT; 2], vec![ROUND; 2])
     }
 
     fn test_of(together: Figures, alone: Option<Alone>) -> SelfTest {
@@ -488,7 +488,7 @@ mod tests {
             probing_form_um: 46.0,
             ..ROUND
         };
-        let bent = || Figures::of(vec![FLAT, bent_plane], vec![bent_sphere, ROUND]);
+        let bent = || Figures::from_places(vec![FLAT, bent_plane], vec![bent_sphere, ROUND]);
         let today = test_of(sound(), None).date;
         let alone = |first, second| Some(Alone { first, second });
         let of = |test: &SelfTest| test.allows("0", 2, today);
@@ -512,7 +512,7 @@ mod tests {
         let refused = of(&together);
         assert_eq!(refused, Err(Unfit::OnlyTogether { date: today }));
         assert_eq!(together.allows("0", 1, today), Ok(()));
-        // What is limited and was not measured, or is no number, is beyond.
+        // A limited quantity that was not measured or is not a number exceeds its limit.
         let no_spacing = SphereFigures {
             sphere_spacing_um: None,
             ..ROUND
@@ -522,7 +522,7 @@ mod tests {
             ..ROUND
         };
         for at in [vec![no_spacing], vec![ROUND, no_number, ROUND]] {
-            let figures = Figures::of(vec![FLAT], at);
+            let figures = Figures::from_places(vec![FLAT], at);
             let refused = test_of(figures, None).allows("0", 1, today);
             assert!(matches!(refused, Err(Unfit::Failed { .. })), "{refused:?}");
         }
@@ -536,7 +536,7 @@ mod tests {
             sphere_spacing_um: Some(-2.0),
             ..ROUND
         };
-        let figures = Figures::of(vec![FLAT], vec![ROUND, here]);
+        let figures = Figures::from_places(vec![FLAT], vec![ROUND, here]);
         let worst = SphereFigures {
             sphere_points: 400,
             probing_size_um: 3.5,
@@ -548,7 +548,7 @@ mod tests {
             sphere_spacing_um: None,
             ..ROUND
         };
-        let test = test_of(Figures::of(vec![FLAT; 6], vec![ROUND, one]), None);
+        let test = test_of(Figures::from_places(vec![FLAT; 6], vec![ROUND, one]), None);
         let measured = test.arrangements().map(|of| of.map(|of| of.measured));
         // Two spheres and one; the one is no bar.
         assert_eq!(measured, Some([3, 1, 6]));
@@ -560,7 +560,7 @@ mod tests {
             probing_size_um: 2.5,
             ..ROUND
         };
-        let second = Figures::of(vec![FLAT], vec![larger, ROUND]);
+        let second = Figures::from_places(vec![FLAT], vec![larger, ROUND]);
         let first = sound();
         for alone in [None, Some(Alone { first, second })] {
             let test = test_of(sound(), alone);

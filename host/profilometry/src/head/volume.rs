@@ -1,4 +1,4 @@
-//! What the head can see: depths along the axis, the lit part of the sensor.
+//! Measuring volume: depths along the camera's axis, and the lit part of the sensor.
 
 use serde::{Deserialize, Serialize};
 
@@ -63,7 +63,7 @@ impl ImageCircle {
         Ok(())
     }
 
-    /// Whether a place lies in it.
+    /// Whether a pixel lies in it.
     #[must_use]
     pub fn contains(&self, pixel: [f64; 2]) -> bool {
         let [x, y] = [0, 1].map(|axis| pixel[axis] - self.centre_px[axis]);

@@ -62,7 +62,7 @@ pub enum ImageError {
     TiffLayout {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// None of the formats that are read.
@@ -76,7 +76,7 @@ pub enum ImageError {
     Pgm {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: &'static str,
     },
     /// Colour, palette, alpha or fewer bits.
@@ -152,7 +152,7 @@ pub enum ImageError {
     },
 }
 
-/// How large an image is and how its counts are stored, as its header says.
+/// Size and sample depth of an image, from its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImageHeader {
     /// Columns.
@@ -168,7 +168,7 @@ impl ImageHeader {
     ///
     /// # Errors
     /// [`ImageError`]: no file, neither PNG nor PGM, not grey.
-    pub fn of(path: &Path) -> Result<Self, ImageError> {
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
         let opened = |source| ImageError::Open {
             path: path.to_owned(),
             source,
@@ -205,7 +205,7 @@ pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError
         source,
     };
     let file = File::open(path).map_err(opened)?;
-    Opened::new(path, BufReader::new(file))?.of_size(path, size_px)
+    Opened::new(path, BufReader::new(file))?.read_image(path, size_px)
 }
 
 /// Reads one grey image of exactly `size_px` (columns, rows) from the content of the file at `path`.
@@ -213,7 +213,7 @@ pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError
 /// # Errors
 /// As [`load_grey`].
 pub fn read_grey(path: &Path, content: &[u8], size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
-    Opened::new(path, Cursor::new(content))?.of_size(path, size_px)
+    Opened::new(path, Cursor::new(content))?.read_image(path, size_px)
 }
 
 /// An image whose header was read.
@@ -229,7 +229,7 @@ impl<R: BufRead + Seek> Opened<R> {
             path: path.to_owned(),
             source,
         })?;
-        // What calls itself a PNG is told what it lacks as one.
+        // A file named .png is read as PNG, so that the error names the defect of the PNG.
         let named_png = has_extension(path, "png");
         if start.starts_with(b"P5") && !named_png {
             let header = pgm_header(&mut file).map_err(|reason| ImageError::Pgm {
@@ -285,7 +285,7 @@ impl<R: BufRead + Seek> Opened<R> {
                 });
             }
         };
-        // What the format says where a tag is missing, and what is read.
+        // Default of the TIFF specification where a tag is missing, and the only value supported.
         for (tag, usual) in [
             (Tag::PhotometricInterpretation, 1),
             (Tag::Orientation, 1),
@@ -319,7 +319,7 @@ impl<R: BufRead + Seek> Opened<R> {
         *header
     }
 
-    fn of_size(self, path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
+    fn read_image(self, path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError> {
         self.header().check(path, size_px)?;
         let ImageHeader {
             width,

@@ -18,7 +18,7 @@ pub(crate) struct Storage<'a> {
     nodes: Vec<Node>,
 }
 
-/// Whether a text is FileStorage: XML, or YAML with its directive.
+/// Whether a text is an OpenCV FileStorage: XML, or YAML with its directive.
 pub fn is_file_storage(text: &str) -> bool {
     let start = start_of(text);
     start.starts_with('<') || start.starts_with("%YAML")
@@ -51,7 +51,7 @@ impl<'a> Storage<'a> {
         })
     }
 
-    /// Which of several names for one thing the file uses; the first of them, if it has none.
+    /// The name, out of several synonyms, that the file uses; the first of them, if it has none.
     ///
     /// # Errors
     /// [`TextFileError::Value`]: the file has two of them.

@@ -9,7 +9,7 @@ pub(crate) mod smoothing;
 
 use crate::accumulate::Phasor;
 
-/// What turns counts of a cell into electrons.
+/// Conversion of a cell's counts to electrons.
 #[derive(Clone, Copy, Debug)]
 pub struct CellNoise {
     /// Electrons per count.
@@ -22,7 +22,7 @@ pub struct CellNoise {
     pub pixels: f64,
 }
 
-/// What a phasor says. Electrons are totals over the cell's pixels and the exposures used, per phase step.
+/// Estimate from a phasor. Electrons are totals over the cell's pixels and the exposures used, per phase step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PhaseEstimate {
     /// Wrapped phase, -PI to PI.

@@ -8,8 +8,8 @@
 //!
 //! `D = 2 B / c`, `G = 2 A - D`.
 //!
-//! Presumed: what is not direct is even over a fringe. What of it still has fringes counts as direct. Without a stated c it is
-//! taken as 1: D is then the least, G the most it can be.
+//! Assumed: global light is uniform over a fringe; the part of it that still has fringes counts as direct. Without a stated c it is
+//! taken as 1, which makes D a lower and G an upper bound.
 
 use super::PhaseEstimate;
 
@@ -18,13 +18,13 @@ use super::PhaseEstimate;
 pub struct LightParts {
     /// Straight from the projector.
     pub direct_e: f64,
-    /// Over any other way.
+    /// By any other path, electrons.
     pub global_e: f64,
 }
 
 impl LightParts {
-    /// Of the finest fringes, which global light can follow least.
-    pub fn of(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
+    /// Separates direct from global light by the finest fringes, which global light follows least.
+    pub fn from_phase(finest: &PhaseEstimate, fringe_contrast: f64) -> Self {
         let direct_e = 2.0 * finest.modulation_e / fringe_contrast;
         // Noise can leave less than nothing.
         let global_e = (2.0 * finest.mean_e - direct_e).max(0.0);

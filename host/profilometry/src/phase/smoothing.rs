@@ -1,4 +1,4 @@
-//! Optional smoothing of the phasors before they become phases, and of what is said of cells.
+//! Optional smoothing of phasors before phases are computed, and of other figures of cells.
 
 use rayon::prelude::*;
 
@@ -146,7 +146,7 @@ pub(crate) struct CellPlane<'a> {
     grid: &'a Grid,
     columns: usize,
     rows: usize,
-    /// Of cores, where each lies.
+    /// Position of each core, for a fibre bundle.
     squares: Vec<u32>,
 }
 
@@ -242,10 +242,10 @@ pub(crate) fn dense(
     plane
 }
 
-/// Where the light of smoothed phasors comes from: the mean place of the cells that went in, each by its weight in the Gaussian and
-/// its amplitude, in cells (columns, rows) from the cell itself. In cell order.
+/// Centroids of the light of smoothed phasors: the mean position of the cells that contribute, weighted by the Gaussian and by
+/// their amplitudes, in cells (columns, rows) from the cell itself. In cell order.
 ///
-/// Along a phase that grows evenly, a sum of phasors has the phase of this place. In the dark beside bright cells it is theirs.
+/// Where the phase grows linearly, a sum of phasors has the phase at this position. In the dark beside bright cells it lies on those.
 pub(crate) fn centroids(
     accumulator: &Accumulator,
     grid: &CellGrid,

@@ -7,25 +7,25 @@ use crate::pattern::Axis;
 
 pub(crate) use head::HeadTriangulator;
 
-/// Where a ray meets a sheet of light.
+/// Intersection of a camera ray with a sheet of light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Depth z in the camera frame; the point is `z (x, y, 1)`.
     pub depth_mm: f64,
-    /// How far the projector column moves when the point moves 1 mm in depth along the ray.
+    /// Change of the projector column when the point moves 1 mm in depth along the ray, px/mm.
     pub column_by_depth_px_per_mm: f64,
 }
 
 /// Camera and projector, ready to intersect.
 #[derive(Clone, Debug)]
 pub struct Triangulator {
-    /// What the fringes count: 0 columns, 1 rows. "Column" means either here.
+    /// Projector coordinate that the fringes encode: 0 columns, 1 rows. "Column" stands for either in this file.
     axis: usize,
     projector: Pinhole,
     rotation: [[f64; 3]; 3],
     translation_mm: [f64; 3],
     distorted: bool,
-    /// Where the projector's fringes count.
+    /// Part of the projector whose fringes are used.
     circle: Option<ImageCircle>,
 }
 
@@ -56,8 +56,8 @@ impl Triangulator {
         self.rotation.map(|row| row[0] * x + row[1] * y + row[2])
     }
 
-    /// Whether fringes that count light the point `depth_mm (x, y, 1)`: at the rim of a bundle there is light from one side only, and
-    /// what it shows is the rim's own phase.
+    /// Whether the point `depth_mm (x, y, 1)` lies inside the projector's lit circle: at the rim of a fibre bundle light comes from one
+    /// side only, and its phase is that of the rim.
     pub fn is_lit(&self, ray: [f64; 2], depth_mm: f64) -> bool {
         let Some(circle) = &self.circle else {
             return true;

@@ -173,7 +173,7 @@ impl Recording {
                 self.check_counts(at, said, images.len())?;
                 for (_, image) in &images {
                     inside(image, &root)?;
-                    let header = ImageHeader::of(image)?;
+                    let header = ImageHeader::read(image)?;
                     header.check(image, size_px)?;
                     // 12 bits lie in 16 as they are; in 8 they have lost some.
                     if header.bits < sensor.bits {

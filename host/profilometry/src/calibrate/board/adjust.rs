@@ -3,25 +3,27 @@
 use nalgebra::{DMatrix, Isometry3, Matrix3, Point3};
 use rayon::prelude::*;
 
-use super::bundle::{Bundle, Free};
 use super::left_out::{LeftOut, hold_out};
-use super::model::{OF_RIG, PROJECTOR, Rig};
+use super::model::{BoardModel, COORDINATES, Free, PROJECTOR, observations};
 use super::uncertainty::{Parameter, parameters, scatter_of_points_mm};
 use super::{BoardError, BoardMark, BoardView, Geometry, closed_form};
+use crate::calibrate::bundle::{
+    Bundle, FIRST_SIGMA_PX, MAX_STEPS, Observation, Reweighting, mean_squares_px2, settle,
+};
 use crate::calibrate::least_squares::{NoMinimum, SETTLED, minimise};
-use crate::calibrate::model::transform;
+use crate::calibrate::rig::{ImagePoint, Rig, transform};
 use crate::head::{HeadModel, HoldOut, Pinhole};
 use flankscope_foundation::order::median_of;
 
-/// Without one of them, three must remain: fewer leave nothing over to check the others by.
+/// Without one of them three must remain: fewer leave no redundancy.
 pub const LEAST_POSES: usize = 4;
-pub(super) const MAX_STEPS: usize = 100;
-/// Rounds of weighing and of leaving out points that do not fit.
-const ROUNDS: usize = 4;
-pub(super) const FIRST_SIGMA_PX: [f64; 2] = [0.1, 0.1];
-/// A point farther off than this many standard deviations does not fit.
-const OUTLIER: f64 = 5.0;
-/// A pose without which all others scatter by so much less was not at rest, or is not of this board or head.
+/// Four times at a complete minimum.
+const REWEIGHTING: Reweighting = Reweighting {
+    rounds: 4,
+    unfinished: SETTLED,
+    same: 0.0,
+};
+/// Factor by which all others scatter less without a pose that was not at rest, or is not of this board or head.
 const SPOILS: f64 = 1.5;
 /// Residuals beyond these, camera and projector, are no calibration.
 const LIMIT_PX: [f64; 2] = [1.0, 3.0];
@@ -29,7 +31,7 @@ const LIMIT_PX: [f64; 2] = [1.0, 3.0];
 const FOCAL_LIMIT: f64 = 0.02;
 const PRINCIPAL_LIMIT: f64 = 0.03;
 
-/// What one pose says.
+/// Residuals of one pose.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct PoseReport {
     /// Its folder.
@@ -38,9 +40,9 @@ pub struct PoseReport {
     pub points: usize,
     /// Points that took no part because they do not fit the others.
     pub dropped: usize,
-    /// Whether it took part; one that does not fit the others does not.
+    /// Whether it took part in the adjustment; it does not if it does not fit the others.
     pub used: bool,
-    /// What is left over in the camera's image: root mean square per axis, and of the distances.
+    /// Residuals in the camera's image: root mean square per axis, and of the distances.
     pub camera_rms_px: [f64; 2],
     /// The same in the projector's.
     pub projector_rms_px: [f64; 2],
@@ -59,7 +61,7 @@ pub struct BoardAdjusted {
     pub points: usize,
     /// Points left out in poses that took part.
     pub dropped: usize,
-    /// Left over in the camera's image: root mean square per axis, and of the distances.
+    /// Residuals in the camera's image: root mean square per axis, and of the distances.
     pub camera_rms_px: [f64; 2],
     /// The same in the projector's.
     pub projector_rms_px: [f64; 2],
@@ -76,19 +78,19 @@ pub struct BoardAdjusted {
     pub hold_out: Option<HoldOut>,
 }
 
-/// A solution.
+/// An adjustment to some of the poses.
 pub(super) struct Solved {
     pub rig: Rig,
     pub poses: Vec<Isometry3<f64>>,
-    pub kept: Vec<Vec<BoardMark>>,
+    pub kept: Vec<Vec<Observation>>,
     sigma_px: [f64; 2],
     pub covariance: DMatrix<f64>,
 }
 
-/// Finds the head that the poses of a board ask for. Sizes are those of camera and projector.
+/// Adjusts a head to the poses of a board. Sizes are those of camera and projector.
 ///
 /// # Errors
-/// [`BoardError`]: too few poses, poses that leave an unknown open, residuals beyond noise.
+/// [`BoardError`]: too few poses, poses that do not determine an unknown, residuals beyond noise.
 pub fn adjust(
     views: &[BoardView],
     geometry: Geometry,
@@ -143,7 +145,7 @@ pub fn adjust(
     conclude(views, geometry, name, &used, &all, &without)
 }
 
-/// From nothing to the minimum.
+/// From the closed form to the minimum.
 fn solve(
     marks: Vec<Vec<BoardMark>>,
     geometry: Geometry,
@@ -156,7 +158,7 @@ fn solve(
         .collect();
     let (camera, poses) = lens(&marks, geometry, camera_px, "camera")?;
     let (projector, projector_poses) = lens(&mirrored, geometry, projector_px, "projector")?;
-    // Of the places that each pose gives the projector, the one that explains all others best.
+    // Each pose gives a pose of the projector: the one that explains all others best is the start.
     let candidates = poses
         .iter()
         .zip(&projector_poses)
@@ -166,28 +168,39 @@ fn solve(
         projector: projector.clone(),
         projector_from_camera,
     });
+    let mut kept = observations(&marks, geometry);
+    let model = |rig: Rig| BoardModel {
+        free: Free::All,
+        rig,
+        poses: poses.clone(),
+    };
     let off = |rig: &Rig| {
         let bundle = Bundle {
-            geometry,
-            free: Free::All,
-            rig: rig.clone(),
-            poses: poses.clone(),
-            kept: &marks,
+            model: model(rig.clone()),
+            kept: &kept,
             sigma_px: FIRST_SIGMA_PX,
         };
-        let seen = (0..poses.len())
-            .filter_map(|pose| bundle.residuals(pose))
-            .flatten();
-        median_of(seen.map(|off| off[2].hypot(off[3]))).unwrap_or(f64::INFINITY)
+        median_of(bundle.all_residuals().map(|off| off[2].hypot(off[3]))).unwrap_or(f64::INFINITY)
     };
     let rig = rigs
         .map(|rig| (off(&rig), rig))
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let (_, rig) = rig.ok_or(BoardError::NoStart { what: "projector" })?;
-    settle(marks, geometry, rig, poses)
+    let settled =
+        settle(model(rig), FIRST_SIGMA_PX, &mut kept, REWEIGHTING).map_err(|why| match why {
+            NoMinimum::Singular => BoardError::Singular,
+            NoMinimum::NotSettled(limit) => BoardError::NotSettled { limit },
+        })?;
+    Ok(Solved {
+        rig: settled.model.rig,
+        poses: settled.model.poses,
+        covariance: settled.covariance,
+        sigma_px: settled.sigma_px,
+        kept,
+    })
 }
 
-/// A lens by what it alone sees of the board, with the poses before it.
+/// A lens from its own image of the board alone, with the board's poses before it.
 fn lens(
     marks: &[Vec<BoardMark>],
     geometry: Geometry,
@@ -206,6 +219,7 @@ fn lens(
         })
         .collect();
     let homographies = homographies.ok_or_else(no_start)?;
+    let kept = observations(marks, geometry);
     let minima = closed_form::lenses(&homographies, size_px)
         .into_iter()
         .filter_map(|lens| {
@@ -219,92 +233,32 @@ fn lens(
                 projector_from_camera: Isometry3::identity(),
             };
             let bundle = Bundle {
-                geometry,
-                free: Free::Camera,
-                rig,
-                poses: poses?,
-                kept: marks,
+                model: BoardModel {
+                    free: Free::Camera,
+                    rig,
+                    poses: poses?,
+                },
+                kept: &kept,
                 sigma_px: FIRST_SIGMA_PX,
             };
             let minimum = minimise(bundle, MAX_STEPS, SETTLED).ok()?.state;
             let scatter = minimum.scatter_px()[0];
-            Some((scatter, minimum.rig.camera, minimum.poses))
+            Some((scatter, minimum.model.rig.camera, minimum.model.poses))
         });
     let best = minima.min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, lens, poses)| (lens, poses))
         .ok_or_else(no_start)
 }
 
-/// Solves, weighs the points by what they then scatter, leaves out those that do not fit, and so on.
-fn settle(
-    mut kept: Vec<Vec<BoardMark>>,
-    geometry: Geometry,
-    mut rig: Rig,
-    mut poses: Vec<Isometry3<f64>>,
-) -> Result<Solved, BoardError> {
-    let mut sigma_px = FIRST_SIGMA_PX;
-    for round in 0..=ROUNDS {
-        let bundle = Bundle {
-            geometry,
-            free: Free::All,
-            rig,
-            poses,
-            kept: &kept,
-            sigma_px,
-        };
-        let minimum = minimise(bundle, MAX_STEPS, SETTLED).map_err(|why| match why {
-            NoMinimum::Singular => BoardError::Singular,
-            NoMinimum::NotSettled(limit) => BoardError::NotSettled { limit },
-        })?;
-        let bundle = minimum.state;
-        if round == ROUNDS {
-            let covariance = minimum
-                .covariance
-                .view((0, 0), (OF_RIG, OF_RIG))
-                .into_owned();
-            return Ok(Solved {
-                rig: bundle.rig,
-                poses: bundle.poses,
-                covariance,
-                sigma_px,
-                kept,
-            });
-        }
-        sigma_px = bundle.scatter_px();
-        let fits: Vec<Vec<bool>> = (0..kept.len())
-            .map(|pose| {
-                let off = bundle.residuals(pose).unwrap_or_default();
-                let fit = |off: &[f64; 4]| {
-                    let within = |k: usize| off[k].abs() <= OUTLIER * sigma_px[k / 2];
-                    (0..4).all(within)
-                };
-                off.iter().map(fit).collect()
-            })
-            .collect();
-        (rig, poses) = (bundle.rig, bundle.poses);
-        for (marks, fits) in kept.iter_mut().zip(fits) {
-            let mut fits = fits.into_iter();
-            marks.retain(|_| fits.next().unwrap_or(false));
-        }
-    }
-    Err(BoardError::NotSettled { limit: ROUNDS })
-}
-
 /// Root mean squares per axis and of the distances, in both images.
-pub(super) fn rms_px(off: &[[f64; 4]]) -> [[f64; 2]; 2] {
-    [0, 2].map(|first| {
-        let squares: f64 = off
-            .iter()
-            .map(|off| off[first].powi(2) + off[first + 1].powi(2))
-            .sum();
-        let mean = squares / off.len() as f64;
-        [(0.5 * mean).sqrt(), mean.sqrt()]
-    })
+pub(super) fn rms_px(off: &[ImagePoint]) -> [[f64; 2]; 2] {
+    mean_squares_px2(off.iter().copied(), COORDINATES)
+        .map(|per_axis| [per_axis.sqrt(), (2.0 * per_axis).sqrt()])
 }
 
 pub(super) fn head_of(rig: &Rig, name: &str) -> HeadModel {
     let (camera, projector) = (rig.camera.clone(), rig.projector.clone());
-    HeadModel::of_lenses(
+    HeadModel::from_lenses(
         name,
         camera,
         projector,
@@ -321,15 +275,16 @@ fn conclude(
     without: &[Solved],
 ) -> Result<BoardAdjusted, BoardError> {
     let bundle = Bundle {
-        geometry,
-        free: Free::All,
-        rig: all.rig.clone(),
-        poses: all.poses.clone(),
+        model: BoardModel {
+            free: Free::All,
+            rig: all.rig.clone(),
+            poses: all.poses.clone(),
+        },
         kept: &all.kept,
         sigma_px: all.sigma_px,
     };
     let residuals = (0..used.len()).map(|pose| bundle.residuals(pose).unwrap_or_default());
-    let residuals: Vec<Vec<[f64; 4]>> = residuals.collect();
+    let residuals: Vec<Vec<ImagePoint>> = residuals.collect();
     let [camera_rms_px, projector_rms_px] = rms_px(&residuals.concat());
     check_fit([camera_rms_px[0], projector_rms_px[0]])?;
     check_determined(&all.rig, &all.covariance)?;
@@ -341,18 +296,16 @@ fn conclude(
         .map(|(index, view)| {
             let at = used.iter().position(|&pose| pose == index);
             let others = at.map_or(all, |at| &without[at]);
-            let left_out = LeftOut::of(view, geometry, &others.rig);
+            let left_out = LeftOut::measure(view, geometry, &others.rig);
             let own = at.map(|at| (residuals[at].as_slice(), all.kept[at].len()));
-            PoseReport::of(view, own, left_out)
+            PoseReport::new(view, own, left_out)
         })
         .collect();
     let measured = poses.iter().filter(|pose| pose.used);
     let measured = measured.filter_map(|pose| Some((pose.points as f64, pose.left_out?)));
-    let depths = all.kept.iter().zip(&all.poses).flat_map(|(marks, pose)| {
-        marks.iter().map(move |mark| {
-            let [x, y] = mark.at_mm(geometry.pitch_mm);
-            (pose * Point3::new(x, y, 0.0)).z
-        })
+    let depths = all.kept.iter().zip(&all.poses).flat_map(|(dots, pose)| {
+        dots.iter()
+            .map(move |dot| (pose * Point3::new(dot.at_mm[0], dot.at_mm[1], 0.0)).z)
     });
     let depth_mm = depths.fold([f64::INFINITY, f64::NEG_INFINITY], |[near, far], z| {
         [near.min(z), far.max(z)]
@@ -380,8 +333,12 @@ fn conclude(
 }
 
 impl PoseReport {
-    /// `own`: what is left over of a pose that took part, and how many of its points did.
-    fn of(view: &BoardView, own: Option<(&[[f64; 4]], usize)>, left_out: Option<LeftOut>) -> Self {
+    /// `own`: residuals of a pose that took part, and the number of its points that did.
+    fn new(
+        view: &BoardView,
+        own: Option<(&[ImagePoint], usize)>,
+        left_out: Option<LeftOut>,
+    ) -> Self {
         let both = |px: f64| [px, px * std::f64::consts::SQRT_2];
         let [camera_rms_px, projector_rms_px] = match (own, left_out) {
             (Some((residuals, _)), _) => rms_px(residuals),

@@ -11,7 +11,7 @@ use super::lattice::Candidate;
 use crate::cells::DisjointSets;
 use flankscope_foundation::order::median;
 
-/// How far about a pixel darkest and brightest are asked, as parts of the image's width: a little more than the grid's pitch.
+/// Radius about a pixel within which minimum and maximum are searched, relative to the image's width: a little more than the grid's pitch.
 pub(super) const REACHES: [f64; 4] = [1.0 / 48.0, 1.0 / 24.0, 1.0 / 12.0, 1.0 / 96.0];
 /// Least difference of circle and ground, as part of the ground, and in counts.
 const LEAST_CONTRAST: f64 = 0.15;
@@ -19,7 +19,7 @@ const LEAST_COUNTS: f64 = 4.0;
 /// Smallest blob, and largest ratio of its axes.
 const LEAST_PIXELS: usize = 20;
 const MOST_SLENDER: f64 = 4.0;
-/// How far its area may be from that of the ellipse with its moments.
+/// Largest relative deviation of a circle's area from that of the ellipse with its moments.
 const LEAST_ROUND: f64 = 0.9;
 const BLUR_PX: f64 = 1.0;
 /// The ground begins here and ends there, in radii of the blob.

@@ -6,15 +6,15 @@ use crate::head::Pinhole;
 use flankscope_foundation::rigid::nearest_rotation;
 
 /// A point of the board and its image.
-pub(super) type Pair = ([f64; 2], [f64; 2]);
+pub(super) type ImagePair = ([f64; 2], [f64; 2]);
 
 /// The homography `image ~ H (board, 1)` by direct linear transformation of centred and scaled points (Hartley 1997).
-pub(super) fn homography(pairs: &[Pair]) -> Option<Matrix3<f64>> {
+pub(super) fn homography(pairs: &[ImagePair]) -> Option<Matrix3<f64>> {
     if pairs.len() < 4 {
         return None;
     }
-    let board = Scaling::of(pairs.iter().map(|pair| pair.0))?;
-    let image = Scaling::of(pairs.iter().map(|pair| pair.1))?;
+    let board = Scaling::about_centre(pairs.iter().map(|pair| pair.0))?;
+    let image = Scaling::about_centre(pairs.iter().map(|pair| pair.1))?;
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for &(from, to) in pairs {
         let ([x, y], [u, v]) = (board.apply(from), image.apply(to));
@@ -41,7 +41,7 @@ struct Scaling {
 }
 
 impl Scaling {
-    fn of(points: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
+    fn about_centre(points: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let count = points.clone().count() as f64;
         let sum = points
             .clone()
@@ -65,7 +65,7 @@ impl Scaling {
 }
 
 /// Lenses of no distortion that the homographies suggest, for images of a size: with the principal point found, and with the principal
-/// point in the middle, which few or hardly tilted boards determine better.
+/// point in the middle, which suits few or slightly tilted boards better.
 pub(super) fn lenses(homographies: &[Matrix3<f64>], size_px: [u32; 2]) -> Vec<Pinhole> {
     let size = size_px.map(f64::from);
     let middle = size.map(|px| 0.5 * (px - 1.0));
@@ -82,7 +82,7 @@ pub(super) fn lenses(homographies: &[Matrix3<f64>], size_px: [u32; 2]) -> Vec<Pi
         0.0,
         1.0,
     );
-    // Of b = (B11, B22, B13, B23, B33), B = K^-T K^-1 without skew: the two constraints of each view.
+    // Two linear constraints per view on b = (B11, B22, B13, B23, B33), where B = K^-T K^-1 without skew (Zhang 2000, eq. 3 and 4).
     let mut equations = DMatrix::zeros(2 * homographies.len(), 5);
     for (view, h) in homographies.iter().enumerate() {
         let h = to_units * h;

@@ -1,4 +1,4 @@
-//! Which point of a board each candidate is: a square lattice grown from neighbour to neighbour.
+//! Assignment of candidates to points of a board: a square lattice grown from neighbour to neighbour.
 //!
 //! Nothing presumes that the whole board is seen or how it lies: where the lattice begins is part of a pose, which is unknown anyway.
 
@@ -10,15 +10,15 @@ use super::closed_form::homography;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub at_px: [f64; 2],
-    /// Of a crossing, which way white lies (cosine and sine of twice the angle): neighbours have the opposite.
+    /// Direction of the white squares at a crossing, as cosine and sine of twice the angle; neighbouring crossings have the opposite.
     pub white: Option<[f64; 2]>,
-    /// Of a crossing, directions of its two edges.
+    /// Directions of a crossing's two edges.
     pub edges: Option<[[f64; 2]; 2]>,
 }
 
 /// A point with its place in the lattice. Columns and rows turn as those of the image do.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Labelled {
+pub(super) struct LatticePoint {
     pub place: [i32; 2],
     pub at_px: [f64; 2],
 }
@@ -27,7 +27,7 @@ pub(super) struct Labelled {
 const NEAR: f64 = 0.3;
 /// A point lies this near to the middle of its neighbours on either side.
 const STRAIGHT: f64 = 0.1;
-/// Of a crossing, how far a neighbour may lie beside the line of its edge (sine of the angle).
+/// Largest angle (its sine) between a crossing's edge and the direction to its neighbour.
 const BESIDE_EDGE: f64 = 0.2;
 /// Neighbours' white lies across (cosine of twice the angle between them).
 pub(super) const ACROSS: f64 = -0.5;
@@ -35,11 +35,11 @@ pub(super) const ACROSS: f64 = -0.5;
 const LEAST_POINTS: usize = 9;
 
 /// The largest lattice among the candidates; empty if there is none.
-pub(super) fn grow(candidates: &[Candidate], width_px: f64) -> Vec<Labelled> {
+pub(super) fn grow(candidates: &[Candidate], width_px: f64) -> Vec<LatticePoint> {
     let places: Vec<[f64; 2]> = candidates.iter().map(|c| c.at_px).collect();
     let search = Search {
         candidates,
-        squares: Squares::of(&places, (width_px / 64.0).max(4.0)),
+        squares: Squares::new(&places, (width_px / 64.0).max(4.0)),
         places: &places,
     };
     let mut taken = vec![false; candidates.len()];
@@ -75,7 +75,7 @@ struct Squares {
 }
 
 impl Squares {
-    fn of(places: &[[f64; 2]], side: f64) -> Self {
+    fn new(places: &[[f64; 2]], side: f64) -> Self {
         let mut members: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
         for (index, place) in places.iter().enumerate() {
             let square = place.map(|x| (x / side).floor() as i64);
@@ -158,7 +158,7 @@ impl Search<'_> {
             bases.extend(steps.iter().find(across).map(|&second| [first, second]));
         }
         for basis in &mut bases {
-            // As columns and rows of an image turn.
+            // The same handedness as an image's columns and rows.
             if cross(basis[0], basis[1]) < 0.0 {
                 basis.swap(0, 1);
             }
@@ -201,7 +201,7 @@ impl Search<'_> {
     }
 
     /// Without points that do not lie midway between their neighbours, in order of rows and columns, counted from 0.
-    fn straight(&self, lattice: HashMap<[i32; 2], usize>) -> Vec<Labelled> {
+    fn straight(&self, lattice: HashMap<[i32; 2], usize>) -> Vec<LatticePoint> {
         if lattice.len() < LEAST_POINTS {
             return Vec::new();
         }
@@ -218,7 +218,7 @@ impl Search<'_> {
             })
         };
         let kept = lattice.iter().filter(|(place, _)| !bent(place));
-        let labelled = kept.map(|(&place, &point)| Labelled {
+        let labelled = kept.map(|(&place, &point)| LatticePoint {
             place,
             at_px: self.places[point],
         });
@@ -227,7 +227,7 @@ impl Search<'_> {
 }
 
 /// Columns and rows that labelled points take up.
-pub(super) fn extent(points: &[Labelled]) -> [usize; 2] {
+pub(super) fn extent(points: &[LatticePoint]) -> [usize; 2] {
     [0, 1].map(|axis| {
         let places = points.iter().map(|point| point.place[axis]);
         let ends = places.clone().min().zip(places.max());
@@ -236,9 +236,9 @@ pub(super) fn extent(points: &[Labelled]) -> [usize; 2] {
 }
 
 /// Median distance of neighbours in the image about each point, px.
-pub(super) fn spacings_px(points: &[Labelled]) -> Vec<f64> {
+pub(super) fn spacings_px(points: &[LatticePoint]) -> Vec<f64> {
     let at: HashMap<[i32; 2], [f64; 2]> = points.iter().map(|p| (p.place, p.at_px)).collect();
-    let nearest = |point: &Labelled| {
+    let nearest = |point: &LatticePoint| {
         let [column, row] = point.place;
         let neighbours = [
             [column + 1, row],
@@ -253,8 +253,8 @@ pub(super) fn spacings_px(points: &[Labelled]) -> Vec<f64> {
     points.iter().map(nearest).collect()
 }
 
-/// Where the lattice puts a place that it lacks beside one that it has, by the homography of the points about it.
-pub(super) fn expected_beside(points: &[Labelled]) -> Vec<Labelled> {
+/// Expected positions of lattice points missing beside present ones, by the homography of the points about them.
+pub(super) fn expected_beside(points: &[LatticePoint]) -> Vec<LatticePoint> {
     const ABOUT: i32 = 3;
     let has: HashMap<[i32; 2], [f64; 2]> = points.iter().map(|p| (p.place, p.at_px)).collect();
     let beside = points.iter().flat_map(|point| {
@@ -270,8 +270,9 @@ pub(super) fn expected_beside(points: &[Labelled]) -> Vec<Labelled> {
     lacking.sort_by_key(|&[column, row]| (row, column));
     lacking.dedup();
     let expected = lacking.into_iter().filter_map(|place| {
-        let near =
-            |other: &&Labelled| (0..2).all(|axis| (other.place[axis] - place[axis]).abs() <= ABOUT);
+        let near = |other: &&LatticePoint| {
+            (0..2).all(|axis| (other.place[axis] - place[axis]).abs() <= ABOUT)
+        };
         let pairs: Vec<_> = points
             .iter()
             .filter(near)
@@ -292,13 +293,13 @@ pub(super) fn expected_beside(points: &[Labelled]) -> Vec<Labelled> {
         at_px
             .iter()
             .all(|x| x.is_finite())
-            .then_some(Labelled { place, at_px })
+            .then_some(LatticePoint { place, at_px })
     });
     expected.collect()
 }
 
 /// Counted from 0 again, in order of rows and columns.
-pub(super) fn from_zero(mut points: Vec<Labelled>) -> Vec<Labelled> {
+pub(super) fn from_zero(mut points: Vec<LatticePoint>) -> Vec<LatticePoint> {
     let first = [0, 1].map(|axis| points.iter().map(|p| p.place[axis]).min().unwrap_or(0));
     for point in &mut points {
         point.place = [0, 1].map(|axis| point.place[axis] - first[axis]);

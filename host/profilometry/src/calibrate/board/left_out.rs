@@ -1,22 +1,23 @@
-//! A pose measured by a head that it had no part in.
+//! A pose measured by a head that was adjusted without it.
 
 use nalgebra::Isometry3;
 
-use super::adjust::{FIRST_SIGMA_PX, MAX_STEPS, head_of, rms_px};
-use super::bundle::{Bundle, Free};
-use super::model::Rig;
-use super::{BoardMark, BoardView, Geometry, closed_form};
+use super::adjust::{head_of, rms_px};
+use super::model::{BoardModel, Free, observations};
+use super::{BoardView, Geometry, closed_form};
+use crate::calibrate::bundle::{Bundle, FIRST_SIGMA_PX, MAX_STEPS};
 use crate::calibrate::form;
 use crate::calibrate::least_squares::{SETTLED, minimise};
+use crate::calibrate::rig::{ImagePoint, Rig};
 use crate::head::HoldOut;
 use crate::triangulate::HeadTriangulator;
 
-/// A pose measured by a head that it had no part in.
+/// A pose measured by a head that was adjusted without it.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct LeftOut {
-    /// Left over in the camera's image when only the pose is fitted: root mean square per axis.
+    /// Residuals in the camera's image when only the pose is fitted: root mean square per axis.
     pub camera_rms_px: f64,
-    /// Left over in the projector's image with that pose: nothing is fitted to it.
+    /// Residuals in the projector's image with that pose, to which nothing is fitted: root mean square per axis.
     pub projector_rms_px: f64,
     /// Distances of the triangulated points from a plane, root mean square.
     pub flatness_rms_um: f64,
@@ -28,7 +29,7 @@ pub struct LeftOut {
 
 impl LeftOut {
     /// Measures a pose; `None` if a lens does not see all of it.
-    pub(super) fn of(view: &BoardView, geometry: Geometry, rig: &Rig) -> Option<Self> {
+    pub(super) fn measure(view: &BoardView, geometry: Geometry, rig: &Rig) -> Option<Self> {
         let pairs: Vec<_> = view
             .marks
             .iter()
@@ -59,20 +60,20 @@ impl LeftOut {
     }
 }
 
-/// What is left over when only the place of the board is fitted, to the camera's image.
+/// Residuals in both images when only the pose of the board is fitted, to the camera's image.
 fn after_the_pose(
     view: &BoardView,
     geometry: Geometry,
     rig: &Rig,
     start: Isometry3<f64>,
-) -> Option<Vec<[f64; 4]>> {
-    let kept: [Vec<BoardMark>; 1] = [view.marks.clone()];
+) -> Option<Vec<ImagePoint>> {
     let bundle = Bundle {
-        geometry,
-        free: Free::Poses,
-        rig: rig.clone(),
-        poses: vec![start],
-        kept: &kept,
+        model: BoardModel {
+            free: Free::Poses,
+            rig: rig.clone(),
+            poses: vec![start],
+        },
+        kept: &observations(std::slice::from_ref(&view.marks), geometry),
         sigma_px: FIRST_SIGMA_PX,
     };
     minimise(bundle, MAX_STEPS, SETTLED)

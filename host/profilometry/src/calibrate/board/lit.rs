@@ -1,4 +1,4 @@
-//! Where the projector lights a point of the board: columns and rows decoded about it, taken to it by a polynomial.
+//! Projector coordinates of a point of the board: columns and rows decoded about it, interpolated by a polynomial.
 //!
 //! On a plane the projector's coordinates follow the camera's by a homography, bent by both lenses; over half a square a quadratic
 //! polynomial follows it to thousandths of a pixel. A mean over many pixels averages noise as well as what the edges between black and

@@ -14,17 +14,16 @@
 //! | `lattice` | which point each is |
 //! | `lit` | the projector's coordinates there |
 //! | `closed_form` | lenses and poses without any guess |
-//! | `model`, `bundle` | the unknowns, and their equations |
+//! | `model` | the observation model of a board, for the bundle adjustment |
 //! | `adjust` | from all poses to a head |
-//! | `left_out` | a pose measured by the others' head |
-//! | `uncertainty` | what the poses leave uncertain |
+//! | `left_out` | a pose measured by the head of the others |
+//! | `uncertainty` | uncertainties of head and points by leaving out poses |
 //!
 //! The projector is calibrated as a camera that sees the board by its fringes (Zhang and Huang 2006; Moreno and Taubin 2012). Nothing is
 //! known of the poses, so which point of the board is called the first does not matter: markers of a ChArUco board are not read.
-//! What cannot be told: where the head is on its stage, and, of a board whose pitch nobody certified, the scale.
+//! Not determined by such a calibration: the pose of the head on its stage, and the scale if the board's pitch is not certified.
 
 mod adjust;
-mod bundle;
 mod circles;
 mod closed_form;
 mod image;
@@ -40,14 +39,14 @@ use serde::{Deserialize, Serialize};
 use crate::cloud::CellColumn;
 use flankscope_foundation::textfile::BadValue;
 use image::Grey;
-use lattice::{Candidate, Labelled};
+use lattice::{Candidate, LatticePoint};
 use lit::Coordinates;
 
 pub use adjust::{BoardAdjusted, LEAST_POSES, PoseReport, adjust};
 pub use left_out::LeftOut;
 pub use uncertainty::Parameter;
 
-/// What is printed on a board.
+/// Pattern printed on a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BoardKind {
@@ -62,7 +61,7 @@ pub enum BoardKind {
 /// A board: kind, points along its sides and their distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Board {
-    /// What is printed.
+    /// Printed pattern.
     pub kind: BoardKind,
     /// Points (inner crossings of squares, or circles) along one side and along the other; which is which does not matter.
     pub points: [usize; 2],
@@ -70,7 +69,7 @@ pub struct Board {
     pub pitch_mm: f64,
     /// Diameter of circles.
     pub diameter_mm: Option<f64>,
-    /// Whether circles are brighter than what is about them.
+    /// Whether circles are brighter than their background.
     pub bright: bool,
 }
 
@@ -95,19 +94,19 @@ impl std::fmt::Display for Board {
     }
 }
 
-/// What the adjustment must know of a board.
+/// Dimensions of a board that the adjustment needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geometry {
     /// From point to point.
     pub pitch_mm: f64,
-    /// Of circles; 0 for crossings.
+    /// Radius of the circles; 0 for crossings.
     pub radius_mm: f64,
     /// Standard uncertainty of the pitch as a part of it, if it is known.
     pub scale_sigma_ratio: Option<f64>,
 }
 
 impl Board {
-    /// What the adjustment must know of it; `pitch_sigma_mm` if somebody certified its pitch.
+    /// Dimensions for the adjustment; `pitch_sigma_mm` is the standard uncertainty of a certified pitch.
     #[must_use]
     pub fn geometry(&self, pitch_sigma_mm: Option<f64>) -> Geometry {
         let diameter_mm = match self.kind {
@@ -151,13 +150,13 @@ impl BoardMark {
 /// One pose of the board.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardView {
-    /// What messages call it.
+    /// Name in messages.
     pub name: String,
     /// Its points.
     pub marks: Vec<BoardMark>,
 }
 
-/// What a view shows, pixel by pixel.
+/// Mean image and decoded coordinates of one view, pixel by pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct BoardFrames<'a> {
     /// Columns and rows of the camera.
@@ -168,7 +167,7 @@ pub struct BoardFrames<'a> {
     pub columns: &'a [CellColumn],
     /// The projector's rows.
     pub rows: &'a [CellColumn],
-    /// How large the finest fringes are in the projector, columns and rows.
+    /// Period of the finest fringes in the projector, columns and rows, px.
     pub fringe_px: [f64; 2],
 }
 
@@ -176,7 +175,7 @@ pub struct BoardFrames<'a> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardError {
-    /// No lattice of the board's kind, or hardly one.
+    /// No lattice of the board's kind, or one of too few points.
     #[error(
         "{view}: {got} {points} of the board were found, at least {limit} are needed: is the board of this kind, in focus, lit, and not over-exposed?"
     )]
@@ -199,7 +198,7 @@ pub enum BoardError {
         view: String,
         /// Seen.
         got: [usize; 2],
-        /// As the file says.
+        /// Points given by the board file.
         expected: [usize; 2],
     },
     /// The fringes are not decoded where the points are.
@@ -219,7 +218,7 @@ pub enum BoardError {
     /// Too few poses, or too few that agree.
     #[error("{got} of {of} poses of the board agree, at least {limit} are needed")]
     FewPoses {
-        /// That agree.
+        /// Poses that agree.
         got: usize,
         /// All.
         of: usize,
@@ -267,7 +266,7 @@ pub enum BoardError {
         /// Steps done.
         limit: usize,
     },
-    /// What is left over is more than noise.
+    /// Residuals larger than noise explains.
     #[error(
         "after the adjustment points are off by {got_px:.2} px rms per axis in the {what}'s image, at most {limit_px} px are allowed: is the board flat, and was it at rest?"
     )]
@@ -353,9 +352,9 @@ pub fn find(name: &str, board: &Board, frames: &BoardFrames<'_>) -> Result<Board
 }
 
 /// The points of the board in an image, to fractions of a pixel.
-fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
+fn locate(image: &Grey, board: &Board) -> Vec<LatticePoint> {
     let all = board.points[0] * board.points[1];
-    let mut best: Vec<Labelled> = Vec::new();
+    let mut best: Vec<LatticePoint> = Vec::new();
     match board.kind {
         BoardKind::Checkerboard | BoardKind::Charuco => {
             for blur_px in BLURS_PX {
@@ -367,11 +366,11 @@ fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
                     break;
                 }
             }
-            let slopes = saddle::Slopes::of(image);
+            let slopes = saddle::Slopes::new(image);
             let spacings = lattice::spacings_px(&best);
             let refined = best.iter().zip(&spacings).filter_map(|(point, &spacing)| {
                 let at_px = slopes.crossing(point.at_px, spacing)?;
-                Some(Labelled { at_px, ..*point })
+                Some(LatticePoint { at_px, ..*point })
             });
             completed(refined.collect(), &slopes, board)
         }
@@ -394,7 +393,11 @@ fn locate(image: &Grey, board: &Board) -> Vec<Labelled> {
 const EXPECTED: f64 = 0.15;
 
 /// With crossings that no candidate was at, in poor light or under dirt, where those about them put them.
-fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) -> Vec<Labelled> {
+fn completed(
+    mut points: Vec<LatticePoint>,
+    slopes: &saddle::Slopes,
+    board: &Board,
+) -> Vec<LatticePoint> {
     loop {
         let before = points.len();
         for expected in lattice::expected_beside(&points) {
@@ -402,7 +405,7 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
                 let [x, y] = [0, 1].map(|axis| to[axis] - expected.at_px[axis]);
                 x.hypot(y)
             };
-            let beside = |point: &&Labelled| {
+            let beside = |point: &&LatticePoint| {
                 let apart = [0, 1].map(|axis| (point.place[axis] - expected.place[axis]).abs());
                 apart[0] + apart[1] == 1
             };
@@ -413,7 +416,7 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
             let Some(at_px) = slopes.crossing(expected.at_px, spacing) else {
                 continue;
             };
-            let found = Labelled { at_px, ..expected };
+            let found = LatticePoint { at_px, ..expected };
             let more = [points.as_slice(), &[found]].concat();
             if away(at_px) < EXPECTED * spacing
                 && slopes.is_crossing(at_px, spacing, neighbour_px)
@@ -428,13 +431,13 @@ fn completed(mut points: Vec<Labelled>, slopes: &saddle::Slopes, board: &Board) 
     }
 }
 
-/// Whether a board has so many columns and rows, however it lies.
+/// Whether a lattice of this extent fits on the board, either way round.
 fn fits(extent: [usize; 2], board: &Board) -> bool {
     let sorted = |[a, b]: [usize; 2]| [a.min(b), a.max(b)];
     let ([short, long], [least, most]) = (sorted(extent), sorted(board.points));
     short <= least && long <= most
 }
 
-fn largest(candidates: &[Candidate], image: &Grey) -> Vec<Labelled> {
+fn largest(candidates: &[Candidate], image: &Grey) -> Vec<LatticePoint> {
     lattice::grow(candidates, image.columns as f64)
 }

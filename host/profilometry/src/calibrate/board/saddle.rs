@@ -20,7 +20,7 @@ const CIRCLE: f64 = 2.5;
 const SAMPLES: usize = 32;
 /// The two periods on the circle exceed one and three by this.
 const LEAST_TWOFOLD: f64 = 1.5;
-/// How far gradients are asked, in distances of crossings: neighbouring edges stay outside.
+/// Radius of the window of gradients, in distances of crossings: neighbouring edges stay outside.
 const REACH: f64 = 0.3;
 const REACH_LIMITS_PX: [f64; 2] = [3.0, 30.0];
 const GRADIENT_SIGMA_PX: f64 = 1.0;
@@ -63,7 +63,7 @@ pub(super) fn candidates(image: &Grey, sigma_px: f64) -> Vec<Candidate> {
             .flat_map(|y| (column - reach..=column + reach).map(move |x| (x, y)));
         near.filter(|&place| place != (column, row)).all(|(x, y)| {
             let other = strength[y * columns + x];
-            // Of equals the first.
+            // Of equal neighbours the first in reading order is the peak.
             other < own || other == own && (y, x) > (row, column)
         })
     };
@@ -114,7 +114,7 @@ fn candidate(
     })
 }
 
-/// Which way white lies (cosine and sine of twice the angle), if brightness has two periods on a circle of `reach` pixels.
+/// Direction of the white squares (cosine and sine of twice the angle), if brightness has two periods on a circle of `reach` pixels.
 fn white(smooth: &Grey, at_px: [f64; 2], reach: f64) -> Option<[f64; 2]> {
     let mut waves = [[0.0; 2]; 5];
     for sample in 0..SAMPLES {
@@ -138,11 +138,11 @@ fn white(smooth: &Grey, at_px: [f64; 2], reach: f64) -> Option<[f64; 2]> {
 pub(super) struct Slopes(Grey);
 
 impl Slopes {
-    pub fn of(image: &Grey) -> Self {
+    pub fn new(image: &Grey) -> Self {
         Self(image.blurred(GRADIENT_SIGMA_PX))
     }
 
-    /// Whether a crossing is there whose white lies across that of its neighbour.
+    /// Whether a crossing lies at `at_px` whose white squares are turned by 90° against those of its neighbour, as on a checkerboard.
     pub fn is_crossing(&self, at_px: [f64; 2], spacing_px: f64, neighbour_px: [f64; 2]) -> bool {
         let white = |at| white(&self.0, at, REACH * spacing_px);
         match (white(at_px), white(neighbour_px)) {

@@ -1,28 +1,29 @@
-//! What poses leave uncertain of a head and of the points that it measures.
+//! Uncertainty of a head and of the points that it measures, by leaving out one pose after the other.
 
 use nalgebra::Point3;
 
-use super::BoardMark;
 use super::adjust::{Solved, head_of};
-use super::model::{NAMES, OF_RIG, PROJECTOR, Rig};
+use super::model::{NAMES, OF_RIG, PROJECTOR};
+use crate::calibrate::bundle::Observation;
 use crate::calibrate::form;
+use crate::calibrate::rig::Rig;
 use crate::head::HeadModel;
 use crate::triangulate::HeadTriangulator;
 
 /// A value of the head with its uncertainty.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Parameter {
-    /// Which; turns are about the axes of the projector's frame.
+    /// Its name; turns are about the axes of the projector's frame.
     pub name: &'static str,
     /// Its value.
     pub value: f64,
-    /// Standard uncertainty by what is left over, as if points were independent.
+    /// Standard uncertainty from the residuals, for independent points.
     pub sigma: f64,
-    /// Standard uncertainty by leaving out one pose after the other (jackknife): what poses have in common counts once.
+    /// Standard uncertainty by leaving out one pose after the other (jackknife), which includes errors that the points of a pose have in common.
     pub sigma_by_poses: f64,
 }
 
-/// Values of a rig's unknowns; turns are zero where they stand.
+/// Values of a rig's unknowns; turns are relative to those of `zero`.
 fn values(rig: &Rig, zero: &Rig) -> [f64; OF_RIG] {
     let mut values = [0.0; OF_RIG];
     for (first, lens) in [(0, &rig.camera), (PROJECTOR, &rig.projector)] {
@@ -52,7 +53,7 @@ fn jackknife(estimates: &[f64]) -> f64 {
     ((count - 1.0) / count * squares).sqrt()
 }
 
-/// The unknowns of a head with what is known of them; `without` are the heads without one pose each.
+/// The unknowns of a head with their uncertainties; `without` are the heads without one pose each.
 pub(super) fn parameters(all: &Solved, without: &[Solved]) -> Vec<Parameter> {
     let own = values(&all.rig, &all.rig);
     let others: Vec<[f64; OF_RIG]> = without
@@ -78,19 +79,20 @@ pub(super) fn parameters(all: &Solved, without: &[Solved]) -> Vec<Parameter> {
 }
 
 /// Standard uncertainty of the boards' points along the camera's axis and across, by the heads without one pose each and by the
-/// scale where something is known of it. The camera's frame is tied to nothing, so each head's points are laid onto those of all first.
+/// uncertainty of the scale where it is known. The camera's frame is arbitrary, so each head's points are first moved onto those of all.
 /// NaN where a head does not see a point.
 pub(super) fn scatter_of_points_mm(
     all: &Solved,
     without: &[Solved],
     scale_sigma_ratio: Option<f64>,
 ) -> [f64; 2] {
-    let marks: Vec<&BoardMark> = all.kept.iter().flatten().collect();
+    let dots: Vec<&Observation> = all.kept.iter().flatten().collect();
     let points = |head: &HeadModel| -> Option<Vec<[f64; 3]>> {
         let triangulator = HeadTriangulator::new(head);
-        let points = marks
-            .iter()
-            .map(|mark| triangulator.point(mark.pixel, mark.lit_px[0]));
+        let points = dots.iter().map(|dot| {
+            let [u, v, column, _] = dot.seen_px;
+            triangulator.point([u, v], column)
+        });
         points.collect()
     };
     let laid = |of_one: &HeadModel, of_all: &[[f64; 3]]| {

@@ -7,7 +7,7 @@ use super::FindError;
 use crate::cells::buckets::Buckets;
 use crate::head::CoreMap;
 
-/// What the first fit leaves over of a hidden core; noise and pixel response leave a tenth of that.
+/// Residual of the first fit where a core was missed, relative to its peak; noise and pixel response leave a tenth of that.
 const HIDDEN_RATIO: f64 = 0.1;
 /// All cores step at once, each as if the others stood still: undamped, neighbours would correct the same error twice.
 const DAMPING: f64 = 0.6;
@@ -66,7 +66,7 @@ pub(super) struct Fit<'a> {
     sigma: f64,
 }
 
-/// What one spot's window says: its step, and its share in the step of the common width.
+/// Result of one spot's window: the step of its own unknowns, and its share in the equations of the common width.
 struct Step {
     amplitude: f64,
     at: [f64; 2],

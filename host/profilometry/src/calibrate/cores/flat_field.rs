@@ -36,7 +36,7 @@ impl FlatField {
     ///
     /// # Errors
     /// [`FindError::Cells`] for a view summed otherwise.
-    pub fn of_view(view: &Accumulator, offset_dn: f64) -> Result<Self, FindError> {
+    pub fn from_view(view: &Accumulator, offset_dn: f64) -> Result<Self, FindError> {
         let layout = &*view.layout;
         let Grid::Blocks(grid) = &layout.grid else {
             return Err(FindError::Cells);

@@ -26,7 +26,7 @@ pub enum FindError {
         "{got} pixels of the flat field are saturated (above {limit_dn} counts), none may be: expose shorter"
     )]
     Saturated {
-        /// How many.
+        /// Number found.
         got: usize,
         /// Counts that count as saturated.
         limit_dn: u16,
@@ -46,7 +46,7 @@ pub enum FindError {
         "{got} cores in the flat field, at least {limit} are needed: is there a bundle, in focus?"
     )]
     Few {
-        /// How many.
+        /// Number found.
         got: usize,
         /// Least.
         limit: usize,
