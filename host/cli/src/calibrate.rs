@@ -518,7 +518,7 @@ impl Job<'_> {
 
 /// Before anything moves: what the press demands is there, and which station, target and head these are is said.
 fn begin(args: &Args, site: &Site, target: &Target, head: &HeadModel) -> anyhow::Result<()> {
-    fits_bench(&args.bench, site)?;
+    fits_bench(&args.bench.setup()?, site)?;
     site.demands_target(args.target.as_deref())?;
     if !args.common.quiet {
         let (target, head) = (&target.name, &head.name);
@@ -543,7 +543,7 @@ fn open<S>(
     Instrument::before(
         folder,
         site,
-        &args.bench,
+        &args.bench.setup()?,
         scene,
         args.common.quiet,
         scratch()?,

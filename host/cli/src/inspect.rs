@@ -10,7 +10,7 @@ use flankscope_station::origin::{Link, Origin};
 use flankscope_station::report::{ReportFolder, Words, figure};
 use flankscope_station::sink::ResultSink;
 
-use crate::bench_link::BenchArgs;
+use crate::bench_link::{BenchSetup, CameraArgs, DieArgs, setup_with_camera};
 use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::interrupt;
@@ -55,13 +55,16 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
-    bench: BenchArgs,
+    die: DieArgs,
+    #[command(flatten)]
+    camera: CameraArgs,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
+    let bench = setup_with_camera(&args.die, &args.camera)?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
         Some(recording) => {
@@ -82,9 +85,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let seals = seals()?;
     let mut complaints = Complaints::default();
     let (mut inspection, instrument) = match &recording {
-        Some(recording) => (args.check_recorded(recording, &site)?, None),
+        Some(recording) => (args.check_recorded(recording, &site, &bench)?, None),
         None => {
-            let (inspection, instrument) = args.check_live(&site, &mut complaints)?;
+            let (inspection, instrument) = args.check_live(&site, &bench, &mut complaints)?;
             (inspection, Some(instrument))
         }
     };
@@ -124,11 +127,12 @@ impl Args {
     fn check_live(
         &self,
         site: &Site,
+        bench: &BenchSetup,
         complaints: &mut Complaints,
     ) -> anyhow::Result<(Inspection, Instrument)> {
         let quiet = self.common.quiet;
         let (mut instrument, mut writer) =
-            Instrument::open(&self.source, site, &self.bench, None, quiet)?;
+            Instrument::open(&self.source, site, bench, false, quiet)?;
         let mut saved = None;
         if let Some(folder) = &self.save_frames {
             saved = Some((folder, instrument.copy_head(folder)?));
@@ -148,14 +152,14 @@ impl Args {
         Ok((inspection, instrument))
     }
 
-    fn check_recorded(&self, recording: &Recording, site: &Site) -> anyhow::Result<Inspection> {
-        let (mut check, mut writer) = recorded_check(
-            &self.source,
-            recording,
-            &self.bench,
-            site,
-            self.common.quiet,
-        )?;
+    fn check_recorded(
+        &self,
+        recording: &Recording,
+        site: &Site,
+        bench: &BenchSetup,
+    ) -> anyhow::Result<Inspection> {
+        let quiet = self.common.quiet;
+        let (mut check, mut writer) = recorded_check(&self.source, recording, bench, site, quiet)?;
         let mut watcher = Watcher::new(self.common.quiet, check.view_names());
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
         Ok(inspection)
