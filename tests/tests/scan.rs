@@ -322,8 +322,8 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let settings = settings.to_str().unwrap();
     let written = run(flankscope().args(["article", "--write-settings", settings]));
     assert_eq!(written.code, 0, "{}", written.stderr);
-    let article = std::fs::read_to_string(settings).unwrap();
-    let other = article.replace("\nshare = 0.1 ", "\nshare = 0.05 ");
+    let values = std::fs::read_to_string(settings).unwrap();
+    let other = values.replace("\nshare = 0.1 ", "\nshare = 0.05 ");
     let other = other.replace("\ninlier_ratio = 0.8 ", "\ninlier_ratio = 0.7 ");
     std::fs::write(settings, other).unwrap();
     let rest = ["--article-settings", settings];

@@ -4,14 +4,16 @@
 //! its default ([`EXAMPLE`]).
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::camera::FrameFault;
-use crate::config::{EncoderSaw, Given, StageTrouble};
 use crate::demo::OtherDie;
+use crate::devices::stage::{AxisModels, NO_MEMORY};
+use crate::given::Given;
 use crate::link::Trouble;
-use crate::world::{MAX_BOUNCES, SprayEdge};
+use crate::world::{MAX_BOUNCES, Saw, SprayEdge};
 
 /// A bench file with every key: those with a default set to it, the others commented out.
 pub const EXAMPLE: &str = include_str!("bench_file.toml");
@@ -194,6 +196,58 @@ impl Default for PressTable {
             strokes_per_minute: 30.0,
             open_share: 0.4,
         }
+    }
+}
+
+/// What is wrong with the stages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageTrouble {
+    /// The rotary stage is another model.
+    OtherModel,
+    /// The vertical stage has no memory that would say what it is.
+    NoModel,
+}
+
+impl StageTrouble {
+    /// Spoils the stages that stand on the bench.
+    pub fn spoil(self, axes: &mut AxisModels) {
+        match self {
+            Self::OtherModel => axes.rotation.name = "URS100BPP",
+            Self::NoModel => axes.vertical.name = NO_MEMORY,
+        }
+    }
+}
+
+/// An encoder's saw: teeth per turn, and height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EncoderSaw(pub Saw);
+
+/// Why a text is no saw.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{text} is no error of an encoder; 1 to 10000 teeth per turn and 0 to 1000 mdeg are, for example 84:8"
+)]
+pub struct SawError {
+    text: String,
+}
+
+impl FromStr for EncoderSaw {
+    type Err = SawError;
+
+    fn from_str(text: &str) -> Result<Self, SawError> {
+        let saw = text.split_once(':').and_then(|(teeth, mdeg)| {
+            let teeth = teeth.parse().ok().filter(|n| (1..=10_000).contains(n))?;
+            let mdeg: f64 = mdeg
+                .parse()
+                .ok()
+                .filter(|mdeg| (0.0..=1000.0).contains(mdeg))?;
+            Some(Saw {
+                teeth,
+                height_rad: (1e-3 * mdeg).to_radians(),
+            })
+        });
+        saw.map(Self).ok_or_else(|| SawError { text: text.into() })
     }
 }
 

@@ -3,16 +3,15 @@
 //! [`BenchArgs`] are options of the command line (by `clap`), a [`BenchFile`] says the rest; [`BenchSetup`] is both, a part of
 //! [`BenchConfig`], which the bench's process reads as one line of JSON.
 
-use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 use crate::bench_file::BenchFile;
-use crate::devices::stage::{AxisModels, NO_MEMORY};
+use crate::given::Given;
 use crate::link::CameraLink;
-use crate::world::{Carries, Saw, Surface, Wear};
+use crate::world::{Carries, Surface, Wear};
 
 /// Virtual seconds per real second at `--speed max`; rendering holds the clock, so this is reached only between frames.
 const MAX_SPEED: f64 = 50.0;
@@ -226,26 +225,6 @@ impl BenchSetup {
     }
 }
 
-/// What is wrong with the stages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StageTrouble {
-    /// The rotary stage is another model.
-    OtherModel,
-    /// The vertical stage has no memory that would say what it is.
-    NoModel,
-}
-
-impl StageTrouble {
-    /// Spoils the stages that stand on the bench.
-    pub fn spoil(self, axes: &mut AxisModels) {
-        match self {
-            Self::OtherModel => axes.rotation.name = "URS100BPP",
-            Self::NoModel => axes.vertical.name = NO_MEMORY,
-        }
-    }
-}
-
 /// What a die's surface is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -280,76 +259,6 @@ impl SurfaceKind {
             Self::Polished => Surface::polished(),
             Self::Oiled => Surface::oiled(),
         }
-    }
-}
-
-/// A value with the text that somebody gave it as, by which it is handed on and named.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Given<T> {
-    text: String,
-    /// What the text means.
-    pub value: T,
-}
-
-impl<T: FromStr> FromStr for Given<T> {
-    type Err = T::Err;
-
-    fn from_str(text: &str) -> Result<Self, T::Err> {
-        Ok(Self {
-            text: text.to_owned(),
-            value: text.parse()?,
-        })
-    }
-}
-
-impl<T> fmt::Display for Given<T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
-impl<T> Serialize for Given<T> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(&self.text)
-    }
-}
-
-impl<'de, T: FromStr<Err: fmt::Display>> Deserialize<'de> for Given<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
-    }
-}
-
-/// An encoder's saw: teeth per turn, and height.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EncoderSaw(pub Saw);
-
-/// Why a text is no saw.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "{text} is no error of an encoder; 1 to 10000 teeth per turn and 0 to 1000 mdeg are, for example 84:8"
-)]
-pub struct SawError {
-    text: String,
-}
-
-impl FromStr for EncoderSaw {
-    type Err = SawError;
-
-    fn from_str(text: &str) -> Result<Self, SawError> {
-        let saw = text.split_once(':').and_then(|(teeth, mdeg)| {
-            let teeth = teeth.parse().ok().filter(|n| (1..=10_000).contains(n))?;
-            let mdeg: f64 = mdeg
-                .parse()
-                .ok()
-                .filter(|mdeg| (0.0..=1000.0).contains(mdeg))?;
-            Some(Saw {
-                teeth,
-                height_rad: (1e-3 * mdeg).to_radians(),
-            })
-        });
-        saw.map(Self).ok_or_else(|| SawError { text: text.into() })
     }
 }
 
