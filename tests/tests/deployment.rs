@@ -111,17 +111,14 @@ fn every_command_has_a_man_page_with_its_options_and_every_shell_knows_it() {
         }) {
             assert!(own.contains(option), "{command}: {option}");
         }
-        // Its options as a page lists them, and those of every command, which its help names in one line.
-        let common = ["--json", "--quiet", "--help"]
-            .map(|option| format!("{}\\fR", option.replace('-', "\\-")));
-        let listed = page(&format!("flankscope-{command}.1"));
-        for option in &common[if ["manual", "bench"].contains(&command) {
-            2
-        } else {
-            0
-        }..]
-        {
-            assert!(listed.contains(option), "{command}: {option}");
+        // Options of every command, which its help names in one line.
+        let common = ["--json", "--quiet", "--help"];
+        let of_all = !["manual", "bench"].contains(&command);
+        for option in common.iter().skip(if of_all { 0 } else { 2 }) {
+            assert!(
+                own.contains(&format!("{option}\\fR")),
+                "{command}: {option}"
+            );
         }
         for file in ["flankscope.bash", "_flankscope", "flankscope.fish"] {
             let script =
