@@ -2,9 +2,12 @@
 
 pub mod die;
 
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use flankscope_foundation::date::Date;
 use flankscope_gear_cad::{GearKind, GearSpec};
@@ -150,6 +153,25 @@ pub fn press_tool(folder: &Path) -> String {
     path
 }
 
+/// A bench file with these lines, as the options that name it. It lies with the station's key, and goes with it.
+///
+/// # Panics
+/// It cannot be written.
+#[must_use]
+pub fn bench(lines: &str) -> [String; 2] {
+    static FILES: AtomicUsize = AtomicUsize::new(0);
+    let folder = state();
+    let made = DirBuilder::new()
+        .recursive(true)
+        .mode(0o700)
+        .create(&folder);
+    made.expect("the station's folder");
+    let number = FILES.fetch_add(1, Ordering::Relaxed);
+    let path = folder.join(format!("bench-{number}.toml"));
+    std::fs::write(&path, lines).expect("written");
+    ["--bench".into(), path.to_str().expect("UTF-8").to_owned()]
+}
+
 /// What a run of the command left behind.
 #[derive(Debug)]
 pub struct Run {
@@ -175,6 +197,16 @@ pub fn inspect(arguments: &[&str]) -> Run {
         command.args(["--speed", "max"]);
     }
     run(&mut command)
+}
+
+/// As [`inspect`], on a bench with these lines in its file.
+///
+/// # Panics
+/// As [`inspect`] and [`bench`].
+#[must_use]
+pub fn inspect_on(lines: &str, arguments: &[&str]) -> Run {
+    let [option, file] = bench(lines);
+    inspect(&[&[&*option, &*file], arguments].concat())
 }
 
 /// Runs a command to its end.
@@ -249,6 +281,29 @@ pub fn tool_of_noise_alone(folder: &Path, more: &str) -> String {
             )
     });
     folder.display().to_string()
+}
+
+/// The demo head without its core map, whose points are blocks of pixels, in this folder; the file's name.
+///
+/// # Panics
+/// It cannot be written.
+#[must_use]
+pub fn head_of_pixels(folder: &Path) -> String {
+    let folder = folder.join("pixels");
+    let made = flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(&folder)
+        .status();
+    assert!(made.is_ok_and(|status| status.success()));
+    let head = folder.join("head.toml");
+    edit(&head, |text| {
+        let (before, rest) = text
+            .split_once("[cores]")
+            .expect("the demo head's core map");
+        let after = rest.split_once("\n[").map(|(_, after)| format!("[{after}"));
+        format!("{before}{}", after.unwrap_or_default())
+    });
+    head.display().to_string()
 }
 
 /// Sets the calibration of a head's file to the first half of 2001.

@@ -237,6 +237,9 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         .collect();
     let pairs = path("pairs.csv");
     std::fs::write(&pairs, text).unwrap();
+    // Beside them.
+    let settings = path("settings.toml");
+    std::fs::write(&settings, "pairs = \"pairs.csv\"\n").unwrap();
     let picked = scan(&[
         "--views",
         "84x1",
@@ -244,8 +247,8 @@ fn figures_agree_with_drawing_and_counts_and_picked_pairs_start_a_scan() {
         session.to_str().unwrap(),
         "--method",
         "paper",
-        "--pairs",
-        &pairs,
+        "--article-settings",
+        &settings,
     ]);
     let method = &picked.json["methods"][1];
     assert_eq!(method["start"], "picked pairs", "{}", picked.stderr);
@@ -350,7 +353,11 @@ fn views_that_are_not_there_are_named() {
     let report = path("report");
     let nobodys = article(&["--report", &report]);
     assert_eq!(nobodys.code, 3);
-    assert!(nobodys.stderr.contains("--scan DIR") && nobodys.stderr.contains("--bench"));
+    assert!(
+        nobodys.stderr.contains("--scan <DIR>"),
+        "{}",
+        nobodys.stderr
+    );
     let gone = article(&["--scan", &path("gone"), "--report", &report]);
     assert_eq!(gone.code, 3);
     assert!(
@@ -359,7 +366,10 @@ fn views_that_are_not_there_are_named() {
         gone.stderr
     );
     assert!(!folder.path().join("gone").exists());
-    let wrong = article(&["--bench", "--report", &report, "--serial-inlier-ratio", "2"]);
+    let settings = path("settings.toml");
+    std::fs::write(&settings, "serial_inlier_ratio = 2.0\n").unwrap();
+    let told = ["--report", &report, "--article-settings", &settings];
+    let wrong = article(&[&["--scan", &path("gone")], &told[..]].concat());
     assert_eq!(wrong.code, 3);
     assert!(wrong.stderr.contains("0.01 to 1"), "{}", wrong.stderr);
     let written = std::fs::read_dir(&report).unwrap().count();

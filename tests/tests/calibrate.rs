@@ -1,6 +1,6 @@
 //! The calibration, end to end: bench process, controller, captures, head file, and a check with it.
 
-use flankscope_tests::{expire, flankscope, inspect, press_tool, run};
+use flankscope_tests::{bench, expire, flankscope, inspect, press_tool, run};
 
 #[test]
 fn a_calibrated_head_checks_the_die() {
@@ -10,6 +10,9 @@ fn a_calibrated_head_checks_the_die() {
     let folder = tempfile::tempdir().unwrap();
     let head = folder.path().join("head.toml");
     let path = head.to_str().unwrap();
+    // Lenses that bend light where no distortion model follows.
+    let uneven = bench("[head]\nlens_error_um = 1.5\n");
+    let [option, uneven] = uneven.each_ref().map(String::as_str);
     let calibrated = run(flankscope().args([
         "calibrate",
         "--quiet",
@@ -17,8 +20,8 @@ fn a_calibrated_head_checks_the_die() {
         "max",
         "--seed",
         "4",
-        "--lens-error-um",
-        "1.5",
+        option,
+        uneven,
         "-o",
         path,
         "--json",
@@ -54,8 +57,7 @@ fn a_calibrated_head_checks_the_die() {
         "{spacing}"
     );
 
-    let uneven = ["--lens-error-um", "1.5"];
-    let checked = inspect(&[&["--head", path, "--wear", "40:left:80"], &uneven[..]].concat());
+    let checked = inspect(&["--head", path, "--wear", "40:left:80", option, uneven]);
     assert_eq!(
         checked.code, 1,
         "{} {}",
@@ -81,8 +83,8 @@ fn a_calibrated_head_checks_the_die() {
         "max",
         "--seed",
         "4",
-        "--lens-error-um",
-        "1.5",
+        option,
+        uneven,
         "--check",
         path,
         "--json",

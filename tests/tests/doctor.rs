@@ -1,7 +1,7 @@
 //! `flankscope doctor`: everything is looked at, nothing moves, and what has failed says what would be right.
 
 use flankscope_protocol::Line;
-use flankscope_tests::{Run, expire, flankscope, inspect, press_tool, run};
+use flankscope_tests::{Run, bench, expire, flankscope, inspect, press_tool, run};
 use serde_json::Value;
 
 fn doctor(arguments: &[&str]) -> Run {
@@ -172,14 +172,8 @@ fn the_stages_say_what_they_are() {
         ("other-model", "axis 1 answers as \"URS100BPP, SN0001\""),
         ("no-model", "axis 2 answers as \"Unknown\""),
     ] {
-        let other = doctor(&[
-            "--link",
-            "sim",
-            "--station",
-            station,
-            "--stage-trouble",
-            trouble,
-        ]);
+        let [option, bench] = bench(&format!("[stages]\ntrouble = \"{trouble}\"\n"));
+        let other = doctor(&["--link", "sim", "--station", station, &option, &bench]);
         assert_eq!(other.code, 3);
         expect(&other, "stages", "failed", seen, "correct its model");
     }

@@ -4,9 +4,10 @@
 use flankscope_test_requisites::workspace;
 use flankscope_tests::{flankscope, run};
 
-/// Arguments of a line's `flankscope`, and of the README's `cargo run` instead of it; without what a shell takes for a comment.
+/// Arguments of a line's `flankscope`, and of the README's `cargo run` instead of it; without what a shell takes for a comment or a
+/// redirection.
 fn arguments(line: &str) -> Option<Vec<String>> {
-    let line = line.split(" #").next()?.trim();
+    let line = line.split(" #").next()?.split(" > ").next()?.trim();
     let prefixes = ["cargo run --release -- ", "flankscope "];
     let arguments = prefixes
         .iter()

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use flankscope_test_requisites::{at_least, shared};
-use flankscope_tests::{Run, flankscope, inspect, run, tool_of_noise_alone};
+use flankscope_tests::{Run, bench, flankscope, inspect, run, tool_of_noise_alone};
 use serde_json::Value;
 
 /// What the outside renderer's head is off the place that its file says, µm.
@@ -548,13 +548,14 @@ fn a_scan_that_was_recorded_is_the_same_to_the_last_bit() {
     let folder = tempfile::tempdir().unwrap();
     let frames = folder.path().join("frames");
     let path = frames.to_str().unwrap();
+    let [option, oval] = bench("[die]\novality_um = 20.0\n");
     let live = scan(&[
         "--views",
         "6x2",
         "--speed",
         "max",
-        "--ovality-um",
-        "20",
+        &option,
+        &oval,
         "--save-frames",
         path,
     ]);

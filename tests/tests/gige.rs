@@ -2,11 +2,16 @@
 //! back through the camera process.
 
 use flankscope_test_requisites::aravis;
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, flankscope, inspect, inspect_on, run};
 use serde_json::{Value, json};
 
 fn through_gige(arguments: &[&str]) -> Run {
     inspect(&[&["--camera", "gige"], arguments].concat())
+}
+
+fn troubled(trouble: &str) -> Run {
+    let lines = format!("[camera]\ngige_trouble = \"{trouble}\"\n");
+    inspect_on(&lines, &["--camera", "gige"])
 }
 
 /// What a check found, without what its clocks and its link say.
@@ -61,13 +66,13 @@ fn lost_packets_are_no_verdict() {
     if !aravis() {
         return;
     }
-    let few = through_gige(&["--gige-trouble", "lost:0.0005"]);
+    let few = troubled("lost:0.0005");
     match few.code {
         0 => assert!(few.json["reason"].is_string()),
         2 => assert_eq!(few.json["verdict"], "indeterminate"),
         code => panic!("exit {code}: {} {}", few.json["reason"], few.stderr),
     }
-    let many = through_gige(&["--gige-trouble", "lost:0.02"]);
+    let many = troubled("lost:0.02");
     assert_eq!(
         (many.code, &many.json["verdict"]),
         (2, &"indeterminate".into())
@@ -91,7 +96,7 @@ fn a_wrong_camera_is_named_and_nothing_moves() {
         // 6 dB are a factor of 1.995 in the counts of an electron.
         ("amplified", &["3.964 electrons per count", "7.910"]),
     ] {
-        let run = through_gige(&["--gige-trouble", trouble]);
+        let run = troubled(trouble);
         assert_eq!(run.code, 2, "{trouble}: {}", run.stderr);
         assert_eq!(run.json["verdict"], "indeterminate");
         let said = run.json["reason"].to_string() + &run.stderr;
@@ -112,7 +117,7 @@ fn a_camera_that_is_unplugged_in_the_middle_is_missed_and_found_again() {
     if !aravis() {
         return;
     }
-    let run = through_gige(&["--gige-trouble", "unplugged:30"]);
+    let run = troubled("unplugged:30");
     assert!([0, 2].contains(&run.code), "{}: {}", run.code, run.stderr);
     assert_eq!(run.code == 0, run.json["verdict"] == "go");
     assert!(run.stderr.contains("the camera is gone"), "{}", run.stderr);

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
 
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, bench, flankscope, head_of_pixels, inspect, run};
 use serde_json::Value;
 
 fn history(file: &Path, arguments: &[&str]) -> Run {
@@ -205,7 +205,9 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
         check(&["--seed", "3", "--record-baseline", &baseline]).code,
         0
     );
-    assert_eq!(check(&["--wear", "40:left:80", "--grid", "pixel"]).code, 1);
+    let of_pixels = head_of_pixels(folder.path());
+    let head = ["--head", &*of_pixels];
+    assert_eq!(check(&["--wear", "40:left:80", head[0], head[1]]).code, 1);
     assert_eq!(
         check(&[
             "--seed",
@@ -218,11 +220,17 @@ fn a_stored_verdict_is_computed_again_bit_for_bit() {
         .code,
         4
     );
-    let lost = check(&["--frame-fault", "lose:7"]);
+    let [option, file_of_bench] = bench("[camera]\nframe_fault = \"lose:7\"\n");
+    let lost = check(&[&option, &file_of_bench]);
     assert_eq!(lost.code, 2, "{}", lost.json["reason"]);
     let history = Path::new(&file);
-    for (id, code, captures) in [("1", 0, 1), ("2", 1, 1), ("3", 4, 1), ("4", 2, 0)] {
-        let again = replay(history, id, &[]);
+    for (id, code, captures, head) in [
+        ("1", 0, 1, &[][..]),
+        ("2", 1, 1, &head),
+        ("3", 4, 1, &[]),
+        ("4", 2, 0, &[]),
+    ] {
+        let again = replay(history, id, head);
         assert_eq!(
             again.code, code,
             "check {id}: {} {}",

@@ -1,7 +1,7 @@
 //! The in-situ check, end to end: command, bench process, controller firmware, shared memory, verdict.
 
 use flankscope_test_requisites::{everything, shared};
-use flankscope_tests::{Run, flankscope, inspect, press_tool, run};
+use flankscope_tests::{Run, flankscope, inspect, inspect_on, press_tool, run};
 
 /// The demo's limits, µm: warn at 30, stop at 50.
 const WEAR: &str = "40:left:80";
@@ -163,7 +163,7 @@ fn a_camera_that_misbehaves_is_never_go() {
         // In the first view, so that the second capture meets the fault again.
         for frame in [0, 1, 13, 24] {
             let fault = format!("{kind}:{frame}");
-            let always = inspect(&["--frame-fault", &fault]);
+            let always = inspect_on(&format!("[camera]\nframe_fault = \"{fault}\"\n"), &[]);
             assert_eq!(
                 always.code, 2,
                 "{fault}: {} {}",
@@ -176,7 +176,8 @@ fn a_camera_that_misbehaves_is_never_go() {
             );
         }
         // A camera that misbehaved once is forgiven: the view is captured again.
-        let once = inspect(&["--frame-fault", &format!("{kind}:30:once")]);
+        let once = format!("[camera]\nframe_fault = \"{kind}:30:once\"\n");
+        let once = inspect_on(&once, &[]);
         assert_eq!(
             once.code, 0,
             "{kind} once: {} {}",
@@ -254,7 +255,8 @@ fn a_press_demands_a_tool_and_a_calibrated_head() {
     let nowhere = "/dev/flankscope-is-not-here";
     let started = |arguments: &[&str]| {
         run(flankscope()
-            .args(["inspect", "--station", "press 7", "--operator", "Ada"])
+            .env("USER", "Ada")
+            .args(["inspect", "--station", "press 7"])
             .args(arguments))
     };
     let said = started(&["--link", nowhere, "--tool", &tool]).stderr;
@@ -471,12 +473,12 @@ fn a_shaking_head_is_indeterminate() {
         "{ratio}"
     );
     // Below what spoils a fringe, exposures still show one scene: noise alone sets one cell in a thousand apart.
-    let moving = inspect(&["--teeth", "40", "--vibration-um", "0.5"]);
+    let moving = inspect_on("[motion]\nvibration_um = 0.5\n", &["--teeth", "40"]);
     assert_eq!(moving.code, 0, "{}", moving.stderr);
     let view = &moving.json["registration"][0];
     let apart = &view["light"]["rejected"]["exposures_disagree"];
     assert!(apart.as_f64().unwrap() < 1e-3 * view["points"].as_f64().unwrap());
-    let shaken = inspect(&["--teeth", "40", "--vibration-um", "2"]);
+    let shaken = inspect_on("[motion]\nvibration_um = 2.0\n", &["--teeth", "40"]);
     assert_eq!(shaken.code, 2, "{}", shaken.json["reason"]);
     let reason = shaken.json["reason"].as_str().unwrap_or_default();
     assert!(reason.contains("vibrates"), "{reason}");

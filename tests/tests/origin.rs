@@ -52,9 +52,12 @@ fn a_simulated_check_says_so_in_document_report_and_history() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (history, out) = (path("press.db"), path("out"));
-    let who = ["--station", "press 7", "--operator", "Ada"];
+    let who = ["--station", "press 7"];
     let stored = ["--teeth", "40", "--link", "sim", "--history", &history];
-    let check = inspect(&[&who[..], &stored, &["--report", &out]].concat());
+    let mut check = flankscope();
+    check.args(["inspect", "--quiet", "--json", "-", "--speed", "max"]);
+    check.args(who).args(stored).args(["--report", &out]);
+    let check = run(check.env("USER", "Ada"));
     assert_eq!(check.code, 0, "{}", check.stderr);
     check_origin(&check.json, "sim", "press 7", "Ada");
     assert_eq!(check.json["id"], 1);

@@ -132,7 +132,10 @@ fn a_flank_at_its_limit_is_measured_again_and_judged_by_both() {
 fn a_watch_measures_again_only_within_the_time_it_may_hold_the_press() {
     let folder = tempfile::tempdir().unwrap();
     let tool = tool_of_noise_alone(&folder.path().join("tool"), "");
+    let station = folder.path().join("station.toml");
     let watch = |hold_s: &str| {
+        let press = format!("[press]\nhold_limit_s = {hold_s}.0\n");
+        std::fs::write(&station, press).unwrap();
         let mut command = flankscope();
         command
             .args([
@@ -141,7 +144,8 @@ fn a_watch_measures_again_only_within_the_time_it_may_hold_the_press() {
             .args([
                 "--link", "sim", "--tool", &tool, "--teeth", "40", "--wear", PIT, "--seed", "6",
             ])
-            .args(["--hold-limit-s", hold_s])
+            .arg("--station")
+            .arg(&station)
             .stdin(Stdio::null());
         run(&mut command)
     };

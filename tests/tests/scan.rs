@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use flankscope_gear_cad::{Flank, Mesh, Meshing, write_ply};
 use flankscope_test_requisites::python_with;
-use flankscope_tests::{Run, demo_gear, flankscope, run};
+use flankscope_tests::{Run, bench, demo_gear, flankscope, head_of_pixels, run};
 use serde_json::Value;
 
 fn scan(args: &[&str]) -> Run {
@@ -14,22 +14,17 @@ fn scan(args: &[&str]) -> Run {
     run(flankscope().args(common).args(args))
 }
 
+/// What stands on the bench for [`oval_and_conical`].
+const FORM: &str = "[die]\novality_um = 20.0\ntaper_um = 15.0\n";
+
 /// Twelve views in two layers of a die that is 20 µm oval and 15 µm conical, put down by hand.
 fn oval_and_conical(session: &Path, report: &Path, method: &str) -> Run {
     oval_and_conical_with(session, report, method, &[])
 }
 
 fn oval_and_conical_with(session: &Path, report: &Path, method: &str, rest: &[&str]) -> Run {
-    let form = [
-        "--views",
-        "12x2",
-        "--ovality-um",
-        "20",
-        "--taper-um",
-        "15",
-        "--method",
-        method,
-    ];
+    let [option, form] = bench(FORM);
+    let form = ["--views", "12x2", &option, &form, "--method", method];
     let folders = [
         "--session",
         session.to_str().expect("a path in UTF-8"),
@@ -140,11 +135,12 @@ assert np.array_equal(mesh["triangles"], faces["at"]) and len(faces) > count
 
 /// The same scan, stopped from the keyboard once its first sixteen views are captured; returns how many it kept.
 fn interrupted_after_the_first_capture(session: &Path) -> u64 {
-    let form = ["--views", "12x2", "--ovality-um", "20", "--taper-um", "15"];
+    let form = bench(FORM);
     let mut command = flankscope();
     command.args(["scan", "--speed", "max", "--session"]);
     let mut running = command
         .arg(session)
+        .args(["--views", "12x2"])
         .args(form)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -322,7 +318,15 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let told = &article.json["methods"][1]["settings"];
     assert_eq!(told["denoise"], Value::Null);
     // The same session under the article's values, one of them otherwise: nothing is captured, everything is laid anew.
-    let rest = ["--article", "--share", "0.05", "--inlier-ratio", "0.7"];
+    let settings = folder.path().join("settings.toml");
+    let settings = settings.to_str().unwrap();
+    let written = run(flankscope().args(["article", "--write-settings", settings]));
+    assert_eq!(written.code, 0, "{}", written.stderr);
+    let values = std::fs::read_to_string(settings).unwrap();
+    let other = values.replace("\nshare = 0.1 ", "\nshare = 0.05 ");
+    let other = other.replace("\ninlier_ratio = 0.8 ", "\ninlier_ratio = 0.7 ");
+    std::fs::write(settings, other).unwrap();
+    let rest = ["--article-settings", settings];
     let preset = oval_and_conical_with(&session, &report, "paper", &rest);
     let told = &preset.json["methods"][1]["settings"];
     assert_eq!(
@@ -367,13 +371,15 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     assert!(article.json["registration"][0]["stray_turn_mdeg"].is_null());
     // Another scan does not mix with it, nor do points of another kind, nor another die on the bench.
     let refused = |args: &[&str], why: &str| {
-        let form = ["--ovality-um", "20", "--taper-um", "15", "--session"];
-        let other = scan(&[&form[..], &[session.to_str().unwrap()], args].concat());
+        let [option, form] = bench(FORM);
+        let form = [&option, &form, "--session", session.to_str().unwrap()];
+        let other = scan(&[&form[..], args].concat());
         assert_eq!(other.code, 3);
         assert!(other.stderr.contains(why), "{}", other.stderr);
     };
+    let of_pixels = head_of_pixels(folder.path());
     refused(
-        &["--views", "12x2", "--grid", "pixel"],
+        &["--views", "12x2", "--head", &of_pixels],
         "holds another scan: its points is cores, this scan's is pixels",
     );
     refused(
@@ -389,7 +395,8 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
 #[test]
 fn a_lost_view_is_captured_once_more_and_then_a_hole() {
     // Frame 5 of every capture is lost, so the first view is lost twice.
-    let holed = scan(&["--views", "12x1", "--frame-fault", "lose:5"]);
+    let [option, fault] = bench("[camera]\nframe_fault = \"lose:5\"\n");
+    let holed = scan(&["--views", "12x1", &option, &fault]);
     // A twelfth of what was planned is missing: the map stands, but it is no go.
     assert_eq!(holed.code, 2, "{} {}", holed.json["reason"], holed.stderr);
     let reason = holed.json["reason"].as_str().unwrap_or_default();
@@ -522,49 +529,69 @@ fn a_patch_that_no_view_saw_is_never_go() {
     assert_others_go(&holed);
 }
 
+/// A scan by a method with these lines as the article's settings.
+fn told(method: &str, lines: &str) -> Run {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = folder.path().join("settings.toml");
+    std::fs::write(&settings, lines).unwrap();
+    let settings = settings.to_str().unwrap();
+    let method = ["--views", "12x1", "--method", method];
+    scan(&[&method[..], &["--article-settings", settings]].concat())
+}
+
 #[test]
 fn the_articles_settings_need_its_method() {
-    for option in [
-        &["--order", "1"][..],
-        &["--mask-threshold", "20"],
-        &["--voxel-mm", "0.1"],
-        &["--roi-mm", "5"],
-        &["--rotation-tolerance-deg", "0.286"],
-        &["--denoise", "8"],
-        &["--article"],
-    ] {
-        let wrong = scan(&[&["--views", "12x1"][..], option].concat());
-        assert_eq!(wrong.code, 3, "{option:?}");
-        let said = format!(
-            "{} is for the article's method: add --method paper",
-            option[0]
-        );
-        assert!(wrong.stderr.contains(&said), "{}", wrong.stderr);
-    }
+    let wrong = told("surface", "mask_dn = 20.0\n");
+    assert_eq!(wrong.code, 3);
+    let said = "--article-settings is for the article's method: add --method paper";
+    assert!(wrong.stderr.contains(said), "{}", wrong.stderr);
 }
 
 #[test]
 fn settings_that_cannot_be_are_named_with_what_can() {
-    for (option, value, can) in [
-        ("--mask-threshold", "70000", "0 to 65535 counts"),
-        ("--share", "NaN", "0.0001 to 1 of the points"),
-        ("--share", "0", "0.0001 to 1 of the points"),
-        ("--roi-mm", "-1", "0.1 to 1000 mm"),
-        ("--roi-rad", "3.2", "to 3.14"),
-        ("--alpha-points", "10", "100 to 10000000"),
-        ("--alpha-per-mm2", "inf", "0.1 to 2000 points per mm2"),
-        ("--inlier-ratio", "1.1", "0.01 to 1 of the pairs"),
-        ("--most-iterations", "0", "1 to 1000"),
-        ("--translation-tolerance-mm", "2", "0 to 1 mm"),
-        ("--rotation-tolerance-deg", "-0.1", "0 to 1 degrees"),
-        ("--denoise", "0", "1 to 100"),
-        ("--denoise-sigma", "1", "add --denoise K"),
-        ("--voxel-mm", "0", "above 0"),
+    for (table, line, can) in [
+        ("", "mask_dn = 70000", "0 to 65535 counts"),
+        ("", "share = nan", "0.0001 to 1 of the points"),
+        ("", "share = 0.0", "0.0001 to 1 of the points"),
+        ("", "merged_per_mm2 = inf", "0.1 to 2000 points per mm2"),
+        ("", "voxel_mm = 0.0", "above 0"),
+        ("", "order = \"3\"", "`inf`"),
+        ("", "serial_inlier_ratio = 2.0", "0.01 to 1"),
+        ("", "voxels_mm = 0.1", "voxel_mm"),
+        ("", "first_pose = 0.1", "unknown field"),
+        (
+            "registration.region",
+            "half_height_mm = -1.0",
+            "0.1 to 1000 mm",
+        ),
+        ("registration.region", "half_angle_rad = 3.2", "to 3.14"),
+        ("registration", "samples = 10", "100 to 10000000"),
+        (
+            "registration",
+            "inlier_ratio = 1.1",
+            "0.01 to 1 of the pairs",
+        ),
+        ("registration", "most_iterations = 0", "1 to 1000"),
+        ("registration", "translation_mm = 2.0", "0 to 1 mm"),
+        ("registration", "rotation_deg = -0.1", "0 to 1 degrees"),
+        ("registration", "seed = 3", "unknown field"),
+        ("denoise", "neighbours = 0\nstd_ratio = 1.0", "1 to 100"),
+        ("denoise", "std_ratio = 1.0", "`neighbours`"),
     ] {
-        let value = format!("{option}={value}");
-        let wrong = scan(&["--views", "12x1", "--method", "paper", &value]);
-        assert_eq!(wrong.code, 3, "{value}");
-        assert!(wrong.stderr.contains(can), "{value}: {}", wrong.stderr);
+        let (lines, place) = match table {
+            "" => (format!("{line}\n"), 1),
+            table => (format!("[{table}]\n{line}\n"), 2),
+        };
+        let wrong = told("paper", &lines);
+        assert_eq!(wrong.code, 3, "{line}");
+        assert!(wrong.stderr.contains(can), "{line}: {}", wrong.stderr);
+        // What is missing from a table is missed at its head.
+        let place = match line {
+            "std_ratio = 1.0" => 1,
+            _ => place,
+        };
+        let place = format!("settings.toml:{place}: ");
+        assert!(wrong.stderr.contains(&place), "{line}: {}", wrong.stderr);
     }
 }
 

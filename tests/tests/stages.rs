@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use flankscope_tests::{Run, flankscope, inspect, run};
+use flankscope_tests::{Run, bench, flankscope, inspect, run};
 
 /// A check before the instrument of this station file.
 fn at(station: &str, args: &[&str]) -> Run {
@@ -189,14 +189,17 @@ fn carrying(folder: &std::path::Path, astray: &str, spoil: &str, limit_s: f64) -
     )
 }
 
+/// What a bench file says of an arm whose pose is in this file.
+fn held_at(file: &std::path::Path) -> String {
+    format!("[stages]\narm = \"{}\"\n", file.display())
+}
+
 /// A check with an arm of this station's that holds the head on the bench.
 fn by_arm(folder: &std::path::Path, station: &str, args: &[&str]) -> Run {
     let held = folder.join("held.json");
     let _ = fs::remove_file(&held);
-    at(
-        station,
-        &[&["--arm", held.to_str().unwrap()], args].concat(),
-    )
+    let [option, bench] = bench(&held_at(&held));
+    at(station, &[&[&*option, &*bench], args].concat())
 }
 
 /// An arm carries the head, the stages stay at home: the right verdict where it was, and never a go where it was not.
@@ -285,16 +288,14 @@ fn a_stage_that_answers_as_another_model_moves_nothing() {
             "axis 2 of the stages answers as \"Unknown\", station.toml names \"IMS300V\"",
         ),
     ] {
-        let args = ["--teeth", "40", "--stage-trouble", trouble];
-        let run = at(station, &args);
+        let [option, bench] = bench(&format!("[stages]\ntrouble = \"{trouble}\"\n"));
+        let run = at(station, &["--teeth", "40", &option, &bench]);
         assert_eq!(run.code, 3, "{}", run.stderr);
         assert!(run.stderr.contains(words), "{}", run.stderr);
     }
     // A station that names none works as before.
-    let unnamed = at(
-        &named("", ""),
-        &["--teeth", "40", "--stage-trouble", "other-model"],
-    );
+    let [option, other] = bench("[stages]\ntrouble = \"other-model\"\n");
+    let unnamed = at(&named("", ""), &["--teeth", "40", &option, &other]);
     assert_eq!(unnamed.code, 0, "{}", unnamed.stderr);
     for (model, words) in [
         ("", "1 to 20 printable ASCII characters without a comma"),
@@ -364,7 +365,8 @@ fn a_table_says_where_the_camera_stands_or_the_check_does_not_begin() {
     }
     let carried = format!("[stages]\nmoves = \"outside\"\n{}", table(0.0, 3));
     let held = folder.path().join("held.json");
-    let refused = at(&carried, &["--arm", held.to_str().unwrap()]);
+    let [option, bench] = bench(&held_at(&held));
+    let refused = at(&carried, &[&option, &bench]);
     assert_eq!(refused.code, 3, "{}", refused.stderr);
     assert!(
         refused.stderr.contains("the next of 3 views"),

@@ -1,7 +1,7 @@
 //! Errors that neither calibration nor joint solve has a parameter for: a worn flank must not pass because of them.
 
 use flankscope_test_requisites::at_least;
-use flankscope_tests::{flankscope, inspect, run};
+use flankscope_tests::{bench, flankscope, inspect, inspect_on, run};
 
 /// Upper half of a flank, beyond the limit of 50 µm: part of the judged discs lies within it as a whole.
 const WORN: &str = "40:left:80:half";
@@ -9,18 +9,18 @@ const WORN: &str = "40:left:80:half";
 const STOPPED: [&str; 2] = ["no-go", "indeterminate"];
 
 /// A check of the tooth, behind two others, and what it says of the worn flank.
-fn worn_flank(errors: &[&str]) -> String {
+fn worn_flank(errors: &str, rest: &[&str]) -> String {
     let fixed = ["--seed", "5", "--wear", WORN];
-    let seen = inspect(&[&fixed[..], errors].concat());
+    let seen = inspect_on(errors, &[&fixed[..], rest].concat());
     assert!(
         [1, 2].contains(&seen.code),
-        "{errors:?}: {} {}",
+        "{errors:?} {rest:?}: {} {}",
         seen.json["reason"],
         seen.stderr
     );
     let word = seen.flank(40, "left").unwrap_or_default().to_owned();
     println!(
-        "{errors:?}: worn {word}, sound {:?}",
+        "{errors:?} {rest:?}: worn {word}, sound {:?}",
         seen.flank(40, "right")
     );
     word
@@ -29,16 +29,16 @@ fn worn_flank(errors: &[&str]) -> String {
 #[test]
 fn no_error_of_stages_and_head_lets_a_worn_flank_pass() {
     let all = [
-        &["--core-drift-px", "4"][..],
-        &["--backlash-mdeg", "60", "--backlash-um", "40"],
-        &["--encoder-saw", "84:30"],
-        &["--encoder-saw", "7:200"],
-        &["--shiver-um", "20"],
-        &["--shiver-um", "80"],
-        &["--lens-error-um", "8"],
+        "[head]\ncore_drift_px = 4.0\n",
+        "[stages]\nbacklash_mdeg = 60.0\nbacklash_um = 40.0\n",
+        "[stages]\nencoder_saw = \"84:30\"\n",
+        "[stages]\nencoder_saw = \"7:200\"\n",
+        "[motion]\nshiver_um = 20.0\n",
+        "[motion]\nshiver_um = 80.0\n",
+        "[head]\nlens_error_um = 8.0\n",
     ];
     for errors in at_least(2, &all) {
-        let word = worn_flank(errors);
+        let word = worn_flank(errors, &[]);
         assert!(STOPPED.contains(&&*word), "{errors:?}: {word}");
     }
 }
@@ -46,14 +46,15 @@ fn no_error_of_stages_and_head_lets_a_worn_flank_pass() {
 #[test]
 fn no_surface_lets_a_worn_flank_pass() {
     let all = [
-        &["--surface", "ground", "--sprayed-above-mm", "33"][..],
-        &["--surface", "ground"],
-        &["--surface", "polished"],
-        &["--surface", "oiled"],
-        &["--bounces", "5"],
+        ("[surface]\nsprayed_above_mm = 33.0\n", "ground"),
+        ("", "ground"),
+        ("", "polished"),
+        ("", "oiled"),
+        ("[surface]\nbounces = 5\n", "sprayed"),
     ];
     for surface in at_least(1, &all) {
-        let word = worn_flank(&[*surface, &["--teeth", "40"]].concat());
+        let (lines, kind) = surface;
+        let word = worn_flank(lines, &["--surface", kind, "--teeth", "40"]);
         assert!(STOPPED.contains(&&*word), "{surface:?}: {word}");
     }
 }
@@ -80,15 +81,10 @@ fn no_form_of_the_bore_lets_a_worn_flank_pass() {
     scan.args([
         "scan", "--views", "12x1", "--speed", "max", "--seed", "5", "--quiet", "--json", "-",
     ]);
-    scan.args([
-        "--three-lobe-um",
-        "40",
-        "--barrel-um",
-        "20",
-        "--bell-mouth-um",
-        "60",
-    ]);
-    scan.args(["--encoder-saw", "12:20", "--wear", "39:left:80:half"]);
+    scan.args(bench(
+        "[die]\nthree_lobe_um = 40.0\nbarrel_um = 20.0\nbell_mouth_um = 60.0\n[stages]\nencoder_saw = \"12:20\"\n",
+    ));
+    scan.args(["--wear", "39:left:80:half"]);
     let seen = run(&mut scan);
     assert!(
         [1, 2].contains(&seen.code),

@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use flankscope_tests::{Run, flankscope, run};
+use flankscope_tests::{Run, bench, flankscope, run};
 
 /// The simulated press runs ten times as fast as a real one: fifty times, and its openings are too short for a busy host.
 fn watch(arguments: &[&str]) -> Run {
@@ -65,7 +65,11 @@ fn growing_wear_goes_from_go_over_warn_to_a_no_go_that_stays() {
 
 #[test]
 fn a_check_that_does_not_fit_is_cut_short_and_shows_no_go() {
-    let result = watch(&["--every", "3", "--cycles", "6", "--hold-limit-s", "5"]);
+    let folder = tempfile::tempdir().unwrap();
+    let station = folder.path().join("station.toml");
+    std::fs::write(&station, "[press]\nhold_limit_s = 5.0\n").unwrap();
+    let at = ["--link", "sim", "--station", station.to_str().unwrap()];
+    let result = watch(&[&["--every", "3", "--cycles", "6"], &at[..]].concat());
     assert_eq!(result.code, 2, "{}", result.stderr);
     assert!(!shown(&result).is_empty() && shown(&result).iter().all(|&s| s == "indeterminate"));
     for check in result.json["checks"].as_array().unwrap() {
@@ -89,10 +93,15 @@ fn a_check_that_does_not_fit_is_cut_short_and_shows_no_go() {
 
 #[test]
 fn bad_arguments_could_not_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let station = folder.path().join("station.toml");
+    std::fs::write(&station, "[press]\nhold_limit_s = nan\n").unwrap();
+    let press = bench("[press]\nstrokes_per_minute = 3000\n");
+    let press = press.each_ref().map(String::as_str);
     for (arguments, hint) in [
         (&["--every", "0"][..], "1"),
-        (&["--hold-limit-s", "nan"], "600"),
-        (&["--strokes-per-minute", "3000"], "300"),
+        (&["--station", station.to_str().unwrap()], "600"),
+        (&press, "300"),
         (&["--wear-rate", "40:left"], "TOOTH:FLANK:DEPTH"),
     ] {
         let result = watch(&[&["--cycles", "1"], arguments].concat());

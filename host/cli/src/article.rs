@@ -4,28 +4,27 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_instrument::acquisition::Recording;
-use flankscope_jobs::scan::{Article, FinishedScan, MethodResult};
+use flankscope_jobs::scan::{Article, FinishedScan, Hinz2019Settings, MethodResult};
 use flankscope_jobs::subject::Subject;
 use flankscope_record::sink::ResultSink;
 use flankscope_report::ReportFolder;
 
-use crate::bench_link::{ArticleBench, seed};
 use crate::geometry::tell;
 use crate::help;
-use crate::instrument::{scratch, subject};
-use crate::output::{Common, Outcome, say, try_folder};
-use crate::paper::PaperOptions;
+use crate::instrument::subject;
+use crate::output::{Common, Outcome, say, try_folder, write_whole};
+use crate::paper::ArticleSettings;
 
 /// The article's figures and tables of a scan, made by its method and by ours, as one page.
 #[derive(clap::Args)]
 #[command(after_help = help::ARTICLE_EXAMPLE)]
 pub struct Args {
     /// Folder that a scan kept its views in (scan --session DIR)
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", required_unless_present = "write_settings")]
     scan: Option<PathBuf>,
     /// Write article.html, article.json and first-view.ply into this folder
-    #[arg(long, value_name = "DIR")]
-    report: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "write_settings")]
+    report: Option<PathBuf>,
     /// Frames that were saved with the scan (scan --save-frames DIR): adds cross-sections of the fringes
     #[arg(long, value_name = "DIR")]
     frames: Option<PathBuf>,
@@ -38,43 +37,30 @@ pub struct Args {
     #[arg(long, value_name = "STATION.toml")]
     station: Option<PathBuf>,
     #[command(flatten)]
-    paper: PaperOptions,
-    /// Share of the pairs that count where a view is laid on the one before, without CAD [default: nine tenths of the
-    /// points that both have, at most --inlier-ratio; the article names none, and its 0.8 is of views on CAD]
-    #[arg(long, value_name = "RATIO")]
-    serial_inlier_ratio: Option<f64>,
+    paper: ArticleSettings,
+    /// Seed of what the article's method draws: the scan's
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Only write the article's settings of its method into this file, for --article-settings
+    #[arg(long, value_name = "SETTINGS.toml", exclusive = true)]
+    write_settings: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
-    #[command(flatten)]
-    bench: ArticleBench,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let settings = args.paper.settings(seed(args.bench.args()))?;
-    if let Some(ratio) = args.serial_inlier_ratio {
-        anyhow::ensure!(
-            (0.01..=1.0).contains(&ratio),
-            "--serial-inlier-ratio {ratio}: 0.01 to 1 of the pairs are possible"
-        );
+    if let Some(file) = &args.write_settings {
+        write_whole(file, Hinz2019Settings::FILE.as_bytes())?;
+        return Ok(Outcome::Done);
     }
+    let (Some(folder), Some(report)) = (&args.scan, &args.report) else {
+        anyhow::bail!("--scan DIR and --report DIR are needed");
+    };
+    let settings = args.paper.load(args.seed)?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     args.common.try_json()?;
-    try_folder(&args.report, ReportFolder::OF_ARTICLE).context("--report")?;
-    let passing = scratch()?;
-    let folder = match (&args.scan, args.bench.is_asked_for()) {
-        (Some(folder), false) => folder.clone(),
-        (None, true) => {
-            let folder = passing.path().join("scan");
-            let files = [args.tool.as_deref(), args.head.as_deref()];
-            args.bench.scan(files, &folder, args.common.quiet)?;
-            folder
-        }
-        (Some(_), true) => {
-            anyhow::bail!("--scan and --bench: one of them says whose views these are")
-        }
-        (None, false) => anyhow::bail!(help::ARTICLE_NEEDS),
-    };
+    try_folder(report, ReportFolder::OF_ARTICLE).context("--report")?;
     let subject: Subject = subject(
         args.tool.as_deref(),
         args.head.as_deref(),
@@ -83,12 +69,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.common.quiet {
         say("the views are laid by positions, one on the other, the article's way and ours");
     }
-    let mut finished = FinishedScan::open(subject, &folder)?;
+    let mut finished = FinishedScan::open(subject, folder)?;
     let sections = recording.as_ref().map(|frames| finished.sections(frames));
     let sections = sections.transpose().context("--frames")?;
-    let mut article = finished.article(&settings, args.serial_inlier_ratio)?;
+    let mut article = finished.article(&settings)?;
     article.sections = sections;
-    let mut report = ReportFolder::new(&args.report);
+    let mut report = ReportFolder::new(report);
     report.put(&mut article)?;
     args.common.write_json(&article)?;
     show(&article, &report.article(), &args.common);

@@ -7,7 +7,10 @@ use std::process::{self, Child, ChildStdout, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-pub use flankscope_bench::config::{BenchArgs, DieArgs, PressArgs};
+use flankscope_bench::bench_file::BenchFile;
+pub use flankscope_bench::config::{
+    BenchArgs, BenchFileArgs, BenchSetup, CameraArgs, DieArgs, WearRateArgs,
+};
 use flankscope_bench::config::{BenchConfig, ControllerKind, Speed, Stands, SurfaceKind};
 use flankscope_bench::link::CameraLink;
 use flankscope_bench::process::{Farewell, Hello};
@@ -15,21 +18,22 @@ use flankscope_bench::world::Carries;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::{Stages, StationSettings};
-use flankscope_jobs::scan::{Grid, Scanner};
 use flankscope_metrology::kinematics::Moves;
 use flankscope_record::origin::Link;
 
 use crate::camera_process::CameraProcess;
-use crate::instrument::{Instrument, Scene};
-use crate::scan::{on_the_bench, show};
-use crate::site::Place;
+use crate::scene::Scene;
 
 /// The bench's clock stands while it renders: light over several places takes a busy machine minutes a view. A bench that ends
 /// closes its port.
 const RENDERING: Duration = Duration::from_secs(600);
 
-/// What the hidden subcommand does: run the bench, or write the demo's files.
+/// Write the demo's files or an example of a bench file; run the simulated bench.
 #[derive(clap::Subcommand)]
+#[command(
+    after_help = "Example:\n  flankscope bench demo-tool --out die\nwrites the demo's tool.toml, head.toml and CAD, to begin one's own with\n\n  \
+    flankscope bench example > bench.toml\n  flankscope inspect --bench bench.toml --speed max"
+)]
 pub enum Command {
     #[command(flatten)]
     Bench(flankscope_bench::process::Command),
@@ -41,67 +45,7 @@ pub enum Command {
     Camera(flankscope_camera::command::Camera),
 }
 
-/// A scan on the bench, for the article's figures.
-#[derive(clap::Args, Clone, Debug)]
-pub struct ArticleBench {
-    /// Scan on the simulated bench first
-    #[arg(long)]
-    bench: bool,
-    /// Views around the die by layers over its height, with --bench: one layer of 84, of which neighbours overlap by two
-    /// thirds, instead of the article's seven
-    #[arg(long, value_name = "AROUNDxLAYERS", default_value = "84x1")]
-    views: Grid,
-    #[command(flatten)]
-    args: BenchArgs,
-    #[command(flatten)]
-    die: DieArgs,
-}
-
-impl ArticleBench {
-    /// Options of the bench.
-    pub fn args(&self) -> &BenchArgs {
-        &self.args
-    }
-
-    /// Whether a scan on the bench was asked for.
-    pub fn is_asked_for(&self) -> bool {
-        self.bench
-    }
-
-    /// Scans into a folder.
-    pub fn scan(
-        &self,
-        files: [Option<&Path>; 2],
-        folder: &Path,
-        quiet: bool,
-    ) -> anyhow::Result<()> {
-        let site = Place::default().site(&[])?;
-        let scene = Scene {
-            press: None,
-            die: Some(&self.die),
-            ..Scene::default()
-        };
-        let mut instrument =
-            Instrument::start(files, &site, &self.args, scene, quiet, |subject, root| {
-                let of = on_the_bench(site.link(), &self.args, &self.die);
-                let setting = site.setting.clone();
-                Ok(Scanner::open(
-                    subject, setting, self.views, folder, &of, root,
-                )?)
-            })?;
-        let (port, settings) = (&instrument.port, instrument.settings.clone());
-        let watch = |progress| {
-            if !quiet {
-                show(progress);
-            }
-        };
-        instrument.station.scan(port, settings, watch)?;
-        instrument.close(quiet)?;
-        Ok(())
-    }
-}
-
-/// Runs the hidden subcommand.
+/// Runs the subcommand.
 pub fn run(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Bench(command) => flankscope_bench::process::run(command),
@@ -111,47 +55,48 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
     }
 }
 
+/// The bench with the frames' way of a command that says it.
+pub fn setup_with_camera(die: &DieArgs, camera: &CameraArgs) -> anyhow::Result<BenchSetup> {
+    Ok(BenchSetup {
+        camera: camera.camera,
+        ..die.setup()?
+    })
+}
+
+/// The bench of a press that strokes.
+pub fn setup_with_press(die: &DieArgs, press: &WearRateArgs) -> anyhow::Result<BenchSetup> {
+    Ok(BenchSetup {
+        wear_rate: press.wear_rate.clone(),
+        ..die.setup()?
+    })
+}
+
 /// Seed of everything random.
-pub fn seed(args: &BenchArgs) -> u64 {
-    args.seed
+pub fn seed(setup: &BenchSetup) -> u64 {
+    setup.seed
 }
 
 /// Refuses what a real press cannot have.
-pub fn fits_real_press(args: &BenchArgs, link: &Link) -> anyhow::Result<()> {
-    if let Some(mesh) = &args.die_mesh {
-        bail!(
-            "--die-mesh {}: only a simulated bench can be given a die; --link {link} has a real one",
-            mesh.display()
-        );
+pub fn fits_real_press(setup: &BenchSetup, link: &Link) -> anyhow::Result<()> {
+    for (option, file) in [("--die-mesh", &setup.die_mesh), ("--bench", &setup.path)] {
+        if let Some(file) = file {
+            bail!(
+                "{option} {}: only a simulated bench can be given one; --link {link} is a real press",
+                file.display()
+            );
+        }
     }
     Ok(())
 }
 
 /// Refuses what recorded frames or clouds cannot have.
-pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result<()> {
-    let as_drawn = in_words(args, &DieArgs::default());
+pub fn fits_recording(setup: &BenchSetup) -> anyhow::Result<()> {
     let given = [
-        (
-            "a die on the bench",
-            die.is_some_and(|die| in_words(args, die) != as_drawn),
-        ),
-        ("--wear", !args.wear.is_empty()),
-        ("--die-mesh", args.die_mesh.is_some()),
-        ("--frame-fault", args.frame_fault.is_some()),
-        ("--camera", args.camera != CameraLink::default()),
-        ("--gige-trouble", args.gige_trouble.is_some()),
-        ("--stage-trouble", args.stage_trouble.is_some()),
-        ("--arm", args.arm.is_some()),
-        ("--surface", args.surface != SurfaceKind::default()),
-        ("--sprayed-above-mm", args.sprayed_above_mm.is_some()),
-        ("--bounces", args.bounces.is_some()),
-        ("--shiver-um", args.shiver_um != 0.0),
-        ("--backlash-mdeg", args.backlash_mdeg != 0.0),
-        ("--backlash-um", args.backlash_um != 0.0),
-        ("--encoder-saw", args.encoder_saw.is_some()),
-        ("--core-drift-px", args.core_drift_px != 0.0),
-        ("--vibration-um", args.vibration_um != 0.0),
-        ("--lens-error-um", args.lens_error_um != 0.0),
+        ("--bench", setup.path.is_some()),
+        ("--wear", !setup.wear.is_empty()),
+        ("--die-mesh", setup.die_mesh.is_some()),
+        ("--camera", setup.camera != CameraLink::default()),
+        ("--surface", setup.surface != SurfaceKind::default()),
     ];
     for (option, given) in given {
         if given {
@@ -162,15 +107,21 @@ pub fn fits_recording(args: &BenchArgs, die: Option<&DieArgs>) -> anyhow::Result
 }
 
 /// What stands on the bench, in words that two runs share only if the same stands there.
-pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
+pub fn in_words(setup: &BenchSetup) -> String {
+    let BenchFile {
+        die,
+        surface,
+        stages,
+        ..
+    } = &setup.file;
     let mut what_stands = format!(
         "seed {}, ovality {} um, taper {} um, turned {} deg and {} teeth, flanks of die {} {} um",
-        bench.seed,
+        setup.seed,
         die.ovality_um,
         die.taper_um,
         die.turned_deg,
         die.turned_teeth,
-        die.die_seed,
+        die.flanks_seed,
         die.flanks_um
     );
     for (what, um) in [
@@ -182,27 +133,27 @@ pub fn in_words(bench: &BenchArgs, die: &DieArgs) -> String {
             what_stands += &format!(", {what} {um} um");
         }
     }
-    if let Some(saw) = &bench.encoder_saw {
+    if let Some(saw) = &stages.encoder_saw {
         what_stands += &format!(", encoder {saw}");
     }
-    if let Some(other) = &die.die {
+    if let Some(other) = &die.other {
         what_stands += &format!(", die {other}");
     }
-    if bench.surface != SurfaceKind::default()
-        || bench.sprayed_above_mm.is_some()
-        || bench.bounces() > 1
+    if setup.surface != SurfaceKind::default()
+        || surface.sprayed_above_mm.is_some()
+        || setup.bounces() > 1
     {
         what_stands += &format!(
             ", surface {:?} in {} bounces, sprayed above {:?} mm",
-            bench.surface,
-            bench.bounces(),
-            bench.sprayed_above_mm
+            setup.surface,
+            setup.bounces(),
+            surface.sprayed_above_mm
         );
     }
-    for wear in &bench.wear {
+    for wear in &setup.wear {
         what_stands += &format!(", wear {wear}");
     }
-    if let Some(mesh) = &bench.die_mesh {
+    if let Some(mesh) = &setup.die_mesh {
         // Another content under the same name is another die; what cannot be read is refused by the bench.
         let content = std::fs::read(mesh).map(|bytes| flankscope_foundation::files::hash(&bytes));
         what_stands += &format!(", mesh {}", content.unwrap_or_default());
@@ -236,15 +187,17 @@ pub fn demo_target(scratch: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// Refuses a camera that this build has not, and troubles of another one.
-fn has_camera(args: &BenchArgs) -> anyhow::Result<()> {
-    if args.camera == CameraLink::Gige && !cfg!(feature = "aravis") {
+fn has_camera(setup: &BenchSetup) -> anyhow::Result<()> {
+    if setup.camera == CameraLink::Gige && !cfg!(feature = "aravis") {
         bail!(
             "--camera gige: this build speaks no GigE Vision; apt-get install libaravis-dev libusb-1.0-0-dev, then build it with \
              --features aravis"
         );
     }
-    if args.camera != CameraLink::Gige && args.gige_trouble.is_some() {
-        bail!("--gige-trouble: there is no GigE camera; add --camera gige");
+    if setup.camera != CameraLink::Gige && setup.file.camera.gige_trouble.is_some() {
+        bail!(
+            "[camera] gige_trouble in the bench file: there is no GigE camera; add --camera gige"
+        );
     }
     Ok(())
 }
@@ -252,20 +205,21 @@ fn has_camera(args: &BenchArgs) -> anyhow::Result<()> {
 impl Bench {
     /// Starts the bench for the folder of a tool or a target, with its camera sending frames below `root`.
     pub fn start(
-        args: &BenchArgs,
+        setup: &BenchSetup,
         link: &Link,
         scene: Scene<'_>,
         folder: &Path,
         root: &SharedRoot,
         stages: &Stages,
     ) -> anyhow::Result<Self> {
-        has_camera(args)?;
-        match (stages.moves, &args.arm) {
+        has_camera(setup)?;
+        match (stages.moves, &setup.file.stages.arm) {
             (Moves::Outside, None) => bail!(
-                "stages.moves = \"outside\": on the bench nobody carries the head; add --arm FILE, which says where an arm holds it"
+                "stages.moves = \"outside\": on the bench nobody carries the head; add [stages] arm = \"FILE\" to the bench file (--bench), which says where an arm \
+                 holds it"
             ),
             (Moves::Die | Moves::Head, Some(_)) => bail!(
-                "--arm: the stages carry head and die; an arm needs a station.toml with stages.moves = \"outside\""
+                "[stages] arm in the bench file: the stages carry head and die; an arm needs a station.toml with stages.moves = \"outside\""
             ),
             _ => {}
         }
@@ -285,9 +239,9 @@ impl Bench {
                     bail!("{link} is no simulated bench")
                 }
             },
-            bench: args.clone(),
-            press: scene.press.cloned(),
-            die: scene.die.cloned(),
+            setup: setup.clone(),
+            press_runs: scene.press_runs,
+            by_hand: scene.by_hand,
             rotary_carries: match stages.moves {
                 Moves::Head => Carries::Head,
                 Moves::Die | Moves::Outside => Carries::Die,
@@ -323,7 +277,7 @@ impl Bench {
                 stdout,
                 hello,
                 camera: None,
-                real_time: args.speed.value == Speed(1.0),
+                real_time: setup.speed.value == Speed(1.0),
             },
             Err(_) => {
                 // It has said why on standard error.
@@ -387,27 +341,29 @@ mod tests {
     #[derive(Parser)]
     struct Given {
         #[command(flatten)]
-        bench: BenchArgs,
+        die: DieArgs,
+        #[command(flatten)]
+        camera: CameraArgs,
     }
 
     /// Without Aravis a GigE camera is refused with how to get it; its troubles are refused without it.
     #[test]
     fn a_camera_that_is_not_there_is_refused_with_the_remedy() {
-        let refused = |arguments: &[&str]| {
+        let refused = |arguments: &[&str], trouble: Option<&str>| {
             let given = Given::parse_from([&["inspect"], arguments].concat());
-            has_camera(&given.bench)
-                .err()
-                .map(|error| error.to_string())
+            let mut setup = setup_with_camera(&given.die, &given.camera).unwrap();
+            setup.file.camera.gige_trouble = trouble.map(|text| text.parse().unwrap());
+            has_camera(&setup).err().map(|error| error.to_string())
         };
-        assert_eq!(refused(&[]), None);
-        let without = refused(&["--camera", "gige"]);
+        assert_eq!(refused(&[], None), None);
+        let without = refused(&["--camera", "gige"], None);
         assert_eq!(without.is_none(), cfg!(feature = "aravis"));
         if let Some(words) = without {
             for word in ["--features aravis", "libaravis-dev"] {
                 assert!(words.contains(word), "{words}");
             }
         }
-        let alone = refused(&["--gige-trouble", "free-runs"]).unwrap();
+        let alone = refused(&[], Some("free-runs")).unwrap();
         assert!(alone.contains("--camera gige"), "{alone}");
     }
 }

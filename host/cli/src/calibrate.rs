@@ -23,10 +23,11 @@ use crate::calibrate_autofocus;
 use crate::calibrate_board::{self, Order};
 use crate::calibrate_focus::{self, FocusArgs};
 use crate::help;
-use crate::instrument::{Instrument, Scene, fits_bench, scratch, seals};
+use crate::instrument::{Instrument, fits_bench, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Outcome, say};
 use crate::progress::Watcher;
+use crate::scene::Scene;
 use crate::site::{Made, Place, Site};
 
 #[derive(clap::Args)]
@@ -494,7 +495,7 @@ impl Job<'_> {
 
 /// Before anything moves: what the press demands is there, and which station, target and head these are is said.
 fn begin(args: &Args, site: &Site, target: &Target, head: &HeadModel) -> anyhow::Result<()> {
-    fits_bench(&args.bench, site)?;
+    fits_bench(&args.bench.setup()?, site)?;
     site.demands_target(args.target.as_deref())?;
     if !args.common.quiet {
         let (target, head) = (&target.name, &head.name);
@@ -519,7 +520,7 @@ fn open<S>(
     Instrument::before(
         folder,
         site,
-        &args.bench,
+        &args.bench.setup()?,
         scene,
         args.common.quiet,
         scratch()?,

@@ -6,9 +6,8 @@ use std::time::Instant;
 use anyhow::Context;
 use flankscope_metrology::deviation::{self, Statistics};
 use flankscope_metrology::io::points::Format;
-use flankscope_metrology::surface::Surface;
 use flankscope_metrology::surface::orientation::Orientation;
-use flankscope_metrology::surface::sampling;
+use flankscope_metrology::surface::{Surface, sampling};
 use serde::Serialize;
 
 use crate::geometry::{

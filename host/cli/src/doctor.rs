@@ -14,10 +14,11 @@ use flankscope_record::seal::Seals;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::bench_link::BenchArgs;
+use crate::bench_link::{BenchFileArgs, BenchSetup};
 use crate::help;
-use crate::instrument::{Instrument, Scene, head_path, scratch, tool_folder};
+use crate::instrument::{Instrument, fits_bench, head_path, scratch, tool_folder};
 use crate::output::{Common, Outcome, in_words, say};
+use crate::scene::Scene;
 use crate::site::{Place, Site};
 
 /// How long a camera process may take to come.
@@ -48,7 +49,7 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
-    bench: BenchArgs,
+    bench: BenchFileArgs,
 }
 
 #[derive(Serialize)]
@@ -69,6 +70,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         ("--tool", args.tool.is_some()),
         ("--history", args.history.is_some()),
     ])?;
+    let bench = args.bench.setup()?;
+    fits_bench(&bench, &site)?;
     if !args.common.quiet {
         say(&site.words());
     }
@@ -80,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let tool = args.tool(&site, own.path());
     let mut made = Vec::new();
     findings.extend(args.head(&site, &tool, seals.as_ref(), own.path(), &mut made));
-    findings.extend(args.instrument(&site, tool.folder.as_deref()));
+    findings.extend(args.instrument(&site, &bench, tool.folder.as_deref()));
     findings.insert(2, tool.finding);
     let history = args
         .history
@@ -199,7 +202,7 @@ impl Args {
     }
 
     /// Controller, stages, press and camera, by the bench where there is one.
-    fn instrument(&self, site: &Site, folder: Option<&Path>) -> Vec<Finding> {
+    fn instrument(&self, site: &Site, bench: &BenchSetup, folder: Option<&Path>) -> Vec<Finding> {
         const ASKED: [&str; 4] = ["controller", "stages", "press", "camera"];
         let unasked = |why: &str| ASKED.map(|check| Finding::not_asked(check, why)).to_vec();
         let folder = match (folder, site.link()) {
@@ -209,7 +212,7 @@ impl Args {
         };
         let started = scratch().and_then(|scratch| {
             let scene = Scene::default();
-            Instrument::before(folder, site, &self.bench, scene, true, scratch, |root| {
+            Instrument::before(folder, site, bench, scene, true, scratch, |root| {
                 Ok(FrameReceiver::create(&root)?)
             })
         });

@@ -52,24 +52,23 @@ text!(
         With --session a scan that was killed goes on where it was."
 );
 text!(
-    SCAN_EXAMPLE: "Example:\n  flankscope scan --views 12x2 --speed max --ovality-um 20 --taper-um 15 --report out\n\
-        scans the demo die, 20 um oval and 15 um conical, and writes out/report.html, out/scan.json and out/map.ply",
+    SCAN_EXAMPLE: "Example:\n  flankscope scan --views 12x2 --speed max --report out\n\
+        scans the demo die and writes out/report.html, out/scan.json and out/map.ply\n\n  \
+        flankscope bench example > bench.toml\n  \
+        flankscope scan --views 12x2 --speed max --bench bench.toml --report out\n\
+        scans a die of the form that bench.toml says, ovality_um = 20 for example",
     "Example:\n  flankscope scan --views 84x7 --tool DIR --link /dev/ttyACM0 --session scan-1 --report out\n\
         scans a die and writes out/report.html, out/scan.json and out/map.ply"
 );
 text!(
-    ARTICLE_EXAMPLE: "Example:\n  flankscope article --bench --report out\n\
+    ARTICLE_EXAMPLE: "Example:\n  flankscope scan --views 84x1 --speed max --session views\n  \
+        flankscope article --scan views --report out\n\
         scans the demo die in one layer of 84 views and writes out/article.html\n\n  \
-        flankscope scan --views 84x2 --speed max --session views\n  \
-        flankscope article --scan views --article --report out\n\
-        makes the figures of a scan that was kept",
+        flankscope article --write-settings settings.toml\n  \
+        flankscope article --scan views --article-settings settings.toml --report out\n\
+        takes the denoising of the article's toolbox, too, or what else settings.toml is changed to",
     "Example:\n  flankscope article --scan views --tool DIR --report out\n\
         makes the figures of a scan that was kept in the folder views (scan --session views), and writes out/article.html"
-);
-text!(
-    /// What `article` is told.
-    ARTICLE_NEEDS: "whose views? --scan DIR names the folder of a scan (scan --session DIR), --bench scans the demo die now",
-    "whose views? --scan DIR names the folder of a scan (scan --session DIR)"
 );
 text!(
     WATCH_EXAMPLE: "Example:\n  flankscope watch --every 5 --cycles 40 --wear-rate 40:left:2 --speed 10\n\

@@ -11,7 +11,7 @@ use flankscope_record::origin::{Link, Origin};
 use flankscope_record::sink::ResultSink;
 use flankscope_report::{ReportFolder, Words, figure};
 
-use crate::bench_link::BenchArgs;
+use crate::bench_link::{BenchSetup, CameraArgs, DieArgs, setup_with_camera};
 use crate::help;
 use crate::instrument::{Instrument, Source, recorded_check, seals};
 use crate::interrupt;
@@ -56,13 +56,16 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
-    bench: BenchArgs,
+    die: DieArgs,
+    #[command(flatten)]
+    camera: CameraArgs,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
+    let bench = setup_with_camera(&args.die, &args.camera)?;
     let recording = args.frames.as_deref().map(Recording::open).transpose()?;
     let site = match &recording {
         Some(recording) => {
@@ -83,9 +86,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let seals = seals()?;
     let mut complaints = Complaints::default();
     let (mut inspection, instrument) = match &recording {
-        Some(recording) => (args.check_recorded(recording, &site)?, None),
+        Some(recording) => (args.check_recorded(recording, &site, &bench)?, None),
         None => {
-            let (inspection, instrument) = args.check_live(&site, &mut complaints)?;
+            let (inspection, instrument) = args.check_live(&site, &bench, &mut complaints)?;
             (inspection, Some(instrument))
         }
     };
@@ -125,11 +128,12 @@ impl Args {
     fn check_live(
         &self,
         site: &Site,
+        bench: &BenchSetup,
         complaints: &mut Complaints,
     ) -> anyhow::Result<(Inspection, Instrument)> {
         let quiet = self.common.quiet;
         let (mut instrument, mut writer) =
-            Instrument::open(&self.source, site, &self.bench, None, quiet)?;
+            Instrument::open(&self.source, site, bench, false, quiet)?;
         let mut saved = None;
         if let Some(folder) = &self.save_frames {
             saved = Some((folder, instrument.copy_head(folder)?));
@@ -149,14 +153,14 @@ impl Args {
         Ok((inspection, instrument))
     }
 
-    fn check_recorded(&self, recording: &Recording, site: &Site) -> anyhow::Result<Inspection> {
-        let (mut check, mut writer) = recorded_check(
-            &self.source,
-            recording,
-            &self.bench,
-            site,
-            self.common.quiet,
-        )?;
+    fn check_recorded(
+        &self,
+        recording: &Recording,
+        site: &Site,
+        bench: &BenchSetup,
+    ) -> anyhow::Result<Inspection> {
+        let quiet = self.common.quiet;
+        let (mut check, mut writer) = recorded_check(&self.source, recording, bench, site, quiet)?;
         let mut watcher = Watcher::new(self.common.quiet, check.view_names());
         let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
         Ok(inspection)

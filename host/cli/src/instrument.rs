@@ -18,12 +18,10 @@ use flankscope_record::history::{History, HistoryWriter, Retention};
 use flankscope_record::origin::Link;
 use flankscope_record::seal::{Kind, SealError, Seals};
 
-use crate::bench_link::{
-    Bench, BenchArgs, DieArgs, PressArgs, demo_tool, fits_real_press, fits_recording,
-};
+use crate::bench_link::{Bench, BenchSetup, demo_tool, fits_real_press, fits_recording};
 use crate::camera_process::CameraProcess;
-use crate::grid::Grid;
 use crate::output::say;
+use crate::scene::Scene;
 use crate::site::{Place, Site, station_file, user_name};
 use crate::{help, interrupt};
 
@@ -47,9 +45,6 @@ pub struct Source {
     /// folder (`flankscope patterns --adaptive`), which the DMD is loaded with: for flanks that light each other
     #[arg(long, value_name = "DIR")]
     pub adaptive: Option<PathBuf>,
-    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
-    #[arg(long, value_enum, value_name = "GRID")]
-    pub grid: Option<Grid>,
     /// Judge what was lost since this baseline instead of the deviation from CAD
     #[arg(long, value_name = "FILE")]
     pub baseline: Option<PathBuf>,
@@ -60,18 +55,12 @@ pub struct Source {
     /// Press cycles that the tool has done [default: counted on from its last check in the history]
     #[arg(long, value_name = "N")]
     pub tool_cycles: Option<u32>,
-    /// Remove the phasors of a go after N later checks, of warn and indeterminate after 10 N; a no-go keeps them [default: the station's, or 1000]
-    #[arg(long, value_name = "N")]
-    pub keep_phasors: Option<u32>,
 }
 
 impl Source {
-    /// Makes a subject of what is looked at: temperature, grid and baseline as asked for.
+    /// Makes a subject of what is looked at: temperature and baseline as asked for.
     fn furnish(&self, subject: &mut Subject, link: &Link) -> anyhow::Result<()> {
         subject.temperature_degc = self.tool_temperature.or(subject.temperature_degc);
-        if let Some(grid) = self.grid {
-            grid.impose(Arc::make_mut(&mut subject.head))?;
-        }
         if let Some(path) = &self.baseline {
             let baseline =
                 Baseline::load(path, &subject.hashes, link.is_simulated(), &subject.seals)?;
@@ -85,15 +74,10 @@ impl Source {
     fn store<'a>(&'a self, site: &'a Site) -> anyhow::Result<Option<&'a PathBuf>> {
         let store = self.history.as_ref();
         let store = store.or(site.settings.history.file.as_ref());
-        for (option, given) in [
-            ("--tool-cycles", self.tool_cycles.is_some()),
-            ("--keep-phasors", self.keep_phasors.is_some()),
-        ] {
-            anyhow::ensure!(
-                !given || store.is_some(),
-                "{option} without --history: nothing is stored; add --history FILE"
-            );
-        }
+        anyhow::ensure!(
+            self.tool_cycles.is_none() || store.is_some(),
+            "--tool-cycles without --history: nothing is stored; add --history FILE"
+        );
         Ok(store)
     }
 
@@ -103,7 +87,7 @@ impl Source {
         history.takes_head(&subject.head_id())?;
         let said = &site.settings.history;
         let keep = Retention {
-            checks: self.keep_phasors.unwrap_or(said.keep_phasors),
+            checks: said.keep_phasors,
             bytes: (1e9 * said.keep_phasors_gb) as u64,
         };
         let operator = site.setting.operator.clone();
@@ -128,25 +112,6 @@ impl Source {
             ("--history", self.history.is_some()),
         ])
     }
-}
-
-/// What stands on the simulated bench beside the die of the tool file.
-#[cfg_attr(
-    not(feature = "bench"),
-    expect(dead_code, reason = "without the bench nothing stands on it")
-)]
-#[derive(Clone, Copy, Default)]
-pub struct Scene<'a> {
-    /// A press whose strokes wear the die.
-    pub press: Option<&'a PressArgs>,
-    /// A die put there by hand, with a form of its own.
-    pub die: Option<&'a DieArgs>,
-    /// A calibration target instead of a die.
-    pub target: bool,
-    /// Teeth that are judged instead of the tool file's.
-    pub teeth: Option<&'a [u32]>,
-    /// Pictures that the DMD is loaded with instead of the head file's.
-    pub pictures: Option<&'a Path>,
 }
 
 /// The files that make a head.
@@ -200,12 +165,12 @@ impl Instrument {
     pub fn open(
         source: &Source,
         site: &Site,
-        bench: &BenchArgs,
-        press: Option<&PressArgs>,
+        bench: &BenchSetup,
+        press_runs: bool,
         quiet: bool,
     ) -> anyhow::Result<(Self, Option<HistoryWriter>)> {
         let scene = Scene {
-            press,
+            press_runs,
             teeth: source.teeth.as_deref(),
             pictures: source.adaptive.as_deref(),
             ..Scene::default()
@@ -246,11 +211,11 @@ impl Instrument {
 pub fn recorded_check(
     source: &Source,
     recording: &Recording,
-    bench: &BenchArgs,
+    bench: &BenchSetup,
     site: &Site,
     quiet: bool,
 ) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
-    fits_recording(bench, None)?;
+    fits_recording(bench)?;
     anyhow::ensure!(
         source.adaptive.is_none(),
         "--adaptive with --frames: nothing is shown, the frames are there"
@@ -290,7 +255,7 @@ impl<S> Instrument<S> {
     pub fn start(
         [tool, head]: [Option<&Path>; 2],
         site: &Site,
-        bench: &BenchArgs,
+        bench: &BenchSetup,
         scene: Scene<'_>,
         quiet: bool,
         station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
@@ -317,7 +282,7 @@ impl<S> Instrument<S> {
     pub fn before(
         folder: &Path,
         site: &Site,
-        bench: &BenchArgs,
+        bench: &BenchSetup,
         scene: Scene<'_>,
         quiet: bool,
         scratch: RunFolder,
@@ -395,7 +360,7 @@ pub fn subject(
 }
 
 /// Refuses options of a bench where there is none.
-pub fn fits_bench(bench: &BenchArgs, site: &Site) -> anyhow::Result<()> {
+pub fn fits_bench(bench: &BenchSetup, site: &Site) -> anyhow::Result<()> {
     match site.link() {
         link if link.is_simulated() => Ok(()),
         link => fits_real_press(bench, link),

@@ -34,6 +34,7 @@ mod register;
 mod replay;
 mod sample;
 mod scan;
+mod scene;
 mod site;
 mod terminal;
 mod trust;
@@ -41,7 +42,7 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{Arg, ArgAction, CommandFactory, FromArgMatches, Parser, Subcommand};
 use output::Outcome;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
@@ -49,9 +50,9 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// A 3D measuring endoscope that tells, between two strokes, whether the die's gear teeth are still good.
 #[derive(Parser)]
-#[command(name = "flankscope", version, propagate_version = true)]
+#[command(name = "flankscope", version)]
 #[command(after_help = format!(
-    "{}\n\nExit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn, 130 interrupted",
+    "{}\n\n{COMMON_OPTIONS}\n\nExit code: 0 go or done, 1 no-go, 2 indeterminate, 3 could not run, 4 warn, 130 interrupted",
     help::START
 ))]
 struct Cli {
@@ -77,16 +78,40 @@ enum Command {
     Trust(trust::Args),
     Doctor(doctor::Args),
     Patterns(patterns::Args),
-    #[command(hide = true)]
     Manual(manual::Args),
-    /// The simulated bench, as its own process.
+    /// The simulated bench: its file, the demo's files, its process
     #[cfg(feature = "bench")]
-    #[command(hide = true, subcommand)]
+    #[command(subcommand)]
     Bench(bench_link::Command),
 }
 
+/// Options that every command has: said in one line of each command's help, described by `flankscope --help`.
+const COMMON_OPTIONS: &str = "Every command takes --json FILE, the result as JSON (- for standard output), --quiet or -q, no progress and no \
+    table, and --help.";
+
+/// The commands as somebody types them. Options of every command are in no list of options; man pages and completions have them.
+fn commands() -> clap::Command {
+    let help = Arg::new("help").short('h').long("help");
+    let help = help.help("Print help").action(ArgAction::Help).hide(true);
+    Cli::command().mut_subcommands(|command| {
+        if !command.get_arguments().any(|arg| arg.get_id() == "json") {
+            return command;
+        }
+        let after = command.get_after_help().cloned().unwrap_or_default();
+        command
+            .mut_args(|arg| match arg.get_id().as_str() {
+                "json" | "quiet" => arg.hide(true),
+                _ => arg,
+            })
+            .disable_help_flag(true)
+            .arg(help.clone())
+            .after_help(format!("{after}\n\n{COMMON_OPTIONS}"))
+    })
+}
+
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let given = commands().try_get_matches();
+    let cli = match given.and_then(|given| Cli::from_arg_matches(&given)) {
         Ok(cli) => cli,
         Err(error) => {
             // clap exits 2 on a usage error, which here means "indeterminate": bad arguments are "could not run".
@@ -150,11 +175,10 @@ fn main() -> ExitCode {
 #[cfg(all(test, not(feature = "bench")))]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn without_a_bench_help_offers_none() {
-        let mut program = Cli::command();
+        let mut program = commands();
         let mut texts = vec![program.render_long_help().to_string()];
         for command in program.get_subcommands_mut() {
             texts.push(command.render_long_help().to_string());

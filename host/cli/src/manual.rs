@@ -8,8 +8,11 @@ use clap_complete::Shell;
 
 use crate::output::{Outcome, write_whole};
 
-/// Write man pages and shell completions.
+/// Write man pages and shell completions
 #[derive(clap::Args)]
+#[command(
+    after_help = "Example:\n  flankscope manual --out manual\nwrites manual/man/*.1 and manual/completions"
+)]
 pub struct Args {
     /// Folder to write man/ and completions/ into
     #[arg(long, value_name = "DIR")]

@@ -8,55 +8,74 @@ use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::settings::{Stages, StationSettings};
 use flankscope_record::origin::Link;
 
-use crate::instrument::Scene;
+use crate::scene::Scene;
 
 /// No options of a bench.
 #[derive(clap::Args, Clone, Debug)]
 pub struct BenchArgs {}
 
-/// No options of a press.
+impl BenchArgs {
+    pub fn setup(&self) -> anyhow::Result<BenchSetup> {
+        Ok(BenchSetup)
+    }
+}
+
+/// No bench file.
 #[derive(clap::Args, Clone, Debug)]
-pub struct PressArgs {}
+pub struct BenchFileArgs {}
+
+impl BenchFileArgs {
+    pub fn setup(&self) -> anyhow::Result<BenchSetup> {
+        Ok(BenchSetup)
+    }
+}
 
 /// No options of a die.
 #[derive(clap::Args, Clone, Debug)]
 pub struct DieArgs {}
 
-/// No bench that `article` could scan on.
-#[derive(clap::Args, Clone, Debug)]
-pub struct ArticleBench {}
-
-impl ArticleBench {
-    pub fn args(&self) -> &BenchArgs {
-        &BenchArgs {}
-    }
-
-    pub fn is_asked_for(&self) -> bool {
-        false
-    }
-
-    pub fn scan(&self, _: [Option<&Path>; 2], _: &Path, _: bool) -> anyhow::Result<()> {
-        bail!("this build has no simulated bench: name a scan's folder by --scan")
+impl DieArgs {
+    pub fn setup(&self) -> anyhow::Result<BenchSetup> {
+        Ok(BenchSetup)
     }
 }
 
+/// No options of a press.
+#[derive(clap::Args, Clone, Debug)]
+pub struct WearRateArgs {}
+
+/// No options of a camera.
+#[derive(clap::Args, Clone, Debug)]
+pub struct CameraArgs {}
+
+/// No bench.
+pub struct BenchSetup;
+
+pub fn setup_with_camera(_: &DieArgs, _: &CameraArgs) -> anyhow::Result<BenchSetup> {
+    Ok(BenchSetup)
+}
+
+pub fn setup_with_press(_: &DieArgs, _: &WearRateArgs) -> anyhow::Result<BenchSetup> {
+    Ok(BenchSetup)
+}
+
 /// Seed of what the host itself draws.
-pub fn seed(_: &BenchArgs) -> u64 {
+pub fn seed(_: &BenchSetup) -> u64 {
     1
 }
 
 /// A real press cannot be asked for anything else.
-pub fn fits_real_press(_: &BenchArgs, _: &Link) -> anyhow::Result<()> {
+pub fn fits_real_press(_: &BenchSetup, _: &Link) -> anyhow::Result<()> {
     Ok(())
 }
 
 /// Recorded frames cannot be asked for anything else either.
-pub fn fits_recording(_: &BenchArgs, _: Option<&DieArgs>) -> anyhow::Result<()> {
+pub fn fits_recording(_: &BenchSetup) -> anyhow::Result<()> {
     Ok(())
 }
 
 /// Nothing stands on no bench.
-pub fn in_words(_: &BenchArgs, _: &DieArgs) -> String {
+pub fn in_words(_: &BenchSetup) -> String {
     String::new()
 }
 
@@ -73,7 +92,7 @@ pub enum Bench {}
 
 impl Bench {
     pub fn start(
-        _: &BenchArgs,
+        _: &BenchSetup,
         _: &Link,
         _: Scene<'_>,
         _: &Path,

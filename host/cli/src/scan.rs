@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_foundation::seal::Seal;
@@ -22,15 +21,16 @@ use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
 use flankscope_report::{ReportFolder, figure, scan_mesh};
 
-use crate::bench_link::{BenchArgs, DieArgs, fits_recording, in_words, seed};
+use crate::bench_link::{BenchSetup, DieArgs, fits_recording, in_words, seed};
 use crate::gear::write_evaluation;
 use crate::geometry::write_file;
 use crate::help;
 use crate::inspect::{self, write_origin};
-use crate::instrument::{Instrument, Scene, recorded_subject, scratch, seals};
+use crate::instrument::{Instrument, recorded_subject, scratch, seals};
 use crate::interrupt;
 use crate::output::{Common, Complaints, Outcome, say, try_place, try_recording, try_report};
-use crate::paper::PaperOptions;
+use crate::paper::ArticleSettings;
+use crate::scene::Scene;
 use crate::site::{Place, Site};
 use crate::terminal::Terminal;
 
@@ -103,19 +103,14 @@ pub struct Args {
     /// Also unroll and subtract as the article proposes, and say how far that is from the exact deviations
     #[arg(long)]
     raster: bool,
-    /// What a point is made of: blocks of pixels, or the cores of the head's map [default: cores if there is a map]
-    #[arg(long, value_enum, value_name = "GRID")]
-    grid: Option<crate::grid::Grid>,
     /// Our joint solve on the surface, the article's view after view (its map is shown, without a verdict), or both:
     /// the article's figures beside ours
     #[arg(long, value_enum, default_value_t = MethodName::Surface)]
     method: MethodName,
     #[command(flatten)]
-    paper: PaperOptions,
+    paper: ArticleSettings,
     #[command(flatten)]
     common: Common,
-    #[command(flatten)]
-    bench: BenchArgs,
     #[command(flatten)]
     die: DieArgs,
 }
@@ -129,23 +124,24 @@ enum MethodName {
 }
 
 impl Args {
-    /// How the views are stitched, and what the article's method is told.
-    fn stitching(&self) -> anyhow::Result<(Method, Hinz2019Settings)> {
+    /// How the views are stitched, and the settings of the article's method.
+    fn stitching(&self, seed: u64) -> anyhow::Result<(Method, Hinz2019Settings)> {
         let method = match self.method {
             MethodName::Surface => Method::Surface,
             MethodName::Paper => Method::Hinz2019,
             MethodName::Both => Method::Both,
         };
-        if let Some(option) = self.paper.given().filter(|_| method == Method::Surface) {
-            anyhow::bail!("{option} is for the article's method: add --method paper or both");
-        }
-        Ok((method, self.paper.settings(seed(&self.bench))?))
+        anyhow::ensure!(
+            self.paper.article_settings.is_none() || method != Method::Surface,
+            "--article-settings is for the article's method: add --method paper or both"
+        );
+        Ok((method, self.paper.load(seed)?))
     }
 }
 
 /// What stands on the simulated bench: a scan that goes on must find the same there.
-pub fn on_the_bench(link: &Link, bench: &BenchArgs, die: &DieArgs) -> BTreeMap<String, String> {
-    let what_stands = || (FinishedScan::BENCH.to_string(), in_words(bench, die));
+fn on_the_bench(link: &Link, bench: &BenchSetup) -> BTreeMap<String, String> {
+    let what_stands = || (FinishedScan::BENCH.to_string(), in_words(bench));
     link.is_simulated().then(what_stands).into_iter().collect()
 }
 
@@ -153,7 +149,8 @@ pub fn on_the_bench(link: &Link, bench: &BenchArgs, die: &DieArgs) -> BTreeMap<S
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let quiet = args.common.quiet;
-    let (method, paper) = args.stitching()?;
+    let bench = args.die.setup()?;
+    let (method, paper) = args.stitching(seed(&bench))?;
     if args.gear && method == Method::Hinz2019 {
         anyhow::bail!(
             "--gear: the article's method claims no uncertainty; --method surface or both does"
@@ -173,6 +170,9 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         (None, None) => None,
     };
     let is_live = recorded.is_none();
+    if !is_live {
+        fits_recording(&bench)?;
+    }
     let site = match recorded {
         Some(recorded) => args.place.of_recording(recorded)?,
         None => args.place.site(&[("--tool", args.tool.is_some())])?,
@@ -202,7 +202,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut scanning = match (&recording, clouds) {
         (Some(recording), _) => args.recorded(recording, &site, session, set_up)?,
         (None, Some(clouds)) => args.of_clouds(clouds, &site, session, set_up)?,
-        (None, None) => args.live(&site, session, set_up)?,
+        (None, None) => args.live(&bench, &site, session, set_up)?,
     };
     let watch = |progress| {
         if !quiet {
@@ -290,26 +290,23 @@ impl Scanning {
 impl Args {
     fn live(
         &self,
+        bench: &BenchSetup,
         site: &Site,
         session: &Path,
         set_up: impl FnOnce(&mut Scanner) -> anyhow::Result<()>,
     ) -> anyhow::Result<Scanning> {
         let scene = Scene {
-            press: None,
-            die: Some(&self.die),
+            by_hand: true,
             ..Scene::default()
         };
         let instrument = Instrument::start(
             [self.tool.as_deref(), self.head.as_deref()],
             site,
-            &self.bench,
+            bench,
             scene,
             self.common.quiet,
-            |mut subject, root| {
-                if let Some(grid) = self.grid {
-                    grid.impose(Arc::make_mut(&mut subject.head))?;
-                }
-                let bench = on_the_bench(site.link(), &self.bench, &self.die);
+            |subject, root| {
+                let bench = on_the_bench(site.link(), bench);
                 let setting = site.setting.clone();
                 let mut scanner =
                     Scanner::open(subject, setting, self.views, session, &bench, root)?;
@@ -349,13 +346,8 @@ impl Args {
 
     /// What a recording is of that names this head.
     fn recorded_subject(&self, head: Option<PathBuf>, site: &Site) -> anyhow::Result<Subject> {
-        fits_recording(&self.bench, Some(&self.die))?;
         let files = [self.tool.as_deref(), self.head.as_deref()];
-        let mut subject = recorded_subject(files, head, site, self.common.quiet)?;
-        if let Some(grid) = self.grid {
-            grid.impose(Arc::make_mut(&mut subject.head))?;
-        }
-        Ok(subject)
+        recorded_subject(files, head, site, self.common.quiet)
     }
 
     /// Has frames written from here on, if that was asked for; returns where to, and the head's file there.
@@ -430,7 +422,7 @@ impl Args {
     }
 }
 
-pub fn show(progress: Progress) {
+fn show(progress: Progress) {
     match progress {
         Progress::Views {
             done,

@@ -22,9 +22,6 @@ pub struct Place {
     /// Name of this station in every result, or its file: what ends in .toml is one [default: the host's name]
     #[arg(long, value_name = "NAME|STATION.toml")]
     station: Option<String>,
-    /// Who measures, in every result [default: the user, as the system says]
-    #[arg(long, value_name = "NAME")]
-    operator: Option<String>,
 }
 
 impl Place {
@@ -76,7 +73,7 @@ impl Place {
                 station: named
                     .or_else(|| settings.name.clone())
                     .unwrap_or_else(host_name),
-                operator: Some(self.operator.clone().unwrap_or_else(user_name)),
+                operator: Some(user_name()),
             },
             settings: Arc::new(settings),
             hash,

@@ -13,7 +13,7 @@ use flankscope_record::sink::LinesFile;
 use flankscope_report::{Pages, ReportFolder, figure};
 use serde_json::{Value, json};
 
-use crate::bench_link::{BenchArgs, PressArgs};
+use crate::bench_link::{DieArgs, WearRateArgs, setup_with_press};
 use crate::help;
 use crate::inspect::SIMULATED;
 use crate::instrument::{Instrument, Source};
@@ -43,9 +43,6 @@ pub struct Args {
     /// End after this many press cycles [default: never]
     #[arg(long)]
     cycles: Option<u32>,
-    /// The press is never held longer than this, s [default: the station's, or 12]
-    #[arg(long)]
-    hold_limit_s: Option<f64>,
     /// Write the last check's report.html, every check's own page (reports/), an index and a line per check (checks.jsonl) into
     /// this folder
     #[arg(long, value_name = "DIR")]
@@ -53,22 +50,16 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
-    bench: BenchArgs,
+    die: DieArgs,
     #[command(flatten)]
-    press: PressArgs,
+    press: WearRateArgs,
 }
 
 /// Runs the subcommand.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     interrupt::on_signals()?;
     let site = args.source.site()?.with_own_stages("a watch")?;
-    let hold_limit_s = args
-        .hold_limit_s
-        .unwrap_or(site.settings.press.hold_limit_s);
-    anyhow::ensure!(
-        hold_limit_s > 0.0 && hold_limit_s <= 600.0,
-        "--hold-limit-s {hold_limit_s}: more than 0 and at most 600 seconds are possible"
-    );
+    let bench = setup_with_press(&args.die, &args.press)?;
     // Before anything moves: a watch whose results cannot be written should not begin.
     args.common.try_json()?;
     let mut papers = Papers::default();
@@ -81,12 +72,11 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let setting = &site.setting;
     let quiet = args.common.quiet;
-    let (mut instrument, mut writer) =
-        Instrument::open(&args.source, &site, &args.bench, Some(&args.press), quiet)?;
+    let (mut instrument, mut writer) = Instrument::open(&args.source, &site, &bench, true, quiet)?;
     let settings = WatchSettings {
         every: args.every,
         cycles: args.cycles,
-        hold_limit: Duration::from_secs_f64(hold_limit_s),
+        hold_limit: Duration::from_secs_f64(site.settings.press.hold_limit_s),
     };
     let acknowledged = acknowledgements();
     let mut log = Log::new(args, papers);

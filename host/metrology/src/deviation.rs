@@ -19,7 +19,7 @@ pub fn deviations(surface: &Surface, points: &[[f64; 3]]) -> Vec<f64> {
 }
 
 /// Order of the Minkowski distance between points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Order {
     /// Sum of the sizes of the coordinate differences.
     #[serde(rename = "1")]

@@ -17,12 +17,15 @@
 //! | [`demo`] | what the built-in demo is made of: die, target, tile |
 //! | [`files`] | what tool, head, target and mesh files say, by readers of the bench's own |
 //! | [`specimen`] | what stands before which head, by those files |
-//! | [`config`] | all that a run of the bench can be told |
+//! | [`bench_file`] | the bench file: what no option says |
+//! | [`given`] | a value that is given as text |
+//! | [`config`] | what a run of the bench is told: options, bench file, and what they are handed over in |
 //! | [`qemu`] | the controller's Cortex-M4 image in an emulator, instead of the in-process controller |
 //! | [`process`] | all of it as a process of its own |
 
 pub mod ageing;
 pub mod arm;
+pub mod bench_file;
 pub mod camera;
 pub mod config;
 pub mod damage;
@@ -32,6 +35,7 @@ pub mod die_file;
 pub mod files;
 #[cfg(feature = "gige")]
 pub mod gige;
+pub mod given;
 pub mod link;
 pub mod process;
 pub mod qemu;

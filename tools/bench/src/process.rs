@@ -17,11 +17,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::ageing::Ageing;
 use crate::arm::Arm;
+use crate::bench_file::{DieTable, EXAMPLE, SurfaceTable};
 use crate::camera::{self, Troubles};
-use crate::config::{BenchConfig, ControllerKind, Given, Speed, Stands, SurfaceKind};
+use crate::config::{BenchConfig, ControllerKind, Speed, Stands, SurfaceKind};
 use crate::devices::{self, Controller, InstrumentConfig};
 use crate::die_file;
 use crate::files::pictures;
+use crate::given::Given;
 use crate::link::CameraLink;
 use crate::qemu::{Figures, Machine, find_image};
 use crate::specimen::Specimen;
@@ -36,6 +38,9 @@ const SWITCH_CLEARANCE_MM: f64 = 14.0;
 pub enum Command {
     /// Run the bench by the configuration that standard input begins with, until it ends.
     Run,
+    /// Write a bench file with every key, its unit and its default to standard output.
+    #[command(after_help = "Example: flankscope bench example > bench.toml")]
+    Example,
     /// The stage controller alone, on a pseudo-terminal, until standard input ends.
     Esp301(Esp301Args),
 }
@@ -121,6 +126,10 @@ pub fn run(command: &Command) -> anyhow::Result<()> {
                 .context("standard input does not begin with a configuration of the bench")?;
             simulate(&config)
         }
+        Command::Example => {
+            std::io::stdout().write_all(EXAMPLE.as_bytes())?;
+            Ok(())
+        }
         Command::Esp301(args) => stages(args),
     }
 }
@@ -141,7 +150,19 @@ fn apply(
     asked: &BenchConfig,
     ageing: &Ageing,
 ) -> anyhow::Result<Option<MeshTruth>> {
-    let bench = &asked.bench;
+    let bench = &asked.setup;
+    let DieTable {
+        ovality_um,
+        taper_um,
+        three_lobe_um,
+        barrel_um,
+        bell_mouth_um,
+        flanks_um,
+        flanks_seed,
+        turned_deg,
+        turned_teeth,
+        ref other,
+    } = bench.file.die;
     config.wear = ageing
         .after(0)
         .into_iter()
@@ -151,48 +172,49 @@ fn apply(
     match &asked.stands {
         Stands::Tool(_) => {
             config.surface = bench.surface.surface();
-            config.spray_edge = bench.spray_edge();
+            config.spray_edge = bench.file.surface.spray_edge();
             config.bounces = bench.bounces();
         }
         Stands::Target(_) => ensure!(
             bench.surface == SurfaceKind::default()
-                && bench.sprayed_above_mm.is_none()
-                && bench.bounces.is_none(),
-            "--surface, --sprayed-above-mm and --bounces are for a die; a calibration target stands there, printed on ceramic"
+                && bench.file.surface == SurfaceTable::default()
+                && bench.file.die == DieTable::default(),
+            "--surface, and [die] and [surface] of a bench file, are for a die; a calibration target stands there, printed on ceramic"
         ),
     }
-    config.vibration_um = bench.vibration_um;
-    config.shiver_um = bench.shiver_um;
-    if bench.lens_error_um > 0.0 {
-        config
-            .optics
-            .make_uneven(bench.lens_error_um, config.head_seed);
+    config.vibration_um = bench.file.motion.vibration_um;
+    config.shiver_um = bench.file.motion.shiver_um;
+    let lens_error_um = bench.file.head.lens_error_um;
+    if lens_error_um > 0.0 {
+        config.optics.make_uneven(lens_error_um, config.head_seed);
         if let Some(head) = &mut config.driven_head {
-            head.lens_error_um = bench.lens_error_um;
+            head.lens_error_um = lens_error_um;
         }
     }
-    let die = asked.die.clone().unwrap_or_default();
     config.form = Form {
-        ovality_um: die.ovality_um,
-        taper_um: die.taper_um,
-        three_lobe_um: die.three_lobe_um,
-        barrel_um: die.barrel_um,
-        bell_mouth_um: die.bell_mouth_um,
-        flanks_um: die.flanks_um,
-        flanks_seed: die.die_seed,
+        ovality_um,
+        taper_um,
+        three_lobe_um,
+        barrel_um,
+        bell_mouth_um,
+        flanks_um,
+        flanks_seed,
     };
-    if let Some(other) = &die.die {
+    if let Some(other) = other {
         other.value.replace(config)?;
     }
-    if asked.die.is_some() {
+    if asked.by_hand {
         config.mount = Mount::by_hand(bench.seed);
-        let turned_rad = die.turned_deg.to_radians()
-            + f64::from(die.turned_teeth) * config.gear.pitch_angle_rad();
+    }
+    if asked.by_hand || turned_deg != 0.0 || turned_teeth != 0 {
+        let turned_rad =
+            turned_deg.to_radians() + f64::from(turned_teeth) * config.gear.pitch_angle_rad();
         config.mount.table_from_die *=
             UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned_rad);
     }
     config.mount.rotary_carries = asked.rotary_carries;
-    config.mount.saw = bench
+    let stages = &bench.file.stages;
+    config.mount.saw = stages
         .encoder_saw
         .as_ref()
         .map_or(Saw::default(), |given| given.value.0);
@@ -216,11 +238,11 @@ fn apply(
 }
 
 fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
-    let Speed(speed) = asked.bench.speed.value;
-    let seed = asked.bench.seed;
+    let Speed(speed) = asked.setup.speed.value;
+    let seed = asked.setup.seed;
     // Before the first thread.
     #[cfg(feature = "gige")]
-    if asked.bench.camera == CameraLink::Gige {
+    if asked.setup.camera == CameraLink::Gige {
         crate::gige::network::enter()?;
     }
     // Before anything else: the emulator must start on the thread that lives longest, and may be missing.
@@ -252,20 +274,17 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         Stands::Tool(path) => Specimen::tool(path, asked.teeth.as_deref())?,
         Stands::Target(folder) => Specimen::target(folder, seed)?,
     };
-    let of_teeth = asked.die.as_ref().is_some_and(|die| die.die.is_some())
-        || !asked.bench.wear.is_empty()
-        || asked
-            .press
-            .as_ref()
-            .is_some_and(|press| !press.wear_rate.is_empty());
+    let of_teeth = asked.setup.file.die.other.is_some()
+        || !asked.setup.wear.is_empty()
+        || !asked.setup.wear_rate.is_empty();
     ensure!(
         has_flanks || !of_teeth,
-        "--wear, --wear-rate and --die are for the teeth of a gear, and the tool has no [gear]; --die-mesh puts any damage there"
+        "--wear, --wear-rate and [die] other are for the teeth of a gear, and the tool has no [gear]; --die-mesh puts any damage there"
     );
     let meant = |given: &[Given<Wear>]| given.iter().map(|wear| wear.value).collect();
     let ageing = Ageing {
-        initial: meant(&asked.bench.wear),
-        per_cycle: meant(asked.press.as_ref().map_or(&[], |press| &press.wear_rate)),
+        initial: meant(&asked.setup.wear),
+        per_cycle: meant(&asked.setup.wear_rate),
     };
     let die_mesh = apply(&mut config, asked, &ageing)?;
     if let Some(folder) = &asked.pictures {
@@ -280,12 +299,13 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     } else {
         Overflow::Drop
     };
+    let file = &asked.setup.file;
     let troubles = Troubles {
-        fault: asked.bench.frame_fault.as_ref().map(|fault| fault.value),
-        core_drift_px: asked.bench.core_drift_px,
+        fault: file.camera.frame_fault.as_ref().map(|fault| fault.value),
+        core_drift_px: file.head.core_drift_px,
     };
-    let arm = asked.bench.arm.clone().map(Arm::at);
-    let (arguments, (camera_thread, camera)) = match asked.bench.camera {
+    let arm = file.stages.arm.clone().map(Arm::at);
+    let (arguments, (camera_thread, camera)) = match asked.setup.camera {
         CameraLink::SharedMemory => {
             let root = SharedRoot::of_owner(&asked.root)?;
             let open = move || Ok(FrameSender::open(&root, overflow)?);
@@ -296,7 +316,7 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         CameraLink::Gige => {
             let (size_px, sensor) = (world.size_px(), world.sensor().clone());
             let arguments = crate::gige::arguments(&sensor);
-            let trouble = asked.bench.gige_trouble.as_ref().map(|given| given.value);
+            let trouble = file.camera.gige_trouble.as_ref().map(|given| given.value);
             let open = move || crate::gige::GigeCamera::open(size_px, &sensor, trouble);
             let started = camera::start(world, patterns, ageing, troubles, arm, open, gives_way)?;
             (Some(arguments), started)
@@ -311,14 +331,14 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
     config.devices.lens = has_lens;
     config.devices.second_projector = has_second_projector;
     config.devices.seed = seed;
-    config.devices.axes.rotation.backlash = 1e-3 * asked.bench.backlash_mdeg;
-    config.devices.axes.vertical.backlash = 1e-3 * asked.bench.backlash_um;
-    if let Some(trouble) = asked.bench.stage_trouble {
+    config.devices.axes.rotation.backlash = 1e-3 * file.stages.backlash_mdeg;
+    config.devices.axes.vertical.backlash = 1e-3 * file.stages.backlash_um;
+    if let Some(trouble) = file.stages.trouble {
         trouble.spoil(&mut config.devices.axes);
     }
-    if let Some(press) = &asked.press {
-        config.devices.press.strokes_per_minute = press.strokes_per_minute;
-        config.devices.press.open_share = press.open_share;
+    if asked.press_runs {
+        config.devices.press.strokes_per_minute = file.press.strokes_per_minute;
+        config.devices.press.open_share = file.press.open_share;
     }
     if let Some(top_mm) = top_mm {
         // The switch is set up with the die, a little below where the head retracts to.
@@ -352,7 +372,9 @@ fn simulate(asked: &BenchConfig) -> anyhow::Result<()> {
         truth.flanks.clear();
     }
     truth.die_mesh = die_mesh;
-    truth.form = asked.die.as_ref().map(|die| FormTruth {
+    let die = &file.die;
+    let has_form = asked.by_hand || *die != DieTable::default();
+    truth.form = has_form.then(|| FormTruth {
         ovality_um: die.ovality_um.abs(),
         taper_um: die.taper_um,
         three_lobe_um: die.three_lobe_um,

@@ -27,15 +27,14 @@ pub fn run(root: &Path) -> Result<(), String> {
 }
 
 fn scan(root: &Path, seed: u64) -> Result<Value, String> {
-    let (seed, ovality, taper) = (
-        seed.to_string(),
-        OVALITY_UM.to_string(),
-        TAPER_UM.to_string(),
-    );
+    let bench = root.join("target/scan-study.toml");
+    let form = format!("[die]\novality_um = {OVALITY_UM:?}\ntaper_um = {TAPER_UM:?}\n");
+    std::fs::write(&bench, form).map_err(|error| format!("{}: {error}", bench.display()))?;
+    let seed = seed.to_string();
     let mut cargo = crate::cargo(&["run", "--release", "--quiet", "--", "scan", "--quiet"]);
     cargo.args(["--json", "-", "--speed", "max", "--method", "both"]);
     cargo.args(["--views", VIEWS, "--seed", &seed]);
-    cargo.args(["--ovality-um", &ovality, "--taper-um", &taper]);
+    cargo.arg("--bench").arg(&bench);
     let output = cargo.current_dir(root).output();
     let output = output.map_err(|error| format!("{cargo:?}: {error}"))?;
     serde_json::from_slice(&output.stdout).map_err(|error| {

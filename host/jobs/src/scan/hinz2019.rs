@@ -9,8 +9,11 @@
 //! Scattered points were removed before the views were kept; `denoise` removes more of them, the article's way. Where the article's formulas allow two readings or carry a
 //! slip (which side the initial transformation stands on, the reflection case), the geometrically right one is taken.
 
+use std::path::{Path, PathBuf};
+
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool as ToolFrame};
-use flankscope_metrology::cloud::merge::voxel_centroids;
+use flankscope_foundation::textfile::{self, BadValue, TextFileError, load_toml};
+use flankscope_metrology::cloud::merge::{check_voxel_size, voxel_centroids};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::adjustment::Stages;
@@ -22,7 +25,7 @@ use flankscope_metrology::surface::sampling::{self, centre_of_mass};
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::article::InitialTransformation;
 use super::job::ScanError;
@@ -36,7 +39,8 @@ use crate::inspection::ViewPlan;
 pub(super) const MERGED_PER_MM2: f64 = 50.0;
 
 /// Which scattered points go: those farther from their neighbours than most are from theirs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Denoise {
     /// Neighbours that a point's mean distance is taken to.
     pub neighbours: usize,
@@ -52,9 +56,14 @@ impl Denoise {
     };
 }
 
-/// What the article's method is told. It all acts on views that are kept: other settings stitch the same views anew.
-#[derive(Clone, Debug, Serialize)]
+/// Settings of the article's method, also as the file of `--article-settings`. They act on views that are kept: other settings stitch
+/// the same views anew.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Hinz2019Settings {
+    /// File of picked pairs that the first view starts from: x, y, z in its camera frame, then in CAD, mm.
+    #[serde(skip_serializing)]
+    pub pairs: Option<PathBuf>,
     /// Pose of the first view (tool frame from its camera frame) from picked pairs; without one, the files' hand-eye and a
     /// search for the tooth phase.
     #[serde(skip)]
@@ -73,6 +82,10 @@ pub struct Hinz2019Settings {
     pub voxel_mm: f64,
     /// Distance between points.
     pub order: Order,
+    /// Share of the pairs that count where a view is laid on the one before, without CAD; without it nine tenths of the points that
+    /// both have.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub serial_inlier_ratio: Option<f64>,
 }
 
 impl Hinz2019Settings {
@@ -84,6 +97,142 @@ impl Hinz2019Settings {
             denoise: Some(Denoise::TOOLBOX),
             ..Self::default()
         }
+    }
+
+    /// The article's values as a settings file, with the unit of each and what the article leaves open.
+    pub const FILE: &str = r#"# Settings of the article's method (scan --method paper|both, article): its values.
+
+mask_dn = 40.0                  # counts, points around which the fringes oscillate less are masked; the article names no number
+share = 0.1                     # of the points that are drawn
+voxel_mm = 0.05                 # mm, side of the voxels of the merged cloud; the article names none
+merged_per_mm2 = 50.0           # reference points per mm2 that the merged cloud is compared with; the article names no density
+order = "2"                     # of the distance between points: "1", "2" or "inf"
+# serial_inlier_ratio = 0.5     # of the pairs that count where a view is laid on the one before, without CAD; else nine tenths of
+                                # the points that both have, at most registration.inlier_ratio
+# pairs = "pairs.csv"           # start from picked pairs: x,y,z in the first view's camera frame, then in CAD, mm; else from the head
+                                # file and a search for the tooth phase
+
+[denoise]                       # the defaults of the article's toolbox; without this table none beside what every scan removes
+neighbours = 4                  # that a point's mean distance is taken to
+std_ratio = 1.0                 # standard deviations beyond which a point goes
+
+[registration]
+samples = 100000                # reference points in the window of a view
+inlier_ratio = 0.8              # of the pairs that count in a step
+most_iterations = 25            # steps
+translation_mm = 0.001          # mm, it ends with a step that shifts by less ...
+rotation_deg = 0.005            # degrees, ... and turns by less; the article names no unit: 0.286 is the same number in radians
+
+[registration.region]           # the window of reference points
+half_height_mm = 10.0           # mm, the article's "10 mm" read as +-10
+half_angle_rad = 0.2            # rad, the article's "0.2 rad" read as +-0.2
+radial_threshold_mm = 50.0      # mm, only points nearer to the axis belong to the toothing
+"#;
+
+    /// Reads a settings file; the name of its pairs is relative to it.
+    ///
+    /// # Errors
+    /// With file and line: it cannot be read, has an unknown key, or a value out of range.
+    pub fn load(path: &Path) -> Result<Self, TextFileError> {
+        let (mut settings, _) = load_toml(path, textfile::MAX_BYTES, Self::check)?;
+        if let Some(pairs) = &mut settings.pairs {
+            *pairs = path.with_file_name("").join(&pairs);
+        }
+        Ok(settings)
+    }
+
+    fn check(&self) -> Result<(), BadValue> {
+        let Hinz2019Options {
+            samples,
+            region,
+            inlier_ratio,
+            most_iterations,
+            translation_mm,
+            rotation_deg,
+            ..
+        } = self.registration;
+        let denoise = self.denoise.unwrap_or(Denoise::TOOLBOX);
+        let serial = self.serial_inlier_ratio.unwrap_or(1.0);
+        let pi = std::f64::consts::PI;
+        for (key, value, [least, most], unit) in [
+            ("mask_dn", self.mask_dn, [0.0, 65_535.0], "counts"),
+            ("share", self.share, [1e-4, 1.0], "of the points"),
+            (
+                "merged_per_mm2",
+                self.merged_per_mm2,
+                [0.1, 2000.0],
+                "points per mm2",
+            ),
+            ("serial_inlier_ratio", serial, [0.01, 1.0], "of the pairs"),
+            (
+                "denoise.neighbours",
+                denoise.neighbours as f64,
+                [1.0, 100.0],
+                "neighbours",
+            ),
+            (
+                "denoise.std_ratio",
+                denoise.std_ratio,
+                [0.0, 100.0],
+                "standard deviations",
+            ),
+            (
+                "registration.samples",
+                samples as f64,
+                [100.0, 1e7],
+                "points",
+            ),
+            (
+                "registration.inlier_ratio",
+                inlier_ratio,
+                [0.01, 1.0],
+                "of the pairs",
+            ),
+            (
+                "registration.most_iterations",
+                most_iterations as f64,
+                [1.0, 1000.0],
+                "steps",
+            ),
+            (
+                "registration.translation_mm",
+                translation_mm,
+                [0.0, 1.0],
+                "mm",
+            ),
+            (
+                "registration.rotation_deg",
+                rotation_deg,
+                [0.0, 1.0],
+                "degrees",
+            ),
+            (
+                "registration.region.half_height_mm",
+                region.half_height_mm,
+                [0.1, 1000.0],
+                "mm",
+            ),
+            (
+                "registration.region.half_angle_rad",
+                region.half_angle_rad,
+                [0.001, pi],
+                "rad",
+            ),
+            (
+                "registration.region.radial_threshold_mm",
+                region.radial_threshold_mm,
+                [0.1, 1e4],
+                "mm",
+            ),
+        ] {
+            // A NaN is in no range.
+            if !(least..=most).contains(&value) {
+                let right = format!("{least} to {most} {unit} are possible");
+                return Err(BadValue::new(key, value, right));
+            }
+        }
+        check_voxel_size(self.voxel_mm)
+            .map_err(|_| BadValue::new("voxel_mm", self.voxel_mm, "a length above 0 mm"))
     }
 }
 
@@ -126,7 +275,9 @@ impl Default for Hinz2019Settings {
     /// The article's values without its denoising: a view's scattered points are gone before it is kept.
     fn default() -> Self {
         Self {
+            pairs: None,
             first_pose: None,
+            serial_inlier_ratio: None,
             mask_dn: 40.0,
             denoise: None,
             share: 0.1,
@@ -304,4 +455,34 @@ pub(super) fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[
 fn nearest(points: &[[f64; 3]], reference: &[[f64; 3]], order: Order) -> Option<Statistics> {
     let tree = SampleTree::new(reference).ok()?;
     statistics(&tree.distances(points, order))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_settings_file_has_the_article_s_values() {
+        let file: Hinz2019Settings = toml::from_str(Hinz2019Settings::FILE).unwrap();
+        assert_eq!(file, Hinz2019Settings::article());
+        let empty: Hinz2019Settings = toml::from_str("").unwrap();
+        assert_eq!(empty, Hinz2019Settings::default());
+        // Every key that a result says, but those that no file sets.
+        let said = serde_json::to_value(&file).unwrap();
+        for (table, own) in [
+            ("", &["denoise", "registration"][..]),
+            ("/denoise", &[]),
+            (
+                "/registration",
+                &["seed", "region", "least_points", "most_rms_mm"],
+            ),
+            ("/registration/region", &[]),
+        ] {
+            let keys = said.pointer(table).unwrap().as_object().unwrap().keys();
+            for key in keys.filter(|key| !own.contains(&key.as_str())) {
+                let line = format!("\n{key} = ");
+                assert!(Hinz2019Settings::FILE.contains(&line), "{key}");
+            }
+        }
+    }
 }

@@ -15,11 +15,13 @@ use crate::surface::sampling::{Region, centre_of_mass};
 use flankscope_foundation::rigid::{Cloud, Rigid, Tool};
 
 /// The article's settings.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Hinz2019Options {
     /// Number of reference points in the window.
     pub samples: usize,
     /// Seed of the reference points.
+    #[serde(skip_deserializing)]
     pub seed: u64,
     /// Window about the centre of mass.
     pub region: Region,
@@ -32,8 +34,10 @@ pub struct Hinz2019Options {
     /// ... and turns by less than this, degrees.
     pub rotation_deg: f64,
     /// Least number of points.
+    #[serde(skip_deserializing)]
     pub least_points: usize,
     /// Pairs must lie within this on average, mm.
+    #[serde(skip_deserializing)]
     pub most_rms_mm: f64,
 }
 

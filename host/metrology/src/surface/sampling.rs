@@ -169,6 +169,7 @@ fn area([a, b, c]: [[f64; 3]; 3]) -> f64 {
 
 /// The part of CAD that a view can see: a window about the view's centre of mass in cylinder coordinates of the tool axis z.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Region {
     /// Half height of the window, mm.
     pub half_height_mm: f64,

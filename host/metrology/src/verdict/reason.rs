@@ -107,7 +107,7 @@ codes! {
     /// The link to the controller broke.
     LinkLost = "link_lost", "check cable, port and power of the controller";
     /// The check did not fit into the time for which the press may be held.
-    HoldTime = "hold_time", "inspect fewer teeth, or allow more time (--hold-limit-s)";
+    HoldTime = "hold_time", "inspect fewer teeth, or allow more time (press.hold_limit_s)";
     /// The camera is not there, does not say that it is armed, or is another one than the head's; nothing moved.
     CameraUnusable = "camera_unusable", "start flankscope-camera, and see that it has the head's camera (flankscope doctor)";
     /// A thread of the capture did not answer.

@@ -181,11 +181,7 @@ impl FinishedScan {
     ///
     /// # Errors
     /// No view lies on the CAD, the folder cannot be read, or there is no common solution.
-    pub fn article(
-        &mut self,
-        settings: &Hinz2019Settings,
-        serial_inlier_ratio: Option<f64>,
-    ) -> Result<Article, FinishedScanError> {
+    pub fn article(&mut self, settings: &Hinz2019Settings) -> Result<Article, FinishedScanError> {
         let mut elapsed_ms = BTreeMap::new();
         let mut clock = Instant::now();
         let mut lap = |what| {
@@ -285,7 +281,7 @@ impl FinishedScan {
             &joint_poses,
             plan,
             &settings.registration,
-            serial_inlier_ratio,
+            settings.serial_inlier_ratio,
         );
         let (serial, serial_refused) = match laid_on_each_other {
             Ok(serial) => (serial, None),
