@@ -1,4 +1,4 @@
-//! `PLAN.toml`: the patterns of somebody's capture and which image shows which (see `docs/formats.md`).
+//! `PLAN.toml`: the patterns of somebody's capture and which image shows which (see `docs/formats/plan.md`).
 
 use std::path::{Path, PathBuf};
 
