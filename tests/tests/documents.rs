@@ -14,7 +14,8 @@ use flankscope_test_requisites::workspace;
 use flankscope_tests::{flankscope, run};
 
 fn read(path: &str) -> String {
-    std::fs::read_to_string(workspace().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+    std::fs::read_to_string(workspace().join(path))
+        .unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
 /// Every page for people: those at the top, below docs, and the README of each folder.
@@ -153,7 +154,10 @@ fn the_budgets_of_the_firmware_are_those_that_are_checked() {
         let kib = line.and_then(|line| line.strip_suffix(" * 1024;"));
         let stated = page.lines().find_map(|line| line.strip_prefix(row));
         let stated = stated.and_then(|line| line.split(" KiB").next());
-        assert!(kib.is_some() && kib == stated, "{constant}: {kib:?}, {stated:?}");
+        assert!(
+            kib.is_some() && kib == stated,
+            "{constant}: {kib:?}, {stated:?}"
+        );
     }
 }
 
@@ -200,7 +204,9 @@ fn the_station_file_of_the_page_has_the_defaults() {
 fn the_tool_file_of_the_page_is_one() {
     let folder = tempfile::tempdir().unwrap();
     let demo = folder.path().join("demo");
-    let made = run(flankscope().args(["bench", "demo-tool", "--out"]).arg(&demo));
+    let made = run(flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(&demo));
     assert_eq!(made.code, 0, "{}", made.stderr);
     std::fs::write(demo.join("tool.toml"), example("docs/formats/tool.md")).unwrap();
     let tool = Tool::load(&demo).unwrap_or_else(|error| panic!("{error}"));
