@@ -18,24 +18,27 @@ fn read(path: &str) -> String {
         .unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// Every page for people: those at the top, below docs, and the README of each folder.
-fn pages() -> Vec<PathBuf> {
-    fn walk(folder: &Path, into: &mut Vec<PathBuf>) {
+/// All files of the repository whose names end like this.
+fn files(extension: &str) -> Vec<PathBuf> {
+    fn walk(folder: &Path, wanted: &str, into: &mut Vec<PathBuf>) {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
             let built = name == "target" || name.starts_with('.');
             if path.is_dir() && !built {
-                walk(&path, into);
-            } else if path.extension().is_some_and(|extension| extension == "md") {
+                walk(&path, wanted, into);
+            } else if path
+                .extension()
+                .is_some_and(|extension| extension == wanted)
+            {
                 into.push(path);
             }
         }
     }
-    let mut pages = Vec::new();
-    walk(workspace(), &mut pages);
-    pages.sort();
-    pages
+    let mut found = Vec::new();
+    walk(workspace(), extension, &mut found);
+    found.sort();
+    found
 }
 
 /// Without what stands between code fences.
@@ -70,7 +73,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
 fn every_link_leads_to_a_file_and_a_heading_that_exist() {
     let mut seen = 0;
     let mut dead = Vec::new();
-    for page in pages() {
+    for page in files("md") {
         let text = std::fs::read_to_string(&page).unwrap();
         let prose = prose(&text);
         let links = prose.split("](").skip(1);
@@ -94,6 +97,25 @@ fn every_link_leads_to_a_file_and_a_heading_that_exist() {
     }
     assert!(dead.is_empty(), "{dead:#?}");
     assert!(seen > 100, "{seen}");
+}
+
+/// Comments and messages refer to pages as `docs/camera.md`.
+#[test]
+fn every_page_that_a_source_names_exists() {
+    let mut seen = 0;
+    for source in files("rs") {
+        let text = std::fs::read_to_string(&source).unwrap();
+        for rest in text.split("docs/").skip(1) {
+            let ends = |c: char| !c.is_ascii_alphanumeric() && !"/._-".contains(c);
+            let page = rest.split(ends).next().unwrap().trim_end_matches('.');
+            if page.ends_with(".md") {
+                let there = workspace().join("docs").join(page).is_file();
+                assert!(there, "{}: docs/{page}", source.display());
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 10, "{seen}");
 }
 
 /// A newcomer reads it in five minutes.
