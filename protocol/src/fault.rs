@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// What went wrong, as a stable number.
 ///
-/// 1–31 concern the link, 32–63 stop the instrument (LED off, stages halted, head retracted), 96 and above limit it
+/// 1–31 concern the link, 32–95 stop the instrument (LED off, stages halted, head retracted), 96 and above limit it
 /// without stopping it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
 #[repr(u8)]

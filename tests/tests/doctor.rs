@@ -147,7 +147,7 @@ fn what_has_failed_says_what_would_be_right() {
 
     let bad = doctor(&["--link", "sim", "--tool", folder.path().to_str().unwrap()]);
     assert_eq!(bad.code, 3);
-    expect(&bad, "tool", "failed", "tool.toml", "docs/formats.md");
+    expect(&bad, "tool", "failed", "tool.toml", "docs/formats/tool.md");
     expect(&bad, "controller", "not_asked", "", "");
 }
 

@@ -26,7 +26,7 @@ use crate::output::{Common, Outcome, say};
 /// with the predicted standard uncertainty of the depth at every point (property sigma_z).
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  flankscope decode --images frames --plan PLAN.toml --head calibration.xml -o cloud.ply --json -\n\nThe formats of PLAN.toml and head.toml are described in docs/formats.md."
+    after_help = "Example:\n  flankscope decode --images frames --plan PLAN.toml --head calibration.xml -o cloud.ply --json -\n\nThe formats of PLAN.toml and head.toml are described in docs/formats."
 )]
 pub struct Args {
     /// Folder of the images.

@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let tool = Tool::load(&args.tool)?;
     let gear = tool.gear.as_ref().with_context(|| {
         format!(
-            "{} has no [gear] section (see docs/formats.md)",
+            "{} has no [gear] section (see docs/formats/tool.md)",
             tool.path.display()
         )
     })?;

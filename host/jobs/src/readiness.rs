@@ -40,7 +40,7 @@ pub fn tool(tool: &Result<Tool, ToolError>) -> Finding {
             return Finding::failed(
                 CHECK,
                 error.to_string(),
-                "correct its tool.toml (docs/formats.md)",
+                "correct its tool.toml (docs/formats/tool.md)",
             );
         }
     };

@@ -237,7 +237,7 @@ pub const OWN_PHASE_ORIGIN_PX: f64 = -0.5;
 ///
 /// Eight steps on the finest frequency cancel the harmonics of a non-linear response up to the sixth; the lowest is
 /// not a unit frequency because the measuring volume already fixes its fringe order. The sets without a low frequency are for
-/// surfaces that light each other (bare steel): `docs/formats.md` has their order margins.
+/// surfaces that light each other (bare steel): `docs/formats/plan.md` has their order margins.
 pub const NAMED: [(&str, &[(f64, u32)]); 5] = [
     ("article8", &[(4.0, 4), (48.0, 4)]),
     ("insitu12", &[(4.0, 4), (48.0, 8)]),

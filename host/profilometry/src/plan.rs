@@ -1,4 +1,4 @@
-//! `PLAN.toml`: the patterns of an external capture and the image of each (see `docs/formats.md`).
+//! `PLAN.toml`: the patterns of an external capture and the image of each (see `docs/formats/plan.md`).
 
 use std::path::{Path, PathBuf};
 

@@ -379,7 +379,7 @@ mod tests {
         }
     }
 
-    /// The table of docs/formats.md, and that no pair of frequencies tells as many orders apart by more than `high12` does.
+    /// The table of docs/formats/plan.md, and that no pair of frequencies tells as many orders apart by more than `high12` does.
     #[test]
     fn margins_of_the_built_in_sets() {
         let margin = |periods: &[f64]| {

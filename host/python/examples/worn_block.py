@@ -15,7 +15,7 @@ import numpy as np
 folder = pathlib.Path(tempfile.mkdtemp())
 
 # %% [markdown]
-# The drawing (OBJ) and the tool file: which parts are judged, and by what limits (docs/formats.md, `[[patch]]`).
+# The drawing (OBJ) and the tool file: which parts are judged, and by what limits (docs/formats/tool.md, `[[patch]]`).
 
 # %%
 OUTLINE = [(0, 0), (40, 0), (40, 8), (20, 8), (20, 10), (0, 10)]

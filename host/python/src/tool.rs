@@ -188,7 +188,7 @@ pub fn wear(
     let tool = &tool.get().tool;
     if tool.inspect.is_none() {
         return Err(FileError::new_err(format!(
-            "{} has no [inspect] section, which says what zone is judged (docs/formats.md)",
+            "{} has no [inspect] section, which says what zone is judged (docs/formats/tool.md)",
             tool.path.display()
         )));
     }

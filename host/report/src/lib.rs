@@ -121,17 +121,17 @@ mod tests {
     #[test]
     fn documentation_and_report_define_the_figures_in_the_same_words() {
         let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
-        let formats = words(include_str!("../../../docs/formats.md"));
-        assert!(formats.contains(&words(DEFINITIONS)));
+        let method = words(include_str!("../../../docs/method.md"));
+        assert!(method.contains(&words(DEFINITIONS)));
     }
 
     #[test]
     fn documentation_lists_every_reason_with_its_remedy() {
-        let formats = include_str!("../../../docs/formats.md");
+        let reasons = include_str!("../../../docs/formats/reasons.md");
         for code in Code::ALL {
             let (begins, ends) = (format!("| `{code}` | "), format!(" | {} |", code.remedy()));
             let of_code = |row: &str| row.starts_with(&begins) && row.ends_with(&ends);
-            assert!(formats.lines().any(of_code), "{code}");
+            assert!(reasons.lines().any(of_code), "{code}");
         }
     }
 

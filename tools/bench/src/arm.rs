@@ -1,7 +1,7 @@
 //! A robot arm that carries the head: where it holds the camera stands in a file, which whoever plays the arm writes.
 //!
 //! The file is one line of JSON, the camera's true pose in the die's frame as rows of a 4 x 4 matrix in mm, as a pose program is asked
-//! for it (docs/formats.md, "Poses from outside"). It is read at every exposure, so it must be replaced whole (written beside, renamed).
+//! for it (docs/formats/station.md, "Poses from outside"). It is read at every exposure, so it must be replaced whole (written beside, renamed).
 
 use std::path::PathBuf;
 

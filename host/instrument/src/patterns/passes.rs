@@ -81,7 +81,7 @@ pub struct Passes {
 #[non_exhaustive]
 pub enum PassesError {
     /// The tool or the head lack something.
-    #[error("{what} is missing; adaptive patterns need it (see docs/formats.md)")]
+    #[error("{what} is missing; adaptive patterns need it (see docs/formats)")]
     Missing {
         /// What.
         what: &'static str,

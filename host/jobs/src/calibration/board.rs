@@ -106,7 +106,7 @@ impl BoardFolder {
             textfile::parse_toml(&path, &textfile::read(&path)?)?
         } else {
             lacks.push(format!(
-                "{}: what board it is and which image shows what (docs/formats.md; for plates of a certified target it is captures.toml), with",
+                "{}: what board it is and which image shows what (docs/formats/board.md; for plates of a certified target it is captures.toml), with",
                 path.display()
             ));
             BoardFile::default()

@@ -24,7 +24,7 @@ pub enum SurveyError {
     #[error(transparent)]
     Instrument(#[from] AcquisitionError),
     /// The head file names no patterns.
-    #[error("the head file has no {what}; a capture needs it (see docs/formats.md)")]
+    #[error("the head file has no {what}; a capture needs it (see docs/formats/head.md)")]
     HeadLacks {
         /// What is missing.
         what: &'static str,

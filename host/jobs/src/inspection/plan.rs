@@ -48,7 +48,7 @@ pub enum PlanningError {
     /// The tool file says nothing about teeth.
     #[error(
         "the tool has no [gear] and [inspect] section; a check of flanks and a scan need both, and [[patch]] tables are for inspect \
-         (see docs/formats.md)"
+         (see docs/formats/tool.md)"
     )]
     NoGear,
     /// A patch that the head cannot look at.
@@ -138,7 +138,7 @@ pub enum PlanningError {
         limit: usize,
     },
     /// The head file names no patterns or exposures.
-    #[error("the head file has no {what}; a check needs it (see docs/formats.md)")]
+    #[error("the head file has no {what}; a check needs it (see docs/formats/head.md)")]
     HeadLacks {
         /// What is missing.
         what: &'static str,

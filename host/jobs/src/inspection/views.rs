@@ -53,7 +53,7 @@ const NOT_THE_RIM: f64 = 0.85;
 #[non_exhaustive]
 pub enum EvaluatorError {
     /// No gear, nothing to inspect, or no hand-eye.
-    #[error("{what} is missing; a check needs it (see docs/formats.md)")]
+    #[error("{what} is missing; a check needs it (see docs/formats)")]
     Missing {
         /// What.
         what: &'static str,

@@ -1,4 +1,4 @@
-//! The artefact: plates with printed dots where the die sits (`target.toml`, see `docs/formats.md`).
+//! The artefact: plates with printed dots where the die sits (`target.toml`, see `docs/formats/target.md`).
 
 use std::path::Path;
 

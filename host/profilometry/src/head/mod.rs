@@ -1,6 +1,6 @@
 //! The head: camera, projector, their relative pose, the sensor and the measuring volume (`head.toml`).
 //!
-//! `docs/formats.md` describes the file; [`HeadModel::load`] also takes an OpenCV calibration (XML or YAML).
+//! `docs/formats/head.md` describes the file; [`HeadModel::load`] also takes an OpenCV calibration (XML or YAML).
 
 mod calibration;
 mod camera;

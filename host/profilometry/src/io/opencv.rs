@@ -46,7 +46,7 @@ impl<'a> Storage<'a> {
             key: name.to_owned(),
             got: "nothing".to_owned(),
             expected: "must be present: a calibration has Kc, kc, Kp, kp, Rp, Tp, frameWidth, frameHeight, screenResX and screenResY, \
-                       or the other names in docs/formats.md"
+                       or the other names in docs/formats/head.md"
                 .into(),
         })
     }

@@ -1,6 +1,6 @@
 //! What the bench reads of the files that describe a die, a head and a target: its own few keys of them, by readers of its own.
 //!
-//! `docs/formats.md` describes the files. Who measures checks them; the bench takes from them what stands on it.
+//! `docs/formats` describes the files. Who measures checks them; the bench takes from them what stands on it.
 
 mod head;
 pub mod mesh;
