@@ -488,7 +488,7 @@ fn by_wear(sample: &Sample) -> bool {
 }
 
 /// Upper end of the one-sided 95 % interval for a rate of which `hits` of `all` were seen (Clopper and Pearson 1934).
-fn upper_bound(hits: usize, all: usize) -> f64 {
+pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
     // Probability of at most that many, summed from the likeliest way down to none by ratios of neighbours.
     let at_most = |rate: f64| {
         let mut term = (all as f64) * (1.0 - rate).ln();
