@@ -14,7 +14,7 @@ use flankscope_tests::die::{Fine, Place, bore};
 
 use super::Args;
 use super::capture::judged;
-use super::page::upper_bound;
+use super::page::{command, upper_bound};
 use super::setup::{FLANKS_UM, Setup, flank, on_all_cores};
 use super::stand::Stand;
 use super::structure::{Plan, Section, Structure, cut, profile_mm};
@@ -611,7 +611,7 @@ fn class7(random: &mut Random, stand: &Stand) -> Die {
 /// Draws all families and writes `families.md` with what came of each.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     let mut text = format!(
-        "# Families of dies, drawn at random\n\nMade by `cargo xtask study families --blocks {} --captures {} --seed {}` at commit \
+        "# Families of dies, drawn at random\n\nMade by `{}` at commit \
          `{}`.\n\nOf every family {} dies are drawn before each of {} heads, each head calibrated on the bench, and judged by frames \
          against the truth. *Texture*: grooves and pits 30 to 110 µm wide (what finer ones do is in [resolution](resolution.md)), 1.1 to 2.2 widths apart, flat, V-shaped or round, along, \
          across or at any angle. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
@@ -621,7 +621,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
          baseline. Nothing of the estimator was chosen with these draws in sight. Bounds are one-sided (95 %, Clopper and Pearson); \
          draws before one head share its calibration.\n\n\
          | family | beyond {LIMIT_UM} µm | go | warn | no-go | indeterminate | P(go) at most |\n|---|---|---|---|---|---|---|\n",
-        args.blocks, args.captures, args.seed, args.commit, args.captures, args.blocks
+        command(args),
+        args.commit,
+        args.captures,
+        args.blocks
     );
     let mut sound = String::from(
         "\n| family | below 30 µm | go | warn | no-go | indeterminate | P(not go) at most |\n|---|---|---|---|---|---|---|\n",

@@ -2,7 +2,6 @@
 
 use std::fmt::Write as _;
 
-use flankscope_bench::config::SurfaceKind;
 use flankscope_bench::damage::Rectangle;
 use flankscope_metrology::verdict::Word;
 use flankscope_station::files::write_whole;
@@ -11,6 +10,7 @@ use flankscope_station::inspection::Feature;
 use super::Args;
 use super::capture::judged;
 use super::families::{LIMIT_UM, WARN_UM};
+use super::page::{command, word as surface_word};
 use super::setup::{Setup, flank, on_all_cores};
 use super::stand::Stand;
 use super::structure::{Plan, Section, Structure, cut};
@@ -139,14 +139,9 @@ impl Field {
     }
 }
 
-/// Captures the whole chart on one surface, two openings at a time.
-fn measure(args: &Args, surface: SurfaceKind) -> anyhow::Result<Vec<Field>> {
-    let args = Args {
-        surface,
-        patterns: None,
-        ..args.clone()
-    };
-    let setup = Setup::load(args.head.as_ref())?.with_surface(surface, args.patterns());
+/// Captures the whole chart, two openings at a time.
+fn measure(args: &Args) -> anyhow::Result<Vec<Field>> {
+    let setup = Setup::load(args.head.as_ref())?.with_surface(args.surface, args.patterns());
     let wanted = |series: &usize| {
         let only = args.only.as_ref();
         only.is_none_or(|text| SERIES[*series].name.contains(text))
@@ -182,8 +177,7 @@ fn measure(args: &Args, surface: SurfaceKind) -> anyhow::Result<Vec<Field>> {
                 });
                 if let Some(field) = found.last() {
                     eprintln!(
-                        "{:?} {}, {} mm wide, {} µm deep: true {:.1} µm, found {:?} ± {:?} (at least {:?}): {}{}",
-                        surface,
+                        "{}, {} mm wide, {} µm deep: true {:.1} µm, found {:?} ± {:?} (at least {:?}): {}{}",
                         SERIES[series].name,
                         WIDTHS_MM[width],
                         DEPTHS_UM[depth],
@@ -226,19 +220,12 @@ fn structure(judged: Rectangle, [series, width, depth]: [usize; 3]) -> Structure
     }
 }
 
-/// Captures the chart on sprayed and on bare ground steel; writes `resolution.md` and `resolution.svg`.
+/// Captures the chart; writes `resolution.md` and `resolution.svg`.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
-    let mut charts = Vec::new();
-    for (name, surface) in [
-        ("sprayed", SurfaceKind::Sprayed),
-        ("bare ground steel", SurfaceKind::Ground),
-    ] {
-        charts.push((name, measure(args, surface)?));
-        // The second surface takes longer: what there is may be looked at.
-        write_whole(&args.out.join("resolution.svg"), draw(&charts)?.as_bytes())?;
-        let page = page(&charts, args)?;
-        write_whole(&args.out.join("resolution.md"), page.as_bytes())?;
-    }
+    let charts = [(surface_word(args.surface), measure(args)?)];
+    write_whole(&args.out.join("resolution.svg"), draw(&charts)?.as_bytes())?;
+    let page = page(&charts, args)?;
+    write_whole(&args.out.join("resolution.md"), page.as_bytes())?;
     Ok(())
 }
 
@@ -326,16 +313,28 @@ fn draw(charts: &[(&str, Vec<Field>)]) -> Result<String, std::fmt::Error> {
     Ok(svg)
 }
 
+/// What the chart does not say.
+const NO_EVIDENCE: &str = "## What no evidence shows\n\n\
+    * Openings narrower than some 0.03 mm: no point comes from their floors, and the rays that end on their walls scatter no more \
+    than a rough surface does. Side by side they are passed whatever their depth (the red fields); the limits of wear must leave \
+    room for that, or such texture must be looked for by eye.\n\
+    * Single openings read as nearly nothing where they are narrower than two of the camera's cores see; as long as their true mean \
+    over the disc is below the limits, go is right, but the figure is then too low by more than U95.\n\
+    * The bench gives a core one line of sight. A real core sees some 0.03 mm across, so that texture finer than that is averaged \
+    before anything scatters.\n\
+    * One head, one place (tooth 40, the middle of the die), steep walls and flat floors, one capture a field: round and V-shaped \
+    ones at any angle are in [families](families.md).\n";
+
 fn page(charts: &[(&str, Vec<Field>)], args: &Args) -> Result<String, std::fmt::Error> {
     let mut text = format!(
-        "# What the instrument resolves\n\nMade by `cargo xtask study resolution --seed {}` at commit `{}`.\n\n\
+        "# What the instrument resolves\n\nMade by `{}` at commit `{}`.\n\n\
          Openings with steep walls and a flat floor are cut into the flanks of a die, as a mesh; raw frames are rendered through both \
          fibre bundles, decoded, laid on CAD and judged by the instrument's own code, with the head calibrated on the bench. The \
          demo tool judges the largest mean loss over any disc of 0.25 mm² (0.56 mm across): warn {WARN_UM} µm, stop {LIMIT_UM} µm. The \
          number in each field is the *true* value of that, so a narrow opening may be deep and still rightly go.\n\n\
          ![resolution](resolution.svg)\n\n\
          | surface | opening | {} |\n|---|---|{}\n",
-        args.seed,
+        command(args),
         args.commit,
         Outcome::ALL.map(Outcome::name).join(" | "),
         "---|".repeat(Outcome::ALL.len()),
@@ -405,5 +404,6 @@ fn page(charts: &[(&str, Vec<Field>)], args: &Args) -> Result<String, std::fmt::
         all().count(),
         why.join(", ")
     )?;
+    text.push_str(NO_EVIDENCE);
     Ok(text)
 }
