@@ -4,12 +4,12 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use flankscope_instrument::settings::StationSettings;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::Word;
 use flankscope_profilometry::PatternSet;
 use flankscope_profilometry::pattern::NAMED;
 use flankscope_protocol::{Fault, FaultClass};
-use flankscope_instrument::settings::StationSettings;
 use flankscope_test_requisites::workspace;
 use flankscope_tests::{flankscope, run};
 

@@ -1,6 +1,8 @@
 //! Structure finer than a cell through the whole instrument: openings whose floors no light comes back from are never passed, and
 //! hairlines that are seen to their floor do not cost a go.
 
+use std::path::Path;
+
 use flankscope_gear_cad::Flank;
 use flankscope_test_requisites::at_least;
 use flankscope_tests::die::{Fine, Place, bore, write_bore};
@@ -10,17 +12,23 @@ use flankscope_tests::{Run, inspect};
 const ZONE_MM: [f64; 2] = [29.0, 37.0];
 const CUT_MM: [f64; 2] = [0.35, 1.75];
 
-/// Tooth 40 left with a loss by radius less that of the tip and height above the zone's lower end, all in mm, cut in steps.
-fn worn(step_mm: [f64; 2], loss_mm: impl Fn([f64; 2]) -> f64, more: &[&str]) -> Run {
-    let fine = Fine {
-        tooth: 40,
-        flank: Flank::Left,
+/// A die whose flanks here have a loss by radius less that of the tip and height above the zone's lower end, all in mm, cut in
+/// steps.
+fn die(
+    folder: &Path,
+    flanks: &[(u32, Flank)],
+    step_mm: [f64; 2],
+    loss_mm: impl Fn([f64; 2]) -> f64,
+) -> String {
+    let fine = |&(tooth, flank): &(u32, Flank)| Fine {
+        tooth,
+        flank,
         from_tip_mm: [CUT_MM[0] - 0.02, CUT_MM[1] + 0.02],
         height_mm: ZONE_MM,
         step_mm,
     };
     let loss = |at: Place| {
-        let here = (at.tooth, at.flank) == (fine.tooth, fine.flank)
+        let here = flanks.contains(&(at.tooth, at.flank))
             && (CUT_MM[0]..CUT_MM[1]).contains(&at.from_tip_mm)
             && (ZONE_MM[0]..ZONE_MM[1]).contains(&at.height_mm);
         match here {
@@ -28,8 +36,14 @@ fn worn(step_mm: [f64; 2], loss_mm: impl Fn([f64; 2]) -> f64, more: &[&str]) -> 
             false => 0.0,
         }
     };
+    let fine: Vec<Fine> = flanks.iter().map(fine).collect();
+    write_bore(folder, &bore(loss, &fine))
+}
+
+/// A check of tooth 40, whose left flank is worn so.
+fn worn(step_mm: [f64; 2], loss_mm: impl Fn([f64; 2]) -> f64, more: &[&str]) -> Run {
     let folder = tempfile::tempdir().unwrap();
-    let die = write_bore(folder.path(), &bore(loss, &[fine]));
+    let die = die(folder.path(), &[(40, Flank::Left)], step_mm, loss_mm);
     inspect(&[&["--teeth", "40", "--die-mesh", &die], more].concat())
 }
 
@@ -67,6 +81,13 @@ fn grooves(width: f64, pitch: f64, depth: f64) -> impl Fn([f64; 2]) -> f64 {
     }
 }
 
+/// Side by side, 85 µm wide and 120 µm deep, over a quarter of the height.
+fn pits([x, y]: [f64; 2]) -> f64 {
+    let away = |v: f64| v.rem_euclid(0.09) - 0.045;
+    let inside = (3.0..5.0).contains(&y) && away(x).hypot(away(y)) < 0.0425;
+    if inside { 0.12 } else { 0.0 }
+}
+
 /// Loss by radius and height, mm.
 type Loss = Box<dyn Fn([f64; 2]) -> f64>;
 
@@ -75,15 +96,7 @@ fn texture_below_a_cell_is_never_passed() {
     // Along the height, along the profile, pits, V grooves; mm.
     let cases: [(&str, [f64; 2], Loss); 4] = [
         ("scored", [2e-3, 0.5], Box::new(grooves(0.04, 0.07, 0.15))),
-        (
-            "pits",
-            [6e-3, 6e-3],
-            Box::new(|[x, y]: [f64; 2]| {
-                let away = |v: f64| v.rem_euclid(0.09) - 0.045;
-                let inside = (3.0..5.0).contains(&y) && away(x).hypot(away(y)) < 0.0425;
-                if inside { 0.12 } else { 0.0 }
-            }),
-        ),
+        ("pits", [6e-3, 6e-3], Box::new(pits)),
         (
             "V grooves",
             [2e-3, 0.5],
@@ -115,12 +128,39 @@ fn texture_that_came_since_a_baseline_is_never_passed() {
         baseline,
     ]);
     assert_eq!(new.code, 0, "{}", new.json["reason"]);
-    let run = worn(
+    let cases: [([f64; 2], Loss); 2] = [
+        ([2e-3, 0.5], Box::new(grooves(0.04, 0.07, 0.15))),
+        ([6e-3, 6e-3], Box::new(pits)),
+    ];
+    for (step_mm, loss_mm) in at_least(1, &cases) {
+        assert_not_passed(&worn(*step_mm, loss_mm, &["--baseline", baseline]), 50.0);
+    }
+}
+
+/// Where no flank is sound there is none to compare with.
+#[test]
+fn texture_on_every_judged_flank_is_never_passed() {
+    let folder = tempfile::tempdir().unwrap();
+    let teeth = [12, 40, 68];
+    let flanks = teeth.map(|tooth| [Flank::Left, Flank::Right].map(|flank| (tooth, flank)));
+    let flanks = flanks.as_flattened();
+    let die = die(
+        folder.path(),
+        flanks,
         [2e-3, 0.5],
         grooves(0.04, 0.07, 0.15),
-        &["--baseline", baseline],
     );
-    assert_not_passed(&run, 50.0);
+    let run = inspect(&["--teeth", "12,40,68", "--die-mesh", &die]);
+    assert!([1, 2].contains(&run.code), "{}", run.json["reason"]);
+    for tooth in teeth {
+        for flank in ["left", "right"] {
+            let word = run.flank(tooth.into(), flank).unwrap();
+            assert!(
+                ["no-go", "indeterminate"].contains(&word),
+                "{tooth} {flank}: {word}"
+            );
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The bench file (`--bench FILE`): everything about the simulated bench that no command has an option for.
 //!
-//! One TOML file, described in docs/formats.md, "The bench file"; `flankscope bench example` writes one with every key, its unit and
+//! One TOML file, described in docs/formats/bench.md; `flankscope bench example` writes one with every key, its unit and
 //! its default ([`EXAMPLE`]).
 
 use std::path::{Path, PathBuf};

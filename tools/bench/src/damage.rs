@@ -22,7 +22,7 @@ const ON_INVOLUTE_MM: f64 = 0.01;
 /// Points nearer to each other than this are one, mm.
 const SAME_MM: f64 = 1e-6;
 /// Raster on which the largest mean is sought, mm: a disc of 0.25 mm² has 600 places.
-const RASTER_MM: f64 = 0.02;
+pub const RASTER_MM: f64 = 0.02;
 /// Waves that a random field is made of, and their longest length over the shortest of 0.1 mm.
 const WAVES: usize = 12;
 const SHORTEST_MM: f64 = 0.1;
@@ -55,7 +55,7 @@ impl Random {
     }
 
     /// Standard normal (Box and Muller 1958).
-    fn normal(&mut self) -> f64 {
+    pub fn normal(&mut self) -> f64 {
         let (a, b) = (1.0 - self.uniform(), self.uniform());
         (-2.0 * a.ln()).sqrt() * (TAU * b).cos()
     }
@@ -284,7 +284,7 @@ impl Damage {
     /// Its largest mean over any disc of that area in the rectangle, µm.
     #[must_use]
     pub fn largest_mean_um(&self, disc_area_mm2: f64) -> f64 {
-        largest_mean_um(self.judged, disc_area_mm2, |profile, height| {
+        largest_mean_um(self.judged, disc_area_mm2, RASTER_MM, |profile, height| {
             self.depth_mm(profile, height)
         })
     }
@@ -294,21 +294,22 @@ impl Damage {
 pub fn largest_mean_um(
     judged: Rectangle,
     disc_area_mm2: f64,
+    raster_mm: f64,
     depth_mm: impl Fn(f64, f64) -> f64,
 ) -> f64 {
     let [columns, rows] = judged
         .size_mm()
-        .map(|size| (size / RASTER_MM).round() as usize);
+        .map(|size| (size / raster_mm).round() as usize);
     // Sums along each row up to a column.
     let mut sums = vec![vec![0.0; columns + 1]; rows];
     for (row, sums) in sums.iter_mut().enumerate() {
-        let height = judged.height_mm[0] + RASTER_MM * (row as f64 + 0.5);
+        let height = judged.height_mm[0] + raster_mm * (row as f64 + 0.5);
         for column in 0..columns {
-            let profile = judged.profile_mm[0] + RASTER_MM * (column as f64 + 0.5);
+            let profile = judged.profile_mm[0] + raster_mm * (column as f64 + 0.5);
             sums[column + 1] = sums[column] + depth_mm(profile, height);
         }
     }
-    let radius = (disc_area_mm2 / PI).sqrt() / RASTER_MM;
+    let radius = (disc_area_mm2 / PI).sqrt() / raster_mm;
     let reach = radius.floor() as usize;
     let halves: Vec<usize> = (0..=2 * reach)
         .map(|i| {

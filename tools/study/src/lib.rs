@@ -10,6 +10,7 @@
 //!                              truth (closed form of the damage) ───────────────────────────┘        ▲
 //!  plane ──► staircase (pixel by pixel, core by core) ───────────────────────────────────────────────┘
 //!  campaign: random damage against exact distances, for the tests
+//!  structure ──► stand (a calibrated head before meshes) ──► resolution (width by depth), families (drawn at random)
 //! ```
 
 mod block;
@@ -18,9 +19,13 @@ mod campaign;
 mod capture;
 mod cases;
 mod chart;
+mod families;
 mod page;
+mod resolution;
 mod setup;
 mod staircase;
+mod stand;
+mod structure;
 mod tally;
 mod truth;
 
@@ -30,15 +35,31 @@ use block::Block;
 pub use block::BlockReport;
 pub use campaign::{Judgement, random_damages};
 pub use cases::{Case, Damaged, Group, Right, cases};
+pub use families::{Draw, Family, draws};
 use flankscope_bench::config::SurfaceKind;
 use flankscope_bench::files::MadeHead;
 use flankscope_gear_cad::Flank;
 use setup::{Setup, on_all_cores};
 pub use tally::{Cell, Figure, Sample};
 
+/// What is studied.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Subject {
+    /// How often the verdict is right: rows of damage.
+    #[default]
+    Verdicts,
+    /// The smallest openings that are seen: width by depth.
+    Resolution,
+    /// How often dies of families drawn at random are passed.
+    Families,
+}
+
 /// How large the study is.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
+    /// What is studied.
+    #[arg(value_enum, default_value_t)]
+    pub subject: Subject,
     /// Folder for `README.md`, `study.json` and the plots.
     #[arg(long)]
     pub out: PathBuf,
@@ -74,6 +95,11 @@ pub struct Args {
 /// The bench or the instrument refuses a case, or the folder cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out)?;
+    match args.subject {
+        Subject::Verdicts => {}
+        Subject::Resolution => return resolution::run(args),
+        Subject::Families => return families::run(args),
+    }
     let wanted = |case: &Case| {
         args.only
             .as_ref()

@@ -12,7 +12,7 @@ use super::chart::Frame;
 use super::setup::FLANKS_UM;
 use super::staircase::{self, Profile};
 use super::tally::Share;
-use super::{Args, BlockReport, Cell, Group, Outcome, Sample};
+use super::{Args, BlockReport, Cell, Group, Outcome, Sample, Subject};
 
 /// Width and height of the plot, and its margins, px.
 const SIZE: [f64; 2] = [640.0, 360.0];
@@ -67,8 +67,9 @@ pub(super) fn write(
     Ok(())
 }
 
-fn command(args: &Args) -> String {
+pub(super) fn command(args: &Args) -> String {
     let Args {
+        subject,
         blocks,
         captures,
         seed,
@@ -87,13 +88,16 @@ fn command(args: &Args) -> String {
     let rows = only
         .as_ref()
         .map_or(String::new(), |name| format!(" --only \"{name}\""));
-    format!(
-        "cargo xtask study --blocks {blocks} --captures {captures} --seed {seed}{head}{surface}{rows}"
-    )
+    let size = match subject {
+        Subject::Verdicts => format!(" --blocks {blocks} --captures {captures}"),
+        Subject::Resolution => " resolution".to_owned(),
+        Subject::Families => format!(" families --blocks {blocks} --captures {captures}"),
+    };
+    format!("cargo xtask study{size} --seed {seed}{head}{surface}{rows}")
 }
 
 /// What a surface is called.
-fn word(surface: SurfaceKind) -> &'static str {
+pub(super) fn word(surface: SurfaceKind) -> &'static str {
     match surface {
         SurfaceKind::Sprayed => "sprayed",
         SurfaceKind::Ground => "ground",
@@ -488,7 +492,7 @@ fn by_wear(sample: &Sample) -> bool {
 }
 
 /// Upper end of the one-sided 95 % interval for a rate of which `hits` of `all` were seen (Clopper and Pearson 1934).
-fn upper_bound(hits: usize, all: usize) -> f64 {
+pub(super) fn upper_bound(hits: usize, all: usize) -> f64 {
     // Probability of at most that many, summed from the likeliest way down to none by ratios of neighbours.
     let at_most = |rate: f64| {
         let mut term = (all as f64) * (1.0 - rate).ln();

@@ -90,6 +90,11 @@ impl Setup {
         }
     }
 
+    /// The drawing.
+    pub fn cad(&self) -> flankscope_gear_cad::Mesh {
+        self.die.cad.clone()
+    }
+
     /// The head with its cores.
     pub fn head(&self) -> &HeadModel {
         &self.head

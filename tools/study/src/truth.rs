@@ -3,7 +3,7 @@
 use flankscope_gear_cad::{Flank, GearSpec};
 use flankscope_metrology::tool::Tool;
 
-use flankscope_bench::damage::{Rectangle, largest_mean_um};
+use flankscope_bench::damage::{RASTER_MM, Rectangle, largest_mean_um};
 use flankscope_bench::world::{FlankId, Wear, WearField};
 
 /// The rectangle that is judged of a flank, and the disc's area, mm².
@@ -28,9 +28,14 @@ pub(super) fn of_wear_um(
     let (rectangle, area_mm2) = judged(tool)?;
     let field = WearField::new(gear, wear)?;
     let base = gear.base_radius_mm();
-    Ok(largest_mean_um(rectangle, area_mm2, |profile, height| {
-        // Profile length s from the base circle: r2 = rb2 + 2 rb s.
-        let radius = (base * base + 2.0 * base * profile).sqrt();
-        field.depth_mm(FlankId { tooth, flank }, radius, height)
-    }))
+    Ok(largest_mean_um(
+        rectangle,
+        area_mm2,
+        RASTER_MM,
+        |profile, height| {
+            // Profile length s from the base circle: r2 = rb2 + 2 rb s.
+            let radius = (base * base + 2.0 * base * profile).sqrt();
+            field.depth_mm(FlankId { tooth, flank }, radius, height)
+        },
+    ))
 }

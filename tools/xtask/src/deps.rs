@@ -17,7 +17,10 @@ const CAMERA: &str = "host/camera";
 const FOUNDATION: &str = "host/foundation";
 const PROFILOMETRY: &str = "host/profilometry";
 const METROLOGY: &str = "host/metrology";
-const STATION: &str = "host/station";
+const INSTRUMENT: &str = "host/instrument";
+const RECORD: &str = "host/record";
+const JOBS: &str = "host/jobs";
+const REPORT: &str = "host/report";
 const CLI: &str = "host/cli";
 const PYTHON: &str = "host/python";
 const BENCH: &str = "tools/bench";
@@ -26,6 +29,7 @@ const CAMPAIGN: &str = "tools/campaign";
 const STUDY: &str = "tools/study";
 const GEAR_CAD: &str = "tools/gear-cad";
 const TEST_REQUISITES: &str = "tools/test-requisites";
+const TESTS: &str = "tests";
 const EVERYTHING: &[&str] = &[
     PROTOCOL,
     CONTROLLER,
@@ -36,13 +40,17 @@ const EVERYTHING: &[&str] = &[
     FOUNDATION,
     PROFILOMETRY,
     METROLOGY,
-    STATION,
+    INSTRUMENT,
+    RECORD,
+    JOBS,
+    REPORT,
     CLI,
     BENCH,
     DEMO,
     STUDY,
     GEAR_CAD,
     TEST_REQUISITES,
+    TESTS,
 ];
 
 const ROOMS: &[Room] = &[
@@ -57,10 +65,26 @@ const ROOMS: &[Room] = &[
     (FOUNDATION, &[]),
     (PROFILOMETRY, &[FOUNDATION]),
     (METROLOGY, &[FOUNDATION]),
+    // Frames and time: neither verdicts nor what is stored.
     (
-        STATION,
+        INSTRUMENT,
         &[PROTOCOL, FRAMES, FOUNDATION, PROFILOMETRY, METROLOGY],
     ),
+    // What is stored is opened without an instrument.
+    (RECORD, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
+    (
+        JOBS,
+        &[
+            PROTOCOL,
+            FRAMES,
+            FOUNDATION,
+            PROFILOMETRY,
+            METROLOGY,
+            INSTRUMENT,
+            RECORD,
+        ],
+    ),
+    (REPORT, &[FOUNDATION, PROFILOMETRY, METROLOGY, RECORD, JOBS]),
     // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (
         CLI,
@@ -69,7 +93,10 @@ const ROOMS: &[Room] = &[
             FOUNDATION,
             PROFILOMETRY,
             METROLOGY,
-            STATION,
+            INSTRUMENT,
+            RECORD,
+            JOBS,
+            REPORT,
             BENCH,
             DEMO,
             CAMERA,
@@ -90,17 +117,29 @@ const ROOMS: &[Room] = &[
             FOUNDATION,
             PROFILOMETRY,
             METROLOGY,
-            STATION,
+            INSTRUMENT,
+            RECORD,
+            JOBS,
             BENCH,
             GEAR_CAD,
         ],
     ),
-    (CAMPAIGN, &[METROLOGY, PROFILOMETRY, STATION]),
+    (
+        CAMPAIGN,
+        &[
+            FOUNDATION,
+            METROLOGY,
+            PROFILOMETRY,
+            INSTRUMENT,
+            RECORD,
+            JOBS,
+        ],
+    ),
     (STUDY, EVERYTHING),
     (GEAR_CAD, &[]),
     (TEST_REQUISITES, &[]),
     ("tools/xtask", EVERYTHING),
-    ("tests", EVERYTHING),
+    (TESTS, EVERYTHING),
 ];
 
 /// What tests alone may see beside that (`[dev-dependencies]`): the CAD of a specimen, made by a leaf that shares no formula
@@ -109,9 +148,11 @@ const ROOMS: &[Room] = &[
 const TESTS_ONLY: &[Room] = &[
     (METROLOGY, &[GEAR_CAD, TEST_REQUISITES]),
     (FRAMES, &[TEST_REQUISITES]),
-    (STATION, &[TEST_REQUISITES]),
+    (INSTRUMENT, &[TEST_REQUISITES]),
+    (RECORD, &[TEST_REQUISITES]),
+    (JOBS, &[TEST_REQUISITES]),
     (CLI, &[GEAR_CAD, TEST_REQUISITES]),
-    (BENCH, &[STATION, TEST_REQUISITES]),
+    (BENCH, &[INSTRUMENT, TEST_REQUISITES]),
     (DEMO, &[TEST_REQUISITES]),
 ];
 

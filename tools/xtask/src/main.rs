@@ -34,6 +34,9 @@ cargo xtask COMMAND
   study [--blocks N --captures N --seed S --only TEXT --head NAME --surface KIND --patterns SET]
                          how often the verdict is right, on the bench: tables and plots in docs/study, of bare steel and of
                          another head in folders of their own there (--surface ground, polished, oiled; --head 10mm, or a file)
+  study resolution|families [--blocks N --captures N --seed S]
+                         the smallest openings that are seen (docs/study/resolution.md); how often dies of families drawn at
+                         random are passed, N heads and N dies before each (docs/study/families.md)
   study --scan           what a scan keeps of the die's form by either method, five seeds: docs/study/scan.md
   campaign [--mutants N | --seconds S] [--seed S]
                          mutants of every file that the instrument reads, 100 000 unless said otherwise

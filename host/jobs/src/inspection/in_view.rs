@@ -49,6 +49,17 @@ pub struct InView {
 }
 
 impl InView {
+    /// The gravest word of what counts of it: worn flanks that were not asked for, missing teeth. None where nothing does.
+    #[must_use]
+    pub fn word(&self) -> Option<Word> {
+        let missing = (!self.missing.is_empty()).then_some(Word::NoGo);
+        let flanks = self.flanks.iter().filter_map(FlankInView::finding);
+        missing
+            .into_iter()
+            .chain(flanks.map(|of| of.verdict.word()))
+            .max()
+    }
+
     /// Of a view of `tooth` and everything that was measured in its captures.
     pub(super) fn of_view(
         tooth: u32,

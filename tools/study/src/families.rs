@@ -1,0 +1,691 @@
+//! Families of dies that the verdict once presumed away, drawn at random: how often each ends in which word.
+
+use std::collections::BTreeMap;
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::fmt::Write as _;
+
+use flankscope_bench::damage::{Random, Rectangle, largest_mean_um};
+use flankscope_bench::world::FlankId;
+use flankscope_foundation::files::write_whole;
+use flankscope_gear_cad::{Flank, GearSpec, Mesh};
+use flankscope_metrology::verdict::Word;
+use flankscope_record::document::Feature;
+use flankscope_tests::die::{Fine, Place, bore};
+
+use super::Args;
+use super::capture::judged;
+use super::page::{command, upper_bound};
+use super::setup::{FLANKS_UM, Setup, flank, on_all_cores};
+use super::stand::Stand;
+use super::structure::{Plan, Section, Structure, cut, profile_mm};
+
+/// Limits of the demo tool, µm.
+pub(super) const WARN_UM: f64 = 30.0;
+pub(super) const LIMIT_UM: f64 = 50.0;
+/// No opening is deeper, mm: the gap to the facing flank is 1.5 mm wide.
+const DEEPEST_MM: f64 = 0.4;
+/// Roughness of a sound flank, standard deviation, and its grain, mm.
+const ROUGH_MM: f64 = 3e-3;
+const GRAIN_MM: f64 = 0.03;
+/// Raster of the truth of hairlines, mm.
+const RASTER_MM: f64 = 0.01;
+
+/// What a die is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Family {
+    /// Grooves or pits finer than a cell, side by side.
+    Texture,
+    /// One groove, scratch or pit with steep walls.
+    Opening,
+    /// One side of the teeth worn, the other proud.
+    BothSides,
+    /// The judged tooth is sound, a neighbour in view is worn or missing.
+    Neighbours,
+    /// The die is of another size and worn.
+    Scale,
+    /// Sound: a few hairlines.
+    Hairlines,
+    /// Sound: rough.
+    Rough,
+    /// Sound: pitch, slope and crown of class 7.
+    Class7,
+}
+
+impl Family {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Texture,
+        Self::Opening,
+        Self::BothSides,
+        Self::Neighbours,
+        Self::Scale,
+        Self::Hairlines,
+        Self::Rough,
+        Self::Class7,
+    ];
+
+    /// Whether its dies deserve a go.
+    #[must_use]
+    pub fn is_sound(self) -> bool {
+        matches!(self, Self::Hairlines | Self::Rough | Self::Class7)
+    }
+
+    /// As tables have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Texture => "texture below a cell",
+            Self::Opening => "single openings with steep walls",
+            Self::BothSides => "one side worn, the other proud",
+            Self::Neighbours => "worn or missing neighbours",
+            Self::Scale => "another size, and worn",
+            Self::Hairlines => "hairlines (sound)",
+            Self::Rough => "roughness of 3 µm (sound)",
+            Self::Class7 => "class 7 (sound)",
+        }
+    }
+
+    /// Whether heads of this family may look against a baseline of the sound die, and those with odd numbers do.
+    fn has_baselines(self) -> bool {
+        matches!(self, Self::Texture | Self::BothSides)
+    }
+}
+
+/// One thing that is judged, a flank or of [`Family::Neighbours`] a check: what is true of it and what was found.
+#[derive(Clone, Debug)]
+pub struct Draw {
+    /// Its family.
+    pub family: Family,
+    /// Number of its head.
+    pub head: u32,
+    /// What it is.
+    pub what: String,
+    /// True wear, µm; of a check that of the worst flank in view, infinite where a tooth is missing.
+    pub truth_um: f64,
+    /// The word that counts.
+    pub word: Word,
+    /// What was said of the flank; none of a check.
+    pub found: Option<Feature>,
+}
+
+impl Draw {
+    /// Whether it is beyond the stop limit.
+    #[must_use]
+    pub fn is_beyond(&self) -> bool {
+        self.truth_um > LIMIT_UM
+    }
+
+    /// A go beyond the stop limit.
+    #[must_use]
+    pub fn is_false_go(&self) -> bool {
+        self.is_beyond() && self.word == Word::Go
+    }
+
+    /// Whether what is claimed of a judged flank holds; none where nothing is claimed.
+    #[must_use]
+    pub fn holds(&self) -> Option<bool> {
+        let found = self.found.as_ref()?;
+        if let Some(least_um) = found.at_least_um {
+            return Some(least_um <= self.truth_um);
+        }
+        let (wear_um, u95_um) = (found.wear_um?, found.u95_um?);
+        let judged = found.verdict != Word::Indeterminate;
+        judged.then_some((wear_um - self.truth_um).abs() <= u95_um)
+    }
+
+    /// In a line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let mut line = format!(
+            "{}: {}, true {:.1} um, {}",
+            self.family.name(),
+            self.what,
+            self.truth_um,
+            self.word
+        );
+        if let Some(found) = &self.found {
+            let um = |value: Option<f64>| value.map_or("-".into(), |um| format!("{um:.1}"));
+            line += &format!(
+                " ({} ± {}, at least {}; {})",
+                um(found.wear_um),
+                um(found.u95_um),
+                um(found.at_least_um),
+                found.reason.as_deref().unwrap_or("")
+            );
+        }
+        if self.is_false_go() {
+            line += " FALSE GO";
+        }
+        if self.holds() == Some(false) {
+            line += " NOT HELD";
+        }
+        line
+    }
+}
+
+/// A die, and what is true of its two judged flanks where that is known in closed form, µm.
+struct Die {
+    what: String,
+    mesh: Mesh,
+    truths_um: Option<[f64; 2]>,
+    /// Of neighbours: the worst truth in view, µm.
+    beside_um: f64,
+}
+
+/// Draws `views` dies of a family before each of `heads` heads, and judges them.
+///
+/// # Errors
+/// The bench or the instrument refuses something.
+pub fn draws(
+    family: Family,
+    (heads, views): (u32, u32),
+    seed: u64,
+    tell: impl Fn(&str) + Sync,
+) -> anyhow::Result<Vec<Draw>> {
+    let setup = Setup::load(None)?;
+    let cad = setup.cad();
+    let of_heads = on_all_cores(heads, |head| {
+        let mut stand = Stand::new(&setup, head, seed, family == Family::Class7)?;
+        let since = family.has_baselines() && head % 2 == 1;
+        if since {
+            stand = stand.with_baseline()?;
+        }
+        let mut all = Vec::new();
+        for view in 1..=views {
+            let number = (family as u32) << 12 | view;
+            let mut random = Random::new((stand.seed << 24) | u64::from(number), 9);
+            let die = die(family, &mut random, &stand);
+            let outcome = stand.look(die.mesh, number)?;
+            let since = if since { ", since a baseline" } else { "" };
+            let found = stand
+                .flanks()
+                .map(|id| judged(&outcome, flank(id.flank)))
+                .into_iter()
+                .collect::<anyhow::Result<Vec<Feature>>>()?;
+            let what = format!("head {head} view {view}, {}{since}", die.what);
+            if family == Family::Neighbours {
+                let own = found.iter().map(|of| of.verdict).max();
+                let word = own
+                    .max(outcome.in_view.word())
+                    .unwrap_or(Word::Indeterminate);
+                all.push(Draw {
+                    family,
+                    head,
+                    what,
+                    truth_um: die.beside_um,
+                    word,
+                    found: None,
+                });
+            } else {
+                let by_distance = || {
+                    let zones = stand.truths(&cad);
+                    zones.map(|zone| zone.max_disc_wear_um.unwrap_or(f64::NAN))
+                };
+                let truths_um = die.truths_um.unwrap_or_else(by_distance);
+                for (found, truth_um) in found.into_iter().zip(truths_um) {
+                    all.push(Draw {
+                        family,
+                        head,
+                        what: format!("{what}, {}", found.id.flank),
+                        truth_um,
+                        word: found.verdict,
+                        found: Some(found),
+                    });
+                }
+            }
+            let new = if family == Family::Neighbours { 1 } else { 2 };
+            for draw in all.iter().rev().take(new) {
+                tell(&draw.line());
+            }
+        }
+        Ok(all)
+    })?;
+    Ok(of_heads.into_iter().flatten().collect())
+}
+
+fn die(family: Family, random: &mut Random, stand: &Stand) -> Die {
+    match family {
+        Family::Texture => structured(random, stand, texture),
+        Family::Opening => structured(random, stand, opening),
+        Family::BothSides => both_sides(random, stand),
+        Family::Neighbours => neighbours(random, stand),
+        Family::Scale => scaled(random, stand),
+        Family::Hairlines => hairlines(random, stand),
+        Family::Rough => rough(random, stand),
+        Family::Class7 => class7(random, stand),
+    }
+}
+
+/// A number between two, evenly in its logarithm.
+fn log_between(random: &mut Random, low: f64, high: f64) -> f64 {
+    low * (high / low).powf(random.uniform())
+}
+
+/// True in so many of a hundred cases.
+fn chance(random: &mut Random, percent: f64) -> bool {
+    100.0 * random.uniform() < percent
+}
+
+fn sign(random: &mut Random) -> f64 {
+    if chance(random, 50.0) { 1.0 } else { -1.0 }
+}
+
+/// A die with a structure on both judged flanks.
+fn structured(
+    random: &mut Random,
+    stand: &Stand,
+    draw: impl Fn(&mut Random, Rectangle) -> Structure,
+) -> Die {
+    let (judged, area_mm2) = (stand.judged, stand.disc_area_mm2);
+    let cuts = stand.flanks().map(|id| {
+        let target_um = log_between(random, LIMIT_UM + 2.0, 160.0);
+        let shape = draw(random, judged);
+        (id, shape.scaled_to(target_um, judged, area_mm2, DEEPEST_MM))
+    });
+    let words = cuts.map(|(_, of)| {
+        let pitch = of
+            .pitch_mm
+            .map_or(String::new(), |mm| format!(" every {mm:.3}"));
+        format!(
+            "{:?} {:?} {:.3} mm wide{pitch}, {:.0} um deep",
+            of.plan,
+            of.section,
+            of.width_mm,
+            1e3 * of.depth_mm
+        )
+    });
+    Die {
+        what: words.join(" | "),
+        mesh: cut(stand.gear(), &cuts),
+        truths_um: Some(cuts.map(|(_, of)| of.largest_mean_um(judged, area_mm2))),
+        beside_um: 0.0,
+    }
+}
+
+fn section(random: &mut Random) -> Section {
+    match (3.0 * random.uniform()) as u32 {
+        0 => Section::Flat,
+        1 => Section::Vee,
+        _ => Section::Round,
+    }
+}
+
+/// A third each along, across and at any angle.
+fn line(random: &mut Random) -> Plan {
+    Plan::Line(match (3.0 * random.uniform()) as u32 {
+        0 => 0.0,
+        1 => FRAC_PI_2,
+        _ => random.between(0.0, PI),
+    })
+}
+
+fn texture(random: &mut Random, judged: Rectangle) -> Structure {
+    let plan = if chance(random, 30.0) {
+        Plan::Pit
+    } else {
+        line(random)
+    };
+    // Wider pits: the mesh is as fine along as across.
+    let finest_mm = match plan {
+        Plan::Line(angle) if angle == 0.0 || angle == FRAC_PI_2 => 0.03,
+        Plan::Line(_) | Plan::Pit => 0.04,
+    };
+    let width_mm = log_between(random, finest_mm, 0.11);
+    let pitch_mm = width_mm * random.between(1.1, 2.2);
+    let [low, high] = judged.height_mm;
+    let half_mm = 0.5 * random.between(0.8, 2.4);
+    let middle_mm = random.between(low + half_mm, high - half_mm);
+    Structure {
+        plan,
+        section: section(random),
+        width_mm,
+        pitch_mm: Some(pitch_mm),
+        depth_mm: 0.0,
+        at_mm: [
+            judged.profile_mm[0] + random.uniform() * pitch_mm,
+            middle_mm,
+        ],
+        within: Rectangle {
+            height_mm: [middle_mm - half_mm, middle_mm + half_mm],
+            ..judged
+        },
+    }
+}
+
+fn opening(random: &mut Random, judged: Rectangle) -> Structure {
+    let plan = if chance(random, 30.0) {
+        Plan::Pit
+    } else {
+        line(random)
+    };
+    let width_mm = match plan {
+        Plan::Line(_) => log_between(random, 0.08, 0.35),
+        Plan::Pit => log_between(random, 0.25, 0.8),
+    };
+    let inside = |random: &mut Random, [low, high]: [f64; 2]| {
+        let margin = (0.3 + 0.5 * width_mm).min(0.5 * (high - low));
+        random.between(low + margin, high - margin)
+    };
+    let at_mm = [
+        inside(random, judged.profile_mm),
+        inside(random, judged.height_mm),
+    ];
+    let [low, high] = judged.height_mm;
+    let reach_mm = 1.5;
+    Structure {
+        plan,
+        section: section(random),
+        width_mm,
+        pitch_mm: None,
+        depth_mm: 0.0,
+        at_mm,
+        within: Rectangle {
+            height_mm: [low.max(at_mm[1] - reach_mm), high.min(at_mm[1] + reach_mm)],
+            ..judged
+        },
+    }
+}
+
+/// A bore by the loss of every tooth's flanks, µm.
+fn by_flank(loss_um: impl Fn(FlankId) -> f64) -> Mesh {
+    let loss = |at: Place| {
+        let (tooth, flank) = (at.tooth, at.flank);
+        1e-3 * loss_um(FlankId { tooth, flank })
+    };
+    bore(loss, &[])
+}
+
+fn both_sides(random: &mut Random, stand: &Stand) -> Die {
+    let worn_um = log_between(random, LIMIT_UM + 1.0, 90.0);
+    let proud_um = random.between(0.0, 45.0);
+    let is_left = chance(random, 50.0);
+    let reach = if chance(random, 70.0) { 84 } else { 2 };
+    let tooth = stand.place.tooth;
+    let gear = stand.gear();
+    let near = |other: u32| {
+        let away = other.abs_diff(tooth);
+        away.min(gear.teeth - away) <= reach
+    };
+    let mesh = by_flank(|id| match near(id.tooth) {
+        true if (id.flank == Flank::Left) == is_left => worn_um,
+        true => -proud_um,
+        false => 0.0,
+    });
+    let worn = if is_left { "left" } else { "right" };
+    Die {
+        what: format!("{worn} worn {worn_um:.0}, other proud {proud_um:.0}, {reach} teeth around"),
+        mesh,
+        truths_um: None,
+        beside_um: 0.0,
+    }
+}
+
+fn neighbours(random: &mut Random, stand: &Stand) -> Die {
+    let gear = stand.gear();
+    let step = if chance(random, 50.0) {
+        1
+    } else {
+        gear.teeth - 1
+    };
+    let other = (stand.place.tooth - 1 + step) % gear.teeth + 1;
+    let [low, high] = stand.judged.height_mm;
+    let from_mm = match chance(random, 50.0) {
+        true => 0.0,
+        false => random.between(low + 1.0, high - 2.0),
+    };
+    let is_missing = chance(random, 25.0);
+    let um = log_between(random, LIMIT_UM + 5.0, 200.0);
+    // The flanks of both neighbours that face the judged tooth, and the ones that turn away.
+    let flank = if chance(random, 50.0) {
+        Flank::Left
+    } else {
+        Flank::Right
+    };
+    let loss = |at: Place| match at.tooth == other && at.height_mm >= from_mm {
+        true if is_missing => f64::INFINITY,
+        true if at.flank == flank => 1e-3 * um,
+        _ => 0.0,
+    };
+    let fine = Fine {
+        tooth: other,
+        flank,
+        from_tip_mm: [0.0, 10.0],
+        height_mm: [low - 1.0, high + 1.0],
+        step_mm: [0.1, 0.1],
+    };
+    let what = match is_missing {
+        true => format!("tooth {other} missing above {from_mm:.1} mm"),
+        false => format!("tooth {other} {flank:?} worn {um:.0} um above {from_mm:.1} mm"),
+    };
+    Die {
+        what,
+        mesh: bore(loss, &[fine]),
+        truths_um: None,
+        beside_um: if is_missing { f64::INFINITY } else { um },
+    }
+}
+
+fn scaled(random: &mut Random, stand: &Stand) -> Die {
+    let scale = 1.0 + sign(random) * log_between(random, 2e-4, 2e-3);
+    let um = log_between(random, LIMIT_UM + 15.0, 160.0);
+    let tooth = stand.place.tooth;
+    let is_left = chance(random, 50.0);
+    let mut mesh = by_flank(
+        |id| match id.tooth == tooth && (id.flank == Flank::Left) == is_left {
+            true => um,
+            false => 0.0,
+        },
+    );
+    for vertex in &mut mesh.vertices {
+        *vertex = vertex.map(|x| x * scale);
+    }
+    Die {
+        what: format!("{scale:.5} times as large, one flank worn {um:.0} um"),
+        mesh,
+        truths_um: None,
+        beside_um: 0.0,
+    }
+}
+
+fn hairlines(random: &mut Random, stand: &Stand) -> Die {
+    let judged = stand.judged;
+    let [low, high] = judged.height_mm;
+    let mut counts = [0; 2];
+    let lines: Vec<(FlankId, Structure)> = stand
+        .flanks()
+        .into_iter()
+        .zip(&mut counts)
+        .flat_map(|(id, count)| {
+            *count = 1 + (8.0 * random.uniform()) as usize;
+            let mut all: Vec<Structure> = (0..*count)
+                .map(|_| Structure {
+                    plan: line(random),
+                    section: Section::Round,
+                    width_mm: random.between(0.15, 0.3),
+                    pitch_mm: None,
+                    depth_mm: 1e-3 * random.between(5.0, 25.0),
+                    at_mm: [
+                        random.between(judged.profile_mm[0], judged.profile_mm[1]),
+                        random.between(low, high),
+                    ],
+                    within: judged,
+                })
+                .collect();
+            all.sort_by(|a, b| a.width_mm.total_cmp(&b.width_mm));
+            all.into_iter().map(move |of| (id, of)).collect::<Vec<_>>()
+        })
+        .collect();
+    let truths_um = stand.flanks().map(|id| {
+        largest_mean_um(judged, stand.disc_area_mm2, RASTER_MM, |profile, height| {
+            let here = lines.iter().filter(|(of, _)| *of == id);
+            here.map(|(_, of)| of.loss_mm(profile, height)).sum()
+        })
+    });
+    Die {
+        what: format!("{} and {} hairlines", counts[0], counts[1]),
+        mesh: cut_lines(stand.gear(), &lines, judged),
+        truths_um: Some(truths_um),
+        beside_um: 0.0,
+    }
+}
+
+/// Lines of every direction on the same flank: as fine across as along.
+fn cut_lines(gear: &GearSpec, lines: &[(FlankId, Structure)], judged: Rectangle) -> Mesh {
+    let loss = |at: Place| {
+        let (tooth, flank) = (at.tooth, at.flank);
+        let here = lines
+            .iter()
+            .filter(|(id, _)| *id == FlankId { tooth, flank });
+        here.map(|(_, of)| of.loss_mm(profile_mm(gear, at), at.height_mm))
+            .sum()
+    };
+    let ids: std::collections::BTreeSet<FlankId> = lines.iter().map(|(id, _)| *id).collect();
+    let fine: Vec<Fine> = ids.into_iter().map(|id| whole(id, judged, 0.02)).collect();
+    bore(loss, &fine)
+}
+
+/// All of a flank, so fine in the judged heights.
+fn whole(id: FlankId, judged: Rectangle, step_mm: f64) -> Fine {
+    let [low, high] = judged.height_mm;
+    Fine {
+        tooth: id.tooth,
+        flank: id.flank,
+        from_tip_mm: [0.0, 10.0],
+        height_mm: [low - 0.5, high + 0.5],
+        step_mm: [step_mm; 2],
+    }
+}
+
+fn rough(random: &mut Random, stand: &Stand) -> Die {
+    let seed = (1e9 * random.uniform()) as u64;
+    let grain = |at: f64| (at / GRAIN_MM).round() as i64 as u64;
+    let flanks = stand.flanks();
+    let loss = |at: Place| {
+        let (tooth, flank) = (at.tooth, at.flank);
+        if !flanks.contains(&FlankId { tooth, flank }) {
+            return 0.0;
+        }
+        let side = u64::from(flank == Flank::Left);
+        let number =
+            seed ^ (grain(at.from_tip_mm) << 40) ^ (grain(at.height_mm) << 20) ^ (side << 62);
+        let mut random = Random::new(number.wrapping_mul(0x9e37_79b9_7f4a_7c15), 11);
+        ROUGH_MM * random.normal()
+    };
+    let fine = flanks.map(|id| whole(id, stand.judged, GRAIN_MM));
+    Die {
+        what: "white over 0.03 mm".into(),
+        mesh: bore(loss, &fine),
+        truths_um: None,
+        beside_um: 0.0,
+    }
+}
+
+/// Every flank off by its pitch, with a slope along profile and height and a crown of its own.
+fn class7(random: &mut Random, stand: &Stand) -> Die {
+    let gear = stand.gear();
+    let forms: BTreeMap<(u32, bool), [f64; 4]> = (1..=gear.teeth)
+        .flat_map(|tooth| [true, false].map(|left| (tooth, left)))
+        .map(|key| {
+            let pitch = FLANKS_UM * gear.pressure_angle_rad.cos() * random.normal();
+            let slopes = [1.5, 1.5].map(|um| um * random.normal());
+            (key, [pitch, slopes[0], slopes[1], random.between(0.0, 3.0)])
+        })
+        .collect();
+    let [low, high] = stand.judged.height_mm;
+    let depth_mm = (gear.root_radius_mm - gear.tip_radius_mm).abs();
+    let loss = |at: Place| {
+        let form = forms.get(&(at.tooth, at.flank == Flank::Left));
+        let [pitch, profile, helix, crown] = form.copied().unwrap_or_default();
+        let x = 2.0 * at.from_tip_mm / depth_mm - 1.0;
+        let y = (2.0 * (at.height_mm - low) / (high - low) - 1.0).clamp(-2.0, 2.0);
+        1e-3 * (pitch + profile * x + helix * y + crown * (0.5 * (x * x + y * y) - 0.33))
+    };
+    Die {
+        what: "pitch, slopes, crown".into(),
+        mesh: bore(loss, &[]),
+        truths_um: None,
+        beside_um: 0.0,
+    }
+}
+
+/// Draws all families and writes `families.md` with what came of each.
+pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    let mut text = format!(
+        "# Families of dies, drawn at random\n\nMade by `{}` at commit \
+         `{}`.\n\nOf every family {} dies are drawn before each of {} heads, each head calibrated on the bench, and judged by frames \
+         against the truth. *Texture*: grooves and pits 30 to 110 µm wide (what finer ones do is in [resolution](resolution.md)), 1.1 to 2.2 widths apart, flat, V-shaped or round, along, \
+         across or at any angle. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
+         side 0 to 45 µm proud, of all teeth or of five, without a datum. *Neighbours*: one flank beside the judged tooth 55 to \
+         200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts. *Another size*: 0.02 \
+         to 0.2 % larger or smaller, one flank worn 65 to 160 µm. Of texture and worn sides every second head looks against a \
+         baseline. Nothing of the estimator was chosen with these draws in sight. Bounds are one-sided (95 %, Clopper and Pearson); \
+         draws before one head share its calibration.\n\n\
+         | family | beyond {LIMIT_UM} µm | go | warn | no-go | indeterminate | P(go) at most |\n|---|---|---|---|---|---|---|\n",
+        command(args),
+        args.commit,
+        args.captures,
+        args.blocks
+    );
+    let mut sound = String::from(
+        "\n| family | below 30 µm | go | warn | no-go | indeterminate | P(not go) at most |\n|---|---|---|---|---|---|---|\n",
+    );
+    let mut rest = String::from(
+        "\n| family | claims of judged flanks and lower bounds | do not hold | reasons of the indeterminate ones |\n|---|---|---|---|\n",
+    );
+    let mut notes = String::new();
+    let wanted = |family: &Family| {
+        let only = args.only.as_ref();
+        only.is_none_or(|text| family.name().contains(text))
+    };
+    for family in Family::ALL.into_iter().filter(wanted) {
+        let all = draws(family, (args.blocks, args.captures), args.seed, |line| {
+            eprintln!("{line}");
+        })?;
+        let count = |of: &[&Draw], word| of.iter().filter(|d| d.word == word).count();
+        let row = |of: &[&Draw], wrong: usize| {
+            let words = [Word::Go, Word::Warn, Word::NoGo, Word::Indeterminate];
+            format!(
+                "| {} | {} | {} | {:.1} % |",
+                family.name(),
+                of.len(),
+                words.map(|word| count(of, word).to_string()).join(" | "),
+                100.0 * upper_bound(wrong, of.len())
+            )
+        };
+        if family.is_sound() {
+            let of: Vec<&Draw> = all.iter().filter(|d| d.truth_um < WARN_UM).collect();
+            writeln!(sound, "{}", row(&of, of.len() - count(&of, Word::Go)))?;
+        } else {
+            let of: Vec<&Draw> = all.iter().filter(|d| d.is_beyond()).collect();
+            writeln!(text, "{}", row(&of, count(&of, Word::Go)))?;
+        }
+        let claims: Vec<bool> = all.iter().filter_map(Draw::holds).collect();
+        let mut why: BTreeMap<&str, usize> = BTreeMap::new();
+        for code in all.iter().filter_map(|d| d.found.as_ref()?.code) {
+            *why.entry(code.word()).or_default() += 1;
+        }
+        let why: Vec<String> = why.iter().map(|(code, n)| format!("{code} {n}")).collect();
+        writeln!(
+            rest,
+            "| {} | {} | {} | {} |",
+            family.name(),
+            claims.len(),
+            claims.iter().filter(|holds| !**holds).count(),
+            why.join(", ")
+        )?;
+        let wrong = all.iter().filter(|d| match family.is_sound() {
+            true => d.word != Word::Go && d.truth_um < WARN_UM,
+            false => d.is_false_go() || d.holds() == Some(false),
+        });
+        for draw in wrong {
+            writeln!(notes, "* {}", draw.line())?;
+        }
+        let mut page = format!("{text}{sound}{rest}");
+        if !notes.is_empty() {
+            page += "\nWrong ones, and sound ones without a go:\n\n";
+            page += &notes;
+        }
+        write_whole(&args.out.join("families.md"), page.as_bytes())?;
+    }
+    Ok(())
+}

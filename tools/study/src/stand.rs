@@ -1,0 +1,111 @@
+//! A calibrated head before dies that come as meshes, one after another.
+
+use std::sync::Arc;
+
+use flankscope_bench::damage::Rectangle;
+use flankscope_bench::world::{DieMesh, FlankId, World};
+use flankscope_bench::zones::{Judged, ZoneTruth, compare};
+use flankscope_gear_cad::{Flank, GearSpec, Mesh};
+use flankscope_jobs::inspection::ViewOutcome;
+use flankscope_metrology::tool::Tool;
+use flankscope_profilometry::HeadModel;
+use flankscope_profilometry::decode::GridKind;
+use flankscope_record::baseline::Baseline;
+use flankscope_tests::die::bore;
+
+use super::calibration::Calibrated;
+use super::capture::{Instrument, Trouble};
+use super::setup::{Place, Setup};
+use super::truth;
+
+/// A head, calibrated on the bench, at one place.
+pub(super) struct Stand {
+    world: World,
+    head: HeadModel,
+    tool: Tool,
+    instrument: Instrument,
+    pub place: Place,
+    /// Draws everything that this head meets.
+    pub seed: u64,
+    /// What is judged of a flank, and the disc's area, mm².
+    pub judged: Rectangle,
+    pub disc_area_mm2: f64,
+}
+
+impl Stand {
+    /// The head of a number; `built`: the tool states the form of a die as built.
+    pub fn new(setup: &Setup, number: u32, seed: u64, built: bool) -> anyhow::Result<Self> {
+        let own = (seed << 16) | u64::from(number);
+        let Calibrated { rig, head, .. } = Calibrated::first_of(&setup.made, own)?;
+        let head = setup.throwing(head);
+        let place = Place::of_block(number);
+        let tool = setup.tool(place, built);
+        let (judged, disc_area_mm2) = truth::judged(&tool)?;
+        Ok(Self {
+            world: World::new(&setup.world(&rig, false, own))?,
+            instrument: Instrument::new(&tool, &head, place.tooth, GridKind::Core, None, None)?,
+            head,
+            tool,
+            place,
+            seed: own,
+            judged,
+            disc_area_mm2,
+        })
+    }
+
+    /// The same head from now on against a baseline of a sound bore.
+    pub fn with_baseline(mut self) -> anyhow::Result<Self> {
+        let sound = bore(|_| 0.0, &[]);
+        let golden = self.look(sound, 0)?;
+        let baseline = Baseline {
+            tool: self.tool.name.clone(),
+            hashes: std::collections::BTreeMap::new(),
+            simulated: Some(true),
+            flanks: golden.fields,
+            poses: golden.pose.into_iter().collect(),
+            in_view: Vec::new(),
+        };
+        let tooth = self.place.tooth;
+        let (tool, head) = (&self.tool, &self.head);
+        self.instrument = Instrument::new(tool, head, tooth, GridKind::Core, None, Some(baseline))?;
+        Ok(self)
+    }
+
+    pub fn gear(&self) -> &GearSpec {
+        self.world.gear()
+    }
+
+    /// Both flanks of the tooth that is judged.
+    pub fn flanks(&self) -> [FlankId; 2] {
+        let tooth = self.place.tooth;
+        [Flank::Left, Flank::Right].map(|flank| FlankId { tooth, flank })
+    }
+
+    /// Puts a die there, approaches it anew and judges one view; `number` draws stages and noise.
+    pub fn look(&mut self, die: Mesh, number: u32) -> anyhow::Result<ViewOutcome> {
+        self.world.stand(Some(Arc::new(DieMesh::new(die)?)))?;
+        let draw = (self.seed << 24) | u64::from(number);
+        let state = self
+            .instrument
+            .approach(&self.world, draw, Trouble::default())?;
+        self.instrument
+            .capture(&self.world, &state, number, Trouble::default())
+    }
+
+    /// What is true of both flanks of the die that stands there, by exact distances.
+    pub fn truths(&self, cad: &Mesh) -> [ZoneTruth; 2] {
+        let base_mm = self.gear().base_radius_mm();
+        let radius = |profile: f64| (base_mm * base_mm + 2.0 * base_mm * profile).sqrt();
+        let zone = Judged {
+            cad: cad.clone(),
+            gear: self.gear().clone(),
+            flanks: self.flanks().to_vec(),
+            radius_mm: self.judged.profile_mm.map(radius),
+            height_mm: self.judged.height_mm,
+            disc_area_mm2: self.disc_area_mm2,
+        };
+        let truths = compare(&self.world, &zone);
+        self.flanks()
+            .map(|id| truths.get(&id).copied().unwrap_or_default())
+    }
+}

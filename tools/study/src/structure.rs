@@ -1,0 +1,204 @@
+//! Openings with walls: grooves, scratches and pits of stated width, pitch and depth, alone or side by side, cut into flanks of a bore.
+
+use std::f64::consts::{PI, TAU};
+
+use flankscope_bench::damage::{Rectangle, largest_mean_um};
+use flankscope_bench::world::FlankId;
+use flankscope_gear_cad::{GearSpec, Mesh};
+use flankscope_tests::die::{Fine, Place, bore};
+
+/// Edges of the mesh across an opening.
+const EDGES_ACROSS: f64 = 8.0;
+/// Longest edge along a groove, mm: a chord of the involute is 0.1 µm off there.
+const ALONG_MM: f64 = 0.05;
+/// The truth's raster is no coarser than this part of the opening, and no finer than so many mm.
+const RASTER_PARTS: f64 = 8.0;
+const FINEST_RASTER_MM: f64 = 0.004;
+
+/// How an opening's depth runs across it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Section {
+    /// A flat floor between steep walls.
+    Flat,
+    /// Two slopes that meet.
+    Vee,
+    /// A period of a cosine.
+    Round,
+}
+
+impl Section {
+    /// Share of the depth at a distance from the middle over the width.
+    fn at(self, t: f64) -> f64 {
+        match (self, t.abs() < 0.5) {
+            (_, false) => 0.0,
+            (Self::Flat, true) => 1.0,
+            (Self::Vee, true) => 1.0 - 2.0 * t.abs(),
+            (Self::Round, true) => 0.5 * (1.0 + (TAU * t).cos()),
+        }
+    }
+}
+
+/// What an opening is across and along.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Plan {
+    /// A line; the angle of the direction across it against the profile, rad: 0 runs along the height.
+    Line(f64),
+    /// A round pit.
+    Pit,
+}
+
+/// Openings on one flank, in a rectangle of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Structure {
+    pub plan: Plan,
+    pub section: Section,
+    pub width_mm: f64,
+    /// Distance of the middles of neighbours; none of a single opening.
+    pub pitch_mm: Option<f64>,
+    pub depth_mm: f64,
+    /// Middle of one of them: profile length from the base circle, and height, mm.
+    pub at_mm: [f64; 2],
+    /// Where it is: what lies outside is as drawn.
+    pub within: Rectangle,
+}
+
+impl Structure {
+    /// Loss at a profile length and height, mm.
+    pub fn loss_mm(&self, profile_mm: f64, height_mm: f64) -> f64 {
+        let inside = |[low, high]: [f64; 2], x: f64| (low..=high).contains(&x);
+        if !inside(self.within.profile_mm, profile_mm) || !inside(self.within.height_mm, height_mm)
+        {
+            return 0.0;
+        }
+        let [x, y] = [profile_mm - self.at_mm[0], height_mm - self.at_mm[1]];
+        // To the nearest neighbour's middle.
+        let nearest = |v: f64| match self.pitch_mm {
+            Some(pitch) => v - pitch * (v / pitch).round(),
+            None => v,
+        };
+        let off_mm = match self.plan {
+            Plan::Line(angle) => nearest(x * angle.cos() + y * angle.sin()),
+            Plan::Pit => nearest(x).hypot(nearest(y)),
+        };
+        self.depth_mm * self.section.at(off_mm / self.width_mm)
+    }
+
+    /// The largest mean loss over a disc in the judged rectangle, µm.
+    pub fn largest_mean_um(&self, judged: Rectangle, disc_area_mm2: f64) -> f64 {
+        let disc_mm = 2.0 * (disc_area_mm2 / PI).sqrt();
+        // A disc beyond has lost nothing.
+        let [low, high] = self.within.height_mm;
+        let near = Rectangle {
+            height_mm: [
+                judged.height_mm[0].max(low - disc_mm),
+                judged.height_mm[1].min(high + disc_mm),
+            ],
+            ..judged
+        };
+        let raster_mm = (self.width_mm / RASTER_PARTS).clamp(FINEST_RASTER_MM, 0.02);
+        largest_mean_um(near, disc_area_mm2, raster_mm, |profile, height| {
+            self.loss_mm(profile, height)
+        })
+    }
+
+    /// The same, as deep as makes its largest mean loss so much, but at most `deepest_mm`.
+    pub fn scaled_to(
+        self,
+        um: f64,
+        judged: Rectangle,
+        disc_area_mm2: f64,
+        deepest_mm: f64,
+    ) -> Self {
+        let per_mm = Self {
+            depth_mm: 1.0,
+            ..self
+        }
+        .largest_mean_um(judged, disc_area_mm2);
+        Self {
+            depth_mm: (um / per_mm).min(deepest_mm),
+            ..self
+        }
+    }
+
+    /// How finely its flank must be cut.
+    fn fine(&self, gear: &GearSpec, id: FlankId) -> Fine {
+        let step_mm = self.width_mm / EDGES_ACROSS;
+        let step_mm = match self.plan {
+            Plan::Line(angle) if angle.sin().abs() < 1e-9 => [step_mm, 2.0 * ALONG_MM],
+            Plan::Line(angle) if angle.cos().abs() < 1e-9 => [ALONG_MM, step_mm],
+            Plan::Line(_) | Plan::Pit => [step_mm; 2],
+        };
+        let [low, high] = self.within.height_mm;
+        let from_tip_mm = self
+            .within
+            .profile_mm
+            .map(|profile| from_tip_mm(gear, profile));
+        Fine {
+            tooth: id.tooth,
+            flank: id.flank,
+            from_tip_mm: [from_tip_mm[0] - step_mm[0], from_tip_mm[1] + step_mm[0]],
+            height_mm: [low - step_mm[1], high + step_mm[1]],
+            step_mm,
+        }
+    }
+}
+
+/// Radius less that of the tip at a profile length, mm.
+fn from_tip_mm(gear: &GearSpec, profile_mm: f64) -> f64 {
+    let base_mm = gear.base_radius_mm();
+    (base_mm * base_mm + 2.0 * base_mm * profile_mm).sqrt() - gear.tip_radius_mm
+}
+
+/// Profile length of a place, mm.
+pub(super) fn profile_mm(gear: &GearSpec, place: Place) -> f64 {
+    let (base_mm, radius_mm) = (
+        gear.base_radius_mm(),
+        gear.tip_radius_mm + place.from_tip_mm,
+    );
+    (radius_mm * radius_mm - base_mm * base_mm) / (2.0 * base_mm)
+}
+
+/// The gear's bore with structures on some flanks.
+pub(super) fn cut(gear: &GearSpec, structures: &[(FlankId, Structure)]) -> Mesh {
+    let fine: Vec<Fine> = structures
+        .iter()
+        .map(|(id, of)| of.fine(gear, *id))
+        .collect();
+    let loss = |place: Place| {
+        let id = FlankId {
+            tooth: place.tooth,
+            flank: place.flank,
+        };
+        let here = structures.iter().filter(|(of, _)| *of == id);
+        here.map(|(_, of)| of.loss_mm(profile_mm(gear, place), place.height_mm))
+            .sum()
+    };
+    bore(loss, &fine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_at_every_angle_lose_as_much() {
+        let judged = Rectangle {
+            profile_mm: [0.0, 2.0],
+            height_mm: [0.0, 4.0],
+        };
+        for i in 0..8 {
+            let groove = Structure {
+                plan: Plan::Line(TAU * f64::from(i) / 8.0),
+                section: Section::Flat,
+                width_mm: 0.1,
+                pitch_mm: None,
+                depth_mm: 0.1,
+                at_mm: [1.0, 2.0],
+                within: judged,
+            };
+            // 0.1 mm across the middle of a disc of 0.25 mm²: 0.05613 mm² (chord geometry), 22.4 % of it.
+            let um = groove.largest_mean_um(judged, 0.25);
+            assert!((um - 22.4).abs() < 0.7, "{i}: {um}");
+        }
+    }
+}
