@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use flankscope_bench::devices::{Exposure, ExposureSink, InstrumentConfig, run};
 use flankscope_instrument::controller::{Client, ClientError, ClientSettings};
-use flankscope_jobs::doctor::{self, Health};
+use flankscope_instrument::doctor::{self, Health};
 use flankscope_protocol::{Command, Event, Fault, Refusal, StageConfig, StageName, State};
 
 struct Unlit;

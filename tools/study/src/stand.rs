@@ -60,7 +60,7 @@ impl Stand {
         let baseline = Baseline {
             tool: self.tool.name.clone(),
             hashes: std::collections::BTreeMap::new(),
-            simulated: Some(true),
+            simulated: true,
             flanks: golden.fields,
             poses: golden.pose.into_iter().collect(),
             in_view: Vec::new(),

@@ -335,7 +335,7 @@ mod tests {
     fn cargo_tells_every_kind_of_dependency() {
         let of = |folder: &str| arrows_from(&crate::root(), folder).unwrap();
         let to = |folder: &str, to: &str| of(folder).into_iter().find(|arrow| arrow.to == to);
-        assert!(!to(STATION, PROTOCOL).unwrap().tests_only);
+        assert!(!to(INSTRUMENT, PROTOCOL).unwrap().tests_only);
         assert!(to(METROLOGY, GEAR_CAD).unwrap().tests_only);
         assert!(to(CLI, BENCH).unwrap().optional);
         assert!(
@@ -347,21 +347,26 @@ mod tests {
 
     #[test]
     fn arrows_that_nobody_designed_fail() {
-        assert!(judge(&arrow(STATION, PROTOCOL)).is_ok());
+        assert!(judge(&arrow(INSTRUMENT, PROTOCOL)).is_ok());
         for (from, to) in [
             (METROLOGY, PROFILOMETRY),
             (PROFILOMETRY, BENCH),
-            (PROTOCOL, STATION),
-            (FRAMES, STATION),
-            (STATION, BENCH),
-            (BENCH, STATION),
+            (PROTOCOL, INSTRUMENT),
+            (FRAMES, INSTRUMENT),
+            (JOBS, BENCH),
+            (BENCH, JOBS),
+            (INSTRUMENT, RECORD),
+            (RECORD, INSTRUMENT),
+            (RECORD, FRAMES),
+            (RECORD, JOBS),
+            (JOBS, REPORT),
             (BENCH, METROLOGY),
             (BENCH, PROFILOMETRY),
             (BENCH, DEMO),
             (CONTROLLER, SIM),
             (CLI, STUDY),
-            (PYTHON, STATION),
-            (STATION, PYTHON),
+            (PYTHON, JOBS),
+            (JOBS, PYTHON),
             (CLI, "somewhere/else"),
         ] {
             assert!(judge(&arrow(from, to)).is_err(), "{from} to {to}");

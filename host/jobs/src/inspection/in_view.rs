@@ -53,7 +53,7 @@ impl InView {
     #[must_use]
     pub fn word(&self) -> Option<Word> {
         let missing = (!self.missing.is_empty()).then_some(Word::NoGo);
-        let flanks = self.flanks.iter().filter_map(FlankInView::finding);
+        let flanks = self.flanks.iter().filter_map(finding);
         missing
             .into_iter()
             .chain(flanks.map(|of| of.verdict.word()))
