@@ -7,7 +7,7 @@ use flankscope_metrology::verdict::{Code, Word};
 
 use super::{Fact, Words, chart, colour, facts, numbered, ring};
 use flankscope_profilometry::Picture;
-use flankscope_record::document::{FlankMap, Inspection};
+use flankscope_record::document::{FlankInView, FlankMap, Inspection};
 
 /// Pixels per millimetre of a map on the page.
 const PX_PER_MM: f64 = 30.0;
@@ -133,6 +133,11 @@ fn draw<'a>(map: &'a FlankMap, inspection: &'a Inspection, full_um: f64) -> Map<
         width_px: wide_mm * PX_PER_MM,
         height_px: high_mm * PX_PER_MM,
     }
+}
+
+/// Whether a flank that was not asked for adds to the verdict of the check; on paper only these are listed.
+fn counts(flank: &FlankInView) -> bool {
+    matches!(flank.verdict, Word::NoGo | Word::Warn)
 }
 
 /// A frame as a small picture: means of blocks of pixels, in 32 shades, so that noise costs little.
