@@ -380,7 +380,7 @@ fn form_is_kept_and_a_session_goes_on_where_it_was() {
     let of_pixels = head_of_pixels(folder.path());
     refused(
         &["--views", "12x2", "--head", &of_pixels],
-        "holds another scan: its points is cores, this scan's is pixels",
+        "holds another scan: its cores is",
     );
     refused(
         &["--views", "12x3"],

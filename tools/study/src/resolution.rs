@@ -202,7 +202,7 @@ fn structure(judged: Rectangle, [series, width, depth]: [usize; 3]) -> Structure
     let at_mm = [middle(judged.profile_mm), middle(judged.height_mm)];
     let height_mm = match (series.plan, series.pitch_ratio) {
         // Along the whole height.
-        (Plan::Line(angle), None) if angle == 0.0 => judged.height_mm,
+        (Plan::Line(0.0), None) => judged.height_mm,
         (_, None) => [at_mm[1] - width_mm, at_mm[1] + width_mm],
         (_, Some(_)) => [at_mm[1] - 0.5 * COVERED_MM, at_mm[1] + 0.5 * COVERED_MM],
     };

@@ -14,6 +14,9 @@ use flankscope_metrology::wear::{FlankPoint, FlankView};
 
 use super::session::SessionError;
 
+/// One view of a flank, and the correction of its pose by the common solution.
+type MovedView = (FlankView, Rigid<ToolFrame, ToolFrame>);
+
 /// Where one view lies in the file.
 #[derive(Debug)]
 struct Place {
@@ -121,7 +124,7 @@ impl Patches {
         view: usize,
         key: (u32, Flank),
         tool_from_camera: &CameraPose,
-    ) -> Result<Option<(FlankView, Rigid<ToolFrame, ToolFrame>)>, SessionError> {
+    ) -> Result<Option<MovedView>, SessionError> {
         let Some(place) = self.places.get(&view) else {
             return Ok(None);
         };
