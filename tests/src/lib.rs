@@ -202,7 +202,7 @@ pub fn inspect(arguments: &[&str]) -> Run {
 /// As [`inspect`], on a bench with these lines in its file.
 ///
 /// # Panics
-/// As [`inspect`] and [`bench`].
+/// As [`inspect`] and [`bench()`].
 #[must_use]
 pub fn inspect_on(lines: &str, arguments: &[&str]) -> Run {
     let [option, file] = bench(lines);

@@ -24,7 +24,7 @@ pub enum Moves {
     Die,
     /// The head, in a press before a die that stands still.
     Head,
-    /// Nothing: a robot arm carries the head, and says where it stands ([`flankscope_instrument::poses`]). The stages stay at home.
+    /// Nothing: a robot arm carries the head, and says where it stands. The stages stay at home.
     Outside,
 }
 

@@ -5,7 +5,7 @@
 //! exposure and frequency wait in `pending` and join `merged` with its last step.
 //!
 //! The sums of squares are kept as well, to test whether a cell's frames follow one fringe ([`consistency`]), and whether its exposures
-//! show the same scene ([`agreement`]), where configured.
+//! show the same scene (`agreement`), where configured.
 //!
 //! A cell's sums run over the frames in their order whatever the number of threads: same input, same bytes.
 

@@ -96,7 +96,7 @@ impl Line {
     }
 }
 
-/// Indices of the points at which the wear left its line for good by at least [`LEAST_SHARE_OF_WARN`], ascending.
+/// Indices of the points at which the wear left its line for good by at least a twentieth of the warning limit, ascending.
 #[must_use]
 pub fn changes(points: &[Point], warn_um: f64) -> Vec<usize> {
     let Some(scatter_um) = scatter_um(points) else {
