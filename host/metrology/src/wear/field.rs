@@ -71,7 +71,7 @@ struct Groove {
 
 /// Light would come back from an opening without a visible floor from this much deeper than it does from a groove whose floor counts as
 /// seen. Of ten points spread evenly over a wall the ratio of their moments tells its end to 11 % (standard deviation).
-const FLOOR_SEEN: f64 = 1.2;
+const FLOOR_SEEN: f64 = 1.15;
 /// Least number of second differences for an estimate of noise.
 const LEAST_DIFFERENCES: usize = 8;
 /// A cell counts as a groove beyond so many standard deviations of noise: of the five thousand pairs of neighbours in a zone

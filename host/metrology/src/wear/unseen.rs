@@ -21,17 +21,18 @@ use super::sight::Visibility;
 /// Depth over width that is supposed of an opening whose floor is not seen: scores, pits and V grooves of worn dies are not
 /// steeper; a crack that is narrower than a cell takes up little of a disc.
 const DEPTH_PER_WIDTH: f64 = 3.0;
-/// Scatter within a cell that counts as roughness, mm: Rq of a surface of Ra 3.2 um (grade N8 of ISO 1302; Rq is about 1.25 Ra),
-/// and an eighth for how well some 40 degrees of freedom tell a standard deviation.
-const ROUGHNESS_MM: f64 = 4.5e-3;
+/// Scatter within a cell that counts as roughness, mm: a surface of Ra 3.2 um (grade N8 of ISO 1302) has an Rq of 4 um, of which a core's
+/// footprint, 0.09 mm long at a grazing angle, and the cell's own plane take some away (white roughness of 3 um is seen as 2.1 um at
+/// the median, and as 3.4 um in one window of a hundred).
+const ROUGHNESS_MM: f64 = 3.8e-3;
 /// Cells to each side of a cell that together are about a disc.
 const WINDOW: usize = 2;
 /// Least number of cells with an estimate in a window.
 const LEAST_CELLS: usize = 8;
-/// A window is textured when at least 60 % of its cells scatter that much: a single scratch crosses fewer.
-const SMOOTH_RATIO: f64 = 0.4;
+/// A window is textured when at least three quarters of its cells scatter that much: a single scratch crosses fewer.
+const SMOOTH_RATIO: f64 = 0.25;
 /// Standard normal quantile of [`SMOOTH_RATIO`].
-const SMOOTH_DEVIATE: f64 = -0.253_347;
+const SMOOTH_DEVIATE: f64 = -0.674_490;
 /// Quantiles of the depths in a window that stand for the unworn surface between the openings, and for the deepest that light
 /// came back from: one point in thirty may be wrong.
 const LAND_RATIO: f64 = 0.1;
