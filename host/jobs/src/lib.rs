@@ -9,6 +9,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`subject`] | what a job looks at, and with what |
+//! | [`job`] | what all jobs share: threads, live or recorded frames as their source, recordings |
 //! | [`inspection`] | the check of a few critical teeth |
 //! | [`watch`] | a check every N cycles of the press |
 //! | [`scan`] | the whole die, view by view |
@@ -19,6 +20,7 @@
 mod bookkeeping;
 pub mod calibration;
 pub mod inspection;
+pub mod job;
 pub mod readiness;
 pub mod replay;
 pub mod scan;

@@ -8,7 +8,6 @@
 //! | `recorded` | the same check on frames that were recorded |
 //! | `recipe` | what of a plan its files do not say |
 //! | `repeat` | what is too near to a limit is measured again |
-//! | `failure` | what went wrong with frames or controller, as a reason |
 //! | `views` | one view's sums to points, pose and wear |
 //! | `exposures` | whether the exposures of a view show one scene |
 //! | `outcome` | what became of a view, captured once or more often |
@@ -25,7 +24,6 @@
 mod datum;
 mod die_size;
 mod exposures;
-mod failure;
 mod field;
 mod findings;
 mod flank_decision;
@@ -44,18 +42,16 @@ mod verdict;
 mod views;
 
 pub(crate) use exposures::exposures_disagree;
-pub(crate) use failure::{stopped, unfit, view_lost};
 pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub use in_view::InView;
-pub use job::{InspectError, Station};
+pub use job::InspectError;
 pub use outcome::ViewOutcome;
 pub use patch_view::PatchViewError;
 pub use plan::{PlanningError, ViewPlan};
 pub(crate) use recipe::recipe;
-pub use recorded::{RecordError, RecordedCheck, recording_id};
-pub(crate) use recorded::{RecordingNotes, tooth_in_middle};
+pub(crate) use recorded::tooth_in_middle;
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;
 pub use views::{Evaluator, EvaluatorError};

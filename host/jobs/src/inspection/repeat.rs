@@ -5,8 +5,9 @@ use std::time::Duration;
 use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
-use super::job::{InspectError, Station};
+use super::job::InspectError;
 use super::outcome::ViewOutcome;
+use crate::job::Job;
 use flankscope_instrument::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use flankscope_instrument::controller::{Client, ClientError};
 
@@ -19,7 +20,7 @@ enum Captured {
     NotLetIn,
 }
 
-impl Station {
+impl Job<ViewOutcome> {
     /// Measures again, as often as the tool file allows and while there is time, the views whose figures are too near to a
     /// limit; returns why that stopped early, if it did.
     pub(super) async fn repeat_open_views(

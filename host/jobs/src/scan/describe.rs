@@ -39,7 +39,7 @@ impl Scanner {
         stitched.elapsed_ms.insert("wear", took_ms);
         let mut lost = lost.clone();
         lost.extend(std::mem::take(&mut stitched.refused));
-        let (tool, planned) = (&self.subject.tool, &self.plan.views);
+        let (tool, planned) = (&self.job.subject.tool, &self.job.plan.views);
         let zone = tool.zone();
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let map = &stitched.map;
@@ -71,7 +71,7 @@ impl Scanner {
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
         Ok(Scan {
-            origin: self.subject.origin(&self.setting),
+            origin: self.job.subject.origin(&self.job.setting),
             date: date::now(),
             verdict,
             reason,
@@ -105,8 +105,8 @@ impl Scanner {
             seal: None,
             tool: tool.name.clone(),
             versions,
-            hashes: self.subject.hashes.clone(),
-            toothing: Toothing::of(&self.subject.tool),
+            hashes: self.job.subject.hashes.clone(),
+            toothing: Toothing::of(&self.job.subject.tool),
             map: stitched.map,
             quality: stitched.quality,
         })
@@ -119,7 +119,7 @@ impl Scanner {
         views: &[(usize, ViewInformation)],
         adjustment: &Solution,
     ) -> Vec<OppositeTeeth> {
-        let calibration_mm = 1e-3 * calibration_um(&self.subject.tool, &self.subject.head);
+        let calibration_mm = 1e-3 * calibration_um(&self.job.subject.tool, &self.job.subject.head);
         let nearest = |tooth: u32| {
             let (sin, cos) = self.gear.tooth_centre_rad(tooth).sin_cos();
             let along = |view: &ViewInformation| view.centre_mm[0] * cos + view.centre_mm[1] * sin;

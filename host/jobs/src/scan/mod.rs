@@ -79,7 +79,6 @@ pub use hinz2019::{Denoise, Hinz2019Settings};
 pub use job::{Progress, ScanError, Scanner};
 pub use metrics::{Metrics, MetricsError, TwoMetrics};
 pub use overlaps::{Step, Steps};
-pub use recorded::RecordedScan;
 pub use reference::{Placement, ReferenceError};
 pub use result::{
     Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, StageU95,

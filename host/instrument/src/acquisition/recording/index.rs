@@ -8,7 +8,7 @@ use flankscope_protocol::plan::MAX_FRINGE_SETS;
 use serde::{Deserialize, Serialize};
 
 /// The index of a folder of frames. All paths named are relative to it, or absolute.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameIndex {
     /// Whether no real die was looked at: rendered, or from the simulated bench.
