@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use flankscope_instrument::acquisition::{FrameIndex, Recording};
+use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::recording_id;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::{FeatureId, Inspection};

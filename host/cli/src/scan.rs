@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use flankscope_foundation::seal::Seal;
-use flankscope_instrument::acquisition::{FrameIndex, Recording};
+use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::{RecordedFrames, recording_id};
 use flankscope_jobs::scan::{
     CloudIndex, CloudRecording, CloudScan, FinishedScan, Grid, Hinz2019Settings, Method,

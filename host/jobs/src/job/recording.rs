@@ -10,7 +10,7 @@ use flankscope_profilometry::{FringeSet, PatternSet};
 use super::Job;
 use crate::inspection::ViewPlan;
 use flankscope_instrument::acquisition::{
-    AcquisitionError, FrameIndex, IndexedView, RecordedView, Recording,
+    AcquisitionError, FrameIndex, IndexedView, RecordedIndex, RecordedView, Recording,
 };
 use flankscope_record::origin::RecordingId;
 
@@ -143,7 +143,10 @@ impl<O: Send + 'static> Job<O> {
              {}",
             toml::to_string(&PlanOfFrames::from(&*self.plan))?
         );
-        for (name, text) in [("PLAN.toml", plan), (FrameIndex::FILE, index.to_toml()?)] {
+        for (name, text) in [
+            ("PLAN.toml", plan),
+            (FrameIndex::FILE, toml::to_string(&index)?),
+        ] {
             let path = folder.join(name);
             write_whole(&path, text.as_bytes())
                 .map_err(|source| RecordError::Write { path, source })?;

@@ -30,6 +30,7 @@ use crate::inspection::{InspectError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_foundation::files;
 use flankscope_frames::monotonic_ns;
+use flankscope_instrument::acquisition::RecordedIndex;
 use flankscope_record::origin::{RecordingId, Setting};
 
 /// Why recorded clouds cannot be used.
@@ -243,12 +244,12 @@ impl CloudScan {
         clouds: CloudRecording,
         folder: &Path,
     ) -> Result<Self, ScanError> {
-        let said: Vec<_> = clouds.index.view.iter().map(IndexedCloud::place).collect();
-        let (views, of) = planned(&subject.tool, clouds.index.grid.as_deref(), &said)?;
+        let (index, tool) = (&clouds.index, &subject.tool);
+        let (views, of) = planned(tool, index.grid.as_deref(), &index.places())?;
         let whole = ViewPlan::new(&subject.tool, &subject.head, Some(&[1]));
         let whole = whole.map_err(InspectError::from)?;
         let planned = PlannedScan {
-            name: name_of(clouds.index.grid.as_deref(), &views),
+            name: name_of(index.grid.as_deref(), &views),
             plan: ViewPlan { views, ..whole },
         };
         let decoder = planned.plan.decoder(&subject.head, None);

@@ -12,6 +12,7 @@ use crate::scan::grid::Grid;
 use crate::scan::job::Scanner;
 use crate::scan::session::SessionError;
 use flankscope_foundation::files::{hash, write_whole};
+use flankscope_instrument::acquisition::RecordedIndex;
 
 /// Why clouds were not saved.
 #[derive(Debug, thiserror::Error)]
