@@ -5,17 +5,19 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_article::{Article, Hinz2019Settings, MethodResult, Spread};
 use flankscope_foundation::seal::Seal;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::{RecordedFrames, recording_id};
 use flankscope_jobs::scan::{
-    CloudIndex, CloudRecording, CloudScan, FinishedScan, Grid, Hinz2019Settings, Method,
-    MethodResult, Progress, Scan, ScanError, Scanner, percent,
+    CloudIndex, CloudRecording, CloudScan, Grid, Method, Progress, Scan, ScanError, Scanner,
+    percent,
 };
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::kinematics::Moves;
+use flankscope_metrology::multiview::form::Form;
 use flankscope_record::origin::Link;
 use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
@@ -141,7 +143,7 @@ impl Args {
 
 /// What stands on the simulated bench: a scan that goes on must find the same there.
 fn on_the_bench(link: &Link, bench: &BenchSetup) -> BTreeMap<String, String> {
-    let what_stands = || (FinishedScan::BENCH.to_string(), in_words(bench));
+    let what_stands = || (Article::BENCH.to_string(), in_words(bench));
     link.is_simulated().then(what_stands).into_iter().collect()
 }
 
@@ -516,13 +518,13 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
         "drift µm",
         "time s"
     )?;
-    let spread = |of: Option<flankscope_jobs::scan::Spread>| {
+    let spread = |of: Option<Spread>| {
         of.map_or("-".into(), |s| {
             format!("{:.1} ± {:.1}", s.mean_um, s.std_um)
         })
     };
     for of in methods {
-        let form = |value: fn(&flankscope_jobs::scan::Form) -> f64| {
+        let form = |value: fn(&Form) -> f64| {
             of.form
                 .as_ref()
                 .map_or("-".into(), |form| format!("{:.1}", value(form)))

@@ -14,10 +14,11 @@ use super::coverage::{Coverage, LEAST_COVERAGE};
 use super::flanks::JudgedFlanks;
 use super::job::{ScanError, Scanner};
 use super::result::{
-    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+    Adjustment, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 use super::stitch::Stitched;
 use crate::inspection::calibration_um;
+use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::document::{Feature, FrameCount, Timing, Toothing};
 

@@ -17,13 +17,11 @@ use flankscope_profilometry::Accumulator;
 use super::bore_size::size_sigma_mm;
 use super::cell_observations::layout;
 use super::clouds::CloudsError;
-use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::fine_map::{self, FineMapError};
 use super::full_cloud::{self, CloudError};
 use super::gear::{self, ScanGearError};
 use super::grid::{Grid, GridError};
-use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
@@ -35,6 +33,7 @@ use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
 use crate::inspection::{EvaluatorError, FieldOfView, InspectError, calibration_um, hand_eye};
 use crate::job::{self, Job, RecordError, RecordedFrames, Source, connect, runtime};
 use crate::subject::Subject;
+use flankscope_article::{ArticleError, Hinz2019Settings, MethodResult};
 use flankscope_frames::{SharedRoot, monotonic_ns};
 use flankscope_instrument::acquisition::{
     AcquisitionError, AfterStop, FrameIndex, Progress as CheckProgress, Run, Stop,
@@ -105,9 +104,24 @@ pub enum ScanError {
         /// Session folder.
         folder: PathBuf,
     },
-    /// No merged cloud.
+    /// A size of voxels that is none.
     #[error(transparent)]
     Merge(#[from] MergeError),
+    /// Views that the article's method cannot stitch.
+    #[error(transparent)]
+    Article(#[from] ArticleError<SessionError>),
+}
+
+/// Which way the result is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// All views on the surface, in one adjustment.
+    #[default]
+    Surface,
+    /// The article's; ours beside it.
+    Hinz2019,
+    /// Ours; the article's beside it.
+    Both,
 }
 
 /// How far a scan is.
@@ -448,7 +462,7 @@ impl Scanner {
             &frame,
         )?;
         let took = begun.elapsed();
-        let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
+        let figures = ours.figures(session, tool, planned, took)?;
         let shared = ours.adjustment.stages.clone();
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
@@ -483,9 +497,10 @@ impl Scanner {
         }
         let begun = Instant::now();
         let map = CylinderMap::new(frame.layout);
-        let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
+        let laid =
+            flankscope_article::stitch(session, tool, planned, nominal, map, &self.hinz2019)?;
         let took = begun.elapsed();
-        let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
+        let figures = MethodResult::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
         if self.method == Method::Hinz2019 {
             scan.show_instead(laid, &figures);
         }

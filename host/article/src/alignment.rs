@@ -9,11 +9,11 @@ use flankscope_metrology::surface::Surface;
 use nalgebra::{Isometry3, Point3};
 use serde::Serialize;
 
-use super::Drawn;
-use crate::scan::comparison::Spread;
+use crate::comparison::Spread;
+use crate::figures::Drawn;
 
 /// What laid points are compared with.
-pub(super) struct Yardstick<'a> {
+pub(crate) struct Yardstick<'a> {
     pub surface: &'a Surface,
     pub reference: &'a SampleTree,
     pub order: Order,
@@ -45,7 +45,7 @@ pub struct Alignment {
 
 impl Alignment {
     /// Lays the drawn points of every view by its pose. Returns them too, mm.
-    pub(super) fn of(
+    pub(crate) fn of(
         name: &'static str,
         views: &BTreeMap<usize, Drawn>,
         poses: &BTreeMap<usize, Isometry3<f64>>,
@@ -85,7 +85,7 @@ impl Alignment {
 }
 
 /// Points of a view in the tool frame, mm.
-pub(super) fn laid(xyz: &[[f64; 3]], pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
+pub(crate) fn laid(xyz: &[[f64; 3]], pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
     let points = xyz.iter();
     points.map(|&p| (pose * Point3::from(p)).into()).collect()
 }
