@@ -18,6 +18,7 @@ use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::kinematics::Moves;
 use flankscope_metrology::multiview::form::Form;
+use flankscope_record::document::ViewStatus;
 use flankscope_record::origin::Link;
 use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
@@ -442,7 +443,8 @@ fn show(progress: Progress) {
 
 fn print(scan: &Scan) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    let registered = |r: &&flankscope_jobs::scan::ScanRegistration| r.status == "registered";
+    let registered =
+        |r: &&flankscope_jobs::scan::ScanRegistration| r.status == ViewStatus::Registered;
     writeln!(
         out,
         "\n{} of {} views, {} % of the bore seen, {}",

@@ -177,6 +177,6 @@ pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feat
         .iter()
         .cloned()
         .map(Feature::from)
-        .find(|f| f.id.flank == flank.to_string())
+        .find(|f| f.id.flank == flank)
         .with_context(|| format!("the {flank} flank is missing"))
 }

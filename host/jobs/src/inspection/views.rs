@@ -33,7 +33,7 @@ use flankscope_instrument::poses::StatedPoses;
 use flankscope_instrument::settings::Stages;
 use flankscope_metrology::wear::sensitivity::FittedView;
 use flankscope_record::baseline::Reference;
-use flankscope_record::document::{Light, ViewRegistration, WeakDirection};
+use flankscope_record::document::{Light, ViewRegistration, ViewStatus, WeakDirection};
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
@@ -544,7 +544,7 @@ impl Evaluator {
             in_view: InView::default(),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
-                status: "indeterminate".into(),
+                status: ViewStatus::Indeterminate,
                 reason: Some(why.to_string()),
                 points: 0,
                 inconsistent_ratio,
@@ -658,13 +658,13 @@ fn summary(
     let centre = nalgebra::Point3::from(registration.centre_mm);
     let shift = centre - moved.inverse() * centre;
     let (status, reason) = match &registration.status {
-        Status::Registered => ("registered", None),
-        Status::Indeterminate(reason) => ("indeterminate", Some(reason.to_string())),
+        Status::Registered => (ViewStatus::Registered, None),
+        Status::Indeterminate(reason) => (ViewStatus::Indeterminate, Some(reason.to_string())),
     };
     let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
     ViewRegistration {
         tooth: place.tooth,
-        status: status.into(),
+        status,
         reason,
         points,
         inconsistent_ratio: 0.0,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use flankscope_metrology::verdict::{Code, Reason, Word};
+use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -116,7 +117,7 @@ impl Replay {
         let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
         let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
         subject.temperature_degc = stored.recipe.temperature_degc;
-        if stored.recipe.grid == "pixel" {
+        if stored.recipe.grid == GridKind::Pixel {
             Arc::make_mut(&mut subject.head).core_map = None;
         }
         if let Some(expected) = stored.hashes.get("baseline") {

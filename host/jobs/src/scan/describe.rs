@@ -20,7 +20,7 @@ use super::stitch::Stitched;
 use crate::inspection::calibration_um;
 use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::view::PlannedView;
-use flankscope_record::document::{Feature, FrameCount, Timing, Toothing};
+use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -229,9 +229,9 @@ fn registrations(
             rotation_deg: at.rotation_rad.to_degrees(),
             vertical_mm: at.vertical_mm,
             status: if found.is_some() {
-                "registered"
+                ViewStatus::Registered
             } else {
-                "lost"
+                ViewStatus::Lost
             },
             reason: lost.get(&view).map(Reason::to_string),
             rms_um: found.map(|(rms_mm, ..)| rms_mm * 1e3),

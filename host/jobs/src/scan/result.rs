@@ -19,8 +19,9 @@ use super::metrics::Metrics;
 use super::overlaps::Steps;
 use super::reference::Placement;
 use flankscope_article::{Hinz2019Stitched, MethodResult};
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::multiview::form::Form;
-use flankscope_record::document::{Feature, FrameCount, Timing, Toothing};
+use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 use flankscope_record::origin::Origin;
 
 /// The whole result: serialised as the `--json` document.
@@ -186,8 +187,8 @@ impl Scan {
             (entry.rms_about_form_um, entry.residual_turn_mdeg) = (None, None);
             entry.tool_from_camera = poses.get(&entry.view).map(Rigid::to_rows);
             (entry.status, entry.reason) = match rms_um {
-                Some(_) => ("registered", None),
-                None => ("lost", why),
+                Some(_) => (ViewStatus::Registered, None),
+                None => (ViewStatus::Lost, why),
             };
         }
         self.map = laid.map;
@@ -230,7 +231,7 @@ pub struct FlankSeen {
     /// Tooth, from 1.
     pub tooth: u32,
     /// `left` or `right`.
-    pub flank: String,
+    pub flank: Flank,
     /// Mean loss, µm.
     pub mean_um: f64,
 }
@@ -239,7 +240,7 @@ impl From<FlankMean> for FlankSeen {
     fn from(of: FlankMean) -> Self {
         Self {
             tooth: of.tooth,
-            flank: of.flank.to_string(),
+            flank: of.flank,
             mean_um: -of.deviation_um,
         }
     }
@@ -255,7 +256,7 @@ pub struct ScanRegistration {
     /// Commanded height, mm.
     pub vertical_mm: f64,
     /// `registered`, or `lost`: no point of it is in the map.
-    pub status: &'static str,
+    pub status: ViewStatus,
     /// Why it is lost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
