@@ -54,29 +54,10 @@ fn slope(head: &HeadModel) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const HEAD: &str = r#"
-        name = "drawn"
-        [camera]
-        width_px = 1920
-        height_px = 1200
-        focal_px = [2530.0, 2531.5]
-        principal_px = [959.5, 599.5]
-        [projector]
-        width_px = 1024
-        height_px = 768
-        focal_px = [2252.8, 2252.8]
-        principal_px = [511.5, 383.5]
-        [projector_from_camera]
-        rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        translation_mm = [11.0, 0.0, 0.0]
-        [image_circle]
-        centre_px = [959.5, 599.5]
-        radius_px = 575.0
-    "#;
+    use flankscope_test_requisites::DRAWN_HEAD;
 
     fn of(volume: &str) -> Result<FieldOfView, EvaluatorError> {
-        let head: HeadModel = toml::from_str(&format!("{HEAD}{volume}")).unwrap();
+        let head: HeadModel = toml::from_str(&format!("{DRAWN_HEAD}{volume}")).unwrap();
         FieldOfView::of(&head)
     }
 

@@ -21,17 +21,9 @@ use flankscope_record::history::{Difference, History, HistoryError, row_differen
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// Its row, its phasors or its baseline are not there, or not what was stored.
+    /// Its row, its document, its phasors or its baseline are not there, or not what was stored.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// The stored document lacks what a replay needs.
-    #[error("the document of check {id} cannot be read: {source}")]
-    Document {
-        /// Check.
-        id: i64,
-        /// Cause.
-        source: serde_json::Error,
-    },
     /// The baseline is not the one that was stored.
     #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
     Baseline {
@@ -113,7 +105,7 @@ impl Replay {
     /// # Errors
     /// Something that the verdict was computed from is missing or damaged.
     pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
-        let in_document = |source| ReplayError::Document { id, source };
+        let in_document = |source| HistoryError::Stored { id, source };
         let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
         let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
         subject.temperature_degc = stored.recipe.temperature_degc;
