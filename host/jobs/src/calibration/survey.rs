@@ -62,7 +62,7 @@ pub struct Surveyor<O> {
 }
 
 impl<O: Send + 'static> Surveyor<O> {
-    /// Starts the threads for a head before a target. `make` is what becomes of a view's sums.
+    /// Starts the threads for a head before a target. `make` turns the sums of a view into its result.
     ///
     /// # Errors
     /// The head is unfit, or shared memory is refused.

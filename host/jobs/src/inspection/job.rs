@@ -218,8 +218,8 @@ impl Job<ViewOutcome> {
         self.repeat_open_views(client, run, watch).await
     }
 
-    /// Captures one view after the other, each where somebody says that the camera stands. A view without a pose is not captured;
-    /// none is measured again, for the camera has gone on.
+    /// Captures one view after the other, each where the pose program states that the camera stands. A view without a pose is not
+    /// captured; none is measured again, because the camera has gone on.
     async fn capture_where_told(
         &mut self,
         client: &mut Client,

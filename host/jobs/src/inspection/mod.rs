@@ -6,11 +6,11 @@
 //! | `plan` | which poses, patterns and exposures: from tool and head to a plan of views |
 //! | `job` | one check, from hello to verdict |
 //! | `recorded` | the same check on frames that were recorded |
-//! | `recipe` | what of a plan its files do not say |
-//! | `repeat` | what is too near to a limit is measured again |
+//! | `recipe` | the part of a plan that tool and head file do not state, for a replay |
+//! | `repeat` | views measured again because a figure is too near to a limit |
 //! | `views` | one view's sums to points, pose and wear |
 //! | `exposures` | whether the exposures of a view show one scene |
-//! | `outcome` | what became of a view, captured once or more often |
+//! | `outcome` | outcome of one view, captured once or more often |
 //! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
 //! | `die_size` | whether the die in view is of its drawing's size |
 //! | `maps` | deviation maps for a report |
@@ -18,7 +18,7 @@
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `in_view` | what a view shows beside the tooth that it was taken for |
-//! | `findings` | all views to what is said of the tool |
+//! | `findings` | outcomes of all views to the findings of a check |
 //! | `verdict` | flanks to one verdict |
 
 mod datum;

@@ -37,7 +37,7 @@ pub struct ViewPlan {
     pub sensor: Option<Sensor>,
     /// Upper face of the die, mm.
     pub top_mm: f64,
-    /// Where the camera stood, where somebody else than the stages says so.
+    /// Where the camera stood, where a pose table or a pose program states it instead of the stages.
     pub stated: StatedPoses,
 }
 
@@ -419,7 +419,7 @@ impl ViewPlan {
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
 
-    /// What somebody who says where the camera stands is asked for a view.
+    /// Request to the pose program for a view.
     pub(crate) fn wanted(&self, view: usize, stage_from_camera: Rigid<Stage, Camera>) -> Wanted {
         let planned = &self.views[view];
         Wanted {

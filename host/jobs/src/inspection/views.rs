@@ -201,12 +201,12 @@ impl Evaluator {
         })
     }
 
-    /// What of the tool is judged.
+    /// Flanks or patches of the tool that are judged.
     fn features(&self) -> Features<'_> {
         self.criteria.tool.features()
     }
 
-    /// Where the camera stood for a view: as planned, or as somebody said.
+    /// Where the camera stood for a view: as planned, or as a pose table or a pose program stated.
     fn place(&self, view: usize) -> Place {
         let planned = self.places[view].clone();
         let stated = self.stated.of(view);

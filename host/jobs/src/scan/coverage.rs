@@ -1,4 +1,4 @@
-//! What should have been seen and was not: a flank that nobody looked at is never a go.
+//! Planned flank fields that were not seen: a flank without points is never a go.
 
 use std::collections::{BTreeMap, BTreeSet};
 

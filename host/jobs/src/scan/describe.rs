@@ -1,4 +1,4 @@
-//! What was stitched, to the document: registration, flanks, coverage, form, verdict.
+//! The stitched views to the document: registration, flanks, coverage, form, verdict.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -46,7 +46,7 @@ impl Scanner {
         let map = &stitched.map;
         let asked = (self.field.width_mm, LEAST_COVERAGE);
         let coverage = Coverage::of(map, &self.gear, radius_mm, planned, asked);
-        let views = Views {
+        let views = ViewCount {
             registered: stitched.views.len(),
             planned: planned.len(),
             first_lost: lost.values().next(),
@@ -138,8 +138,8 @@ impl Scanner {
     }
 }
 
-/// What became of the planned views as a whole.
-struct Views<'a> {
+/// How many of the planned views were laid on the CAD, and how well.
+struct ViewCount<'a> {
     registered: usize,
     planned: usize,
     first_lost: Option<&'a Reason>,
@@ -147,7 +147,7 @@ struct Views<'a> {
     unsettled_after: Option<usize>,
 }
 
-impl Views<'_> {
+impl ViewCount<'_> {
     fn enough(&self) -> bool {
         self.registered as f64 / self.planned as f64 >= LEAST_REGISTERED
     }
@@ -160,7 +160,7 @@ fn of_scan(
     features: &[Feature],
     coverage: &Coverage,
     looked_at: &str,
-    views: &Views<'_>,
+    views: &ViewCount<'_>,
 ) -> (Word, String) {
     if !views.enough() {
         let why = format!(
@@ -206,7 +206,7 @@ fn of_scan(
     (verdict.withheld(), reason)
 }
 
-/// What became of every planned view.
+/// Registration of every planned view, or why it was lost.
 fn registrations(
     planned: &[PlannedView],
     stitched: &Stitched,

@@ -13,20 +13,20 @@
 //! | `view` | one view's sums to points and a first pose |
 //! | `cell_observations` | a view's points on the CAD, gathered by cells of the unrolled bore |
 //! | `patches` | those cells of every view, kept on the disk until all poses are known |
-//! | `session` | what is kept of a scan that is killed |
+//! | `session` | the session folder: points of the views that are done, from which a killed scan goes on |
 //! | `stitch` | all views to one map |
-//! | `overlaps` | what neighbours say of each other |
+//! | `overlaps` | steps between views that overlap |
 //! | `reference` | whether the die sits as in an earlier scan |
 //! | `bore_size` | how well the mean size of the bore is known |
 //! | `die_identity` | whether it is the CAD's die at all |
-//! | `coverage` | what should have been seen and was not |
-//! | `metrics` | what the article's ways of measuring a distance would have said |
-//! | `view_pipeline` | what is done with a view once its frames are there |
+//! | `coverage` | planned flank fields that were not seen |
+//! | `metrics` | distances of the same points by the article's metrics |
+//! | `view_pipeline` | summed frames of a view to points that are kept |
 //! | `recorded` | the same scan of frames that were recorded |
 //! | `clouds` | the same of clouds, without their frames |
 //! | `finished` | a scan's session folder, opened again for the article's figures |
 //! | `job` | orders and captures from hello to result |
-//! | `describe` | what was stitched, to the document |
+//! | `describe` | the stitched views to the document |
 //! | `full_cloud` | every point of every view, streamed |
 //! | `fine_map` | the map in cells of a chosen size |
 //! | `gear` | profile, helix and pitch of every tooth from them |

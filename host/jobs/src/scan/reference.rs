@@ -54,7 +54,7 @@ pub enum ReferenceError {
         /// Whether this scan is of the simulated bench.
         simulated: bool,
     },
-    /// Not this station's word, nor somebody's whom it trusts.
+    /// Signed neither by this station nor by a key that it trusts.
     #[error(transparent)]
     Seal(#[from] SealError),
     /// A scan against another CAD.
@@ -71,7 +71,7 @@ pub enum ReferenceError {
     },
 }
 
-/// What of a scan's document is needed.
+/// The fields of a scan's document that a comparison reads.
 #[derive(Deserialize)]
 struct Document {
     verdict: String,

@@ -1,4 +1,4 @@
-//! What is kept of a scan: a folder with one file of points per view and a manifest with their hashes.
+//! The session folder of a scan: one file of points per view and a manifest with their hashes.
 //!
 //! Files appear whole or not at all, a view's points before the manifest that names them: whenever the scan is killed, the
 //! folder says what is done.
@@ -66,7 +66,7 @@ pub enum SessionError {
         /// Of the manifest.
         expected: String,
     },
-    /// Not this station's word, nor somebody's whom it trusts.
+    /// Signed neither by this station nor by a key that it trusts.
     #[error(transparent)]
     Seal(#[from] SealError),
     /// A pose that is none.

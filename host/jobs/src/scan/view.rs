@@ -55,14 +55,14 @@ pub(super) struct KeptView {
     pub without_point: Vec<[f32; 2]>,
 }
 
-/// What became of one view.
+/// One view of a scan, decoded and registered by itself.
 #[derive(Debug)]
 pub(super) struct ScannedView {
     /// Its points.
     pub kept: KeptView,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: CameraPose,
-    /// What became of it on the CAD, or why it must not be used.
+    /// The view laid on the CAD, or why it must not be used.
     pub laid: Result<LaidView, Reason>,
 }
 

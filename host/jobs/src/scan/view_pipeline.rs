@@ -1,4 +1,4 @@
-//! What a scan does with a view once its frames are summed: points, pose, cells, all of it kept.
+//! From the summed frames of a view to points, pose and cells in the session folder.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -51,7 +51,7 @@ impl Store {
     }
 }
 
-/// What became of a view.
+/// Whether a view was kept.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kept {
     /// It lies on the CAD and is in the session folder.

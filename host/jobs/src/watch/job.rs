@@ -49,7 +49,7 @@ fn word<S: serde::Serializer>(shown: &Shown, serializer: S) -> Result<S::Ok, S::
     serializer.serialize_str(shown.word())
 }
 
-/// What the watch tells.
+/// Event of a watch, for the caller to print or to log.
 #[derive(Debug)]
 pub enum WatchEvent {
     /// The press cycled.

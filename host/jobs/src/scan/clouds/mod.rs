@@ -120,7 +120,7 @@ pub struct CloudRecording {
 struct ViewCloud {
     points_mm: Vec<[f64; 3]>,
     sigma_mm: Vec<f32>,
-    /// Whether somebody stated that.
+    /// Whether cloud or index state that uncertainty.
     has_sigma: bool,
     blake3: String,
 }
