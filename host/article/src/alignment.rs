@@ -6,11 +6,11 @@ use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::cylinder::Layout;
 use flankscope_metrology::surface::Surface;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
 use serde::Serialize;
 
 use crate::comparison::Spread;
-use crate::figures::Drawn;
+use crate::drawn::{Drawn, laid};
 
 /// What laid points are compared with.
 pub(crate) struct Yardstick<'a> {
@@ -82,12 +82,6 @@ impl Alignment {
         };
         (alignment, points)
     }
-}
-
-/// Points of a view in the tool frame, mm.
-pub(crate) fn laid(xyz: &[[f64; 3]], pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
-    let points = xyz.iter();
-    points.map(|&p| (pose * Point3::from(p)).into()).collect()
 }
 
 /// Mean of the values in every cell of the unrolled bore.

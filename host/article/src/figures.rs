@@ -8,18 +8,17 @@ use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::deviation::SampleTree;
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout};
-use flankscope_metrology::surface::sampling::centre_of_mass;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::view::PlannedView;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
 use crate::comparison::{JointSolve, MethodResult};
+use crate::drawn::{Drawn, coordinates, laid};
 use crate::hinz2019::{self, Drawing, Hinz2019Settings};
 use crate::{
     Alignment, ArticleError, InSpace, InitialTransformation, Left, MaskPicture, Merging, Overlay,
-    Sections, SerialLayer, ViewPoint, ViewPoints, alignment, coordinates, merging, overlay, serial,
-    threshold,
+    Sections, SerialLayer, ViewPoints, alignment, merging, overlay, serial, threshold,
 };
 
 /// Views of which every point is compared with the surface, for the threshold curves: at most so many, evenly among all.
@@ -43,28 +42,6 @@ pub struct DrawingSteps {
     pub denoised: usize,
     /// That were drawn.
     pub drawn: usize,
-}
-
-/// The drawn points of a view, in its camera's frame.
-pub(crate) struct Drawn {
-    pub xyz: Vec<[f64; 3]>,
-    pub centre_mm: [f64; 3],
-    /// Standard uncertainties, mm.
-    pub sigma_mm: Vec<f32>,
-    /// How much the fringes oscillate around them, counts.
-    pub fringes_dn: Vec<f32>,
-}
-
-impl Drawn {
-    fn of(points: &[ViewPoint]) -> Option<Self> {
-        let xyz = coordinates(points);
-        Some(Self {
-            centre_mm: centre_of_mass(&xyz)?,
-            sigma_mm: points.iter().map(|point| point[3]).collect(),
-            fringes_dn: points.iter().map(|point| point[4]).collect(),
-            xyz,
-        })
-    }
 }
 
 /// The whole: serialised as article.json.
@@ -236,7 +213,7 @@ impl<P: ViewPoints> StitchedScan<'_, P> {
             });
             views.extend(Drawn::of(&drawing.points).map(|drawn| (view, drawn)));
             if at % every == 0 {
-                let laid = alignment::laid(&coordinates(&kept), pose);
+                let laid = laid(&coordinates(&kept), pose);
                 let closest = tool.surface.closest_many(&laid);
                 rated.extend(threshold::rated(&kept, &closest, &cells));
             }

@@ -27,8 +27,9 @@ use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
 use serde::{Deserialize, Serialize};
 
+use crate::drawn::coordinates;
 use crate::space::InitialTransformation;
-use crate::{ArticleError, ViewPoint, ViewPoints, coordinates};
+use crate::{ArticleError, ViewPoint, ViewPoints};
 use flankscope_metrology::view::PlannedView;
 
 /// Density of the reference points that the merged cloud is compared with, per mm²: chosen near the one at which a perfect piece has

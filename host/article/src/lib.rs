@@ -13,6 +13,7 @@
 //! |---|---|
 //! | `hinz2019` | settings of the method, and all views to one map by it |
 //! | `comparison` | both methods in the same figures |
+//! | `drawn` | the drawn points of a view |
 //! | `figures` | the document: all figures and tables of one scan |
 //! | `alignment` | the views by positions alone, one on the other, the article's way, ours: distances, maps (figures 4, 19, 20, 21) |
 //! | `serial` | one view on the one before, without CAD (figure 4b) |
@@ -24,6 +25,7 @@
 
 mod alignment;
 mod comparison;
+mod drawn;
 mod figures;
 mod hinz2019;
 mod merging;
@@ -89,10 +91,4 @@ pub enum ArticleError<P: std::error::Error> {
         /// Views that the joint solve laid.
         views: usize,
     },
-}
-
-/// Coordinates of points, mm.
-fn coordinates(points: &[ViewPoint]) -> Vec<[f64; 3]> {
-    let xyz = |&[x, y, z, ..]: &ViewPoint| [x, y, z].map(f64::from);
-    points.iter().map(xyz).collect()
 }

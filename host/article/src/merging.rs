@@ -8,9 +8,8 @@ use flankscope_metrology::surface::Surface;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use crate::alignment::laid;
 use crate::comparison::Spread;
-use crate::figures::Drawn;
+use crate::drawn::{Drawn, laid};
 
 /// A merged cloud.
 #[derive(Clone, Debug, Serialize)]

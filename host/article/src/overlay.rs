@@ -7,8 +7,7 @@ use flankscope_metrology::registration::{Hinz2019Options, PaperReference};
 use flankscope_metrology::surface::sampling::centre_of_mass;
 use nalgebra::Isometry3;
 
-use crate::alignment::laid;
-use crate::figures::Drawn;
+use crate::drawn::{Drawn, laid};
 use crate::hinz2019::Hinz2019Settings;
 
 /// Thickness of the slice that is shown, mm: so many points that teeth are seen, and not more.

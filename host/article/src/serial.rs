@@ -11,8 +11,7 @@ use flankscope_metrology::view::PlannedView;
 use nalgebra::{Isometry3, Point3};
 use serde::Serialize;
 
-use crate::alignment::laid;
-use crate::figures::Drawn;
+use crate::drawn::{Drawn, laid};
 
 /// A point and one of the view before are of the same place when they lie so near to each other where the stages put them, mm.
 const SAME_PLACE_MM: f64 = 0.3;

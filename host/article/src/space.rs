@@ -11,8 +11,7 @@ use flankscope_metrology::surface::sampling::{Region, centre_of_mass};
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use crate::alignment::laid;
-use crate::figures::Drawn;
+use crate::drawn::{Drawn, laid};
 
 /// The initial transformation of the article's method: the pose that the registration of the first view starts at.
 #[derive(Clone, Copy, Debug, Serialize)]

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_jobs::inspection::{Evaluator, ViewOutcome, ViewPlan};
+use flankscope_jobs::inspection::{Evaluator, ViewOutcome};
+use flankscope_jobs::plan::ViewPlan;
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;

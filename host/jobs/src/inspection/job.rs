@@ -11,11 +11,11 @@ use flankscope_profilometry::{Accumulator, DecodeError};
 
 use super::findings::Findings;
 use super::outcome::ViewOutcome;
-use super::plan::{PlanningError, ViewPlan};
 use super::recipe::recipe;
 use super::views::{Evaluator, EvaluatorError, hand_eye};
 use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
 use crate::job::{self, Job, RecordedFrames, Source, connect, runtime};
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_frames::{SharedRoot, monotonic_ns};
 use flankscope_instrument::acquisition::{

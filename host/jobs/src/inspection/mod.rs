@@ -2,8 +2,6 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `patch_view` | where the stages stand to look at a patch |
-//! | `plan` | which poses, patterns and exposures: from tool and head to a plan of views |
 //! | `job` | one check, from hello to verdict |
 //! | `recorded` | the same check on frames that were recorded |
 //! | `recipe` | the part of a plan that tool and head file do not state, for a replay |
@@ -14,7 +12,6 @@
 //! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
 //! | `die_size` | whether the die in view is of its drawing's size |
 //! | `maps` | deviation maps for a report |
-//! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `in_view` | what a view shows beside the tooth that it was taken for |
@@ -24,7 +21,6 @@
 mod datum;
 mod die_size;
 mod exposures;
-mod field;
 mod findings;
 mod flank_decision;
 mod head_error;
@@ -32,9 +28,7 @@ mod in_view;
 mod job;
 mod maps;
 mod outcome;
-mod patch_view;
 mod place;
-mod plan;
 mod recipe;
 mod recorded;
 mod repeat;
@@ -42,14 +36,11 @@ mod verdict;
 mod views;
 
 pub(crate) use exposures::exposures_disagree;
-pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub use in_view::InView;
 pub use job::InspectError;
 pub use outcome::ViewOutcome;
-pub use patch_view::PatchViewError;
-pub use plan::{PlanningError, ViewPlan};
 pub(crate) use recipe::recipe;
 pub(crate) use recorded::tooth_in_middle;
 pub use verdict::Judged;

@@ -3,7 +3,7 @@
 use flankscope_profilometry::DecodeOptions;
 use flankscope_record::document::{Recipe, RecordedRecipe};
 
-use super::plan::ViewPlan;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 
 /// Recipe of a check of `subject` by `plan`.

@@ -8,10 +8,10 @@ use flankscope_profilometry::HeadModel;
 
 use super::job::InspectError;
 use super::outcome::ViewOutcome;
-use super::patch_view;
-use super::plan::{PlanningError, ViewPlan};
 use super::views::hand_eye;
 use crate::job::{Job, RecordError, RecordedFrames};
+use crate::plan::check_seen;
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, Progress, Recording, Run, ViewError,
@@ -184,7 +184,7 @@ fn plan(
         }
     }
     if tool.gear.is_none() {
-        patch_view::check_seen(tool, head, &views)?;
+        check_seen(tool, head, &views)?;
     }
     Ok((
         ViewPlan::of_recording(recording, views, tool, head),

@@ -19,15 +19,15 @@ use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
 use super::exposures::exposures_disagree;
-use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
 use super::in_view::{self, InView};
 use super::outcome::ViewOutcome;
 use super::place::Place;
-use super::plan::ViewPlan;
 use super::verdict::Judged;
 use super::{datum, die_size, maps};
+use crate::plan::ViewPlan;
+use crate::plan::{FieldOfView, NoVolume};
 use crate::subject::Subject;
 use flankscope_instrument::poses::StatedPoses;
 use flankscope_instrument::settings::Stages;
@@ -58,6 +58,9 @@ pub enum EvaluatorError {
         /// What.
         what: &'static str,
     },
+    /// No measuring volume.
+    #[error(transparent)]
+    Volume(#[from] NoVolume),
     /// The hand-eye is no rigid motion.
     #[error("the head's stage_from_camera: {0}")]
     HandEye(#[from] RigidError),

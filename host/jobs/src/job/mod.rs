@@ -19,7 +19,7 @@ use flankscope_metrology::verdict::Reason;
 use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::runtime::Runtime;
 
-use crate::inspection::ViewPlan;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 use flankscope_frames::SharedRoot;
 use flankscope_instrument::acquisition::{Acquisition, AcquisitionError, Progress};

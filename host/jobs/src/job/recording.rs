@@ -8,7 +8,7 @@ use flankscope_foundation::files::write_whole;
 use flankscope_profilometry::{FringeSet, PatternSet};
 
 use super::Job;
-use crate::inspection::ViewPlan;
+use crate::plan::ViewPlan;
 use flankscope_instrument::acquisition::{
     AcquisitionError, FrameIndex, IndexedView, RecordedIndex, RecordedView, Recording,
 };

@@ -9,9 +9,8 @@ use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::inspection::{
-    Evaluator, EvaluatorError, Findings, PlanningError, ViewOutcome, ViewPlan, recipe,
-};
+use crate::inspection::{Evaluator, EvaluatorError, Findings, ViewOutcome, recipe};
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_record::baseline::Baseline;
 use flankscope_record::document::{Evidence, Recipe};

@@ -14,7 +14,8 @@ use super::job::ScanError;
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::stitch::{Frame, first_information, stitch};
-use crate::inspection::{EvaluatorError, FieldOfView, InspectError, ViewPlan, hand_eye};
+use crate::inspection::{EvaluatorError, InspectError, hand_eye};
+use crate::plan::{FieldOfView, ViewPlan};
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::{Recording, RecordingError};
 
@@ -104,7 +105,7 @@ impl FinishedScan {
             plan: plan.map_err(|error| ScanError::from(InspectError::from(error)))?,
             gear: gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?,
             nominal: Stages::nominal(hand_eye(&subject).map_err(unfit)?),
-            field: FieldOfView::of(&subject.head).map_err(unfit)?,
+            field: FieldOfView::of(&subject.head).map_err(|why| unfit(why.into()))?,
             patches: Patches::new(folder)?,
             session,
             subject,

@@ -30,8 +30,9 @@ use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
 use super::view_pipeline::{Kept, PlannedScan, Store, ViewPipeline};
 use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
-use crate::inspection::{EvaluatorError, FieldOfView, InspectError, calibration_um, hand_eye};
+use crate::inspection::{EvaluatorError, InspectError, calibration_um, hand_eye};
 use crate::job::{self, Job, RecordError, RecordedFrames, Source, connect, runtime};
+use crate::plan::FieldOfView;
 use crate::subject::Subject;
 use flankscope_article::{ArticleError, Hinz2019Settings, MethodResult};
 use flankscope_frames::{SharedRoot, monotonic_ns};
@@ -190,7 +191,7 @@ impl Scanner {
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(hand_eye(&subject).map_err(unfit)?);
-        let field = FieldOfView::of(&subject.head).map_err(unfit)?;
+        let field = FieldOfView::of(&subject.head).map_err(|why| unfit(why.into()))?;
         let name = planned.name.clone();
         let ViewPipeline {
             plan,

@@ -24,7 +24,7 @@ use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
 use super::view::{SAMPLE, coordinates, off_cad, unlike_cad};
-use crate::inspection::{FieldOfView, ViewPlan};
+use crate::plan::{FieldOfView, ViewPlan};
 use flankscope_article::{JointSolve, MethodResult};
 use flankscope_metrology::view::PlannedView;
 

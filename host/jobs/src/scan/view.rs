@@ -21,9 +21,10 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, ViewPlan, exposures_disagree,
-    hand_eye, rays_without_point,
+    EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, exposures_disagree, hand_eye,
+    rays_without_point,
 };
+use crate::plan::{FieldOfView, ViewPlan};
 use crate::subject::Subject;
 use flankscope_article::ViewPoint;
 

@@ -15,7 +15,8 @@ use super::patches::Patches;
 use super::session::Session;
 use super::stitch::first_information;
 use super::view::{ScannedView, ViewScanner};
-use crate::inspection::{InspectError, ViewPlan};
+use crate::inspection::InspectError;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::ViewError;
 

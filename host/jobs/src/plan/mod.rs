@@ -1,5 +1,8 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
+mod field;
+mod patch_view;
+
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage};
 use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::tool::Tool;
@@ -7,7 +10,11 @@ use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 
-use super::patch_view::{self, PatchViewError};
+pub(crate) use field::FieldOfView;
+pub use field::NoVolume;
+pub use patch_view::PatchViewError;
+pub(crate) use patch_view::check_seen;
+
 use flankscope_instrument::acquisition::{Program, Recording, StagePosition};
 use flankscope_instrument::patterns::PatternLight;
 use flankscope_instrument::poses::{PoseError, PoseTable, StatedPoses, Wanted};
@@ -207,7 +214,7 @@ impl ViewPlan {
     ///
     /// # Errors
     /// None, such that are not there, or that the head does not see.
-    pub(super) fn looking_at(
+    pub(crate) fn looking_at(
         tool: &Tool,
         head: &HeadModel,
         numbers: &[u32],

@@ -2,7 +2,10 @@
 
 use flankscope_profilometry::HeadModel;
 
-use super::views::EvaluatorError;
+/// The head file does not say where it measures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("[volume] in the head file is missing; a check needs it (see docs/formats)")]
+pub struct NoVolume;
 
 /// Field of view in the middle of a head's measuring volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,9 +26,8 @@ impl FieldOfView {
     ///
     /// # Errors
     /// The head file does not say where it measures.
-    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
-        let what = "[volume] in the head file";
-        let volume = head.volume.ok_or(EvaluatorError::Missing { what })?;
+    pub fn of(head: &HeadModel) -> Result<Self, NoVolume> {
+        let volume = head.volume.ok_or(NoVolume)?;
         let reach_mm = 0.5 * (volume.near_mm + volume.far_mm);
         let slope = slope(head);
         let width_mm = 2.0 * reach_mm * slope;
@@ -56,7 +58,7 @@ mod tests {
     use super::*;
     use flankscope_test_requisites::DRAWN_HEAD;
 
-    fn of(volume: &str) -> Result<FieldOfView, EvaluatorError> {
+    fn of(volume: &str) -> Result<FieldOfView, NoVolume> {
         let head: HeadModel = toml::from_str(&format!("{DRAWN_HEAD}{volume}")).unwrap();
         FieldOfView::of(&head)
     }
