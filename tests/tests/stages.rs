@@ -323,7 +323,7 @@ fn a_table_says_where_the_camera_stands_or_the_check_does_not_begin() {
         .rigid::<flankscope_foundation::rigid::Stage, flankscope_foundation::rigid::Camera>()
         .unwrap();
     let tool = flankscope_metrology::tool::Tool::load(&demo).unwrap();
-    let views = flankscope_jobs::inspection::ViewPlan::nominal(&tool, &[12, 40, 68]).unwrap();
+    let views = flankscope_jobs::plan::ViewPlan::nominal(&tool, &[12, 40, 68]).unwrap();
     let table = |beside_mm: f64, rows: usize| {
         let mut text = String::from("tooth,x_mm,y_mm,z_mm,qw,qx,qy,qz,u_mm,u_mrad\n");
         for view in views.iter().take(rows) {

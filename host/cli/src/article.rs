@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_article::{Article, Hinz2019Settings, MethodResult};
 use flankscope_instrument::acquisition::Recording;
-use flankscope_jobs::scan::{Article, FinishedScan, Hinz2019Settings, MethodResult};
+use flankscope_jobs::scan::FinishedScan;
 use flankscope_jobs::subject::Subject;
 use flankscope_record::sink::ResultSink;
 use flankscope_report::ReportFolder;

@@ -229,7 +229,7 @@ fn autofocus(
     })?;
     let mut watcher = Watcher::new(args.common.quiet, Vec::new());
     let focused = search
-        .station
+        .job
         .search(&search.port, search.settings.clone(), |p| watcher.show(p))?;
     let truth = search.close(args.common.quiet)?;
     let setting_dpt = focused.lens.setting_dpt();
@@ -348,7 +348,7 @@ fn self_test(
     })?;
     let mut watcher = Watcher::new(quiet, Vec::new());
     let test = survey
-        .station
+        .job
         .test(&survey.port, survey.settings.clone(), Date::today(), |p| {
             watcher.show(p);
         })?;
@@ -391,7 +391,7 @@ impl Job<'_> {
             })?;
             let mut watcher = Watcher::new(quiet, Vec::new());
             let map = search
-                .station
+                .job
                 .find(&search.port, search.settings.clone(), |p| watcher.show(p))?;
             search.close(true)?;
             head.core_map = Some(map.into());
@@ -403,7 +403,7 @@ impl Job<'_> {
         })?;
         let mut watcher = Watcher::new(quiet, Vec::new());
         let calibrated = survey
-            .station
+            .job
             .calibrate(&survey.port, survey.settings.clone(), |p| watcher.show(p))?;
         let truth = survey.close(quiet)?;
         let record = calibrated.save(output, Some(site.link()), Date::today(), args.valid_days)?;

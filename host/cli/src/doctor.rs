@@ -232,7 +232,7 @@ impl Args {
             self.acknowledge_fault,
         )
         .to_vec();
-        findings.push(camera(&mut instrument.station, site));
+        findings.push(camera(&mut instrument.job, site));
         findings
     }
 }

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use flankscope_instrument::acquisition::{FrameIndex, Recording};
-use flankscope_jobs::inspection::recording_id;
+use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
+use flankscope_jobs::job::recording_id;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::document::{FeatureId, Inspection};
 use flankscope_record::origin::{Link, Origin};
@@ -137,17 +137,17 @@ impl Args {
         let mut saved = None;
         if let Some(folder) = &self.save_frames {
             saved = Some((folder, instrument.copy_head(folder)?));
-            instrument.station.save_frames(folder)?;
+            instrument.job.save_frames(folder)?;
         }
-        let mut watcher = Watcher::new(quiet, instrument.station.view_names());
-        let inspection = instrument.station.inspect(
+        let mut watcher = Watcher::new(quiet, instrument.job.view_names());
+        let inspection = instrument.job.inspect(
             &instrument.port,
             instrument.settings.clone(),
             &mut writer,
             |progress| watcher.show(progress),
         )?;
         if let Some((folder, head)) = saved {
-            let recorded = instrument.station.record(&inspection, folder, &head);
+            let recorded = instrument.job.record_check(&inspection, folder, &head);
             complaints.hear(recorded.map_err(Into::into));
         }
         Ok((inspection, instrument))
@@ -160,10 +160,11 @@ impl Args {
         bench: &BenchSetup,
     ) -> anyhow::Result<Inspection> {
         let quiet = self.common.quiet;
-        let (mut check, mut writer) = recorded_check(&self.source, recording, bench, site, quiet)?;
-        let mut watcher = Watcher::new(self.common.quiet, check.view_names());
-        let inspection = check.inspect(&mut writer, |progress| watcher.show(progress))?;
-        Ok(inspection)
+        let (mut check, mut frames, mut writer) =
+            recorded_check(&self.source, recording, bench, site, quiet)?;
+        let mut watcher = Watcher::new(quiet, check.view_names());
+        let watch = |progress| watcher.show(progress);
+        Ok(check.inspect_recorded(&mut frames, &mut writer, watch)?)
     }
 
     /// Before anything moves: a check whose results cannot be written should not begin.

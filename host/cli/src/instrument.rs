@@ -9,7 +9,9 @@ use flankscope_frames::{RunFolder, SharedRoot, default_base};
 use flankscope_instrument::acquisition::Recording;
 use flankscope_instrument::controller::ClientSettings;
 use flankscope_instrument::patterns::Adaptive;
-use flankscope_jobs::inspection::{RecordedCheck, Station, ViewPlan};
+use flankscope_jobs::inspection::ViewOutcome;
+use flankscope_jobs::job::{Job, RecordedFrames};
+use flankscope_jobs::plan::ViewPlan;
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
@@ -143,10 +145,10 @@ impl HeadFiles {
     }
 }
 
-/// A station with its threads running, and the controller's port.
-pub struct Instrument<S = Station> {
-    /// The host's side.
-    pub station: S,
+/// A job with its threads running, and the controller's port.
+pub struct Instrument<J = Job<ViewOutcome>> {
+    /// The job: a check unless said otherwise.
+    pub job: J,
     /// The controller's port.
     pub port: PathBuf,
     /// How patiently to talk to it.
@@ -160,7 +162,7 @@ pub struct Instrument<S = Station> {
 }
 
 impl Instrument {
-    /// Reads tool and head, starts a station for checks, then the bench or nothing; also returns what stores the checks, if
+    /// Reads tool and head, starts a check, then the bench or nothing; also returns what stores the checks, if
     /// that was asked for.
     pub fn open(
         source: &Source,
@@ -196,11 +198,11 @@ impl Instrument {
                 };
                 let known = subject.clone();
                 let setting = site.setting.clone();
-                let station = Station::open(subject, setting, teeth, light, root)?;
+                let job = Job::check_live(subject, setting, teeth, light, root)?;
                 writer = store
                     .map(|path| source.writer(path, site, &known))
                     .transpose()?;
-                Ok(station)
+                Ok(job)
             },
         )?;
         Ok((instrument, writer))
@@ -214,7 +216,7 @@ pub fn recorded_check(
     bench: &BenchSetup,
     site: &Site,
     quiet: bool,
-) -> anyhow::Result<(RecordedCheck, Option<HistoryWriter>)> {
+) -> anyhow::Result<(Job<ViewOutcome>, RecordedFrames, Option<HistoryWriter>)> {
     fits_recording(bench)?;
     anyhow::ensure!(
         source.adaptive.is_none(),
@@ -227,11 +229,11 @@ pub fn recorded_check(
     source.furnish(&mut subject, site.link())?;
     let teeth = source.teeth.as_deref();
     let known = subject.clone();
-    let check = RecordedCheck::open(subject, site.setting.clone(), recording, teeth)?;
+    let (check, frames) = Job::check_recorded(subject, site.setting.clone(), recording, teeth)?;
     let writer = store
         .map(|path| source.writer(path, site, &known))
         .transpose()?;
-    Ok((check, writer))
+    Ok((check, frames, writer))
 }
 
 /// What a recording is of: tool and head by their options, else the head that it `names` before the tool folder's.
@@ -248,8 +250,8 @@ pub fn recorded_subject(
     Ok(subject)
 }
 
-impl<S> Instrument<S> {
-    /// Reads tool and head, starts what `station` makes of them, then the bench or nothing.
+impl<J> Instrument<J> {
+    /// Reads tool and head, starts what `job` makes of them, then the bench or nothing.
     ///
     /// The files are the tool's folder and a head file instead of the one in it.
     pub fn start(
@@ -258,7 +260,7 @@ impl<S> Instrument<S> {
         bench: &BenchSetup,
         scene: Scene<'_>,
         quiet: bool,
-        station: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<S>,
+        job: impl FnOnce(Subject, Arc<SharedRoot>) -> anyhow::Result<J>,
     ) -> anyhow::Result<Self> {
         let own = scratch()?;
         fits_bench(bench, site)?;
@@ -267,7 +269,7 @@ impl<S> Instrument<S> {
         let (subject, head_path) = standing(&folder, head, site, quiet, own.path())?;
         let cores = subject.head.cores.as_ref().map(|cores| cores.file.clone());
         let instrument = Self::before(&folder, site, bench, scene, quiet, own, |root| {
-            station(subject, root)
+            job(subject, root)
         })?;
         Ok(Self {
             head: Some(HeadFiles {
@@ -278,7 +280,7 @@ impl<S> Instrument<S> {
         })
     }
 
-    /// Starts what `station` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
+    /// Starts what `job` makes of the place where frames arrive, then the bench with what lies in `folder`, or nothing.
     pub fn before(
         folder: &Path,
         site: &Site,
@@ -286,17 +288,17 @@ impl<S> Instrument<S> {
         scene: Scene<'_>,
         quiet: bool,
         scratch: RunFolder,
-        station: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<S>,
+        job: impl FnOnce(Arc<SharedRoot>) -> anyhow::Result<J>,
     ) -> anyhow::Result<Self> {
         let link = site.link();
         // The services must be there when the camera process comes.
         let root = Arc::new(SharedRoot::create(&default_base()?)?);
-        let station = station(Arc::clone(&root))?;
+        let job = job(Arc::clone(&root))?;
         let Link::Port(port) = link else {
             let stages = &site.settings.stages;
             let bench = Bench::start(bench, link, scene, folder, &root, stages)?;
             return Ok(Self {
-                station,
+                job,
                 port: bench.port().to_path_buf(),
                 settings: interrupted(bench.client_settings(&site.settings))?,
                 head: None,
@@ -312,7 +314,7 @@ impl<S> Instrument<S> {
             say(&format!("frames are expected in {}", root.path().display()));
         }
         Ok(Self {
-            station,
+            job,
             port: port.clone(),
             settings: interrupted(site.settings.client())?,
             head: None,
@@ -331,7 +333,7 @@ impl<S> Instrument<S> {
 
     /// Ends it; from a simulated bench, returns the truth, and says on standard error when the bench did not keep up.
     pub fn close(self, quiet: bool) -> anyhow::Result<Option<serde_json::Value>> {
-        drop(self.station);
+        drop(self.job);
         let Some(bench) = self.bench else {
             return Ok(None);
         };

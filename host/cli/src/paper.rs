@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use flankscope_jobs::scan::Hinz2019Settings;
+use flankscope_article::Hinz2019Settings;
 
 use crate::geometry::pose_of_pairs;
 

@@ -8,7 +8,7 @@ use flankscope_instrument::patterns::{
     Adaptive, CaptureTime, Manifest, Packing, Passes, Region, write, write_adaptive,
 };
 use flankscope_instrument::settings::Timing;
-use flankscope_jobs::inspection::ViewPlan;
+use flankscope_jobs::plan::ViewPlan;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::head::{Arrangement, HeadModel, Mirrors};
 use flankscope_profilometry::pattern::{NAMED, PatternSet};

@@ -5,17 +5,20 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_article::{Article, Hinz2019Settings, MethodResult, Spread};
 use flankscope_foundation::seal::Seal;
-use flankscope_instrument::acquisition::{FrameIndex, Recording};
-use flankscope_jobs::inspection::recording_id;
+use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
+use flankscope_jobs::job::{RecordedFrames, recording_id};
 use flankscope_jobs::scan::{
-    CloudIndex, CloudRecording, CloudScan, FinishedScan, Grid, Hinz2019Settings, Method,
-    MethodResult, Progress, RecordedScan, Scan, ScanError, Scanner, percent,
+    CloudIndex, CloudRecording, CloudScan, Grid, Method, Progress, Scan, ScanError, Scanner,
+    percent,
 };
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::deviation::Statistics;
 use flankscope_metrology::io::points::Format;
 use flankscope_metrology::kinematics::Moves;
+use flankscope_metrology::multiview::form::Form;
+use flankscope_record::document::ViewStatus;
 use flankscope_record::origin::Link;
 use flankscope_record::seal::Kind;
 use flankscope_record::sink::ResultSink;
@@ -141,7 +144,7 @@ impl Args {
 
 /// What stands on the simulated bench: a scan that goes on must find the same there.
 fn on_the_bench(link: &Link, bench: &BenchSetup) -> BTreeMap<String, String> {
-    let what_stands = || (FinishedScan::BENCH.to_string(), in_words(bench));
+    let what_stands = || (Article::BENCH.to_string(), in_words(bench));
     link.is_simulated().then(what_stands).into_iter().collect()
 }
 
@@ -211,12 +214,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     let mut complaints = Complaints::default();
     let mut scan = match &mut scanning {
-        Scanning::Recorded(recorded) => recorded.scan(watch)?,
+        Scanning::Recorded(scanner, frames) => scanner.scan_recorded(frames, watch)?,
         Scanning::Clouds(clouds) => clouds.scan(watch)?,
         Scanning::Live(instrument) => {
             let saved = args.begin_saving(instrument)?;
             let (port, settings) = (&instrument.port, instrument.settings.clone());
-            let scan = instrument.station.scan(port, settings, watch);
+            let scan = instrument.job.scan(port, settings, watch);
             let scan = scan.map_err(|error| match error {
                 ScanError::Interrupted { done, of, .. } if passing.is_some() => anyhow::anyhow!(
                     "interrupted after {done} of {of} views; none is kept: with --session DIR a scan goes on where it was"
@@ -224,12 +227,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
                 error => error.into(),
             })?;
             if let Some((folder, head)) = saved {
-                let recorded = instrument.station.record(folder, &head);
+                let recorded = instrument.job.record(folder, &head);
                 complaints.hear(recorded.map_err(Into::into));
             }
             if let Some(folder) = &args.save_clouds {
                 let head = instrument.copy_head(folder)?;
-                let saved = instrument.station.save_clouds(folder, &head);
+                let saved = instrument.job.save_clouds(folder, &head);
                 complaints.hear(saved.map(drop).map_err(Into::into));
             }
             scan
@@ -272,7 +275,7 @@ enum Scanning {
     /// A die before the instrument.
     Live(Box<Instrument<Scanner>>),
     /// Frames that were recorded.
-    Recorded(Box<RecordedScan>),
+    Recorded(Box<Scanner>, RecordedFrames),
     /// Clouds that were recorded.
     Clouds(Box<CloudScan>),
 }
@@ -280,8 +283,8 @@ enum Scanning {
 impl Scanning {
     fn scanner(&self) -> &Scanner {
         match self {
-            Self::Live(instrument) => &instrument.station,
-            Self::Recorded(recorded) => &recorded.scanner,
+            Self::Live(instrument) => &instrument.job,
+            Self::Recorded(scanner, _) => scanner,
             Self::Clouds(clouds) => &clouds.scanner,
         }
     }
@@ -326,9 +329,10 @@ impl Args {
     ) -> anyhow::Result<Scanning> {
         let mut subject = self.recorded_subject(recording.head(), site)?;
         subject.temperature_degc = recording.index.tool_temperature_degc;
-        let mut recorded = RecordedScan::open(subject, site.setting.clone(), recording, session)?;
-        set_up(&mut recorded.scanner)?;
-        Ok(Scanning::Recorded(Box::new(recorded)))
+        let setting = site.setting.clone();
+        let (mut scanner, frames) = Scanner::open_recorded(subject, setting, recording, session)?;
+        set_up(&mut scanner)?;
+        Ok(Scanning::Recorded(Box::new(scanner), frames))
     }
 
     fn of_clouds(
@@ -359,7 +363,7 @@ impl Args {
             return Ok(None);
         };
         let head = instrument.copy_head(folder)?;
-        instrument.station.save_frames(folder)?;
+        instrument.job.save_frames(folder)?;
         Ok(Some((folder, head)))
     }
 
@@ -439,7 +443,8 @@ fn show(progress: Progress) {
 
 fn print(scan: &Scan) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    let registered = |r: &&flankscope_jobs::scan::ScanRegistration| r.status == "registered";
+    let registered =
+        |r: &&flankscope_jobs::scan::ScanRegistration| r.status == ViewStatus::Registered;
     writeln!(
         out,
         "\n{} of {} views, {} % of the bore seen, {}",
@@ -515,13 +520,13 @@ fn print_methods(out: &mut impl Write, methods: &[MethodResult]) -> std::io::Res
         "drift µm",
         "time s"
     )?;
-    let spread = |of: Option<flankscope_jobs::scan::Spread>| {
+    let spread = |of: Option<Spread>| {
         of.map_or("-".into(), |s| {
             format!("{:.1} ± {:.1}", s.mean_um, s.std_um)
         })
     };
     for of in methods {
-        let form = |value: fn(&flankscope_jobs::scan::Form) -> f64| {
+        let form = |value: fn(&Form) -> f64| {
             of.form
                 .as_ref()
                 .map_or("-".into(), |form| format!("{:.1}", value(form)))

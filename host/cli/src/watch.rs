@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if setting.link.is_simulated() {
         log.say(SIMULATED);
     }
-    let shown = instrument.station.watch(
+    let shown = instrument.job.watch(
         &instrument.port,
         instrument.settings.clone(),
         &settings,

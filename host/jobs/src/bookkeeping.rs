@@ -1,8 +1,19 @@
 //! Frames and memory of a run, as documents state them.
 
-use flankscope_frames::Frame;
-use flankscope_instrument::acquisition::Counts;
-use flankscope_record::document::{FrameCount, Handover};
+use flankscope_frames::{Frame, monotonic_ns};
+use flankscope_instrument::acquisition::{Counts, Run};
+use flankscope_record::document::{FrameCount, Handover, Timing};
+
+/// Durations of a run that began at `begun_ns` and had its verdict at `verdict_ns`, both by the host's monotonic clock.
+pub(crate) fn timing<O>(run: &Run<O>, begun_ns: u64, verdict_ns: u64) -> Timing {
+    let between = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
+    Timing {
+        total: between(begun_ns, monotonic_ns()),
+        positioning: run.timeline.positioning_ms(),
+        exposure: run.timeline.exposure_ms(),
+        last_exposure_to_verdict: between(run.counts.last_exposure_ns, verdict_ns),
+    }
+}
 
 /// Frame bookkeeping of a run.
 pub(crate) fn frame_count(mut counts: Counts) -> FrameCount {

@@ -9,6 +9,8 @@
 //! | module | holds |
 //! |---|---|
 //! | [`subject`] | what a job looks at, and with what |
+//! | [`plan`] | which poses, patterns and exposures: from tool and head to a plan of views; what the head sees of them |
+//! | [`job`] | what all jobs share: threads, live or recorded frames as their source, recordings |
 //! | [`inspection`] | the check of a few critical teeth |
 //! | [`watch`] | a check every N cycles of the press |
 //! | [`scan`] | the whole die, view by view |
@@ -19,6 +21,8 @@
 mod bookkeeping;
 pub mod calibration;
 pub mod inspection;
+pub mod job;
+pub mod plan;
 pub mod readiness;
 pub mod replay;
 pub mod scan;

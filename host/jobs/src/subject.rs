@@ -1,4 +1,4 @@
-//! What a job looks at, and with what: tool, head, station, and who vouches for them.
+//! The subject of a job: tool, head and station, and the keys that vouch for them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use flankscope_record::die::DieKey;
 use flankscope_record::origin::{HeadId, Origin, Setting};
 use flankscope_record::seal::Seals;
 
-/// What is inspected, with what.
+/// The tool that is measured, and the head and station that measure it.
 #[derive(Clone, Debug)]
 pub struct Subject {
     /// The tool.
@@ -32,7 +32,7 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// What the die is known by.
+    /// Key of the die in a history.
     #[must_use]
     pub fn die(&self) -> DieKey {
         // A gear is names and numbers: nothing of it can fail to be JSON.
@@ -45,7 +45,7 @@ impl Subject {
         }
     }
 
-    /// What a result says of where it comes from, found in this setting.
+    /// Origin that a result found in this setting states.
     pub(crate) fn origin(&self, setting: &Setting) -> Origin {
         Origin::new(setting, self.head_id())
     }

@@ -66,7 +66,7 @@ fn what_was_stored_is_read_back_and_cycles_count_on() {
     let last = checks.last().unwrap();
     assert_eq!(last.flanks.len(), 6);
     assert_eq!(
-        (last.flanks[5].id.tooth, last.flanks[5].id.flank.as_str()),
+        (last.flanks[5].id.tooth, last.flanks[5].id.flank.word()),
         (68, "right")
     );
     assert_eq!(last.flanks[0].wear_um, Some(14.0 / 8.0));
@@ -510,7 +510,7 @@ fn of_patch(press_cycles: u32, place: u32, name: &str) -> Inspection {
     check.features.truncate(1);
     check.features[0].id = FeatureId {
         tooth: place,
-        flank: "face".into(),
+        flank: flankscope_metrology::gear::Flank::Face,
         patch: Some(name.into()),
     };
     check

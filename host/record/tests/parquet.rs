@@ -54,7 +54,7 @@ fn every_figure_is_there_and_what_is_missing_is_null() {
             ("baseline", Field::Null),
             ("check_verdict", text(check.verdict.as_str())),
             ("tooth", Field::Int(flank.id.tooth as i32)),
-            ("flank", text(&flank.id.flank)),
+            ("flank", text(flank.id.flank.word())),
             ("wear_um", number(flank.wear_um)),
             ("u95_um", number(flank.u95_um)),
             ("warn_um", Field::Double(30.0)),

@@ -12,7 +12,7 @@ use rand_pcg::Pcg64;
 fn left(tooth: u32) -> FeatureId {
     FeatureId {
         tooth,
-        flank: "left".into(),
+        flank: flankscope_metrology::gear::Flank::Left,
         patch: None,
     }
 }

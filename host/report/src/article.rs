@@ -6,7 +6,7 @@ use super::colour;
 use super::plot::{Axes, Scale, Series, binned};
 use super::scenes::Scenes;
 use super::{Fact, chart};
-use flankscope_jobs::scan::{
+use flankscope_article::{
     Alignment, Article, DrawingSteps, Left, MethodResult, Overlay, Sections, Spread,
 };
 

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::Word;
 
 use super::ring::in_words;
@@ -63,7 +64,7 @@ pub(super) fn flanks(features: &[Feature], teeth: u32) -> String {
                 begin + 0.5 * each,
                 zero + 14.0
             );
-            for (side, flank) in ["left", "right"].into_iter().enumerate() {
+            for (side, flank) in Flank::BOTH.into_iter().enumerate() {
                 let of = features
                     .iter()
                     .find(|f| f.id.tooth == tooth && f.id.flank == flank);
@@ -137,11 +138,11 @@ pub(super) mod tests {
     use flankscope_record::document::FeatureId;
 
     /// A flank that was judged.
-    pub fn feature(tooth: u32, flank: &str, wear_um: Option<f64>, verdict: Word) -> Feature {
+    pub fn feature(tooth: u32, flank: Flank, wear_um: Option<f64>, verdict: Word) -> Feature {
         Feature {
             id: FeatureId {
                 tooth,
-                flank: flank.into(),
+                flank,
                 patch: None,
             },
             wear_um,
@@ -163,10 +164,10 @@ pub(super) mod tests {
     #[test]
     fn every_flank_has_a_bar_with_its_uncertainty() {
         let mut features: Vec<Feature> = (1..=84)
-            .flat_map(|tooth| ["left", "right"].map(|f| feature(tooth, f, Some(1.0), Word::Go)))
+            .flat_map(|tooth| Flank::BOTH.map(|f| feature(tooth, f, Some(1.0), Word::Go)))
             .collect();
-        features[78] = feature(40, "left", Some(80.0), Word::NoGo);
-        features[3] = feature(2, "right", None, Word::Indeterminate);
+        features[78] = feature(40, Flank::Left, Some(80.0), Word::NoGo);
+        features[3] = feature(2, Flank::Right, None, Word::Indeterminate);
         features.remove(0);
         let svg = flanks(&features, 84);
         assert_eq!(svg.matches(r#"class="flank-bar"#).count(), 168);

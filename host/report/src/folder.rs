@@ -16,8 +16,9 @@ use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::verdict::Word;
 
 use super::tables;
+use flankscope_article::Article;
 use flankscope_foundation::files::{stream_whole, write_whole};
-use flankscope_jobs::scan::{Article, Scan};
+use flankscope_jobs::scan::Scan;
 use flankscope_record::document::Inspection;
 use flankscope_record::sink::{ResultSink, SinkError, document_text};
 

@@ -140,7 +140,7 @@ mod tests {
     fn left(tooth: u32) -> FeatureId {
         FeatureId {
             tooth,
-            flank: "left".into(),
+            flank: flankscope_metrology::gear::Flank::Left,
             patch: None,
         }
     }

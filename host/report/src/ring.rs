@@ -77,10 +77,9 @@ pub(super) fn ring(of: &Toothing, features: &[Feature]) -> String {
     let _ = write!(svg, r#"<path d="{}z" class="tooth"/>"#, path(outline));
     let mut teeth: Vec<(u32, Word)> = Vec::new();
     for feature in features {
-        let side = if feature.id.flank == "left" {
-            &left
-        } else {
-            &right
+        let side = match feature.id.flank {
+            Flank::Left => &left,
+            Flank::Right | Flank::Face => &right,
         };
         let centre = gear.tooth_centre_rad(feature.id.tooth);
         let line = side
@@ -155,7 +154,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
     let [left, right] = Flank::BOTH.map(|flank| profile(gear, flank));
     let body = right.iter().rev().chain(&left).map(|&p| place(p));
     let _ = write!(svg, r#"<path d="{}" class="tooth"/>"#, path(body));
-    for (name, side) in [("left", &left), ("right", &right)] {
+    for (name, side) in [(Flank::Left, &left), (Flank::Right, &right)] {
         let of_side = features
             .iter()
             .find(|f| f.id.tooth == worst.id.tooth && f.id.flank == name);
@@ -169,7 +168,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         let Some([x, y]) = side.last().map(|&p| place(p)) else {
             continue;
         };
-        let (offset, anchor) = if name == "left" {
+        let (offset, anchor) = if name == Flank::Left {
             (14.0, "end")
         } else {
             (-14.0, "start")
@@ -204,7 +203,7 @@ fn enlarged(svg: &mut String, of: &Toothing, features: &[Feature], worst: &Featu
         let from = gear.profile_mm(of.zone_radius_mm[0]);
         let radius = gear.radius_mm(from + along);
         if let Some(half) = gear.half_tooth_rad(radius) {
-            let side = if worst.id.flank == "left" { 1.0 } else { -1.0 };
+            let side = worst.id.flank.sign();
             let [x, y] = place([radius, side * half]);
             let _ = write!(
                 svg,
@@ -255,8 +254,8 @@ mod tests {
     #[test]
     fn flanks_lie_where_the_die_has_them() {
         let features = [
-            feature(1, "left", Some(80.0), Word::NoGo),
-            feature(1, "right", Some(1.0), Word::Go),
+            feature(1, Flank::Left, Some(80.0), Word::NoGo),
+            feature(1, Flank::Right, Some(1.0), Word::Go),
         ];
         let svg = ring(&toothing(), &features);
         let (left, right) = (begin(&svg, "flank s-no-go"), begin(&svg, "flank s-go"));
@@ -276,7 +275,7 @@ mod tests {
     #[test]
     fn a_whole_die_is_drawn_flank_by_flank() {
         let features: Vec<Feature> = (1..=84)
-            .flat_map(|tooth| ["left", "right"].map(|f| feature(tooth, f, Some(1.0), Word::Go)))
+            .flat_map(|tooth| Flank::BOTH.map(|f| feature(tooth, f, Some(1.0), Word::Go)))
             .collect();
         let svg = ring(&toothing(), &features);
         assert_eq!(svg.matches(r#"class="flank s-go""#).count(), 168);

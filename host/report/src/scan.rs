@@ -13,7 +13,7 @@ use super::{Fact, bars, chart, colour, facts, figure, ring};
 use flankscope_jobs::scan::{
     Adjustment, Metrics, OppositeTeeth, Scan, ScanRegistration, StageErrors, percent,
 };
-use flankscope_record::document::Feature;
+use flankscope_record::document::{Feature, ViewStatus};
 
 /// Smallest full scale of the pictures, µm.
 const LEAST_FULL_UM: f64 = 20.0;
@@ -85,7 +85,7 @@ pub fn scan_html(scan: &Scan) -> Result<String, askama::Error> {
     let lost = scan
         .registration
         .iter()
-        .filter(|r| r.status != "registered");
+        .filter(|r| r.status != ViewStatus::Registered);
     let mut worst: Vec<&Feature> = scan.features.iter().collect();
     let loss = |feature: &Feature| feature.wear_um.unwrap_or(f64::NEG_INFINITY);
     worst.sort_by(|a, b| loss(b).total_cmp(&loss(a)));

@@ -6,7 +6,7 @@ use flankscope_metrology::io::mesh::TriMesh;
 
 use super::colour;
 use super::space::Canvas;
-use flankscope_jobs::scan::InSpace;
+use flankscope_article::InSpace;
 
 const HALF_PX: [usize; 2] = [570, 480];
 const SMALL_PX: [usize; 2] = [380, 400];

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use anyhow::Context;
-use flankscope_jobs::inspection::{Evaluator, ViewOutcome, ViewPlan};
+use flankscope_jobs::inspection::{Evaluator, ViewOutcome};
+use flankscope_jobs::plan::ViewPlan;
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::gear::Flank;
 use flankscope_metrology::tool::Tool;
@@ -177,6 +178,6 @@ pub(super) fn judged(outcome: &ViewOutcome, flank: Flank) -> anyhow::Result<Feat
         .iter()
         .cloned()
         .map(Feature::from)
-        .find(|f| f.id.flank == flank.to_string())
+        .find(|f| f.id.flank == flank)
         .with_context(|| format!("the {flank} flank is missing"))
 }

@@ -8,6 +8,27 @@ use std::path::{Path, PathBuf};
 /// Where [`stage_clients`] looks, from the repository.
 pub const STAGE_CLIENTS: &str = "target/stage-clients/bin/python";
 
+/// A head file as drawn, without volume and sensor: the camera's 1920 x 1200 pixels behind a bundle, a DMD of 1024 x 768 mirrors.
+pub const DRAWN_HEAD: &str = r#"
+name = "drawn"
+[camera]
+width_px = 1920
+height_px = 1200
+focal_px = [2530.0, 2531.5]
+principal_px = [959.5, 599.5]
+[projector]
+width_px = 1024
+height_px = 768
+focal_px = [2252.8, 2252.8]
+principal_px = [511.5, 383.5]
+[projector_from_camera]
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+translation_mm = [11.0, 0.0, 0.0]
+[image_circle]
+centre_px = [959.5, 599.5]
+radius_px = 575.0
+"#;
+
 /// Whether everything must run: nothing may be missed, and campaigns draw as many cases as they state.
 #[must_use]
 pub fn everything() -> bool {

@@ -17,6 +17,7 @@ const CAMERA: &str = "host/camera";
 const FOUNDATION: &str = "host/foundation";
 const PROFILOMETRY: &str = "host/profilometry";
 const METROLOGY: &str = "host/metrology";
+const ARTICLE: &str = "host/article";
 const INSTRUMENT: &str = "host/instrument";
 const RECORD: &str = "host/record";
 const JOBS: &str = "host/jobs";
@@ -40,6 +41,7 @@ const EVERYTHING: &[&str] = &[
     FOUNDATION,
     PROFILOMETRY,
     METROLOGY,
+    ARTICLE,
     INSTRUMENT,
     RECORD,
     JOBS,
@@ -65,6 +67,8 @@ const ROOMS: &[Room] = &[
     (FOUNDATION, &[]),
     (PROFILOMETRY, &[FOUNDATION]),
     (METROLOGY, &[FOUNDATION]),
+    // Views, CAD and poses in, figures out: neither instrument nor session folder.
+    (ARTICLE, &[FOUNDATION, PROFILOMETRY, METROLOGY]),
     // Frames and time: neither verdicts nor what is stored.
     (
         INSTRUMENT,
@@ -80,11 +84,15 @@ const ROOMS: &[Room] = &[
             FOUNDATION,
             PROFILOMETRY,
             METROLOGY,
+            ARTICLE,
             INSTRUMENT,
             RECORD,
         ],
     ),
-    (REPORT, &[FOUNDATION, PROFILOMETRY, METROLOGY, RECORD, JOBS]),
+    (
+        REPORT,
+        &[FOUNDATION, PROFILOMETRY, METROLOGY, ARTICLE, RECORD, JOBS],
+    ),
     // The bench, and what takes the frames of its GigE camera, are separate processes; the command only embeds them, behind features.
     (
         CLI,
@@ -93,6 +101,7 @@ const ROOMS: &[Room] = &[
             FOUNDATION,
             PROFILOMETRY,
             METROLOGY,
+            ARTICLE,
             INSTRUMENT,
             RECORD,
             JOBS,
@@ -359,6 +368,8 @@ mod tests {
             (RECORD, INSTRUMENT),
             (RECORD, FRAMES),
             (RECORD, JOBS),
+            (ARTICLE, JOBS),
+            (ARTICLE, INSTRUMENT),
             (JOBS, REPORT),
             (BENCH, METROLOGY),
             (BENCH, PROFILOMETRY),

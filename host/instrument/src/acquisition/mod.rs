@@ -44,7 +44,7 @@ pub use pairing::{PairingError, pair};
 pub use program::{Program, ProgramError, StagePosition};
 pub use recapture::AfterStop;
 pub use recording::{FrameIndex, ImageProblem, IndexedView, Recording, RecordingError};
-pub use recording::{Playback, RecordedView, SavedView, stays_inside};
+pub use recording::{RecordedIndex, RecordedView, SavedView, stays_inside};
 pub use route::{Route, RouteTime};
 pub use run::{Counts, Run};
 pub use session::Acquisition;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 
-use flankscope_frames::FrameSource;
+use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot};
 use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::{Accumulator, Decoder};
 use tokio::sync::mpsc as channel;
@@ -12,7 +12,7 @@ use tokio::sync::mpsc as channel;
 use super::error::AcquisitionError;
 use super::program::Program;
 use super::recorder::{HeadCamera, Keepsake, Order, Orders, Recorded, Recorder, RecorderSettings};
-use super::recording::{SavedView, Saver};
+use super::recording::{Playback, SavedView, Saver};
 use super::sums::{ViewSums, planned_frames};
 
 /// The running threads, with a place where frames arrive. `O` is what is made of a view's sums.
@@ -21,6 +21,9 @@ use super::sums::{ViewSums, planned_frames};
 #[derive(Debug)]
 pub struct Acquisition<O> {
     pub(super) program: Program,
+    full_scale_dn: u16,
+    /// Tells the source of recorded frames what to read; `None` where frames come from a camera.
+    pub(super) playback: Option<Playback>,
     orders: Option<Orders>,
     pub(super) recorded: channel::UnboundedReceiver<Recorded>,
     capture: Option<JoinHandle<()>>,
@@ -32,11 +35,28 @@ pub struct Acquisition<O> {
 }
 
 impl<O: Send + 'static> Acquisition<O> {
-    /// Starts the capture thread with the frames of `source`, and the compute thread with what it makes of a view's sums.
+    /// Starts the capture thread with the frames that a camera process writes below `camera`, or without one with recorded
+    /// frames ([`Self::play`]), and the compute thread, which calls `evaluate` for the sums of each view.
     ///
     /// # Errors
-    /// The source, such as shared memory, or a thread is refused.
-    pub fn start<S: FrameSource>(
+    /// Shared memory or a thread is refused.
+    pub fn start(
+        program: Program,
+        decoder: &Arc<Decoder>,
+        camera: Option<Arc<SharedRoot>>,
+        evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, AcquisitionError> {
+        let Some(root) = camera else {
+            let (playback, source) = Playback::new(decoder, &program.exposures_us);
+            let mut acquisition = Self::fed_by(program, decoder, move || Ok(source), evaluate)?;
+            acquisition.playback = Some(playback);
+            return Ok(acquisition);
+        };
+        let source = move || Ok(FrameReceiver::create(&root)?);
+        Self::fed_by(program, decoder, source, evaluate)
+    }
+
+    fn fed_by<S: FrameSource>(
         program: Program,
         decoder: &Arc<Decoder>,
         source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
@@ -107,6 +127,8 @@ impl<O: Send + 'static> Acquisition<O> {
         let compute = compute.map_err(|_| AcquisitionError::Thread { thread: "compute" })?;
         Ok(Self {
             program,
+            full_scale_dn: decoder.full_scale_dn(),
+            playback: None,
             orders: Some(order_sender),
             recorded,
             capture: Some(capture),
@@ -128,8 +150,8 @@ impl<O: Send + 'static> Acquisition<O> {
     }
 
     /// Has all frames that follow written into `folder`, beside being summed.
-    pub fn save_frames(&self, folder: &Path, full_scale_dn: u16) -> Result<(), AcquisitionError> {
-        self.order(Order::Save(Saver::new(folder, full_scale_dn)))
+    pub fn save_frames(&self, folder: &Path) -> Result<(), AcquisitionError> {
+        self.order(Order::Save(Saver::new(folder, self.full_scale_dn)))
     }
 
     /// The captures that were written since this was last asked, in their order.

@@ -112,22 +112,9 @@ impl ViewSums {
 mod tests {
     use super::*;
     use flankscope_profilometry::{DecodeOptions, HeadModel, PatternSet};
+    use flankscope_test_requisites::DRAWN_HEAD;
 
-    const HEAD: &str = r#"
-        name = "drawn"
-        [camera]
-        width_px = 192
-        height_px = 120
-        focal_px = [253.0, 253.0]
-        principal_px = [95.5, 59.5]
-        [projector]
-        width_px = 1024
-        height_px = 768
-        focal_px = [2252.8, 2252.8]
-        principal_px = [511.5, 383.5]
-        [projector_from_camera]
-        rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        translation_mm = [11.0, 0.0, 0.0]
+    const VOLUME_AND_SENSOR: &str = r#"
         [volume]
         near_mm = 19.0
         far_mm = 24.0
@@ -141,7 +128,7 @@ mod tests {
 
     #[test]
     fn frames_follow_each_other_as_the_plan_shows_them() {
-        let head: HeadModel = toml::from_str(HEAD).unwrap();
+        let head: HeadModel = toml::from_str(&format!("{DRAWN_HEAD}{VOLUME_AND_SENSOR}")).unwrap();
         let set = PatternSet::named("high12").unwrap();
         let exposures_us = [10_000, 20_000];
         let options = DecodeOptions::for_head(&head);

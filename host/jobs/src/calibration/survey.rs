@@ -8,7 +8,8 @@ use flankscope_profilometry::head::LensDrive;
 use flankscope_profilometry::pattern::PatternError;
 use flankscope_profilometry::{Accumulator, DecodeError, DecodeOptions, Decoder, HeadModel};
 
-use flankscope_frames::{FrameReceiver, SharedRoot};
+use crate::job::{connect, runtime};
+use flankscope_frames::SharedRoot;
 use flankscope_instrument::acquisition::{
     Acquisition, AcquisitionError, AfterStop, Program, Progress, Run, StagePosition, Stop,
 };
@@ -61,7 +62,7 @@ pub struct Surveyor<O> {
 }
 
 impl<O: Send + 'static> Surveyor<O> {
-    /// Starts the threads for a head before a target. `make` is what becomes of a view's sums.
+    /// Starts the threads for a head before a target. `make` turns the sums of a view into its result.
     ///
     /// # Errors
     /// The head is unfit, or shared memory is refused.
@@ -98,12 +99,7 @@ impl<O: Send + 'static> Surveyor<O> {
         let views = program.positions.len();
         let own = Arc::clone(&decoder);
         let make = move |_, sums: &Accumulator| make(&own, sums);
-        let acquisition = Acquisition::start(
-            program,
-            &decoder,
-            move || Ok(FrameReceiver::create(&root)?),
-            make,
-        )?;
+        let acquisition = Acquisition::start(program, &decoder, Some(root), make)?;
         Ok(Self { acquisition, views })
     }
 
@@ -118,7 +114,7 @@ impl<O: Send + 'static> Surveyor<O> {
         mut watch: impl FnMut(Progress),
     ) -> Result<Vec<O>, SurveyError> {
         runtime()?.block_on(async {
-            let mut client = self.ready(port, settings, &mut watch).await?;
+            let mut client = connect(&self.acquisition, port, settings, &mut watch).await?;
             self.capture_all(&mut client, &mut watch).await
         })
     }
@@ -135,8 +131,9 @@ impl<O: Send + 'static> Surveyor<O> {
         mut watch: impl FnMut(Progress),
         mut next: impl FnMut(Vec<O>) -> Result<Vec<LensDrive>, E>,
     ) -> Result<(), E> {
-        runtime()?.block_on(async {
-            let mut client = self.ready(port, settings, &mut watch).await?;
+        runtime().map_err(SurveyError::from)?.block_on(async {
+            let client = connect(&self.acquisition, port, settings, &mut watch).await;
+            let mut client = client.map_err(SurveyError::from)?;
             let mut outcomes = Vec::new();
             loop {
                 let lenses = next(std::mem::take(&mut outcomes))?;
@@ -149,19 +146,6 @@ impl<O: Send + 'static> Surveyor<O> {
                 }
             }
         })
-    }
-
-    async fn ready(
-        &self,
-        port: &Path,
-        settings: ClientSettings,
-        watch: &mut impl FnMut(Progress),
-    ) -> Result<Client, SurveyError> {
-        let client = Client::connect(port, settings).await;
-        let mut client = client.map_err(AcquisitionError::from)?;
-        watch(Progress::Connected);
-        self.acquisition.make_ready(&mut client, watch).await?;
-        Ok(client)
     }
 
     async fn capture_all(
@@ -202,11 +186,4 @@ impl<O: Send + 'static> Surveyor<O> {
         }
         Ok(run.outcomes.into_values().collect())
     }
-}
-
-fn runtime() -> Result<tokio::runtime::Runtime, SurveyError> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build();
-    Ok(runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?)
 }

@@ -7,9 +7,9 @@ use flankscope_metrology::surface::Closest;
 use flankscope_metrology::verdict::{Code, Reason};
 use nalgebra::{Point3, Vector3};
 
-use super::field::FieldOfView;
 use super::place::Place;
 use super::views::EvaluatorError;
+use crate::plan::FieldOfView;
 use flankscope_metrology::wear::sensitivity::LEAST_POINTS;
 
 /// Heights at which a view is asked whether it sees a flank are so far apart, mm.

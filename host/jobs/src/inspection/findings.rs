@@ -14,8 +14,8 @@ use flankscope_record::document::{
 
 use super::in_view::Neighbourhood;
 use super::outcome::ViewOutcome;
-use super::plan::ViewPlan;
 use super::verdict::{self, Judged};
+use crate::plan::ViewPlan;
 use flankscope_record::baseline::{Baseline, Reference, ViewReference};
 
 /// What a check found.

@@ -177,7 +177,7 @@ impl FlankCriteria {
         Some(FlankInView {
             id: FeatureId {
                 tooth: key.0,
-                flank: key.1.to_string(),
+                flank: key.1,
                 patch: None,
             },
             view,
@@ -242,7 +242,7 @@ impl Neighbourhood {
 
     /// In the order of the teeth.
     pub fn sort(&mut self) {
-        let key = |id: &FeatureId| (id.tooth, id.flank.clone());
+        let key = |id: &FeatureId| (id.tooth, id.flank);
         self.flanks.sort_by_key(|of| key(&of.id));
         self.missing.sort_by_key(|of| of.tooth);
     }

@@ -5,30 +5,28 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use flankscope_foundation::date::{self, Date};
+use flankscope_foundation::date;
 use flankscope_metrology::verdict::Reason;
-use flankscope_profilometry::{Accumulator, DecodeError, Decoder};
+use flankscope_profilometry::{Accumulator, DecodeError};
 
-use super::failure;
 use super::findings::Findings;
 use super::outcome::ViewOutcome;
-use super::plan::{PlanningError, ViewPlan};
 use super::recipe::recipe;
 use super::views::{Evaluator, EvaluatorError, hand_eye};
-use crate::bookkeeping::{frame_count, peak_memory_mb};
+use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
+use crate::job::{self, Job, RecordedFrames, Source, connect, runtime};
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
-use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
+use flankscope_frames::{SharedRoot, monotonic_ns};
 use flankscope_instrument::acquisition::{
-    Acquisition, AcquisitionError, AfterStop, Playback, Progress, RecordingError, Route, Run, Stop,
-    ViewError,
+    AcquisitionError, AfterStop, Progress, RecordingError, Route, Run, Stop, ViewError,
 };
 use flankscope_instrument::controller::{Client, ClientSettings};
 use flankscope_instrument::patterns::PatternLight;
-use flankscope_instrument::poses::{PoseError, PoseProgram, PoseSource};
+use flankscope_instrument::poses::{PoseError, PoseSource};
 use flankscope_protocol::View;
-use flankscope_record::die::DieKey;
 use flankscope_record::document::Phasors;
-use flankscope_record::document::{Inspection, Pictures, Timing, Toothing};
+use flankscope_record::document::{Inspection, Pictures, Toothing};
 use flankscope_record::origin::Setting;
 use flankscope_record::sink::{ResultSink, SinkError};
 
@@ -59,27 +57,13 @@ pub enum InspectError {
     Pose(#[from] PoseError),
 }
 
-/// The instrument's host side for checks: its threads run, frames have a place to arrive.
-#[derive(Debug)]
-pub struct Station {
-    pub(crate) subject: Subject,
-    pub(crate) plan: Arc<ViewPlan>,
-    pub(crate) acquisition: Acquisition<ViewOutcome>,
-    /// Where it works.
-    pub(super) setting: Setting,
-    /// Largest count of the camera.
-    pub(super) full_scale_dn: u16,
-    /// Who is asked where the camera stands.
-    poses: Option<PoseProgram>,
-}
-
-impl Station {
-    /// Starts the capture and compute threads for one subject, with frames arriving below `root`. Results say that they
-    /// come from `setting`. `light` is that of pictures other than the plain ones.
+impl Job<ViewOutcome> {
+    /// Starts the threads of a check of the tool's teeth, or of `teeth`, with frames arriving below `root`. Results say that
+    /// they come from `setting`. `light` is that of pictures other than the plain ones.
     ///
     /// # Errors
     /// The subject is unfit, or shared memory is refused.
-    pub fn open(
+    pub fn check_live(
         subject: Subject,
         setting: Setting,
         teeth: Option<&[u32]>,
@@ -101,70 +85,27 @@ impl Station {
             Some(PoseSource::Program(program)) => Some(program),
             None => None,
         };
-        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
-        let source = move || Ok(FrameReceiver::create(&root)?);
-        let station = Self::fed_by(source, subject, setting, plan, decoder)?;
-        Ok(Self { poses, ..station })
+        let job = Self::start_check(subject, setting, plan, Some(root))?;
+        Ok(Self { poses, ..job })
     }
 
-    /// The same for frames that were recorded, and the end at which they are called for.
-    pub(super) fn of_recording(
+    pub(super) fn start_check(
         subject: Subject,
         setting: Setting,
         plan: ViewPlan,
-    ) -> Result<(Self, Playback), InspectError> {
-        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
-        let camera = &subject.head.camera;
-        let size_px = [camera.width_px, camera.height_px];
-        let (playback, source) =
-            Playback::new(size_px, decoder.full_scale_dn(), &plan.exposures_us);
-        let station = Self::fed_by(move || Ok(source), subject, setting, plan, decoder)?;
-        Ok((station, playback))
-    }
-
-    fn fed_by<S: FrameSource>(
-        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
-        subject: Subject,
-        setting: Setting,
-        plan: ViewPlan,
-        decoder: Arc<Decoder>,
+        camera: Option<Arc<SharedRoot>>,
     ) -> Result<Self, InspectError> {
+        let decoder = Arc::new(plan.decoder(&subject.head, None)?);
         let evaluator = Evaluator::new(&subject, Arc::clone(&decoder), &plan)?;
         let evaluate = move |view, sums: &Accumulator| {
             let mut outcome = evaluator.evaluate(view, sums);
             outcome.phasors.push(Phasors::of(sums));
             outcome
         };
-        let program = plan.program(&subject.station);
-        let acquisition = Acquisition::start(program, &decoder, source, evaluate)?;
-        Ok(Self {
-            subject,
-            plan: Arc::new(plan),
-            acquisition,
-            setting,
-            full_scale_dn: decoder.full_scale_dn(),
-            poses: None,
-        })
-    }
-
-    /// Name of the tool that is checked.
-    #[must_use]
-    pub fn tool(&self) -> &str {
-        &self.subject.tool.name
-    }
-
-    /// What the die is known by.
-    #[must_use]
-    pub fn die(&self) -> DieKey {
-        self.subject.die()
-    }
-
-    /// What is in the middle of every view of the plan: a tooth, or a patch.
-    #[must_use]
-    pub fn view_names(&self) -> Vec<String> {
-        let features = self.subject.tool.features();
-        let views = self.plan.views.iter();
-        views.map(|view| features.name(view.tooth)).collect()
+        let plan = Arc::new(plan);
+        Ok(Self::start(
+            subject, setting, plan, &decoder, camera, evaluate,
+        )?)
     }
 
     /// Runs one check through the controller at `port`; the verdict waits for `store`.
@@ -178,48 +119,78 @@ impl Station {
         store: &mut impl ResultSink<Inspection>,
         mut watch: impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
-        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
-        runtime.block_on(async {
-            let client = Client::connect(port, settings).await;
-            let mut client = client.map_err(AcquisitionError::from)?;
-            watch(Progress::Connected);
-            self.acquisition.make_ready(&mut client, &mut watch).await?;
-            let mut inspection = self.check(&mut client, None, &mut watch).await?;
-            store.put(&mut inspection)?;
-            Ok(inspection)
+        runtime()?.block_on(async {
+            let mut client = connect(&self.acquisition, port, settings, &mut watch).await?;
+            let source = Source::Live(&mut client);
+            self.check(source, None, store, &mut watch).await
         })
     }
 
-    /// Runs one check with a controller that is ready. With a hold limit, counted by the controller's clock, the head is
-    /// out again by then, done or not.
+    /// Runs one check of recorded frames; the verdict waits for `store`.
+    ///
+    /// # Errors
+    /// A thread ended early, or what was found cannot be kept.
+    pub fn inspect_recorded(
+        &mut self,
+        frames: &mut RecordedFrames,
+        store: &mut impl ResultSink<Inspection>,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Inspection, InspectError> {
+        runtime()?.block_on(self.check(Source::Recorded(frames), None, store, &mut watch))
+    }
+
+    /// Runs one check and stores it. With a hold limit, counted by the controller's clock, the head is out again by then, done
+    /// or not.
     pub(crate) async fn check(
         &mut self,
-        client: &mut Client,
+        mut source: Source<'_>,
         hold_limit: Option<Duration>,
+        store: &mut impl ResultSink<Inspection>,
         watch: &mut impl FnMut(Progress),
     ) -> Result<Inspection, InspectError> {
         let begun_ns = monotonic_ns();
-        let status = client.status().await.map_err(AcquisitionError::from)?;
+        let mut run = match &mut source {
+            Source::Live(client) => {
+                let order = self.quickest_order(client, watch).await?;
+                Run::new(order, hold_limit)
+            }
+            Source::Recorded(frames) => {
+                let mut run = Run::new((0..self.plan.views.len()).collect(), None);
+                run.counts.press_cycles = frames.press_cycles;
+                run
+            }
+        };
+        // A head that must not judge is not worth the press's time.
+        let stopped = match (self.unfit(&source), &mut source) {
+            (Some(why), _) => Some(why),
+            (None, Source::Live(client)) => {
+                let stopped = self.capture(client, &mut run, watch).await?;
+                stopped.as_ref().map(job::stopped)
+            }
+            (None, Source::Recorded(frames)) => {
+                self.play_check(frames, &mut run, watch).await?;
+                None
+            }
+        };
+        let mut inspection = self.conclude(run, stopped, begun_ns, source.firmware());
+        store.put(&mut inspection)?;
+        Ok(inspection)
+    }
+
+    /// The order of the views that takes the least time from where the stages stand.
+    async fn quickest_order(
+        &self,
+        client: &mut Client,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Vec<usize>, AcquisitionError> {
+        let status = client.status().await?;
         let stands = View {
             rotation: status.rotation,
             vertical: status.vertical,
         };
         let Route { order, time } = self.acquisition.program().quickest_from(stands);
         watch(Progress::Planned(time));
-        let mut run = Run::new(order.clone(), hold_limit);
-        // What a head that must not judge would measure is not worth the press's time.
-        let stopped = match self.subject.head.fit_on(Date::today()) {
-            Err(why) => Some(failure::unfit(&why)),
-            Ok(()) => {
-                let stopped = self.capture(client, &mut run, &order, watch).await?;
-                stopped.as_ref().map(failure::stopped)
-            }
-        };
-        let firmware = client.identity().firmware;
-        Ok(self.conclude(run, stopped, begun_ns, Some(firmware)))
+        Ok(order)
     }
 
     /// Captures the views, and again what was lost or is too near to a limit.
@@ -227,16 +198,16 @@ impl Station {
         &mut self,
         client: &mut Client,
         run: &mut Run<ViewOutcome>,
-        order: &[usize],
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
         if self.poses.is_some() {
-            return self.capture_where_told(client, run, order, watch).await;
+            return self.capture_where_told(client, run, watch).await;
         }
+        let wanted = run.wanted.clone();
         let captured = self.acquisition.capture_settled(
             client,
             run,
-            order,
+            &wanted,
             AfterStop::End,
             to_be_retaken,
             watch,
@@ -247,17 +218,16 @@ impl Station {
         self.repeat_open_views(client, run, watch).await
     }
 
-    /// Captures one view after the other, each where somebody says that the camera stands. A view without a pose is not captured;
-    /// none is measured again, for the camera has gone on.
+    /// Captures one view after the other, each where the pose program states that the camera stands. A view without a pose is not
+    /// captured; none is measured again, because the camera has gone on.
     async fn capture_where_told(
         &mut self,
         client: &mut Client,
         run: &mut Run<ViewOutcome>,
-        order: &[usize],
         watch: &mut impl FnMut(Progress),
     ) -> Result<Option<Stop>, InspectError> {
         let stage_from_camera = hand_eye(&self.subject)?;
-        for view in order {
+        for view in &run.wanted.clone() {
             let wanted = self.plan.wanted(*view, stage_from_camera);
             self.plan.stated.remove(*view);
             let Some(program) = &mut self.poses else {
@@ -298,7 +268,7 @@ impl Station {
     ) -> Inspection {
         let problems = run.problems.iter();
         let problems = problems
-            .map(|(&view, why)| (view, failure::view_lost(why)))
+            .map(|(&view, why)| (view, job::view_lost(why)))
             .collect();
         let found = Findings::of(
             &self.subject.tool,
@@ -308,8 +278,6 @@ impl Station {
             stopped.as_ref(),
             self.subject.baseline.as_deref(),
         );
-        let positioning = run.timeline.positioning_ms();
-        let exposure = run.timeline.exposure_ms();
         let mut versions = BTreeMap::new();
         versions.insert("host", env!("CARGO_PKG_VERSION").to_string());
         versions.insert(
@@ -319,7 +287,6 @@ impl Station {
         if let Some([major, minor, patch]) = firmware {
             versions.insert("firmware", format!("{major}.{minor}.{patch}"));
         }
-        let since = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e6;
         let recipe = recipe(&self.subject, &self.plan);
         let mut hashes = self.subject.hashes.clone();
         hashes.insert("recipe", recipe.hash());
@@ -331,15 +298,7 @@ impl Station {
             in_view: found.in_view,
             missing_teeth: found.missing_teeth,
             tooth_identity: found.tooth_identity,
-            timing_ms: Timing {
-                total: since(begun_ns, monotonic_ns()),
-                positioning,
-                exposure,
-                last_exposure_to_verdict: since(
-                    run.counts.last_exposure_ns,
-                    run.counts.last_outcome_ns,
-                ),
-            },
+            timing_ms: timing(&run, begun_ns, run.counts.last_outcome_ns),
             press_cycles: run.counts.press_cycles,
             frames: frame_count(run.counts),
             peak_memory_mb: peak_memory_mb(),

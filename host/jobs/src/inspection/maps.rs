@@ -44,7 +44,7 @@ pub(super) fn draw(
     let maps = sides.iter().zip(sums).map(|(flank, sums)| FlankMap {
         id: FeatureId {
             tooth,
-            flank: flank.to_string(),
+            flank: *flank,
             patch: features.patch(tooth).map(|patch| patch.name.clone()),
         },
         columns,

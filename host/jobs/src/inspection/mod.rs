@@ -2,31 +2,25 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `patch_view` | where the stages stand to look at a patch |
-//! | `plan` | which poses, patterns and exposures: from tool and head to a plan of views |
 //! | `job` | one check, from hello to verdict |
 //! | `recorded` | the same check on frames that were recorded |
-//! | `recipe` | what of a plan its files do not say |
-//! | `repeat` | what is too near to a limit is measured again |
-//! | `failure` | what went wrong with frames or controller, as a reason |
+//! | `recipe` | the part of a plan that tool and head file do not state, for a replay |
+//! | `repeat` | views measured again because a figure is too near to a limit |
 //! | `views` | one view's sums to points, pose and wear |
 //! | `exposures` | whether the exposures of a view show one scene |
-//! | `outcome` | what became of a view, captured once or more often |
+//! | `outcome` | outcome of one view, captured once or more often |
 //! | `datum` | points inside a patch's datum, or on bands that the workpiece never touches |
 //! | `die_size` | whether the die in view is of its drawing's size |
 //! | `maps` | deviation maps for a report |
-//! | `field` | what a head sees: how wide, how far away |
 //! | `head_error` | what the head's calibration leaves uncertain of a flank |
 //! | `flank_decision` | a view's flanks, measured once or more often, against limits and baseline |
 //! | `in_view` | what a view shows beside the tooth that it was taken for |
-//! | `findings` | all views to what is said of the tool |
+//! | `findings` | outcomes of all views to the findings of a check |
 //! | `verdict` | flanks to one verdict |
 
 mod datum;
 mod die_size;
 mod exposures;
-mod failure;
-mod field;
 mod findings;
 mod flank_decision;
 mod head_error;
@@ -34,9 +28,7 @@ mod in_view;
 mod job;
 mod maps;
 mod outcome;
-mod patch_view;
 mod place;
-mod plan;
 mod recipe;
 mod recorded;
 mod repeat;
@@ -44,18 +36,13 @@ mod verdict;
 mod views;
 
 pub(crate) use exposures::exposures_disagree;
-pub(crate) use failure::{stopped, unfit, view_lost};
-pub(crate) use field::FieldOfView;
 pub(crate) use findings::Findings;
 pub(crate) use head_error::calibration_um;
 pub use in_view::InView;
-pub use job::{InspectError, Station};
+pub use job::InspectError;
 pub use outcome::ViewOutcome;
-pub use patch_view::PatchViewError;
-pub use plan::{PlanningError, ViewPlan};
 pub(crate) use recipe::recipe;
-pub use recorded::{RecordError, RecordedCheck, recording_id};
-pub(crate) use recorded::{RecordingNotes, tooth_in_middle};
+pub(crate) use recorded::tooth_in_middle;
 pub use verdict::Judged;
 pub(crate) use verdict::unmeasured_flank;
 pub use views::{Evaluator, EvaluatorError};

@@ -1,4 +1,4 @@
-//! What became of one view, captured once or more often.
+//! Outcome of one view, captured once or more often: judged flanks, pose and evidence.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use super::verdict::Judged;
 use flankscope_record::baseline::Reference;
 use flankscope_record::document::{FlankMap, Phasors, ViewRegistration};
 
-/// What became of one view.
+/// Outcome of one view: its flanks judged, its pose, and what both were computed from.
 #[derive(Debug)]
 pub struct ViewOutcome {
     /// The two flanks of the tooth in the middle.
@@ -28,7 +28,7 @@ pub struct ViewOutcome {
     pub maps: Vec<FlankMap>,
     /// Deviations in the two zones, µm.
     pub deviations_um: Vec<f64>,
-    /// What it was computed from, where that is kept.
+    /// Sums of its frames, one entry for each capture, where they are kept.
     pub phasors: Vec<Phasors>,
     /// Whether the view must be taken again before anything is said of it.
     pub(super) retake: bool,
@@ -47,7 +47,7 @@ impl ViewOutcome {
         })
     }
 
-    /// What became of views, and of those that were captured again.
+    /// Outcomes of all views, those that were captured again judged together with their earlier captures.
     pub(crate) fn joined(
         mut first: BTreeMap<usize, Self>,
         again: BTreeMap<usize, Self>,

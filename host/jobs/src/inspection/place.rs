@@ -30,7 +30,7 @@ impl Place {
         Rigid::from_isometry(pose)
     }
 
-    /// What is known of the pose before anything was seen.
+    /// Expected pose of the view and its covariance, from the stages or from a stated pose.
     pub fn prior(&self, expected: Rigid<ToolFrame, Cloud>, stages: &Stages) -> Prior {
         match self.stated {
             Some([u_mm, u_mrad]) => Prior::independent(expected, [u_mrad / 1e3; 3], [u_mm; 3]),
@@ -38,7 +38,8 @@ impl Place {
         }
     }
 
-    /// Of it, what every approach draws anew: of a stated pose nobody knows.
+    /// Part of that covariance that differs from approach to approach of the same place; zero for a stated pose, which does not
+    /// say.
     pub fn approach(&self, stages: &Stages) -> Matrix6<f64> {
         match self.stated {
             Some(_) => Matrix6::zeros(),

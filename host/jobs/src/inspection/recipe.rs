@@ -1,17 +1,13 @@
 //! The recipe of a check: what of a plan its files do not say, so that a replay makes the same plan.
 
+use flankscope_profilometry::DecodeOptions;
 use flankscope_record::document::{Recipe, RecordedRecipe};
 
-use super::plan::ViewPlan;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 
 /// Recipe of a check of `subject` by `plan`.
 pub(crate) fn recipe(subject: &Subject, plan: &ViewPlan) -> Recipe {
-    let grid = if subject.head.core_map.is_some() {
-        "core"
-    } else {
-        "pixel"
-    };
     let teeth: Vec<u32> = plan.views.iter().map(|view| view.tooth).collect();
     let by_files = ViewPlan::new(&subject.tool, &subject.head, Some(&teeth));
     let light = plan.light();
@@ -29,7 +25,7 @@ pub(crate) fn recipe(subject: &Subject, plan: &ViewPlan) -> Recipe {
         pattern_set: plan.patterns.name.clone(),
         lit_ratios: light.lit_ratios,
         exposures_us: plan.exposures_us.clone(),
-        grid: grid.into(),
+        grid: DecodeOptions::for_head(&subject.head).grid,
         temperature_degc: subject.temperature_degc,
     }
 }

@@ -5,21 +5,23 @@ use std::time::Duration;
 use flankscope_protocol::{Event, Refusal};
 use tokio::time::Instant;
 
-use super::job::{InspectError, Station};
+use super::job::InspectError;
 use super::outcome::ViewOutcome;
+use crate::job::Job;
 use flankscope_instrument::acquisition::{AcquisitionError, Progress, RETRACT_RESERVE, Run, Stop};
 use flankscope_instrument::controller::{Client, ClientError};
 
-/// What became of a repetition.
-enum Captured {
+/// How the capture of views that are measured again ended.
+enum Repeated {
+    /// All views were captured.
     Whole,
-    /// For this reason.
+    /// Early, for this reason.
     Stopped(Stop),
     /// The press stayed closed to the head.
     NotLetIn,
 }
 
-impl Station {
+impl Job<ViewOutcome> {
     /// Measures again, as often as the tool file allows and while there is time, the views whose figures are too near to a
     /// limit; returns why that stopped early, if it did.
     pub(super) async fn repeat_open_views(
@@ -49,9 +51,9 @@ impl Station {
             // A view that fails now keeps what it had.
             run.outcomes = ViewOutcome::joined(before, std::mem::take(&mut run.outcomes));
             match captured? {
-                Captured::Whole => {}
-                Captured::Stopped(why) => return Ok(Some(why)),
-                Captured::NotLetIn => return Ok(None),
+                Repeated::Whole => {}
+                Repeated::Stopped(why) => return Ok(Some(why)),
+                Repeated::NotLetIn => return Ok(None),
             }
         }
         Ok(None)
@@ -64,15 +66,15 @@ impl Station {
         run: &mut Run<ViewOutcome>,
         views: &[usize],
         watch: &mut impl FnMut(Progress),
-    ) -> Result<Captured, InspectError> {
+    ) -> Result<Repeated, InspectError> {
         let limits = client.identity().limits;
         let press = &self.subject.station.press;
         let patience = Duration::from_secs_f64(press.opening_patience_s);
         for _ in 0..press.openings {
             let captured = self.acquisition.capture(client, run, views, &limits, watch);
             match captured.await {
-                Ok(None) => return Ok(Captured::Whole),
-                Ok(Some(why)) => return Ok(Captured::Stopped(why)),
+                Ok(None) => return Ok(Repeated::Whole),
+                Ok(Some(why)) => return Ok(Repeated::Stopped(why)),
                 Err(AcquisitionError::Client(ClientError::Refused(Refusal::Interlock {
                     ..
                 }))) => {}
@@ -84,16 +86,16 @@ impl Station {
                 let mut interrupt = client.interrupt();
                 let event = tokio::select! {
                     event = client.event(patience) => event,
-                    () = interrupt.requested() => return Ok(Captured::Stopped(Stop::Interrupted)),
+                    () = interrupt.requested() => return Ok(Repeated::Stopped(Stop::Interrupted)),
                 };
                 match event {
                     Ok(Event::PressOpen { open: true, .. }) => break,
                     Ok(_) => {}
-                    Err(ClientError::NoEvent { .. }) => return Ok(Captured::NotLetIn),
+                    Err(ClientError::NoEvent { .. }) => return Ok(Repeated::NotLetIn),
                     Err(error) => return Err(AcquisitionError::from(error).into()),
                 }
             }
         }
-        Ok(Captured::NotLetIn)
+        Ok(Repeated::NotLetIn)
     }
 }

@@ -51,7 +51,7 @@ impl Judged {
         Self {
             id: FeatureId {
                 tooth: wear.tooth,
-                flank: wear.flank.to_string(),
+                flank: wear.flank,
                 patch: None,
             },
             wear_um: depth_mm.and_then(|of| finite_um(of.value)),
@@ -200,7 +200,7 @@ pub fn unmeasured_flank(tooth: u32, flank: Flank, tool: &Tool, why: &Reason) -> 
     Judged {
         id: FeatureId {
             tooth,
-            flank: flank.to_string(),
+            flank,
             patch: None,
         },
         wear_um: None,

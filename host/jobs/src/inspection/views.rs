@@ -19,21 +19,21 @@ use flankscope_profilometry::{Accumulator, Decoded, Decoder};
 use nalgebra::{Isometry3, Vector3};
 
 use super::exposures::exposures_disagree;
-use super::field::FieldOfView;
 use super::flank_decision::FlankCriteria;
 use super::head_error::calibration_um;
 use super::in_view::{self, InView};
 use super::outcome::ViewOutcome;
 use super::place::Place;
-use super::plan::ViewPlan;
 use super::verdict::Judged;
 use super::{datum, die_size, maps};
+use crate::plan::ViewPlan;
+use crate::plan::{FieldOfView, NoVolume};
 use crate::subject::Subject;
 use flankscope_instrument::poses::StatedPoses;
 use flankscope_instrument::settings::Stages;
 use flankscope_metrology::wear::sensitivity::FittedView;
 use flankscope_record::baseline::Reference;
-use flankscope_record::document::{Light, ViewRegistration, WeakDirection};
+use flankscope_record::document::{Light, ViewRegistration, ViewStatus, WeakDirection};
 
 /// Neighbours and width of the outlier filter: a point whose mean distance to its neighbours exceeds the mean by three
 /// standard deviations stands alone.
@@ -58,6 +58,9 @@ pub enum EvaluatorError {
         /// What.
         what: &'static str,
     },
+    /// No measuring volume.
+    #[error(transparent)]
+    Volume(#[from] NoVolume),
     /// The hand-eye is no rigid motion.
     #[error("the head's stage_from_camera: {0}")]
     HandEye(#[from] RigidError),
@@ -201,12 +204,12 @@ impl Evaluator {
         })
     }
 
-    /// What of the tool is judged.
+    /// Flanks or patches of the tool that are judged.
     fn features(&self) -> Features<'_> {
         self.criteria.tool.features()
     }
 
-    /// Where the camera stood for a view: as planned, or as somebody said.
+    /// Where the camera stood for a view: as planned, or as a pose table or a pose program stated.
     fn place(&self, view: usize) -> Place {
         let planned = self.places[view].clone();
         let stated = self.stated.of(view);
@@ -544,7 +547,7 @@ impl Evaluator {
             in_view: InView::default(),
             registration: vec![ViewRegistration {
                 tooth: place.tooth,
-                status: "indeterminate".into(),
+                status: ViewStatus::Indeterminate,
                 reason: Some(why.to_string()),
                 points: 0,
                 inconsistent_ratio,
@@ -658,13 +661,13 @@ fn summary(
     let centre = nalgebra::Point3::from(registration.centre_mm);
     let shift = centre - moved.inverse() * centre;
     let (status, reason) = match &registration.status {
-        Status::Registered => ("registered", None),
-        Status::Indeterminate(reason) => ("indeterminate", Some(reason.to_string())),
+        Status::Registered => (ViewStatus::Registered, None),
+        Status::Indeterminate(reason) => (ViewStatus::Indeterminate, Some(reason.to_string())),
     };
     let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
     ViewRegistration {
         tooth: place.tooth,
-        status: status.into(),
+        status,
         reason,
         points,
         inconsistent_ratio: 0.0,

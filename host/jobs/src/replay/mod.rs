@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use flankscope_metrology::verdict::{Code, Reason, Word};
+use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::{DecodeError, PhasorsError};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::inspection::{
-    Evaluator, EvaluatorError, Findings, PlanningError, ViewOutcome, ViewPlan, recipe,
-};
+use crate::inspection::{Evaluator, EvaluatorError, Findings, ViewOutcome, recipe};
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
 use flankscope_record::baseline::Baseline;
 use flankscope_record::document::{Evidence, Recipe};
@@ -20,17 +20,9 @@ use flankscope_record::history::{Difference, History, HistoryError, row_differen
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// Its row, its phasors or its baseline are not there, or not what was stored.
+    /// Its row, its document, its phasors or its baseline are not there, or not what was stored.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// The stored document lacks what a replay needs.
-    #[error("the document of check {id} cannot be read: {source}")]
-    Document {
-        /// Check.
-        id: i64,
-        /// Cause.
-        source: serde_json::Error,
-    },
     /// The baseline is not the one that was stored.
     #[error("the baseline {expected} of check {id} is not in the history, or damaged")]
     Baseline {
@@ -112,11 +104,11 @@ impl Replay {
     /// # Errors
     /// Something that the verdict was computed from is missing or damaged.
     pub fn of(history: &History, id: i64, mut subject: Subject) -> Result<Self, ReplayError> {
-        let in_document = |source| ReplayError::Document { id, source };
+        let in_document = |source| HistoryError::Stored { id, source };
         let document: Value = serde_json::from_str(&history.document(id)?).map_err(in_document)?;
         let stored: Stored = serde_json::from_value(document.clone()).map_err(in_document)?;
         subject.temperature_degc = stored.recipe.temperature_degc;
-        if stored.recipe.grid == "pixel" {
+        if stored.recipe.grid == GridKind::Pixel {
             Arc::make_mut(&mut subject.head).core_map = None;
         }
         if let Some(expected) = stored.hashes.get("baseline") {

@@ -1,4 +1,4 @@
-//! What should have been seen and was not: a flank that nobody looked at is never a go.
+//! Planned flank fields that were not seen: a flank without points is never a go.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -42,8 +42,8 @@ pub struct Coverage {
 pub struct Hole {
     /// Tooth.
     pub tooth: u32,
-    /// `left` or `right`.
-    pub flank: String,
+    /// Side of the tooth.
+    pub flank: Flank,
     /// Height of the view's middle, mm.
     pub vertical_mm: f64,
     /// Share that was seen.
@@ -98,7 +98,7 @@ impl Coverage {
             .flat_map(|view| Flank::BOTH.map(|flank| (view.tooth, flank, view.vertical_mm)))
             .map(|(tooth, flank, vertical_mm)| Hole {
                 tooth,
-                flank: flank.to_string(),
+                flank,
                 vertical_mm,
                 seen_ratio: ratio(tooth, flank, vertical_mm),
             })

@@ -1,4 +1,4 @@
-//! What was stitched, to the document: registration, flanks, coverage, form, verdict.
+//! The stitched views to the document: registration, flanks, coverage, form, verdict.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -14,12 +14,13 @@ use super::coverage::{Coverage, LEAST_COVERAGE};
 use super::flanks::JudgedFlanks;
 use super::job::{ScanError, Scanner};
 use super::result::{
-    Adjustment, FlankSeen, Form, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
+    Adjustment, FlankSeen, OppositeTeeth, Scan, ScanRegistration, StageErrors, Stitching,
 };
 use super::stitch::Stitched;
 use crate::inspection::calibration_um;
+use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::view::PlannedView;
-use flankscope_record::document::{Feature, FrameCount, Timing, Toothing};
+use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 
 /// Fewer registered views than this share do not describe the die.
 const LEAST_REGISTERED: f64 = 0.8;
@@ -39,13 +40,13 @@ impl Scanner {
         stitched.elapsed_ms.insert("wear", took_ms);
         let mut lost = lost.clone();
         lost.extend(std::mem::take(&mut stitched.refused));
-        let (tool, planned) = (&self.subject.tool, &self.plan.views);
+        let (tool, planned) = (&self.job.subject.tool, &self.job.plan.views);
         let zone = tool.zone();
         let radius_mm = zone.map_or_else(|| self.gear.active_flank_mm(), |zone| zone.radius_mm);
         let map = &stitched.map;
         let asked = (self.field.width_mm, LEAST_COVERAGE);
         let coverage = Coverage::of(map, &self.gear, radius_mm, planned, asked);
-        let views = Views {
+        let views = ViewCount {
             registered: stitched.views.len(),
             planned: planned.len(),
             first_lost: lost.values().next(),
@@ -71,7 +72,7 @@ impl Scanner {
             flankscope_protocol::PROTOCOL_VERSION.to_string(),
         );
         Ok(Scan {
-            origin: self.subject.origin(&self.setting),
+            origin: self.job.subject.origin(&self.job.setting),
             date: date::now(),
             verdict,
             reason,
@@ -105,8 +106,8 @@ impl Scanner {
             seal: None,
             tool: tool.name.clone(),
             versions,
-            hashes: self.subject.hashes.clone(),
-            toothing: Toothing::of(&self.subject.tool),
+            hashes: self.job.subject.hashes.clone(),
+            toothing: Toothing::of(&self.job.subject.tool),
             map: stitched.map,
             quality: stitched.quality,
         })
@@ -119,7 +120,7 @@ impl Scanner {
         views: &[(usize, ViewInformation)],
         adjustment: &Solution,
     ) -> Vec<OppositeTeeth> {
-        let calibration_mm = 1e-3 * calibration_um(&self.subject.tool, &self.subject.head);
+        let calibration_mm = 1e-3 * calibration_um(&self.job.subject.tool, &self.job.subject.head);
         let nearest = |tooth: u32| {
             let (sin, cos) = self.gear.tooth_centre_rad(tooth).sin_cos();
             let along = |view: &ViewInformation| view.centre_mm[0] * cos + view.centre_mm[1] * sin;
@@ -137,8 +138,8 @@ impl Scanner {
     }
 }
 
-/// What became of the planned views as a whole.
-struct Views<'a> {
+/// How many of the planned views were laid on the CAD, and how well.
+struct ViewCount<'a> {
     registered: usize,
     planned: usize,
     first_lost: Option<&'a Reason>,
@@ -146,7 +147,7 @@ struct Views<'a> {
     unsettled_after: Option<usize>,
 }
 
-impl Views<'_> {
+impl ViewCount<'_> {
     fn enough(&self) -> bool {
         self.registered as f64 / self.planned as f64 >= LEAST_REGISTERED
     }
@@ -159,7 +160,7 @@ fn of_scan(
     features: &[Feature],
     coverage: &Coverage,
     looked_at: &str,
-    views: &Views<'_>,
+    views: &ViewCount<'_>,
 ) -> (Word, String) {
     if !views.enough() {
         let why = format!(
@@ -205,7 +206,7 @@ fn of_scan(
     (verdict.withheld(), reason)
 }
 
-/// What became of every planned view.
+/// Registration of every planned view, or why it was lost.
 fn registrations(
     planned: &[PlannedView],
     stitched: &Stitched,
@@ -228,9 +229,9 @@ fn registrations(
             rotation_deg: at.rotation_rad.to_degrees(),
             vertical_mm: at.vertical_mm,
             status: if found.is_some() {
-                "registered"
+                ViewStatus::Registered
             } else {
-                "lost"
+                ViewStatus::Lost
             },
             reason: lost.get(&view).map(Reason::to_string),
             rms_um: found.map(|(rms_mm, ..)| rms_mm * 1e3),

@@ -184,11 +184,11 @@ struct Judging<'a> {
 impl Scanner {
     /// Wear and verdict of every flank that was asked for, and of others that show damage.
     pub(super) fn features(&self, stitched: &Stitched) -> Result<JudgedFlanks, ScanError> {
-        let subject = &self.subject;
+        let subject = &self.job.subject;
         let judging = Judging {
             gear: &self.gear,
             tool: &subject.tool,
-            planned: &self.plan.views,
+            planned: &self.job.plan.views,
             store: &self.store,
             nominal: &self.nominal,
             single: subject.station.stages.of_single_view(),

@@ -63,8 +63,8 @@ impl ScanGear {
     }
 }
 
-/// What of a flank's budget all of its points share, as it acts on a form. What the die's turn leaves open is no deviation of
-/// profile, helix or pitch, and what wear hides is told of wear alone.
+/// Terms of a flank's uncertainty budget that all of its points share and that act on its form. The term of the die's turn is left out
+/// because a turn is no deviation of profile, helix or pitch; the term of hidden wear, because it concerns wear alone.
 const SHARED: [&str; 4] = ["registration", "calibration", "cad", "film"];
 
 /// Reads the gear from a scan that was laid on the CAD in one solve.

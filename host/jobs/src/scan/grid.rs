@@ -4,7 +4,7 @@ use flankscope_metrology::gear::GearData;
 use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 
-use crate::inspection::{PlanningError, ViewPlan};
+use crate::plan::{PlanningError, ViewPlan};
 use flankscope_metrology::view::PlannedView;
 
 /// Views around by layers over the height.

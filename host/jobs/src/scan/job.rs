@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use flankscope_foundation::date::Date;
 use flankscope_metrology::cloud::merge::{MergeError, check_voxel_size};
 use flankscope_metrology::gear::GearData;
 use flankscope_metrology::io::points::Format;
@@ -14,18 +13,15 @@ use flankscope_metrology::multiview::adjustment::{AdjustmentError, Stages};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::verdict::{Code, Reason};
 use flankscope_profilometry::Accumulator;
-use flankscope_profilometry::head::Unfit;
 
 use super::bore_size::size_sigma_mm;
 use super::cell_observations::layout;
 use super::clouds::CloudsError;
-use super::comparison::{self, Method};
 use super::die_identity::{ambiguous_teeth, stretch_of_views, turned_rad, unlike_teeth};
 use super::fine_map::{self, FineMapError};
 use super::full_cloud::{self, CloudError};
 use super::gear::{self, ScanGearError};
 use super::grid::{Grid, GridError};
-use super::hinz2019::{self, Hinz2019Settings};
 use super::metrics::{self, MetricsError};
 use super::reference::{Reference, ReferenceError};
 use super::result::Scan;
@@ -33,18 +29,17 @@ use super::session::SessionError;
 use super::stitch::{Frame, stitch};
 use super::view::ScannedView;
 use super::view_pipeline::{Kept, PlannedScan, Store, ViewPipeline};
-use crate::bookkeeping::{frame_count, peak_memory_mb};
-use crate::inspection::{
-    self, EvaluatorError, FieldOfView, InspectError, RecordError, RecordingNotes, ViewPlan,
-    calibration_um, hand_eye,
-};
+use crate::bookkeeping::{frame_count, peak_memory_mb, timing};
+use crate::inspection::{EvaluatorError, InspectError, calibration_um, hand_eye};
+use crate::job::{self, Job, RecordError, RecordedFrames, Source, connect, runtime};
+use crate::plan::FieldOfView;
 use crate::subject::Subject;
-use flankscope_frames::{FrameReceiver, FrameSource, SharedRoot, monotonic_ns};
+use flankscope_article::{ArticleError, Hinz2019Settings, MethodResult};
+use flankscope_frames::{SharedRoot, monotonic_ns};
 use flankscope_instrument::acquisition::{
-    Acquisition, AcquisitionError, AfterStop, Progress as CheckProgress, Run, Stop,
+    AcquisitionError, AfterStop, FrameIndex, Progress as CheckProgress, Run, Stop,
 };
 use flankscope_instrument::controller::{Client, ClientSettings};
-use flankscope_record::document::Timing;
 use flankscope_record::origin::Setting;
 
 /// Why there is no scan.
@@ -110,9 +105,24 @@ pub enum ScanError {
         /// Session folder.
         folder: PathBuf,
     },
-    /// No merged cloud.
+    /// A size of voxels that is none.
     #[error(transparent)]
     Merge(#[from] MergeError),
+    /// Views that the article's method cannot stitch.
+    #[error(transparent)]
+    Article(#[from] ArticleError<SessionError>),
+}
+
+/// Which way the result is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// All views on the surface, in one adjustment.
+    #[default]
+    Surface,
+    /// The article's; ours beside it.
+    Hinz2019,
+    /// Ours; the article's beside it.
+    Both,
 }
 
 /// How far a scan is.
@@ -136,11 +146,7 @@ pub enum Progress {
 /// The instrument's host side for scans, with its session folder open.
 #[derive(Debug)]
 pub struct Scanner {
-    pub(super) subject: Subject,
-    pub(super) setting: Setting,
-    pub(super) plan: Arc<ViewPlan>,
-    pub(super) acquisition: Acquisition<ScannedView>,
-    full_scale_dn: u16,
+    pub(super) job: Job<ScannedView>,
     pub(super) store: Store,
     /// What the views are called.
     pub(super) views: String,
@@ -169,24 +175,23 @@ impl Scanner {
         root: Arc<SharedRoot>,
     ) -> Result<Self, ScanError> {
         let planned = PlannedScan::of(grid, &subject)?;
-        let source = move || Ok(FrameReceiver::create(&root)?);
-        Self::fed_by(source, subject, setting, planned, (folder, of))
+        Self::start(subject, setting, planned, (folder, of), Some(root))
     }
 
-    /// The same with frames from any source.
-    pub(super) fn fed_by<S: FrameSource>(
-        source: impl FnOnce() -> Result<S, AcquisitionError> + Send + 'static,
+    /// The same for any planned views; frames come from the camera process below `camera`, without one from a recording.
+    pub(super) fn start(
         subject: Subject,
         setting: Setting,
         planned: PlannedScan,
         (folder, of): (&Path, &BTreeMap<String, String>),
+        camera: Option<Arc<SharedRoot>>,
     ) -> Result<Self, ScanError> {
         let unfit = |error: EvaluatorError| ScanError::from(InspectError::from(error));
         let what = "[gear] in the tool file";
         let gear = subject.tool.gear.clone();
         let gear = gear.ok_or_else(|| unfit(EvaluatorError::Missing { what }))?;
         let nominal = Stages::nominal(hand_eye(&subject).map_err(unfit)?);
-        let field = FieldOfView::of(&subject.head).map_err(unfit)?;
+        let field = FieldOfView::of(&subject.head).map_err(|why| unfit(why.into()))?;
         let name = planned.name.clone();
         let ViewPipeline {
             plan,
@@ -195,17 +200,10 @@ impl Scanner {
             store,
         } = ViewPipeline::open(&subject, planned, folder, of)?;
         let resumed = store.known.len();
-        let full_scale_dn = decoder.full_scale_dn();
         let scan = move |view, sums: &Accumulator| views.scan(view, sums);
-        let acquisition =
-            Acquisition::start(plan.program(&subject.station), &decoder, source, scan)?;
         Ok(Self {
-            subject,
-            setting,
-            plan,
-            acquisition,
+            job: Job::start(subject, setting, plan, &decoder, camera, scan)?,
             store,
-            full_scale_dn,
             views: name,
             gear,
             nominal,
@@ -222,9 +220,9 @@ impl Scanner {
     /// # Errors
     /// The earlier result cannot be used.
     pub fn against(&mut self, earlier: Option<&Path>) -> Result<(), ReferenceError> {
-        let cad = self.subject.hashes.get("cad").map(String::as_str);
-        let simulated = self.setting.link.is_simulated();
-        let load = |path: &Path| Reference::load(path, cad, simulated, &self.subject.seals);
+        let cad = self.job.subject.hashes.get("cad").map(String::as_str);
+        let simulated = self.job.setting.link.is_simulated();
+        let load = |path: &Path| Reference::load(path, cad, simulated, &self.job.subject.seals);
         self.reference = earlier.map(load).transpose()?;
         Ok(())
     }
@@ -254,59 +252,69 @@ impl Scanner {
         settings: ClientSettings,
         mut watch: impl FnMut(Progress),
     ) -> Result<Scan, ScanError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
-        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
         let begun_ns = monotonic_ns();
-        // What a head that must not judge would measure is not worth hours.
-        let unfit = self.subject.head.fit_on(Date::today()).err();
-        let (run, lost, firmware) = runtime.block_on(async {
-            let client = Client::connect(port, settings).await;
-            let mut client = client.map_err(AcquisitionError::from)?;
-            self.acquisition
-                .make_ready(&mut client, &mut |_| {})
-                .await?;
-            let (run, lost) = match &unfit {
-                Some(_) => (Run::new(Vec::new(), None), BTreeMap::new()),
-                None => self.capture_all(&mut client, &mut watch).await?,
-            };
-            Ok::<_, ScanError>((run, lost, client.identity().firmware))
+        let (captured, [major, minor, patch]) = runtime()?.block_on(async {
+            let acquisition = &self.job.acquisition;
+            let mut client = connect(acquisition, port, settings, &mut |_| {}).await?;
+            let source = Source::Live(&mut client);
+            let captured = self.capture(source, &mut watch).await?;
+            Ok::<_, ScanError>((captured, client.identity().firmware))
         })?;
-        let [major, minor, patch] = firmware;
-        let mut scan = self.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)?;
+        let mut scan = self.conclude(captured, begun_ns, watch)?;
         scan.versions
             .insert("firmware", format!("{major}.{minor}.{patch}"));
         Ok(scan)
     }
 
-    /// The result of a run.
+    /// Sums recorded frames of the views that the session folder lacks and stitches everything.
+    ///
+    /// # Errors
+    /// The session folder cannot be written, or the views have no common solution. Views without frames are holes in the map.
+    pub fn scan_recorded(
+        &mut self,
+        frames: &mut RecordedFrames,
+        mut watch: impl FnMut(Progress),
+    ) -> Result<Scan, ScanError> {
+        let begun_ns = monotonic_ns();
+        let captured = runtime()?.block_on(self.capture(Source::Recorded(frames), &mut watch))?;
+        self.conclude(captured, begun_ns, watch)
+    }
+
+    /// Captures every view that the session folder lacks, if the head may judge.
+    async fn capture(
+        &mut self,
+        source: Source<'_>,
+        watch: &mut impl FnMut(Progress),
+    ) -> Result<Captured, ScanError> {
+        let mut captured = Captured::unless(self.job.unfit(&source));
+        if captured.unfit.is_none() {
+            match source {
+                Source::Live(client) => self.capture_all(client, &mut captured, watch).await?,
+                Source::Recorded(frames) => self.play_scan(frames, &mut captured, watch).await?,
+            }
+        }
+        Ok(captured)
+    }
+
+    /// The result of what was captured, and of what the session folder held before.
     pub(super) fn conclude(
         &mut self,
-        run: Run<ScannedView>,
-        lost: &BTreeMap<usize, Reason>,
-        unfit: Option<&Unfit>,
+        Captured { unfit, run, lost }: Captured,
         begun_ns: u64,
         mut watch: impl FnMut(Progress),
     ) -> Result<Scan, ScanError> {
         let mut scan = match unfit {
-            Some(why) => self.nothing(&inspection::unfit(why))?,
+            Some(why) => self.nothing(&why)?,
             None => {
                 watch(Progress::Stitching);
-                self.stitch_all(lost)?
+                self.stitch_all(&lost)?
             }
         };
-        let since = |from: u64| monotonic_ns().saturating_sub(from) as f64 / 1e6;
-        scan.timing_ms = Timing {
-            total: since(begun_ns),
-            positioning: run.timeline.positioning_ms(),
-            exposure: run.timeline.exposure_ms(),
-            last_exposure_to_verdict: if run.counts.last_exposure_ns > 0 {
-                since(run.counts.last_exposure_ns)
-            } else {
-                0.0
-            },
+        let verdict_ns = match run.counts.last_exposure_ns {
+            0 => 0, // nothing was exposed
+            _ => monotonic_ns(),
         };
+        scan.timing_ms = timing(&run, begun_ns, verdict_ns);
         scan.last_view_to_result_ms = scan.timing_ms.last_exposure_to_verdict;
         scan.frames = frame_count(run.counts);
         scan.peak_memory_mb = peak_memory_mb();
@@ -318,7 +326,7 @@ impl Scanner {
     /// # Errors
     /// The CAD has no surface where the gear is, or the session folder cannot be read.
     pub fn compare(&self, scan: &mut Scan, raster: bool) -> Result<(), MetricsError> {
-        let tool = &self.subject.tool;
+        let tool = &self.job.subject.tool;
         scan.metrics = metrics::compare(scan, &self.store.session, tool, &self.gear, raster)?;
         Ok(())
     }
@@ -346,7 +354,7 @@ impl Scanner {
     /// The spacing is none, or the session folder cannot be read.
     pub fn fine_map(&self, scan: &Scan, spacing_mm: f64) -> Result<CylinderMap, FineMapError> {
         let layout = fine_map::layout(&self.gear, spacing_mm)?;
-        let tool = &self.subject.tool;
+        let tool = &self.job.subject.tool;
         Ok(fine_map::merged(scan, &self.store.session, tool, layout)?)
     }
 
@@ -363,31 +371,32 @@ impl Scanner {
         full_cloud::write(scan, &self.store.session, format, out)
     }
 
-    /// Captures every view that the session folder lacks, some at a time; returns why views stayed lost.
+    /// Captures every view that the session folder lacks, some at a time.
     async fn capture_all(
         &mut self,
         client: &mut Client,
+        captured: &mut Captured,
         watch: &mut impl FnMut(Progress),
-    ) -> Result<(Run<ScannedView>, BTreeMap<usize, Reason>), ScanError> {
-        let of = self.plan.views.len();
+    ) -> Result<(), ScanError> {
+        let of = self.job.plan.views.len();
         let held: Vec<usize> = self.store.session.views().map(|(view, _)| view).collect();
         let wanted: Vec<usize> = (0..of).filter(|view| !held.contains(view)).collect();
-        let mut run = Run::new(wanted.clone(), None);
-        let mut lost = BTreeMap::new();
+        let Captured { run, lost, .. } = captured;
+        run.wanted.clone_from(&wanted);
         let begun = Instant::now();
         for views in wanted.chunks(flankscope_protocol::plan::MAX_VIEWS) {
             let store = &mut self.store;
             let keep = |run: &mut Run<ScannedView>, views: &[usize], stopped: Option<&Stop>| {
-                keep(store, &mut lost, run, views, stopped)
+                keep(store, lost, run, views, stopped)
             };
             let mut again = |progress: CheckProgress| {
                 if let CheckProgress::Recapture(view) = progress {
                     watch(Progress::Recapture(view));
                 }
             };
-            let captured = self.acquisition.capture_settled(
+            let captured = self.job.acquisition.capture_settled(
                 client,
-                &mut run,
+                run,
                 views,
                 AfterStop::GoOn,
                 keep,
@@ -409,7 +418,7 @@ impl Scanner {
                 remaining: pace * (of - done) as u32,
             });
         }
-        Ok((run, lost))
+        Ok(())
     }
 
     /// What the views are laid on each other in.
@@ -417,7 +426,7 @@ impl Scanner {
         Frame {
             layout: layout(&self.gear),
             field: self.field,
-            single: self.subject.station.stages.of_single_view(),
+            single: self.job.subject.station.stages.of_single_view(),
         }
     }
 
@@ -429,7 +438,7 @@ impl Scanner {
             &self.store.session,
             &mut self.store.patches,
             none,
-            &self.subject.tool,
+            &self.job.subject.tool,
             &self.nominal,
             &frame,
         )?;
@@ -441,7 +450,7 @@ impl Scanner {
     /// Stitches by our method, and by the article's if it was asked for.
     fn stitch_all(&mut self, lost: &BTreeMap<usize, Reason>) -> Result<Scan, ScanError> {
         let first = std::mem::take(&mut self.store.known);
-        let (tool, plan) = (&self.subject.tool, &self.plan);
+        let (tool, plan) = (&self.job.subject.tool, &self.job.plan);
         let (session, nominal, planned) = (&self.store.session, &self.nominal, &plan.views);
         let frame = self.frame();
         let begun = Instant::now();
@@ -454,12 +463,12 @@ impl Scanner {
             &frame,
         )?;
         let took = begun.elapsed();
-        let figures = comparison::of_surface(&ours, session, tool, planned, took)?;
+        let figures = ours.figures(session, tool, planned, took)?;
         let shared = ours.adjustment.stages.clone();
         let stretch = stretch_of_views(&ours, session, tool)?;
         let mut scan = self.describe(ours, lost)?;
         scan.teeth_stretch_ratio = stretch;
-        let lateral_mm = 1e-3 * calibration_um(tool, &self.subject.head);
+        let lateral_mm = 1e-3 * calibration_um(tool, &self.job.subject.head);
         let half_field_mm = 0.5 * self.field.width_mm;
         scan.take_size_sigma(size_sigma_mm(
             &self.gear,
@@ -489,9 +498,10 @@ impl Scanner {
         }
         let begun = Instant::now();
         let map = CylinderMap::new(frame.layout);
-        let laid = hinz2019::stitch(session, tool, plan, nominal, map, &self.hinz2019)?;
+        let laid =
+            flankscope_article::stitch(session, tool, planned, nominal, map, &self.hinz2019)?;
         let took = begun.elapsed();
-        let figures = comparison::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
+        let figures = MethodResult::of_hinz2019(&laid, &shared, &self.hinz2019, planned, took);
         if self.method == Method::Hinz2019 {
             scan.show_instead(laid, &figures);
         }
@@ -501,12 +511,12 @@ impl Scanner {
 }
 
 impl Scanner {
-    /// Has the frames of every capture that follows written into `folder`, which is there, beside being scanned.
+    /// Has the frames of every capture that follows written into `folder`, which exists.
     ///
     /// # Errors
     /// A thread ended early.
-    pub fn save_frames(&mut self, folder: &Path) -> Result<(), ScanError> {
-        Ok(self.acquisition.save_frames(folder, self.full_scale_dn)?)
+    pub fn save_frames(&mut self, folder: &Path) -> Result<(), AcquisitionError> {
+        self.job.save_frames(folder)
     }
 
     /// Makes a recording of the frames that were saved for a scan. `head` is the head's file in the same folder.
@@ -514,16 +524,31 @@ impl Scanner {
     /// # Errors
     /// Something was not written.
     pub fn record(&mut self, folder: &Path, head: &Path) -> Result<(), RecordError> {
-        let saved = self.acquisition.take_saved();
-        let notes = RecordingNotes {
-            subject: &self.subject,
-            setting: &self.setting,
-            plan: &self.plan,
-            teeth: None,
+        let note = FrameIndex {
             grid: Some(self.views.clone()),
-            press_cycles: None,
+            ..FrameIndex::default()
         };
-        notes.write(folder, head, saved)
+        self.job.write_recording(folder, head, note)
+    }
+}
+
+/// Result of the capture of a scan's views; the views themselves are in the session folder.
+pub(super) struct Captured {
+    /// Why the head must not judge; nothing was captured then.
+    unfit: Option<Reason>,
+    pub run: Run<ScannedView>,
+    /// Why views are in no session folder.
+    pub lost: BTreeMap<usize, Reason>,
+}
+
+impl Captured {
+    /// Nothing so far.
+    pub fn unless(unfit: Option<Reason>) -> Self {
+        Self {
+            unfit,
+            run: Run::new(Vec::new(), None),
+            lost: BTreeMap::new(),
+        }
     }
 }
 
@@ -546,8 +571,8 @@ pub(super) fn keep(
                 Kept::Refused(why) => why,
             },
             None => match (run.problems.get(&view), stopped) {
-                (Some(problem), _) => inspection::view_lost(problem),
-                (None, Some(stopped)) => inspection::stopped(stopped),
+                (Some(problem), _) => job::view_lost(problem),
+                (None, Some(stopped)) => job::stopped(stopped),
                 (None, None) => Reason::instrument(Code::NotCaptured, "the view was not captured"),
             },
         };

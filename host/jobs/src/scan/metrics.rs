@@ -13,9 +13,9 @@ use flankscope_metrology::tool::Tool;
 use serde::Serialize;
 
 use super::cell_observations::Laid;
-use super::hinz2019::MERGED_PER_MM2;
 use super::result::Scan;
 use super::session::{Session, SessionError};
+use flankscope_article::MERGED_PER_MM2;
 
 /// Reference points of one view in the article's window.
 const VIEW_SAMPLES: usize = 100_000;

@@ -4,50 +4,35 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-use flankscope_foundation::date::Date;
 use flankscope_metrology::tool::Tool;
 use flankscope_metrology::verdict::{Code, Reason};
 
 use super::grid::Grid;
-use super::job::{Progress, ScanError, Scanner, keep};
-use super::result::Scan;
-use super::view::ScannedView;
+use super::job::{Captured, Progress, ScanError, Scanner, keep};
 use super::view_pipeline::PlannedScan;
-use crate::inspection::{InspectError, PlanningError, ViewPlan, tooth_in_middle};
+use crate::inspection::{InspectError, tooth_in_middle};
+use crate::job::RecordedFrames;
+use crate::plan::{PlanningError, ViewPlan};
 use crate::subject::Subject;
-use flankscope_frames::monotonic_ns;
-use flankscope_instrument::acquisition::{
-    AcquisitionError, IndexedView, Playback, RecordedView, Recording, Run,
-};
+use flankscope_instrument::acquisition::{IndexedView, RecordedView, Recording};
 use flankscope_metrology::view::PlannedView;
 use flankscope_record::origin::Setting;
 
 /// Two places nearer to each other than this are one: rad and mm, far below what a stage resolves.
 const SAME_PLACE: f64 = 1e-9;
 
-/// The host's side for a scan of recorded frames, with its session folder open.
-#[derive(Debug)]
-pub struct RecordedScan {
-    /// What stitches and describes, as in a live scan.
-    pub scanner: Scanner,
-    playback: Playback,
-    /// Every capture with its view of the plan, in the order in which they were taken.
-    captures: Vec<(usize, RecordedView)>,
-    taken: Option<Date>,
-}
-
-impl RecordedScan {
+impl Scanner {
     /// Prepares a scan of these frames, kept in `folder`, where an earlier part of it may lie. The result says that it comes
     /// from `setting`.
     ///
     /// # Errors
     /// The subject is unfit, the folder is another scan's, or an image is not there or not what plan and head say.
-    pub fn open(
+    pub fn open_recorded(
         subject: Subject,
         setting: Setting,
         recording: &Recording,
         folder: &Path,
-    ) -> Result<Self, ScanError> {
+    ) -> Result<(Self, RecordedFrames), ScanError> {
         if let Some(poses) = recording.poses() {
             return Err(ScanError::PosesFromTable { poses });
         }
@@ -60,55 +45,20 @@ impl RecordedScan {
             name,
             plan: ViewPlan::of_recording(recording, views, tool, &subject.head),
         };
-        let camera = &subject.head.camera;
-        let size_px = [camera.width_px, camera.height_px];
-        let sensor = recording.sensor(&subject.head);
-        let full_scale_dn = sensor.map_err(InspectError::from)?.full_scale_dn();
-        let (playback, source) = Playback::new(size_px, full_scale_dn, &planned.plan.exposures_us);
         let same = BTreeMap::from([("recording".to_owned(), recording.blake3.clone())]);
-        Ok(Self {
-            scanner: Scanner::fed_by(
-                move || Ok(source),
-                subject,
-                setting,
-                planned,
-                (folder, &same),
-            )?,
-            playback,
-            captures: of.into_iter().zip(recorded).collect(),
-            taken: recording.index.taken,
-        })
-    }
-
-    /// Sums what the session folder lacks and stitches everything.
-    ///
-    /// # Errors
-    /// The session folder cannot be written, or the views have no common solution. Views without frames are holes in the map.
-    pub fn scan(&mut self, mut watch: impl FnMut(Progress)) -> Result<Scan, ScanError> {
-        let begun_ns = monotonic_ns();
-        let day = self.taken.unwrap_or_else(Date::today);
-        let unfit = self.scanner.subject.head.fit_on(day).err();
-        let mut run = Run::new(Vec::new(), None);
-        let mut lost = BTreeMap::new();
-        if unfit.is_none() {
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build();
-            let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
-            runtime.block_on(self.play(&mut run, &mut lost, &mut watch))?;
-        }
-        let scanner = &mut self.scanner;
-        scanner.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)
+        let frames = RecordedFrames::new(recording, of.into_iter().zip(recorded).collect());
+        let scanner = Self::start(subject, setting, planned, (folder, &same), None)?;
+        Ok((scanner, frames))
     }
 
     /// Every capture in the order in which it was taken; a further one of a view counts where none before it was kept.
-    async fn play(
+    pub(super) async fn play_scan(
         &mut self,
-        run: &mut Run<ScannedView>,
-        lost: &mut BTreeMap<usize, Reason>,
+        frames: &mut RecordedFrames,
+        Captured { run, lost, .. }: &mut Captured,
         watch: &mut impl FnMut(Progress),
     ) -> Result<(), ScanError> {
-        let of = self.scanner.plan.views.len();
+        let of = self.job.plan.views.len();
         for view in 0..of {
             if !self.is_kept(view) {
                 let why = format!("the recording has no frames of view {}", view + 1);
@@ -117,7 +67,7 @@ impl RecordedScan {
         }
         let resumed = of - lost.len();
         let begun = Instant::now();
-        let mut rest = std::mem::take(&mut self.captures).into_iter().peekable();
+        let mut rest = std::mem::take(&mut frames.captures).into_iter().peekable();
         while rest.peek().is_some() {
             let mut some: Vec<(usize, RecordedView)> = Vec::new();
             while let Some((view, _)) = rest.peek()
@@ -127,11 +77,8 @@ impl RecordedScan {
                 some.extend(rest.next().filter(|(view, _)| !self.is_kept(*view)));
             }
             let views: Vec<usize> = some.iter().map(|(view, _)| *view).collect();
-            let acquisition = &mut self.scanner.acquisition;
-            acquisition
-                .play(&self.playback, run, &some, &mut |_| {})
-                .await?;
-            keep(&mut self.scanner.store, lost, run, &views, None)?;
+            self.job.acquisition.play(run, &some, &mut |_| {}).await?;
+            keep(&mut self.store, lost, run, &views, None)?;
             let done = (0..of).filter(|&view| self.is_kept(view)).count();
             let new = done.saturating_sub(resumed).max(1);
             watch(Progress::Views {
@@ -144,7 +91,7 @@ impl RecordedScan {
     }
 
     fn is_kept(&self, view: usize) -> bool {
-        self.scanner.store.session.pose(view).is_some()
+        self.store.session.pose(view).is_some()
     }
 }
 

@@ -54,7 +54,7 @@ pub enum ReferenceError {
         /// Whether this scan is of the simulated bench.
         simulated: bool,
     },
-    /// Not this station's word, nor somebody's whom it trusts.
+    /// Signed neither by this station nor by a key that it trusts.
     #[error(transparent)]
     Seal(#[from] SealError),
     /// A scan against another CAD.
@@ -71,7 +71,7 @@ pub enum ReferenceError {
     },
 }
 
-/// What of a scan's document is needed.
+/// The fields of a scan's document that a comparison reads.
 #[derive(Deserialize)]
 struct Document {
     verdict: String,
@@ -84,7 +84,7 @@ struct Document {
 #[derive(Deserialize)]
 struct Entry {
     tooth: u32,
-    flank: String,
+    flank: Flank,
     mean_um: Option<f64>,
 }
 
@@ -133,7 +133,7 @@ impl Reference {
             return Err(ReferenceError::OtherKind { path, simulated });
         }
         seals.believe(Kind::Scan, &path, &sealed)?;
-        let of = |entry: &Entry| flank_mean(entry.tooth, &entry.flank, entry.mean_um);
+        let of = |entry: &Entry| flank_mean(entry.tooth, entry.flank, entry.mean_um);
         let flanks: Vec<FlankMean> = document.flank_means.iter().filter_map(of).collect();
         if flanks.is_empty() {
             return Err(ReferenceError::Empty {
@@ -147,18 +147,17 @@ impl Reference {
 
     /// Compares with this scan's flanks on a gear of so many teeth.
     pub(super) fn compare(&self, seen: &[FlankSeen], teeth: u32) -> Placement {
-        let of = |f: &FlankSeen| flank_mean(f.tooth, &f.flank, Some(f.mean_um));
+        let of = |f: &FlankSeen| flank_mean(f.tooth, f.flank, Some(f.mean_um));
         let now: Vec<FlankMean> = seen.iter().filter_map(of).collect();
         Placement::of(compare(teeth, &self.flanks, &now))
     }
 }
 
 /// A mean loss, positive for what is missing, as a deviation.
-fn flank_mean(tooth: u32, flank: &str, loss_um: Option<f64>) -> Option<FlankMean> {
-    let named = |of: &Flank| of.to_string() == flank;
+fn flank_mean(tooth: u32, flank: Flank, loss_um: Option<f64>) -> Option<FlankMean> {
     Some(FlankMean {
         tooth,
-        flank: Flank::BOTH.into_iter().find(named)?,
+        flank,
         deviation_um: -loss_um.filter(|um| um.is_finite())?,
     })
 }

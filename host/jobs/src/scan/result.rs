@@ -8,19 +8,20 @@ use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_foundation::rigid::{Camera, Rigid, Tool};
 use flankscope_foundation::seal::Seal;
 use flankscope_metrology::multiview::adjustment::StageSigma;
-use flankscope_metrology::multiview::cylinder::{BoreForm, Cell, CylinderMap, FieldQuality};
+use flankscope_metrology::multiview::cylinder::{Cell, CylinderMap, FieldQuality};
 use flankscope_metrology::multiview::spacing::Spacing;
 use flankscope_metrology::multiview::tooth_identity::FlankMean;
 use flankscope_metrology::verdict::{Code, Reason, Word};
 
-use super::comparison::MethodResult;
 use super::coverage::Coverage;
 use super::gear::ScanGear;
-use super::hinz2019::Hinz2019Stitched;
 use super::metrics::Metrics;
 use super::overlaps::Steps;
 use super::reference::Placement;
-use flankscope_record::document::{Feature, FrameCount, Timing, Toothing};
+use flankscope_article::{Hinz2019Stitched, MethodResult};
+use flankscope_metrology::gear::Flank;
+use flankscope_metrology::multiview::form::Form;
+use flankscope_record::document::{Feature, FrameCount, Timing, Toothing, ViewStatus};
 use flankscope_record::origin::Origin;
 
 /// The whole result: serialised as the `--json` document.
@@ -186,63 +187,14 @@ impl Scan {
             (entry.rms_about_form_um, entry.residual_turn_mdeg) = (None, None);
             entry.tool_from_camera = poses.get(&entry.view).map(Rigid::to_rows);
             (entry.status, entry.reason) = match rms_um {
-                Some(_) => ("registered", None),
-                None => ("lost", why),
+                Some(_) => (ViewStatus::Registered, None),
+                None => (ViewStatus::Lost, why),
             };
         }
         self.map = laid.map;
         self.coverage_ratio = self.map.coverage();
         self.inconsistent_ratio = self.map.inconsistent();
     }
-}
-
-impl From<BoreForm> for Form {
-    fn from(form: BoreForm) -> Self {
-        Self {
-            size_um: form.size_mm * 1e3,
-            size_u95_um: None,
-            ovality_um: form.ovality_mm * 1e3,
-            ovality_u95_um: None,
-            ovality_deg: form.ovality_rad.to_degrees(),
-            taper_um: form.taper_mm * 1e3,
-            taper_u95_um: None,
-        }
-    }
-}
-
-impl Form {
-    /// With the standard uncertainties of ovality and taper, mm.
-    pub(super) fn with_sigma(form: BoreForm, [ovality_mm, taper_mm]: [f64; 2]) -> Self {
-        Self {
-            ovality_u95_um: Some(1.96e3 * ovality_mm),
-            taper_u95_um: Some(1.96e3 * taper_mm),
-            ..form.into()
-        }
-    }
-}
-
-/// Form of the bore as a whole, µm.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Form {
-    /// Mean growth of the radius in the map, whose poses have taken up what all views share of it.
-    pub size_um: f64,
-    /// Expanded uncertainty (95 %) of the mean radius, by the pitch that the views saw and the calibration's lateral scale; absent
-    /// where none is claimed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub size_u95_um: Option<f64>,
-    /// Largest minus smallest radius.
-    pub ovality_um: f64,
-    /// Its expanded uncertainty (95 %); absent where none is claimed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ovality_u95_um: Option<f64>,
-    /// Where the radius is largest, degrees, 0 to 180.
-    pub ovality_deg: f64,
-    /// Growth of the radius from bottom to top.
-    pub taper_um: f64,
-    /// Its expanded uncertainty (95 %), how far the vertical axis leans towards the wall included; absent where none is
-    /// claimed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub taper_u95_um: Option<f64>,
 }
 
 /// Two teeth across the bore.
@@ -279,7 +231,7 @@ pub struct FlankSeen {
     /// Tooth, from 1.
     pub tooth: u32,
     /// `left` or `right`.
-    pub flank: String,
+    pub flank: Flank,
     /// Mean loss, µm.
     pub mean_um: f64,
 }
@@ -288,7 +240,7 @@ impl From<FlankMean> for FlankSeen {
     fn from(of: FlankMean) -> Self {
         Self {
             tooth: of.tooth,
-            flank: of.flank.to_string(),
+            flank: of.flank,
             mean_um: -of.deviation_um,
         }
     }
@@ -304,7 +256,7 @@ pub struct ScanRegistration {
     /// Commanded height, mm.
     pub vertical_mm: f64,
     /// `registered`, or `lost`: no point of it is in the map.
-    pub status: &'static str,
+    pub status: ViewStatus,
     /// Why it is lost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,

@@ -1,4 +1,4 @@
-//! What is kept of a scan: a folder with one file of points per view and a manifest with their hashes.
+//! The session folder of a scan: one file of points per view and a manifest with their hashes.
 //!
 //! Files appear whole or not at all, a view's points before the manifest that names them: whenever the scan is killed, the
 //! folder says what is done.
@@ -12,7 +12,8 @@ use flankscope_foundation::seal::Seal;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::view::{Kept, KeptView};
+use super::view::KeptView;
+use flankscope_article::{ViewPoint, ViewPoints};
 use flankscope_foundation::files::{hash, write_whole};
 use flankscope_record::seal::{Kind, SealError, Seals};
 
@@ -65,7 +66,7 @@ pub enum SessionError {
         /// Of the manifest.
         expected: String,
     },
-    /// Not this station's word, nor somebody's whom it trusts.
+    /// Signed neither by this station nor by a key that it trusts.
     #[error(transparent)]
     Seal(#[from] SealError),
     /// A pose that is none.
@@ -266,7 +267,7 @@ impl Session {
 
     /// A fair sample of a view that is done: its first points. Not checked against the hash, which was when the session was
     /// opened or the view was kept.
-    pub fn sample(&self, view: usize, most: usize) -> Result<Vec<Kept>, SessionError> {
+    pub fn sample(&self, view: usize, most: usize) -> Result<Vec<ViewPoint>, SessionError> {
         let path = self.file(view);
         let points = self
             .manifest
@@ -274,9 +275,9 @@ impl Session {
             .get(&view)
             .map_or(0, |entry| entry.points);
         let most = most.min(points);
-        let mut bytes = Vec::with_capacity(most * size_of::<Kept>());
+        let mut bytes = Vec::with_capacity(most * size_of::<ViewPoint>());
         let read = std::fs::File::open(&path).and_then(|file| {
-            file.take((most * size_of::<Kept>()) as u64)
+            file.take((most * size_of::<ViewPoint>()) as u64)
                 .read_to_end(&mut bytes)
         });
         read.map_err(|error| SessionError::Io { path, error })?;
@@ -300,12 +301,24 @@ impl Session {
                 expected: expected.into(),
             });
         }
-        let points = entry.map_or(0, |entry| entry.points) * size_of::<Kept>();
+        let points = entry.map_or(0, |entry| entry.points) * size_of::<ViewPoint>();
         let (points, rays) = bytes.split_at(points.min(bytes.len()));
         Ok(KeptView {
             points: read_all(points),
             without_point: read_all(rays),
         })
+    }
+}
+
+impl ViewPoints for Session {
+    type Error = SessionError;
+
+    fn view_numbers(&self) -> Vec<usize> {
+        self.manifest.views.keys().copied().collect()
+    }
+
+    fn view_points(&self, view: usize) -> Result<Vec<ViewPoint>, SessionError> {
+        Ok(self.points(view)?.points)
     }
 }
 

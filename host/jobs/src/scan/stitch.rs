@@ -5,7 +5,7 @@
 //! laid on the CAD again. Once the views lie well, what neighbours say of each other joins in.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use flankscope_metrology::multiview::adjustment::{
     CameraPose, Local, Overlap, Solution, Stages, ViewInformation, compress, solve,
@@ -23,8 +23,10 @@ use super::job::ScanError;
 use super::overlaps::{Steps, overlaps};
 use super::patches::Patches;
 use super::session::{Session, SessionError};
-use super::view::{SAMPLE, coordinates, off_cad, place, unlike_cad};
-use crate::inspection::{FieldOfView, ViewPlan};
+use super::view::{SAMPLE, coordinates, off_cad, unlike_cad};
+use crate::plan::{FieldOfView, ViewPlan};
+use flankscope_article::{JointSolve, MethodResult};
+use flankscope_metrology::view::PlannedView;
 
 /// Rounds of solving and laying on, each time: for every view alone, then for neighbours together.
 const MOST_ROUNDS: usize = 6;
@@ -64,6 +66,36 @@ pub(super) struct Stitched {
     pub elapsed_ms: BTreeMap<&'static str, f64>,
 }
 
+impl Stitched {
+    /// What the article's figures and its comparison take of it.
+    pub fn solve(&self) -> JointSolve<'_> {
+        JointSolve {
+            views: &self.views,
+            adjustment: &self.adjustment,
+            rms_about_form_mm: &self.rms_about_form_mm,
+            map: &self.map,
+        }
+    }
+
+    /// The figures of both methods for it.
+    pub fn figures(
+        &self,
+        session: &Session,
+        tool: &Tool,
+        planned: &[PlannedView],
+        took: Duration,
+    ) -> Result<MethodResult, SessionError> {
+        let sample = match self.views.first() {
+            Some((view, _)) => coordinates(&session.points(*view)?.points, SAMPLE),
+            None => Vec::new(),
+        };
+        let solve = self.solve();
+        Ok(MethodResult::of_surface(
+            solve, &sample, tool, planned, took,
+        ))
+    }
+}
+
 /// The information of views that are done, each at its first pose.
 pub(super) fn first_information(
     session: &Session,
@@ -76,7 +108,7 @@ pub(super) fn first_information(
             return Ok(None);
         };
         let sample = coordinates(&session.sample(view, SAMPLE)?, SAMPLE);
-        let at = place(plan, view);
+        let at = (&plan.views[view]).into();
         Ok(compress(&tool.surface, &sample, at, pose).map(|info| (view, info)))
     });
     let found: Result<Vec<_>, ScanError> = found.collect();

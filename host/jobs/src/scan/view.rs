@@ -21,10 +21,12 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::cell_observations::{Laid, layout};
 use crate::inspection::{
-    EvaluatorError, FieldOfView, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, ViewPlan, exposures_disagree,
-    hand_eye, rays_without_point,
+    EvaluatorError, OUTLIER_NEIGHBOURS, OUTLIER_RATIO, exposures_disagree, hand_eye,
+    rays_without_point,
 };
+use crate::plan::{FieldOfView, ViewPlan};
 use crate::subject::Subject;
+use flankscope_article::ViewPoint;
 
 /// Points that speak for a view's pose; the first ones, since they are kept in a shuffled order.
 pub(super) const SAMPLE: usize = 4_000;
@@ -45,27 +47,23 @@ const LEAST_SHARE: f64 = 0.6;
 const EAGER_VIEWS: usize = 24;
 const LAZY_VIEWS: usize = 12;
 
-/// A point as it is kept: camera frame (mm), standard uncertainty (mm), and how much the fringes oscillate around it
-/// (smoothed standard deviation, counts), which the article's mask goes by.
-pub(super) type Kept = [f32; 5];
-
 /// What is kept of a view.
 #[derive(Clone, Debug, Default)]
 pub(super) struct KeptView {
     /// Its points, in shuffled order.
-    pub points: Vec<Kept>,
+    pub points: Vec<ViewPoint>,
     /// Where the rays without a point look: x and y at z = 1, camera frame.
     pub without_point: Vec<[f32; 2]>,
 }
 
-/// What became of one view.
+/// One view of a scan, decoded and registered by itself.
 #[derive(Debug)]
 pub(super) struct ScannedView {
     /// Its points.
     pub kept: KeptView,
     /// First pose, tool frame from camera frame.
     pub tool_from_camera: CameraPose,
-    /// What became of it on the CAD, or why it must not be used.
+    /// The view laid on the CAD, or why it must not be used.
     pub laid: Result<LaidView, Reason>,
 }
 
@@ -133,7 +131,7 @@ impl ViewScanner {
         let decoded_view = match decoded {
             Ok(decoded) => decoded,
             Err(why) => {
-                let expected = self.adjustment.predict(place(&self.plan, view));
+                let expected = self.adjustment.predict((&self.plan.views[view]).into());
                 return ScannedView {
                     kept: KeptView::default(),
                     tool_from_camera: Rigid::from_isometry(*expected.tool_from_cloud.isometry()),
@@ -146,7 +144,7 @@ impl ViewScanner {
         let without_point = rays_without_point(&self.decoder, &decoded_view, &dropped)
             .map(|[x, y, z]| [(x / z) as f32, (y / z) as f32])
             .collect();
-        let points: Vec<Kept> = order
+        let points: Vec<ViewPoint> = order
             .iter()
             .map(|&at| {
                 let [x, y, z] = decoded.points_mm[at].map(|c| c as f32);
@@ -171,7 +169,7 @@ impl ViewScanner {
         sigma_mm: &[f32],
     ) -> ScannedView {
         let (order, _) = fair_order(points_mm);
-        let points: Vec<Kept> = order
+        let points: Vec<ViewPoint> = order
             .iter()
             .map(|&at| {
                 let [x, y, z] = points_mm[at].map(|c| c as f32);
@@ -190,7 +188,7 @@ impl ViewScanner {
 
     /// Lays a view on the CAD, from where the stages and the views before it say that it is.
     fn lay_on(&mut self, view: usize, kept: KeptView) -> ScannedView {
-        let at = place(&self.plan, view);
+        let at = Pose::from(&self.plan.views[view]);
         let mut prior = self.adjustment.predict(at);
         let expected = prior.tool_from_cloud;
         let first = coordinates(&kept.points, FIRST_POSE);
@@ -269,7 +267,7 @@ fn fair_order(points_mm: &[[f64; 3]]) -> (Vec<usize>, Vec<usize>) {
 }
 
 /// Where the head's rays look that have none of these points within half a cell, at z = 1.
-fn rays_far_from(decoder: &Decoder, points: &[Kept]) -> Vec<[f32; 2]> {
+fn rays_far_from(decoder: &Decoder, points: &[ViewPoint]) -> Vec<[f32; 2]> {
     let directions = (0..).map_while(|cell| decoder.direction(cell));
     let rays: Vec<[f64; 3]> = directions.map(|[x, y]| [x, y, 0.0]).collect();
     let seen: Vec<[f64; 3]> = coordinates(points, points.len())
@@ -314,17 +312,8 @@ pub(super) fn unlike_cad(view: &ViewInformation) -> Option<Reason> {
     })
 }
 
-/// What the stages are told for a view.
-pub(super) fn place(plan: &ViewPlan, view: usize) -> Pose {
-    let planned = &plan.views[view];
-    Pose {
-        rotation_rad: planned.rotation_rad,
-        vertical_mm: planned.vertical_mm,
-    }
-}
-
 /// The first `most` points, mm.
-pub(super) fn coordinates(points: &[Kept], most: usize) -> Vec<[f64; 3]> {
+pub(super) fn coordinates(points: &[ViewPoint], most: usize) -> Vec<[f64; 3]> {
     points
         .iter()
         .take(most)

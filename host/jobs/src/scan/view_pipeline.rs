@@ -1,4 +1,4 @@
-//! What a scan does with a view once its frames are summed: points, pose, cells, all of it kept.
+//! From the summed frames of a view to points, pose and cells in the session folder.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,8 @@ use super::patches::Patches;
 use super::session::Session;
 use super::stitch::first_information;
 use super::view::{ScannedView, ViewScanner};
-use crate::inspection::{InspectError, ViewPlan};
+use crate::inspection::InspectError;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 use flankscope_instrument::acquisition::ViewError;
 
@@ -51,7 +52,7 @@ impl Store {
     }
 }
 
-/// What became of a view.
+/// Whether a view was kept.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kept {
     /// It lies on the CAD and is in the session folder.

@@ -11,12 +11,12 @@ use tokio::time::Instant;
 use flankscope_metrology::verdict::{Latch, Shown};
 use serde::Serialize;
 
-use crate::inspection::{InspectError, Station};
+use crate::inspection::{InspectError, ViewOutcome};
+use crate::job::{Job, Source, connect, runtime};
 use flankscope_instrument::acquisition::AcquisitionError;
 use flankscope_instrument::controller::{Client, ClientError, ClientSettings};
 use flankscope_record::document::Inspection;
 use flankscope_record::history::{HistoryError, HistoryWriter, Hold};
-use flankscope_record::sink::ResultSink;
 
 /// When to check.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +49,7 @@ fn word<S: serde::Serializer>(shown: &Shown, serializer: S) -> Result<S::Ok, S::
     serializer.serialize_str(shown.word())
 }
 
-/// What the watch tells.
+/// Event of a watch, for the caller to print or to log.
 #[derive(Debug)]
 pub enum WatchEvent {
     /// The press cycled.
@@ -68,7 +68,7 @@ pub enum WatchEvent {
     NotAcknowledged(HistoryError),
 }
 
-impl Station {
+impl Job<ViewOutcome> {
     /// Watches the press until `settings.cycles` have passed or `tell` says stop (false); a message on `acknowledged`
     /// clears a latched no-go, whoever sent it: a name, or nothing. Every check waits for `writer`, where there is one.
     /// Returns what the press was shown last.
@@ -84,15 +84,8 @@ impl Station {
         acknowledged: &Receiver<String>,
         tell: impl FnMut(WatchEvent) -> bool,
     ) -> Result<Shown, WatchError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build();
-        let runtime = runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })?;
-        runtime.block_on(async {
-            let mut client = Client::connect(port, client).await?;
-            self.acquisition
-                .make_ready(&mut client, &mut |_| {})
-                .await?;
+        runtime()?.block_on(async {
+            let client = connect(&self.acquisition, port, client, &mut |_| {}).await?;
             let mut watch = Watch::begin(self, client, settings, writer, tell).await?;
             let before = watch.latch.shown();
             if before != Shown::Unchecked && watch.tell(WatchEvent::Resumed(before)).is_break() {
@@ -127,7 +120,7 @@ impl From<ClientError> for WatchError {
 
 /// A watch between two events.
 struct Watch<'a, T> {
-    station: &'a mut Station,
+    job: &'a mut Job<ViewOutcome>,
     client: Client,
     settings: &'a WatchSettings,
     writer: Option<&'a mut HistoryWriter>,
@@ -147,20 +140,20 @@ struct Watch<'a, T> {
 
 impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
     async fn begin(
-        station: &'a mut Station,
+        job: &'a mut Job<ViewOutcome>,
         mut client: Client,
         settings: &'a WatchSettings,
         writer: Option<&'a mut HistoryWriter>,
         tell: T,
     ) -> Result<Self, WatchError> {
-        let die = station.die();
+        let die = job.die();
         let (hold, latch) = match &writer {
             Some(writer) => (Some(writer.hold(&die)?), writer.latch(&die)?),
             None => (None, Latch::default()),
         };
         let cycle = client.status().await?.press.cycles;
         Ok(Self {
-            station,
+            job,
             settings,
             writer,
             tell,
@@ -235,7 +228,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
     /// Somebody has looked; that counts once it is noted.
     fn acknowledge(&mut self, name: &str) -> ControlFlow<()> {
         let noted = match &mut self.writer {
-            Some(writer) => writer.acknowledge(&self.station.die(), name),
+            Some(writer) => writer.acknowledge(&self.job.die(), name),
             None => Ok(()),
         };
         let told = match noted {
@@ -264,20 +257,18 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
             return Ok(ControlFlow::Break(()));
         }
         let hold_limit = Some(self.settings.hold_limit);
+        let source = Source::Live(&mut self.client);
         let check = self
-            .station
-            .check(&mut self.client, hold_limit, &mut |_| {})
+            .job
+            .check(source, hold_limit, &mut self.writer, &mut |_| {})
             .await;
-        let mut inspection = match check {
+        let inspection = match check {
             // The press was faster than the order: the next opening will do.
             Err(InspectError::Acquisition(AcquisitionError::Client(ClientError::Refused(
                 Refusal::Interlock { fault },
             )))) => return Ok(self.tell(WatchEvent::Missed(self.cycle, fault))),
             check => check?,
         };
-        self.writer
-            .put(&mut inspection)
-            .map_err(InspectError::from)?;
         self.cycle = self.cycle.max(inspection.press_cycles);
         self.checked_at = inspection.press_cycles;
         let shown = self.latch.take(inspection.verdict);

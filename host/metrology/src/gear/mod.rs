@@ -54,6 +54,15 @@ impl Flank {
     }
 }
 
+impl std::str::FromStr for Flank {
+    type Err = serde::de::value::Error;
+
+    fn from_str(word: &str) -> Result<Self, Self::Err> {
+        use serde::{Deserialize, de::IntoDeserializer};
+        Self::deserialize(word.into_deserializer())
+    }
+}
+
 impl std::fmt::Display for Flank {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.word())

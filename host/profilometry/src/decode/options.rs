@@ -2,14 +2,18 @@
 
 use super::DecodeError;
 use crate::accumulate::consistency::ConsistencyOptions;
+use serde::{Deserialize, Serialize};
+
 use crate::cloud::PatchOptions;
 use crate::head::HeadModel;
 use crate::phase::mask::MaskOptions;
 
 /// Cell of the grid: a block of pixels or a fibre core.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum GridKind {
     /// Blocks of pixels: for a lens.
+    #[default]
     Pixel,
     /// Cores of the head's map: for a fibre bundle.
     Core,

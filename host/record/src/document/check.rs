@@ -181,13 +181,35 @@ impl Handover {
     }
 }
 
+/// Whether a view was laid on the CAD.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ViewStatus {
+    /// It was.
+    Registered,
+    /// A view of a check was not.
+    Indeterminate,
+    /// A view of a scan was not.
+    Lost,
+}
+
+impl std::fmt::Display for ViewStatus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Registered => "registered",
+            Self::Indeterminate => "indeterminate",
+            Self::Lost => "lost",
+        })
+    }
+}
+
 /// How one view was laid on the CAD.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewRegistration {
     /// Tooth in the middle of the view.
     pub tooth: u32,
-    /// `registered` or `indeterminate`.
-    pub status: String,
+    /// Whether it was.
+    pub status: ViewStatus,
     /// Why it is indeterminate.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,

@@ -1,6 +1,7 @@
 //! What a verdict was computed from: enough to compute it again, and to notice when something is not the same.
 
 use flankscope_metrology::verdict::{Code, Reason};
+use flankscope_profilometry::decode::GridKind;
 use flankscope_profilometry::head::Sensor;
 use flankscope_profilometry::{Accumulator, PatternSet};
 use serde::{Deserialize, Serialize};
@@ -20,8 +21,8 @@ pub struct Recipe {
     pub lit_ratios: Vec<f64>,
     /// Exposures, µs.
     pub exposures_us: Vec<u32>,
-    /// What a point is made of: `core` or `pixel`.
-    pub grid: String,
+    /// What a point is made of.
+    pub grid: GridKind,
     /// Temperature of the tool, degrees C, where it is known.
     pub temperature_degc: Option<f64>,
     /// Of recorded frames, where they were not taken as tool and head file say.

@@ -2,15 +2,16 @@
 
 use std::fmt;
 
+use flankscope_metrology::gear::Flank;
 use serde::Serialize;
 
 /// A flank of a tooth, or a patch.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct FeatureId {
     /// Tooth number, 1 is the first; of a patch, its place among those of the tool file.
     pub tooth: u32,
-    /// `left` or `right`; of a patch `face`.
-    pub flank: String,
+    /// Side of the tooth, or the face of a patch.
+    pub flank: Flank,
     /// Name of the patch, where it is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub patch: Option<String>,
@@ -20,7 +21,7 @@ impl FeatureId {
     /// Which side of its tooth it is, or the name of its patch.
     #[must_use]
     pub fn side(&self) -> &str {
-        self.patch.as_deref().unwrap_or(&self.flank)
+        self.patch.as_deref().unwrap_or(self.flank.word())
     }
 
     /// Whether both are the same: a patch goes by its name, since its place in the file changes when others are added.

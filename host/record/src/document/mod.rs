@@ -16,7 +16,7 @@ mod identity;
 
 pub use check::{
     Expanded, Feature, FlankDetail, FlankMap, FrameCount, Handover, Inspection, Light, Pictures,
-    Timing, Toothing, ViewRegistration, WeakDirection,
+    Timing, Toothing, ViewRegistration, ViewStatus, WeakDirection,
 };
 pub use evidence::{Evidence, Phasors, Problem, Recipe, RecordedRecipe};
 pub use feature_id::FeatureId;

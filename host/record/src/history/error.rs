@@ -55,7 +55,7 @@ pub enum HistoryError {
         /// When it was begun.
         since: String,
     },
-    /// A stored document that is no JSON.
+    /// A stored document that is no JSON, or lacks what is read of it.
     #[error("the stored document of check {id} cannot be read: {source}")]
     Stored {
         /// Check.

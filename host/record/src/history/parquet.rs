@@ -69,7 +69,7 @@ fn write(
     columns.some::<ByteArrayType>(|(check, _)| check.baseline.as_deref().map(text))?;
     columns.all::<ByteArrayType>(|(check, _)| text(check.verdict.as_str()))?;
     columns.all::<Int32Type>(|(_, flank)| i32::try_from(flank.id.tooth).unwrap_or(i32::MAX))?;
-    columns.all::<ByteArrayType>(|(_, flank)| text(&flank.id.flank))?;
+    columns.all::<ByteArrayType>(|(_, flank)| text(flank.id.flank.word()))?;
     columns.some::<DoubleType>(|(_, flank)| flank.wear_um)?;
     columns.some::<DoubleType>(|(_, flank)| flank.u95_um)?;
     columns.all::<DoubleType>(|(_, flank)| flank.warn_um)?;

@@ -73,8 +73,7 @@ pub fn row_differences(check: &Check, document: &Value) -> Vec<Difference> {
         &json!(features.len()),
     );
     for flank in &check.flanks {
-        let this =
-            |f: &&Value| f["tooth"] == flank.id.tooth && f["flank"] == flank.id.flank.as_str();
+        let this = |f: &&Value| f["tooth"] == flank.id.tooth && f["flank"] == flank.id.flank.word();
         let feature = features.iter().find(this).unwrap_or(&Value::Null);
         for (key, row) in [
             ("wear_um", json!(flank.wear_um)),

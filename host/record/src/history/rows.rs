@@ -166,7 +166,7 @@ impl History {
                 let flank = FlankRow {
                     id: FeatureId {
                         tooth: row.get(1)?,
-                        flank: row.get(2)?,
+                        flank: parsed(row, 2)?,
                         patch: row.get(3)?,
                     },
                     wear_um: row.get(4)?,

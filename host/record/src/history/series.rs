@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use flankscope_foundation::normal::COVERAGE_95;
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::{Code, Word};
 
 use super::rows::Check;
@@ -54,7 +55,7 @@ pub fn present_life(checks: &[Check]) -> impl Iterator<Item = &Check> {
 #[must_use]
 pub fn series(checks: &[Check]) -> Vec<Series> {
     // Flanks in order of teeth, then patches by name.
-    let mut flanks: BTreeMap<(Option<&str>, u32, &str), Series> = BTreeMap::new();
+    let mut flanks: BTreeMap<(Option<&str>, u32, Flank), Series> = BTreeMap::new();
     for check in present_life(checks) {
         for flank in &check.flanks {
             let FeatureId {
@@ -65,7 +66,7 @@ pub fn series(checks: &[Check]) -> Vec<Series> {
             // The place of a patch in its file changes when others are added; its name stays.
             let place = if patch.is_some() { 0 } else { *tooth };
             let series = flanks
-                .entry((patch.as_deref(), place, side))
+                .entry((patch.as_deref(), place, *side))
                 .or_insert_with(|| Series {
                     id: flank.id.clone(),
                     warn_um: flank.warn_um,

@@ -369,7 +369,7 @@ impl History {
                 row.execute(params![
                     id,
                     feature.id.tooth,
-                    feature.id.flank,
+                    feature.id.flank.word(),
                     feature.wear_um,
                     feature.u95_um,
                     feature.warn_um,

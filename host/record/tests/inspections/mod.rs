@@ -1,5 +1,6 @@
 //! Results of checks that nobody made.
 
+use flankscope_metrology::gear::Flank;
 use flankscope_metrology::verdict::Word;
 use flankscope_record::die::DieKey;
 use flankscope_record::document::{
@@ -16,10 +17,10 @@ pub fn seals() -> Seals {
 
 /// A check of six flanks after `press_cycles`, with a verdict and a reason.
 pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection {
-    let feature = |tooth, flank: &str| Feature {
+    let feature = |tooth, flank: Flank| Feature {
         id: FeatureId {
             tooth,
-            flank: flank.into(),
+            flank,
             patch: None,
         },
         wear_um: Some(f64::from(press_cycles) / 8.0),
@@ -62,7 +63,7 @@ pub fn inspection(press_cycles: u32, verdict: Word, reason: &str) -> Inspection 
         reason: reason.into(),
         features: [12, 40, 68]
             .into_iter()
-            .flat_map(|tooth| [feature(tooth, "left"), feature(tooth, "right")])
+            .flat_map(|tooth| [feature(tooth, Flank::Left), feature(tooth, Flank::Right)])
             .collect(),
         in_view: Vec::new(),
         missing_teeth: Vec::new(),

@@ -1,14 +1,50 @@
-//! `frames.toml`: where the stages stood for each view of a folder of recorded frames, and which images it has.
+//! The index of a recorded folder, of frames or of clouds, and `frames.toml`: where the stages stood for each view of a folder of
+//! recorded frames, and which images it has.
 
 use std::path::{Component, Path, PathBuf};
 
 use flankscope_foundation::date::Date;
 use flankscope_foundation::textfile::{self, BadValue, TextFileError};
 use flankscope_protocol::plan::MAX_FRINGE_SETS;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+/// An index in TOML, with a table `[[view]]` for each view.
+pub trait RecordedIndex: DeserializeOwned {
+    /// Its name in the folder.
+    const FILE: &'static str;
+
+    /// Where the stages stood for each view, in the order in which they were taken, and what else is checked of every view.
+    fn places(&self) -> Vec<IndexedView>;
+
+    /// Checks what only this index says.
+    ///
+    /// # Errors
+    /// The first value that cannot be.
+    fn check(&self) -> Result<(), BadValue>;
+
+    /// Reads a folder's index. Returns its text too, which tells this recording from others.
+    ///
+    /// # Errors
+    /// [`TextFileError`] with file, line and what would be right.
+    fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
+        let check = |index: &Self| {
+            let places = index.places();
+            if places.is_empty() {
+                let expected = "must be one table [[view]] for each view";
+                return Err(BadValue::new("view", 0, expected));
+            }
+            index.check()?;
+            let mut places = places.iter().enumerate();
+            places.try_for_each(|(at, place)| place.check(at))
+        };
+        let path = folder.join(Self::FILE);
+        textfile::load_toml(&path, textfile::MAX_BYTES * 16, check)
+    }
+}
+
 /// The index of a folder of frames. All paths named are relative to it, or absolute.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameIndex {
     /// Whether no real die was looked at: rendered, or from the simulated bench.
@@ -88,24 +124,14 @@ const FARTHEST_RAD: f64 = 1e3;
 /// No stage is longer, mm.
 const LONGEST_MM: f64 = 1e4;
 
-impl FrameIndex {
-    /// The index's name in its folder.
-    pub const FILE: &str = "frames.toml";
+impl RecordedIndex for FrameIndex {
+    const FILE: &'static str = "frames.toml";
 
-    /// Reads a folder's index. Returns its text too, which tells this recording from others.
-    ///
-    /// # Errors
-    /// [`TextFileError`] with file, line and what would be right.
-    pub fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
-        let path = folder.join(Self::FILE);
-        textfile::load_toml(&path, textfile::MAX_BYTES * 16, Self::check)
+    fn places(&self) -> Vec<IndexedView> {
+        self.view.clone()
     }
 
     fn check(&self) -> Result<(), BadValue> {
-        if self.view.is_empty() {
-            let expected = "must be one table [[view]] for each view";
-            return Err(BadValue::new("view", 0, expected));
-        }
         if let Some(degc) = self.tool_temperature_degc
             && !(-273.15..=2000.0).contains(&degc)
         {
@@ -121,22 +147,13 @@ impl FrameIndex {
             let expected = "must be shares of all mirrors' light, above 0 and at most 1";
             return Err(BadValue::new("lit_ratios", ratio, expected));
         }
-        let views = self.view.iter().enumerate();
-        views.into_iter().try_for_each(|(at, view)| view.check(at))
-    }
-
-    /// The index as text.
-    ///
-    /// # Errors
-    /// The writer's.
-    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
-        toml::to_string(self)
+        Ok(())
     }
 }
 
 impl IndexedView {
-    /// Whether what it says can be; `at` is its place in the index.
-    pub fn check(&self, at: usize) -> Result<(), BadValue> {
+    /// Checks what it says; `at` is its place in the index.
+    fn check(&self, at: usize) -> Result<(), BadValue> {
         let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
             Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
         };
@@ -177,11 +194,7 @@ impl IndexedView {
         let is_hash =
             |text: &String| text.len() == 64 && text.bytes().all(|b| b.is_ascii_hexdigit());
         match self.blake3.iter().find(|text| !is_hash(text)) {
-            Some(text) => bad(
-                "blake3",
-                text,
-                "must be 64 hexadecimal digits for every frame",
-            ),
+            Some(text) => bad("blake3", text, "must be 64 hexadecimal digits"),
             None => Ok(()),
         }
     }
@@ -277,7 +290,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(
             folder.path().join(FrameIndex::FILE),
-            index.to_toml().unwrap(),
+            toml::to_string(&index).unwrap(),
         )
         .unwrap();
         assert_eq!(FrameIndex::load(folder.path()).unwrap().0, index);

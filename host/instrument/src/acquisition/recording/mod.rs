@@ -23,7 +23,7 @@ use flankscope_profilometry::{FrameKind, HeadModel};
 use flankscope_protocol::{Microseconds, Timestamp, Trigger};
 
 pub use index::stays_inside;
-pub use index::{FrameIndex, IndexedView};
+pub use index::{FrameIndex, IndexedView, RecordedIndex};
 pub use playback::Playback;
 pub use saver::{SavedCapture, SavedView, Saver};
 pub use source::ImageProblem;

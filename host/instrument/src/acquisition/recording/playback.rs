@@ -3,6 +3,7 @@
 use std::sync::mpsc::{self, Receiver, Sender};
 
 use flankscope_frames::{Arm, monotonic_ns};
+use flankscope_profilometry::Decoder;
 use flankscope_protocol::Event;
 
 use super::RecordedView;
@@ -17,33 +18,32 @@ use crate::acquisition::session::Acquisition;
 pub struct Playback {
     next: Sender<Vec<RecordedView>>,
     problems: Receiver<(usize, ImageProblem)>,
-    exposures_us: Vec<u32>,
 }
 
 impl Playback {
-    /// A source of frames of this size, and its other end.
-    pub fn new(size_px: [u32; 2], full_scale: u16, exposures_us: &[u32]) -> (Self, FolderSource) {
+    /// A source of the frames that `decoder` takes, and the end that tells it what to read.
+    pub fn new(decoder: &Decoder, exposures_us: &[u32]) -> (Self, FolderSource) {
         let (next, to_read) = mpsc::channel();
         let (found, problems) = mpsc::channel();
         let camera = Camera {
-            size_px,
-            full_scale,
+            size_px: decoder.size_px(),
+            full_scale: decoder.full_scale_dn(),
             exposures_us: exposures_us.to_vec(),
         };
-        let playback = Self {
-            next,
-            problems,
-            exposures_us: exposures_us.to_vec(),
-        };
-        (playback, FolderSource::new(camera, to_read, found))
+        (
+            Self { next, problems },
+            FolderSource::new(camera, to_read, found),
+        )
     }
 }
 
 impl<O: Send + 'static> Acquisition<O> {
     /// Takes the recorded frames of some views through everything that comes after a camera.
+    ///
+    /// # Errors
+    /// A thread ended early, or frames come from a camera.
     pub async fn play(
         &mut self,
-        playback: &Playback,
         run: &mut Run<O>,
         views: &[(usize, RecordedView)],
         watch: &mut impl FnMut(Progress),
@@ -55,11 +55,12 @@ impl<O: Send + 'static> Acquisition<O> {
         let recorded: Vec<RecordedView> = views.iter().map(|(_, of)| of.clone()).collect();
         let frames = recorded.first().map_or(0, RecordedView::frames);
         for (number, view) in recorded.iter().enumerate() {
-            for trigger in view.triggers(session, number as u8, &playback.exposures_us) {
+            for trigger in view.triggers(session, number as u8, &self.program.exposures_us) {
                 run.timeline.note(&Event::Triggered(trigger));
                 run.triggered(trigger);
             }
         }
+        let playback = self.playback.as_ref().ok_or_else(gone)?;
         playback.next.send(recorded).map_err(|_| gone())?;
         let arm = Arm {
             session,
@@ -91,7 +92,8 @@ impl<O: Send + 'static> Acquisition<O> {
             }
             self.evaluate_whole_views(run, frames as u16, None)?;
         }
-        for (number, problem) in playback.problems.try_iter() {
+        let problems = self.playback.iter().flat_map(|of| of.problems.try_iter());
+        for (number, problem) in problems {
             if let Some(&view) = numbers.get(number) {
                 run.spoil(view, ViewError::Image(problem));
             }

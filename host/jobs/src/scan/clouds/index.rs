@@ -1,13 +1,13 @@
 //! `clouds.toml`: where the stages stood for each view of a folder of recorded clouds.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use flankscope_foundation::date::Date;
-use flankscope_foundation::textfile::{self, BadValue, TextFileError};
+use flankscope_foundation::textfile::BadValue;
 use flankscope_metrology::io::Unit;
 use serde::{Deserialize, Serialize};
 
-use flankscope_instrument::acquisition::{IndexedView, stays_inside};
+use flankscope_instrument::acquisition::{IndexedView, RecordedIndex, stays_inside};
 
 /// The index of a folder of clouds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,56 +58,35 @@ pub struct IndexedCloud {
 /// No point of a head is surer or less sure than this, µm.
 const SIGMA_UM: [f64; 2] = [1e-3, 1e3];
 
-impl CloudIndex {
-    /// The index's name in its folder.
-    pub const FILE: &str = "clouds.toml";
+impl RecordedIndex for CloudIndex {
+    const FILE: &'static str = "clouds.toml";
 
-    /// Reads a folder's index. Returns its text too, which tells this recording from others.
-    ///
-    /// # Errors
-    /// [`TextFileError`] with file, line and what would be right.
-    pub fn load(folder: &Path) -> Result<(Self, String), TextFileError> {
-        let path = folder.join(Self::FILE);
-        textfile::load_toml(&path, textfile::MAX_BYTES * 16, Self::check)
+    fn places(&self) -> Vec<IndexedView> {
+        let place = |of: &IndexedCloud| IndexedView {
+            tooth: of.tooth,
+            rotation_rad: of.rotation_rad,
+            vertical_mm: of.vertical_mm,
+            blake3: of.blake3.iter().cloned().collect(),
+            ..IndexedView::default()
+        };
+        self.view.iter().map(place).collect()
     }
 
     fn check(&self) -> Result<(), BadValue> {
-        if self.view.is_empty() {
-            let expected = "must be one table [[view]] for each view";
-            return Err(BadValue::new("view", 0, expected));
-        }
         if let Some(sigma_um) = self.sigma_um
             && !(SIGMA_UM[0]..=SIGMA_UM[1]).contains(&sigma_um)
         {
             let expected = "must be micrometres, 0.001 to 1000";
             return Err(BadValue::new("sigma_um", sigma_um, expected));
         }
-        self.view.iter().enumerate().try_for_each(|(at, view)| {
-            let bad = |name: &str, got: &dyn std::fmt::Debug, expected| {
-                Err(BadValue::new(format!("view[{at}].{name}"), got, expected))
-            };
-            view.place().check(at)?;
-            if !stays_inside(&view.file) {
-                let expected = "must be a file in the folder of clouds.toml, without ..";
-                return bad("file", &view.file, expected);
-            }
-            let is_hash = |t: &str| t.len() == 64 && t.bytes().all(|b| b.is_ascii_hexdigit());
-            match view.blake3.as_deref().filter(|text| !is_hash(text)) {
-                Some(text) => bad("blake3", &text, "must be 64 hexadecimal digits"),
-                None => Ok(()),
-            }
-        })
-    }
-}
-
-impl IndexedCloud {
-    /// Where the stages stood, as an index of frames says it.
-    pub(in crate::scan) fn place(&self) -> IndexedView {
-        IndexedView {
-            tooth: self.tooth,
-            rotation_rad: self.rotation_rad,
-            vertical_mm: self.vertical_mm,
-            ..IndexedView::default()
+        let mut views = self.view.iter().enumerate();
+        match views.find(|(_, view)| !stays_inside(&view.file)) {
+            Some((at, view)) => Err(BadValue::new(
+                format!("view[{at}].file"),
+                &view.file,
+                "must be a file in the folder of clouds.toml, without ..",
+            )),
+            None => Ok(()),
         }
     }
 }

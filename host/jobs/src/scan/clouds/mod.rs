@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use flankscope_foundation::date::Date;
 use flankscope_foundation::textfile::TextFileError;
 use flankscope_metrology::io::cloud;
 use flankscope_metrology::registration::TYPICAL_NOISE_MM;
@@ -22,16 +21,17 @@ use flankscope_profilometry::Decoder;
 pub use index::{CloudIndex, IndexedCloud};
 pub use save::SaveCloudsError;
 
-use super::job::{Progress, ScanError, Scanner};
+use super::job::{Captured, Progress, ScanError, Scanner};
 use super::recorded::{name_of, planned};
 use super::result::Scan;
 use super::view::ViewScanner;
 use super::view_pipeline::{Kept, PlannedScan};
-use crate::inspection::{InspectError, ViewPlan};
+use crate::inspection::InspectError;
+use crate::plan::ViewPlan;
 use crate::subject::Subject;
 use flankscope_foundation::files;
 use flankscope_frames::monotonic_ns;
-use flankscope_instrument::acquisition::{Playback, Run};
+use flankscope_instrument::acquisition::RecordedIndex;
 use flankscope_record::origin::{RecordingId, Setting};
 
 /// Why recorded clouds cannot be used.
@@ -121,7 +121,7 @@ pub struct CloudRecording {
 struct ViewCloud {
     points_mm: Vec<[f64; 3]>,
     sigma_mm: Vec<f32>,
-    /// Whether somebody stated that.
+    /// Whether cloud or index state that uncertainty.
     has_sigma: bool,
     blake3: String,
 }
@@ -231,8 +231,6 @@ pub struct CloudScan {
     /// Of every cloud of the index, its view of the plan.
     of: Vec<usize>,
     decoder: Arc<Decoder>,
-    /// What feeds the scanner's capture: nothing.
-    _playback: Playback,
 }
 
 impl CloudScan {
@@ -247,29 +245,22 @@ impl CloudScan {
         clouds: CloudRecording,
         folder: &Path,
     ) -> Result<Self, ScanError> {
-        let said: Vec<_> = clouds.index.view.iter().map(IndexedCloud::place).collect();
-        let (views, of) = planned(&subject.tool, clouds.index.grid.as_deref(), &said)?;
+        let (index, tool) = (&clouds.index, &subject.tool);
+        let (views, of) = planned(tool, index.grid.as_deref(), &index.places())?;
         let whole = ViewPlan::new(&subject.tool, &subject.head, Some(&[1]));
         let whole = whole.map_err(InspectError::from)?;
         let planned = PlannedScan {
-            name: name_of(clouds.index.grid.as_deref(), &views),
+            name: name_of(index.grid.as_deref(), &views),
             plan: ViewPlan { views, ..whole },
         };
         let decoder = planned.plan.decoder(&subject.head, None);
         let decoder = Arc::new(decoder.map_err(InspectError::from)?);
-        let (playback, source) = Playback::new(
-            decoder.size_px(),
-            decoder.full_scale_dn(),
-            &planned.plan.exposures_us,
-        );
         let same = BTreeMap::from([("clouds".to_owned(), clouds.blake3.clone())]);
-        let source = move || Ok(source);
         Ok(Self {
-            scanner: Scanner::fed_by(source, subject, setting, planned, (folder, &same))?,
+            scanner: Scanner::start(subject, setting, planned, (folder, &same), None)?,
             clouds,
             of,
             decoder,
-            _playback: playback,
         })
     }
 
@@ -279,16 +270,14 @@ impl CloudScan {
     /// A cloud is not what it should be, the session folder cannot be written, or the views have no common solution.
     pub fn scan(&mut self, mut watch: impl FnMut(Progress)) -> Result<Scan, ScanError> {
         let begun_ns = monotonic_ns();
-        let day = self.clouds.index.taken.unwrap_or_else(Date::today);
-        let unfit = self.scanner.subject.head.fit_on(day).err();
-        let mut lost = BTreeMap::new();
+        let unfit = self.scanner.job.unfit_on(self.clouds.index.taken);
         let mut without_sigma = None;
-        if unfit.is_none() {
-            without_sigma = self.lay(&mut lost, &mut watch)?;
+        let is_fit = unfit.is_none();
+        let mut captured = Captured::unless(unfit);
+        if is_fit {
+            without_sigma = self.lay(&mut captured.lost, &mut watch)?;
         }
-        let run = Run::new(Vec::new(), None);
-        let scanner = &mut self.scanner;
-        let mut scan = scanner.conclude(run, &lost, unfit.as_ref(), begun_ns, watch)?;
+        let mut scan = self.scanner.conclude(captured, begun_ns, watch)?;
         match without_sigma {
             // What is no scan of this die has a better reason.
             Some(path) if !scan.features.is_empty() => scan.invalidate(&Reason::instrument(
@@ -312,13 +301,13 @@ impl CloudScan {
     ) -> Result<Option<PathBuf>, ScanError> {
         let scanner = &mut self.scanner;
         let mut views = ViewScanner::new(
-            &scanner.subject,
+            &scanner.job.subject,
             Arc::clone(&self.decoder),
-            Arc::clone(&scanner.plan),
+            Arc::clone(&scanner.job.plan),
             scanner.store.known.clone(),
         )
         .map_err(InspectError::from)?;
-        let planned = scanner.plan.views.len();
+        let planned = scanner.job.plan.views.len();
         for view in (0..planned).filter(|&view| scanner.store.session.pose(view).is_none()) {
             let why = format!("there is no cloud of view {}", view + 1);
             lost.insert(view, Reason::instrument(Code::NotCaptured, why));

@@ -12,6 +12,7 @@ use crate::scan::grid::Grid;
 use crate::scan::job::Scanner;
 use crate::scan::session::SessionError;
 use flankscope_foundation::files::{hash, write_whole};
+use flankscope_instrument::acquisition::RecordedIndex;
 
 /// Why clouds were not saved.
 #[derive(Debug, thiserror::Error)]
@@ -60,7 +61,7 @@ impl Scanner {
             let written = cloud.write(Format::Ply, &mut bytes);
             let written = written.and_then(|()| write_whole(&path, &bytes));
             written.map_err(|source| SaveCloudsError::Write { path, source })?;
-            let place = &self.plan.views[number];
+            let place = &self.job.plan.views[number];
             view.push(IndexedCloud {
                 file: file.into(),
                 tooth: Some(place.tooth),
@@ -71,7 +72,7 @@ impl Scanner {
         }
         let count = view.len();
         let index = CloudIndex {
-            simulated: self.setting.link.is_simulated(),
+            simulated: self.job.setting.link.is_simulated(),
             taken: Some(Date::today()),
             head: head.file_name().map(Into::into),
             unit: Unit::Mm,

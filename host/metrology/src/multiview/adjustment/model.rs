@@ -5,6 +5,8 @@ use nalgebra::{Isometry3, SVector, Translation3, UnitQuaternion, Vector3};
 
 use super::CameraPose;
 
+use crate::view::PlannedView;
+
 /// Number of shared parameters.
 pub const PARAMETERS: usize = 20;
 
@@ -15,6 +17,15 @@ pub struct Pose {
     pub rotation_rad: f64,
     /// Commanded height of the head, mm.
     pub vertical_mm: f64,
+}
+
+impl From<&PlannedView> for Pose {
+    fn from(view: &PlannedView) -> Self {
+        Self {
+            rotation_rad: view.rotation_rad,
+            vertical_mm: view.vertical_mm,
+        }
+    }
 }
 
 /// Geometry that all views share: parameters in units of their prior standard deviations, and the nominal hand-eye.

@@ -1,5 +1,8 @@
 //! From the tool's critical teeth and the head's geometry to a plan of views.
 
+mod field;
+mod patch_view;
+
 use flankscope_foundation::rigid::{Camera, Projector, Rigid, Stage};
 use flankscope_metrology::gear::GearKind;
 use flankscope_metrology::tool::Tool;
@@ -7,7 +10,11 @@ use flankscope_profilometry::decode::MaskOptions;
 use flankscope_profilometry::head::{LensDrive, Sensor};
 use flankscope_profilometry::{DecodeError, DecodeOptions, Decoder, HeadModel, PatternSet};
 
-use super::patch_view::{self, PatchViewError};
+pub(crate) use field::FieldOfView;
+pub use field::NoVolume;
+pub use patch_view::PatchViewError;
+pub(crate) use patch_view::check_seen;
+
 use flankscope_instrument::acquisition::{Program, Recording, StagePosition};
 use flankscope_instrument::patterns::PatternLight;
 use flankscope_instrument::poses::{PoseError, PoseTable, StatedPoses, Wanted};
@@ -37,7 +44,7 @@ pub struct ViewPlan {
     pub sensor: Option<Sensor>,
     /// Upper face of the die, mm.
     pub top_mm: f64,
-    /// Where the camera stood, where somebody else than the stages says so.
+    /// Where the camera stood, where a pose table or a pose program states it instead of the stages.
     pub stated: StatedPoses,
 }
 
@@ -207,7 +214,7 @@ impl ViewPlan {
     ///
     /// # Errors
     /// None, such that are not there, or that the head does not see.
-    pub(super) fn looking_at(
+    pub(crate) fn looking_at(
         tool: &Tool,
         head: &HeadModel,
         numbers: &[u32],
@@ -419,7 +426,7 @@ impl ViewPlan {
         Decoder::new(&head, &self.patterns, &self.exposures_us, options)
     }
 
-    /// What somebody who says where the camera stands is asked for a view.
+    /// Request to the pose program for a view.
     pub(crate) fn wanted(&self, view: usize, stage_from_camera: Rigid<Stage, Camera>) -> Wanted {
         let planned = &self.views[view];
         Wanted {

@@ -4,7 +4,7 @@ use flankscope_metrology::multiview::cylinder::Layout;
 use flankscope_metrology::surface::Closest;
 use serde::Serialize;
 
-use crate::scan::view::Kept;
+use crate::ViewPoint;
 
 /// Steps of the curves.
 const STEPS: usize = 40;
@@ -41,14 +41,14 @@ pub struct MaskPicture {
 
 /// A measured point, as far as the mask goes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rated {
+pub(crate) struct Rated {
     fringes_dn: f32,
     deviation_mm: f64,
     cell: Option<u32>,
 }
 
 /// Points of a view that lie on the surface.
-pub(super) fn rated(points: &[Kept], closest: &[Closest], layout: &Layout) -> Vec<Rated> {
+pub(crate) fn rated(points: &[ViewPoint], closest: &[Closest], layout: &Layout) -> Vec<Rated> {
     let each = points.iter().zip(closest);
     each.map(|(point, found)| Rated {
         fringes_dn: point[4],
@@ -59,7 +59,7 @@ pub(super) fn rated(points: &[Kept], closest: &[Closest], layout: &Layout) -> Ve
 }
 
 /// What thresholds leave of these points, from none up to where next to nothing is left.
-pub(super) fn curve(mut points: Vec<Rated>) -> Vec<Left> {
+pub(crate) fn curve(mut points: Vec<Rated>) -> Vec<Left> {
     points.sort_by(|a, b| a.fringes_dn.total_cmp(&b.fringes_dn));
     let all = points.len();
     let Some(last) = points.get(((1.0 - LEAST_SHARE) * all as f64) as usize) else {
@@ -103,7 +103,7 @@ pub(super) fn curve(mut points: Vec<Rated>) -> Vec<Left> {
 }
 
 /// The picture of a view.
-pub(super) fn picture(view: usize, points: &[Kept]) -> MaskPicture {
+pub(crate) fn picture(view: usize, points: &[ViewPoint]) -> MaskPicture {
     let span = |axis: usize| {
         let values = points.iter().map(|p| f64::from(p[axis]));
         values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| {

@@ -10,8 +10,8 @@ use flankscope_metrology::tool::Tool;
 use flankscope_profilometry::HeadModel;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use super::PlanningError;
 use super::field::FieldOfView;
-use super::plan::PlanningError;
 use flankscope_metrology::kinematics::tool_from_camera;
 use flankscope_metrology::view::PlannedView;
 
@@ -87,7 +87,7 @@ pub enum PatchViewError {
 ///
 /// # Errors
 /// A patch that is not judged, or that the head does not see.
-pub(super) fn nominal(
+pub(crate) fn nominal(
     tool: &Tool,
     head: &HeadModel,
     numbers: &[u32],
@@ -113,7 +113,7 @@ pub(super) fn nominal(
 ///
 /// # Errors
 /// A patch that is not judged, or that the head does not see from there.
-pub(super) fn check_seen(
+pub(crate) fn check_seen(
     tool: &Tool,
     head: &HeadModel,
     views: &[PlannedView],
@@ -211,7 +211,7 @@ fn seen(patch: &Patch, planned: &PlannedView, eye: &Eye) -> Result<(), PatchView
 ///
 /// # Errors
 /// They do not.
-pub(super) fn check_way(
+pub(crate) fn check_way(
     tool: &Tool,
     views: &[PlannedView],
     out_mm: f64,

@@ -1,57 +1,25 @@
-//! The article's figures and tables of a scan's views, ours beside them.
-//!
-//! ```text
-//!  session folder ──► joint solve ────► poses ─┐
-//!        │                                     ├─► alignments, threshold curves, merging, overlays ──► document, page
-//!        └──► mask ─► denoise ─► 10 % ─► the article's poses
-//! ```
-//!
-//! | file | holds |
-//! |---|---|
-//! | `finished` | a scan's session folder, opened again |
-//! | `alignment` | the views by positions alone, one on the other, the article's way, ours: distances, maps (figures 4, 19, 20, 21) |
-//! | `serial` | one view on the one before, without CAD (figure 4b) |
-//! | `threshold` | the mask and its threshold (figure 14) |
-//! | `sections` | counts across the fringes, from recorded frames (figures 11 to 13) |
-//! | `overlay` | measured points on the article's reference points (figures 16, 17) |
-//! | `space` | toothing, cameras, the initial transformation, the final cloud (figures 5, 10, 15, 18) |
-//! | `merging` | one point per voxel, chosen in several ways (figure 9, section 10) |
-
-mod alignment;
-mod finished;
-mod merging;
-mod overlay;
-mod sections;
-mod serial;
-mod space;
-mod threshold;
+//! All figures and tables of one scan: the document.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use flankscope_foundation::date;
 use flankscope_foundation::rigid::Rigid;
 use flankscope_metrology::deviation::SampleTree;
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::multiview::cylinder::{Around, CylinderMap, Layout};
-use flankscope_metrology::surface::sampling::centre_of_mass;
+use flankscope_metrology::tool::Tool;
+use flankscope_metrology::view::PlannedView;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-pub use alignment::Alignment;
-pub use finished::{FinishedScan, FinishedScanError};
-pub use merging::Merging;
-pub use overlay::Overlay;
-pub use sections::{Sections, SectionsError};
-pub use serial::SerialLayer;
-pub use space::{InSpace, InitialTransformation};
-pub use threshold::{Left, MaskPicture};
-
-use super::comparison::{self, MethodResult};
-use super::hinz2019::{self, Drawing, Hinz2019Settings};
-use super::stitch::{Frame, first_information, stitch};
-use super::view::{Kept, coordinates, place};
-use flankscope_instrument::acquisition::Recording;
+use crate::comparison::{JointSolve, MethodResult};
+use crate::drawn::{Drawn, coordinates, laid};
+use crate::hinz2019::{self, Drawing, Hinz2019Settings};
+use crate::{
+    Alignment, ArticleError, InSpace, InitialTransformation, Left, MaskPicture, Merging, Overlay,
+    Sections, SerialLayer, ViewPoints, alignment, merging, overlay, serial, threshold,
+};
 
 /// Views of which every point is compared with the surface, for the threshold curves: at most so many, evenly among all.
 const RATED_VIEWS: usize = 12;
@@ -74,28 +42,6 @@ pub struct DrawingSteps {
     pub denoised: usize,
     /// That were drawn.
     pub drawn: usize,
-}
-
-/// The drawn points of a view, in its camera's frame.
-pub(super) struct Drawn {
-    pub xyz: Vec<[f64; 3]>,
-    pub centre_mm: [f64; 3],
-    /// Standard uncertainties, mm.
-    pub sigma_mm: Vec<f32>,
-    /// How much the fringes oscillate around them, counts.
-    pub fringes_dn: Vec<f32>,
-}
-
-impl Drawn {
-    fn of(points: &[Kept]) -> Option<Self> {
-        let xyz = coordinates(points, points.len());
-        Some(Self {
-            centre_mm: centre_of_mass(&xyz)?,
-            sigma_mm: points.iter().map(|point| point[3]).collect(),
-            fringes_dn: points.iter().map(|point| point[4]).collect(),
-            xyz,
-        })
-    }
 }
 
 /// The whole: serialised as article.json.
@@ -157,10 +103,13 @@ pub struct Article {
 }
 
 impl Article {
+    /// Key of [`Article::of`] that says what stood on the simulated bench.
+    pub const BENCH: &'static str = "bench";
+
     /// Whether the views are a simulated bench's.
     #[must_use]
     pub fn is_simulated(&self) -> bool {
-        self.of.contains_key(FinishedScan::BENCH)
+        self.of.contains_key(Self::BENCH)
     }
 }
 
@@ -175,40 +124,58 @@ pub struct FirstView {
     pub fringes_dn: Vec<f64>,
 }
 
-impl FinishedScan {
+/// A scan whose views were laid on the CAD by the joint solve.
+pub struct StitchedScan<'a, P> {
+    /// Its points.
+    pub points: &'a P,
+    /// The tool.
+    pub tool: &'a Tool,
+    /// Its views, layer by layer.
+    pub planned: &'a [PlannedView],
+    /// Views around, and layers.
+    pub grid: [u32; 2],
+    /// Whose views these are: grid, hashes, and what stood on a simulated bench.
+    pub of: BTreeMap<String, String>,
+    /// Die, head and stages as drawn.
+    pub nominal: &'a Stages,
+    /// Cells that the views are laid on each other in.
+    pub layout: Layout,
+    /// The joint solve.
+    pub joint: JointSolve<'a>,
+    /// The same in figures.
+    pub ours: MethodResult,
+    /// Where the time went so far, ms.
+    pub elapsed_ms: BTreeMap<&'static str, f64>,
+}
+
+impl<P: ViewPoints> StitchedScan<'_, P> {
     /// Makes the article's figures, told `settings`, and which share of the pairs counts where a view is laid on the one before;
     /// without that, nine tenths of what neighbours have in common.
     ///
     /// # Errors
-    /// No view lies on the CAD, the folder cannot be read, or there is no common solution.
-    pub fn article(&mut self, settings: &Hinz2019Settings) -> Result<Article, FinishedScanError> {
-        let mut elapsed_ms = BTreeMap::new();
+    /// No view lies on the CAD, or points cannot be read.
+    pub fn article(self, settings: &Hinz2019Settings) -> Result<Article, ArticleError<P::Error>> {
+        let Self {
+            points: scanned,
+            tool,
+            planned,
+            layout: cells,
+            joint,
+            mut elapsed_ms,
+            ..
+        } = self;
         let mut clock = Instant::now();
-        let mut lap = |what| {
+        let mut lap = |what| -> Duration {
             let took = clock.elapsed();
             elapsed_ms.insert(what, took.as_secs_f64() * 1e3);
             clock = Instant::now();
             took
         };
-        let (session, plan) = (&self.session, &self.plan);
-        let (tool, planned) = (&self.subject.tool, &self.plan.views);
-        let first = first_information(session, tool, plan)?;
-        let frame = Frame {
-            layout: super::cell_observations::layout(&self.gear),
-            field: self.field,
-            single: self.subject.station.stages.of_single_view(),
-        };
-        lap("open");
-        let (nominal, patches) = (&self.nominal, &mut self.patches);
-        let joint = stitch(session, patches, first, tool, nominal, &frame)?;
-        let took = lap("surface");
-        let ours = comparison::of_surface(&joint, session, tool, planned, took)?;
-        let map = CylinderMap::new(frame.layout);
-        lap("figures of surface");
-        let paper = hinz2019::stitch(session, tool, plan, nominal, map, settings)?;
+        let map = CylinderMap::new(cells);
+        let paper = hinz2019::stitch(scanned, tool, planned, self.nominal, map, settings)?;
         let took = lap("paper");
         let shared = &joint.adjustment.stages;
-        let theirs = comparison::of_hinz2019(&paper, shared, settings, planned, took);
+        let theirs = MethodResult::of_hinz2019(&paper, shared, settings, planned, took);
 
         let joint_poses: BTreeMap<usize, Isometry3<f64>> = joint
             .views
@@ -222,7 +189,7 @@ impl FinishedScan {
             .map(|of| (of.view, of.tool_from_camera))
             .collect();
         let Some((&first_view, &first_pose)) = paper_poses.first_key_value() else {
-            return Err(FinishedScanError::NothingLaid {
+            return Err(ArticleError::NothingLaid {
                 views: joint_poses.len(),
             });
         };
@@ -235,7 +202,7 @@ impl FinishedScan {
         let every = joint_poses.len().div_ceil(RATED_VIEWS).max(1);
         let mut first_points = None;
         for (at, (&view, pose)) in joint_poses.iter().enumerate() {
-            let kept = session.points(view)?.points;
+            let kept = scanned.view_points(view).map_err(ArticleError::Points)?;
             let drawing = Drawing::of_view(&kept, settings, view);
             steps.push(DrawingSteps {
                 view,
@@ -246,9 +213,9 @@ impl FinishedScan {
             });
             views.extend(Drawn::of(&drawing.points).map(|drawn| (view, drawn)));
             if at % every == 0 {
-                let laid = alignment::laid(&coordinates(&kept, kept.len()), pose);
+                let laid = laid(&coordinates(&kept), pose);
                 let closest = tool.surface.closest_many(&laid);
-                rated.extend(threshold::rated(&kept, &closest, &frame.layout));
+                rated.extend(threshold::rated(&kept, &closest, &cells));
             }
             if Some(view) == middle {
                 mask = Some(threshold::picture(view, &kept));
@@ -256,13 +223,13 @@ impl FinishedScan {
             if view == first_view {
                 first_points = Some(FirstView {
                     view,
-                    points: coordinates(&kept, kept.len()),
+                    points: coordinates(&kept),
                     fringes_dn: kept.iter().map(|point| f64::from(point[4])).collect(),
                 });
             }
         }
         let (Some(mask), Some(first_view)) = (mask, first_points) else {
-            return Err(FinishedScanError::NothingLaid {
+            return Err(ArticleError::NothingLaid {
                 views: joint_poses.len(),
             });
         };
@@ -270,7 +237,7 @@ impl FinishedScan {
         lap("threshold");
 
         let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
-        let moved = |view: usize| *stages.tool_from_camera(place(plan, view)).isometry();
+        let moved = |view: usize| *stages.tool_from_camera((&planned[view]).into()).isometry();
         let camera = moved(first_view.view).inverse() * first_pose;
         let by_positions: BTreeMap<usize, Isometry3<f64>> = joint_poses
             .keys()
@@ -279,7 +246,7 @@ impl FinishedScan {
         let laid_on_each_other = serial::serial(
             &views,
             &joint_poses,
-            plan,
+            planned,
             &settings.registration,
             settings.serial_inlier_ratio,
         );
@@ -292,11 +259,11 @@ impl FinishedScan {
         let reference = hinz2019::whole_reference(tool, settings);
         let reference = SampleTree::new(&reference)?;
         let layout = Layout {
-            columns: COLUMNS_PER_TOOTH * self.gear.teeth as usize,
-            rows: ((frame.layout.height_mm[1] - frame.layout.height_mm[0]) / ROW_MM)
+            columns: COLUMNS_PER_TOOTH * tool.gear.as_ref().map_or(1, |gear| gear.teeth as usize),
+            rows: ((cells.height_mm[1] - cells.height_mm[0]) / ROW_MM)
                 .ceil()
                 .clamp(1.0, 1e4) as usize,
-            height_mm: frame.layout.height_mm,
+            height_mm: cells.height_mm,
             around: Around::Angle,
         };
         let by = alignment::Yardstick {
@@ -341,10 +308,10 @@ impl FinishedScan {
         Ok(Article {
             tool: tool.name.clone(),
             date: date::now(),
-            of: self.of.clone(),
+            of: self.of,
             settings: settings.clone(),
             mean_iterations: mean_of(&theirs),
-            methods: vec![ours, theirs],
+            methods: vec![self.ours, theirs],
             steps,
             threshold,
             initial_transformation: paper.initial,
@@ -360,25 +327,8 @@ impl FinishedScan {
             in_space,
             one_view_um,
             layout,
-            grid: [self.grid.around, self.grid.layers],
+            grid: self.grid,
         })
-    }
-}
-
-impl FinishedScan {
-    /// Cross-sections of the fringes in the frames that were saved with this scan.
-    ///
-    /// # Errors
-    /// They are of another scan, or not what their plan and the head say.
-    pub fn sections(&self, recording: &Recording) -> Result<Sections, SectionsError> {
-        let scanned = self.grid.to_string();
-        match &recording.index.grid {
-            Some(recorded) if *recorded == scanned => Sections::of(recording, &self.subject.head),
-            recorded => Err(SectionsError::OtherScan {
-                recorded: recorded.clone().unwrap_or_else(|| "no grid".into()),
-                scanned,
-            }),
-        }
     }
 }
 

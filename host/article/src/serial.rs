@@ -7,12 +7,11 @@ use flankscope_foundation::rigid::{Cloud, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::Order;
 use flankscope_metrology::multiview::adjustment::Stages;
 use flankscope_metrology::registration::{Hinz2019Options, PaperReference, register_to_reference};
+use flankscope_metrology::view::PlannedView;
 use nalgebra::{Isometry3, Point3};
 use serde::Serialize;
 
-use super::{Drawn, alignment::laid};
-use crate::inspection::ViewPlan;
-use crate::scan::view::place;
+use crate::drawn::{Drawn, laid};
 
 /// A point and one of the view before are of the same place when they lie so near to each other where the stages put them, mm.
 const SAME_PLACE_MM: f64 = 0.3;
@@ -38,17 +37,17 @@ pub struct SerialLayer {
 
 /// All layers.
 #[derive(Default)]
-pub(super) struct Serial {
+pub(crate) struct Serial {
     pub poses: BTreeMap<usize, Isometry3<f64>>,
     pub layers: Vec<SerialLayer>,
 }
 
 /// Lays the views of every layer from its first one on, whose pose is the joint solve's: an ideal start. Of the pairs counts
 /// `inlier_ratio`, or what either view has in common with the one before. The error says why views cannot be laid on each other.
-pub(super) fn serial(
+pub(crate) fn serial(
     views: &BTreeMap<usize, Drawn>,
     joint: &BTreeMap<usize, Isometry3<f64>>,
-    plan: &ViewPlan,
+    planned: &[PlannedView],
     options: &Hinz2019Options,
     inlier_ratio: Option<f64>,
 ) -> Result<Serial, String> {
@@ -57,9 +56,9 @@ pub(super) fn serial(
         layers: Vec::new(),
     };
     let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
-    let moved = |view: usize| *stages.tool_from_camera(place(plan, view)).isometry();
-    let numbers: Vec<usize> = (0..plan.views.len()).collect();
-    for layer in numbers.chunk_by(|&a, &b| plan.views[a].vertical_mm == plan.views[b].vertical_mm) {
+    let moved = |view: usize| *stages.tool_from_camera((&planned[view]).into()).isometry();
+    let numbers: Vec<usize> = (0..planned.len()).collect();
+    for layer in numbers.chunk_by(|&a, &b| planned[a].vertical_mm == planned[b].vertical_mm) {
         let known: Vec<usize> = layer
             .iter()
             .copied()
@@ -109,7 +108,7 @@ pub(super) fn serial(
         };
         let closing_um = closed.map(|pose| off_um(&views[&first], &pose, &joint[&first]));
         found.layers.push(SerialLayer {
-            vertical_mm: plan.views[first].vertical_mm,
+            vertical_mm: planned[first].vertical_mm,
             views: known,
             off_um: poses
                 .iter()

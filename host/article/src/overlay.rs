@@ -7,8 +7,8 @@ use flankscope_metrology::registration::{Hinz2019Options, PaperReference};
 use flankscope_metrology::surface::sampling::centre_of_mass;
 use nalgebra::Isometry3;
 
-use super::{Drawn, alignment::laid};
-use crate::scan::hinz2019::Hinz2019Settings;
+use crate::drawn::{Drawn, laid};
+use crate::hinz2019::Hinz2019Settings;
 
 /// Thickness of the slice that is shown, mm: so many points that teeth are seen, and not more.
 const SLICE_MM: f64 = 0.6;
@@ -28,7 +28,7 @@ pub struct Overlay {
 
 /// The first view alone, and the first `count` together; also the distances of the first view's points to the nearest reference
 /// point of its window, µm.
-pub(super) fn overlays(
+pub(crate) fn overlays(
     views: &BTreeMap<usize, Drawn>,
     poses: &BTreeMap<usize, Isometry3<f64>>,
     mesh: &TriMesh,

@@ -11,7 +11,7 @@ use flankscope_metrology::surface::sampling::{Region, centre_of_mass};
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use super::{Drawn, alignment::laid};
+use crate::drawn::{Drawn, laid};
 
 /// The initial transformation of the article's method: the pose that the registration of the first view starts at.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -23,7 +23,7 @@ pub struct InitialTransformation {
 }
 
 impl InitialTransformation {
-    pub(in crate::scan) fn new(view: usize, pose: &Isometry3<f64>) -> Self {
+    pub(crate) fn new(view: usize, pose: &Isometry3<f64>) -> Self {
         Self {
             view,
             tool_from_camera: Rigid::<ToolFrame, Camera>::from_isometry(*pose).to_rows(),
@@ -58,7 +58,7 @@ const SHOWN_POINTS: usize = 4000;
 impl InSpace {
     /// Of the views at the article's poses, the first of them from its initial transformation; `cloud` is all of their points with
     /// their distances. None when there is no such view, or no toothing where it was laid.
-    pub(super) fn of(
+    pub(crate) fn of(
         mesh: &TriMesh,
         views: &BTreeMap<usize, Drawn>,
         poses: &BTreeMap<usize, Isometry3<f64>>,

@@ -8,8 +8,8 @@ use flankscope_metrology::surface::Surface;
 use nalgebra::Isometry3;
 use serde::Serialize;
 
-use super::{Drawn, alignment::laid};
-use crate::scan::comparison::Spread;
+use crate::comparison::Spread;
+use crate::drawn::{Drawn, laid};
 
 /// A merged cloud.
 #[derive(Clone, Debug, Serialize)]
@@ -72,7 +72,7 @@ impl Cloud {
 }
 
 /// Merges the drawn points of all views in every way.
-pub(super) fn ways(
+pub(crate) fn ways(
     name: &'static str,
     views: &BTreeMap<usize, Drawn>,
     poses: &BTreeMap<usize, Isometry3<f64>>,

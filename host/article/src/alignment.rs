@@ -6,14 +6,14 @@ use flankscope_foundation::rigid::{Camera, Rigid, Tool as ToolFrame};
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
 use flankscope_metrology::multiview::cylinder::Layout;
 use flankscope_metrology::surface::Surface;
-use nalgebra::{Isometry3, Point3};
+use nalgebra::Isometry3;
 use serde::Serialize;
 
-use super::Drawn;
-use crate::scan::comparison::Spread;
+use crate::comparison::Spread;
+use crate::drawn::{Drawn, laid};
 
 /// What laid points are compared with.
-pub(super) struct Yardstick<'a> {
+pub(crate) struct Yardstick<'a> {
     pub surface: &'a Surface,
     pub reference: &'a SampleTree,
     pub order: Order,
@@ -45,7 +45,7 @@ pub struct Alignment {
 
 impl Alignment {
     /// Lays the drawn points of every view by its pose. Returns them too, mm.
-    pub(super) fn of(
+    pub(crate) fn of(
         name: &'static str,
         views: &BTreeMap<usize, Drawn>,
         poses: &BTreeMap<usize, Isometry3<f64>>,
@@ -82,12 +82,6 @@ impl Alignment {
         };
         (alignment, points)
     }
-}
-
-/// Points of a view in the tool frame, mm.
-pub(super) fn laid(xyz: &[[f64; 3]], pose: &Isometry3<f64>) -> Vec<[f64; 3]> {
-    let points = xyz.iter();
-    points.map(|&p| (pose * Point3::from(p)).into()).collect()
 }
 
 /// Mean of the values in every cell of the unrolled bore.

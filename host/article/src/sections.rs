@@ -1,11 +1,12 @@
 //! Counts across the fringes (figures 11 to 13): every step of the finest frequency, and how much they spread.
 
-use flankscope_profilometry::io::images::{GreyImage, load_grey};
-use flankscope_profilometry::pattern::Axis;
-use flankscope_profilometry::{FrameKind, HeadModel};
-use serde::Serialize;
+use std::path::PathBuf;
 
-use flankscope_instrument::acquisition::{Recording, RecordingError};
+use flankscope_profilometry::FrameKind;
+use flankscope_profilometry::io::images::{GreyImage, ImageError, load_grey};
+use flankscope_profilometry::pattern::Axis;
+use flankscope_profilometry::plan::Plan;
+use serde::Serialize;
 
 /// Smoothing of the spread, pixels: that of the mask, two fibre cores.
 const SMOOTHING_PX: f64 = 7.0;
@@ -38,26 +39,24 @@ impl Sections {
     /// Side of a crop, pixels.
     pub const CROP_PX: usize = CROP_PX;
 
-    /// Of the first view of a recording.
+    /// Of the images of a recording's first view, in their order of capture.
     ///
     /// # Errors
-    /// There is none, or an image is not there or not what plan and head say.
-    pub(super) fn of(recording: &Recording, head: &HeadModel) -> Result<Self, SectionsError> {
-        let views = recording.views(head)?;
-        let first = views.first().ok_or(SectionsError::NoViews)?;
-        let plan = &recording.plan;
+    /// An image is not there, or not of this size.
+    pub fn of_first_view(
+        images: &[(FrameKind, PathBuf)],
+        plan: &Plan,
+        size_px: [u32; 2],
+    ) -> Result<Self, ImageError> {
         let finest = plan.patterns.sets.len() - 1;
         let middle = plan.exposures_us.len() / 2;
         let of_cut = |kind: &FrameKind| matches!(kind, FrameKind::Fringe { exposure, set, .. } if (*exposure, *set) == (middle, finest));
-        let size_px = [head.camera.width_px, head.camera.height_px];
         let steps = plan.patterns.sets[finest].steps as usize;
-        let images = first.images().iter().filter(|(kind, _)| of_cut(kind));
         // Of a recording in passes, the first.
-        let images: Result<Vec<GreyImage>, _> = images
-            .take(steps)
-            .map(|(_, path)| load_grey(path, size_px).map_err(RecordingError::from))
-            .collect();
-        let images = images?;
+        let images = images.iter().filter(|(kind, _)| of_cut(kind)).take(steps);
+        let images: Vec<GreyImage> = images
+            .map(|(_, path)| load_grey(path, size_px))
+            .collect::<Result<_, _>>()?;
         let along_rows = plan.patterns.axis == Axis::Rows;
         Ok(Self {
             view: 1,
@@ -65,28 +64,6 @@ impl Sections {
             ..cut(&images, along_rows)
         })
     }
-}
-
-/// Why there are no sections.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SectionsError {
-    /// What no recording could be used with.
-    #[error(transparent)]
-    Recording(#[from] RecordingError),
-    /// Nothing recorded.
-    #[error("the recording has no view")]
-    NoViews,
-    /// Of another scan.
-    #[error(
-        "the recording is of {recorded}, the scan of {scanned}: name the frames that were saved with the scan"
-    )]
-    OtherScan {
-        /// Views of the recording.
-        recorded: String,
-        /// Views of the scan.
-        scanned: String,
-    },
 }
 
 /// The cut through the middle of images of all steps.

@@ -16,7 +16,7 @@ use flankscope_foundation::textfile::{self, BadValue, TextFileError, load_toml};
 use flankscope_metrology::cloud::merge::{check_voxel_size, voxel_centroids};
 use flankscope_metrology::cloud::outlier;
 use flankscope_metrology::deviation::{Order, SampleTree, Statistics, statistics};
-use flankscope_metrology::multiview::adjustment::Stages;
+use flankscope_metrology::multiview::adjustment::{Pose, Stages};
 use flankscope_metrology::multiview::cylinder::{CylinderMap, cell_observations};
 use flankscope_metrology::registration::{
     Hinz2019Options, Status, register_hinz2019, search_phase,
@@ -27,16 +27,15 @@ use flankscope_metrology::verdict::Reason;
 use nalgebra::{Isometry3, Point3, Translation3};
 use serde::{Deserialize, Serialize};
 
-use super::article::InitialTransformation;
-use super::job::ScanError;
-use super::session::Session;
-use super::view::{Kept, coordinates, place};
-use crate::inspection::ViewPlan;
+use crate::drawn::coordinates;
+use crate::space::InitialTransformation;
+use crate::{ArticleError, ViewPoint, ViewPoints};
+use flankscope_metrology::view::PlannedView;
 
 /// Density of the reference points that the merged cloud is compared with, per mm²: chosen near the one at which a perfect piece has
 /// the mean distance that the article reports, 0.5 / √50 mm = 71 µm of 74. It names none, and what it says allows 3 to 1700
 /// (docs/density.md).
-pub(super) const MERGED_PER_MM2: f64 = 50.0;
+pub const MERGED_PER_MM2: f64 = 50.0;
 
 /// Which scattered points go: those farther from their neighbours than most are from theirs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -290,10 +289,12 @@ impl Default for Hinz2019Settings {
 }
 
 /// A view on random CAD points.
-pub(super) struct Hinz2019View {
+pub struct Hinz2019View {
+    /// Its number.
     pub view: usize,
     /// Root mean square distance of its points to the nearest reference points, mm.
     pub rms_mm: f64,
+    /// Its pose.
     pub tool_from_camera: Isometry3<f64>,
     /// Steps of its registration.
     pub iterations: usize,
@@ -302,7 +303,7 @@ pub(super) struct Hinz2019View {
 }
 
 /// Views that were laid on random CAD points one by one.
-pub(super) struct Hinz2019Stitched {
+pub struct Hinz2019Stitched {
     /// Views that took part.
     pub views: Vec<Hinz2019View>,
     /// Where the first of them started from.
@@ -317,15 +318,18 @@ pub(super) struct Hinz2019Stitched {
     pub merged: Option<Statistics>,
 }
 
-/// Stitches the session's views as the article does, into an empty `map`.
-pub(super) fn stitch(
-    session: &Session,
+/// Stitches views as the article does, into an empty `map`.
+///
+/// # Errors
+/// The points of a view cannot be read, or not be merged.
+pub fn stitch<P: ViewPoints>(
+    scanned: &P,
     tool: &Tool,
-    plan: &ViewPlan,
+    planned: &[PlannedView],
     nominal: &Stages,
     mut map: CylinderMap,
     settings: &Hinz2019Settings,
-) -> Result<Hinz2019Stitched, ScanError> {
+) -> Result<Hinz2019Stitched, ArticleError<P::Error>> {
     let teeth = tool.gear.as_ref().map_or(1, |gear| gear.teeth);
     let stages = Stages::nominal(Rigid::from_isometry(Isometry3::identity()));
     // What stands between stage and camera: found with one view, it is where the next one starts.
@@ -334,11 +338,14 @@ pub(super) fn stitch(
     let mut centre_above_mm = None;
     let (mut views, mut refused, mut cloud) = (Vec::new(), Vec::new(), Vec::new());
     let (mut one_view, mut initial) = (None, None);
-    for (view, _) in session.views().filter(|(v, _)| *v < plan.views.len()) {
-        let points = session.points(view)?.points;
+    for view in scanned.view_numbers() {
+        let Some(at) = planned.get(view).map(Pose::from) else {
+            continue;
+        };
+        let points = scanned.view_points(view).map_err(ArticleError::Points)?;
         let seed = settings.seed_of(view);
         let drawn = Drawing::of_view(&points, settings, view).points;
-        let (xyz, at) = (coordinates(&drawn, drawn.len()), place(plan, view));
+        let xyz = coordinates(&drawn);
         let moved = *stages.tool_from_camera(at).isometry();
         let start = match (stage_from_camera, settings.first_pose) {
             (Some(known), _) => moved * known,
@@ -403,24 +410,24 @@ pub(super) fn stitch(
 }
 
 /// What a view comes to before it is laid on the CAD.
-pub(super) struct Drawing {
+pub(crate) struct Drawing {
     /// Points that the mask leaves.
     pub masked: usize,
     /// Points of those that denoising leaves.
     pub denoised: usize,
     /// A share of these.
-    pub points: Vec<Kept>,
+    pub points: Vec<ViewPoint>,
 }
 
 impl Drawing {
     /// Masks and denoises the points of a view, and draws a share of what is left.
-    pub fn of_view(points: &[Kept], settings: &Hinz2019Settings, view: usize) -> Self {
-        let lit = |point: &&Kept| f64::from(point[4]) >= settings.mask_dn;
-        let masked: Vec<Kept> = points.iter().filter(lit).copied().collect();
+    pub fn of_view(points: &[ViewPoint], settings: &Hinz2019Settings, view: usize) -> Self {
+        let lit = |point: &&ViewPoint| f64::from(point[4]) >= settings.mask_dn;
+        let masked: Vec<ViewPoint> = points.iter().filter(lit).copied().collect();
         let masked_count = masked.len();
         let left = denoised(masked, settings.denoise);
         let seed = settings.seed_of(view);
-        let drawn = |(_, index): &(&Kept, u64)| sampling::drawn(seed, *index, settings.share);
+        let drawn = |(_, index): &(&ViewPoint, u64)| sampling::drawn(seed, *index, settings.share);
         let points = left.iter().zip(0..).filter(drawn);
         Self {
             masked: masked_count,
@@ -431,18 +438,18 @@ impl Drawing {
 }
 
 /// Points that are not scattered.
-fn denoised(points: Vec<Kept>, denoise: Option<Denoise>) -> Vec<Kept> {
+fn denoised(points: Vec<ViewPoint>, denoise: Option<Denoise>) -> Vec<ViewPoint> {
     let Some(denoise) = denoise else {
         return points;
     };
-    let xyz = coordinates(&points, points.len());
+    let xyz = coordinates(&points);
     let keep = outlier::statistical(&xyz, denoise.neighbours, denoise.std_ratio);
     let kept = points.into_iter().zip(keep).filter(|(_, keep)| *keep);
     kept.map(|(point, _)| point).collect()
 }
 
 /// Reference points all over the toothing.
-pub(super) fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
+pub(crate) fn whole_reference(tool: &Tool, settings: &Hinz2019Settings) -> Vec<[f64; 3]> {
     let registration = &settings.registration;
     let threshold_mm = registration.region.radial_threshold_mm;
     let area_mm2 = sampling::area_mm2(&tool.mesh);

@@ -2,7 +2,10 @@
 
 use flankscope_profilometry::HeadModel;
 
-use super::views::EvaluatorError;
+/// The head file does not say where it measures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("[volume] in the head file is missing; a check needs it (see docs/formats)")]
+pub struct NoVolume;
 
 /// Field of view in the middle of a head's measuring volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,9 +26,8 @@ impl FieldOfView {
     ///
     /// # Errors
     /// The head file does not say where it measures.
-    pub fn of(head: &HeadModel) -> Result<Self, EvaluatorError> {
-        let what = "[volume] in the head file";
-        let volume = head.volume.ok_or(EvaluatorError::Missing { what })?;
+    pub fn of(head: &HeadModel) -> Result<Self, NoVolume> {
+        let volume = head.volume.ok_or(NoVolume)?;
         let reach_mm = 0.5 * (volume.near_mm + volume.far_mm);
         let slope = slope(head);
         let width_mm = 2.0 * reach_mm * slope;
@@ -54,29 +56,10 @@ fn slope(head: &HeadModel) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flankscope_test_requisites::DRAWN_HEAD;
 
-    const HEAD: &str = r#"
-        name = "drawn"
-        [camera]
-        width_px = 1920
-        height_px = 1200
-        focal_px = [2530.0, 2531.5]
-        principal_px = [959.5, 599.5]
-        [projector]
-        width_px = 1024
-        height_px = 768
-        focal_px = [2252.8, 2252.8]
-        principal_px = [511.5, 383.5]
-        [projector_from_camera]
-        rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-        translation_mm = [11.0, 0.0, 0.0]
-        [image_circle]
-        centre_px = [959.5, 599.5]
-        radius_px = 575.0
-    "#;
-
-    fn of(volume: &str) -> Result<FieldOfView, EvaluatorError> {
-        let head: HeadModel = toml::from_str(&format!("{HEAD}{volume}")).unwrap();
+    fn of(volume: &str) -> Result<FieldOfView, NoVolume> {
+        let head: HeadModel = toml::from_str(&format!("{DRAWN_HEAD}{volume}")).unwrap();
         FieldOfView::of(&head)
     }
 

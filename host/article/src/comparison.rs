@@ -1,34 +1,18 @@
-//! Two ways to stitch the same views, in the same figures.
+//! The article's way and ours to stitch the same views, in the same figures.
 
 use std::time::Duration;
 
 use flankscope_metrology::deviation::{Order, Statistics, deviations, statistics};
-use flankscope_metrology::multiview::adjustment::{Pose, Stages};
+use flankscope_metrology::multiview::adjustment::{Pose, Solution, Stages, ViewInformation};
 use flankscope_metrology::multiview::cylinder::CylinderMap;
 use flankscope_metrology::multiview::drift::{Drift, durbin_watson};
+use flankscope_metrology::multiview::form::Form;
 use flankscope_metrology::tool::Tool;
+use flankscope_metrology::view::PlannedView;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use super::hinz2019::{Hinz2019Settings, Hinz2019Stitched};
-use super::job::ScanError;
-use super::result::Form;
-use super::session::Session;
-use super::stitch::Stitched;
-use super::view::{SAMPLE, coordinates};
-use flankscope_metrology::view::PlannedView;
-
-/// Which way the result is made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Method {
-    /// All views on the surface, in one adjustment.
-    #[default]
-    Surface,
-    /// The article's; ours beside it.
-    Hinz2019,
-    /// Ours; the article's beside it.
-    Both,
-}
+use crate::hinz2019::{Hinz2019Settings, Hinz2019Stitched};
 
 /// One way to stitch, in figures.
 #[derive(Clone, Debug, Serialize)]
@@ -209,99 +193,107 @@ impl ScanDrift {
     }
 }
 
-/// Ours in figures.
-pub(super) fn of_surface(
-    stitched: &Stitched,
-    session: &Session,
-    tool: &Tool,
-    planned: &[PlannedView],
-    took: Duration,
-) -> Result<MethodResult, ScanError> {
-    let mut figures = vec![None; planned.len()];
-    let about_form = &stitched.rms_about_form_mm;
-    let pose_residuals = stitched.adjustment.pose_residuals.iter().zip(about_form);
-    for ((view, info), (residual, rms_mm)) in stitched.views.iter().zip(pose_residuals) {
-        let off_mm = residual.fixed_rows::<3>(3).into_owned();
-        let rms_mm = rms_mm.unwrap_or(info.rms_mm);
-        figures[*view] = Some(ViewFigures::new(rms_mm, info.centre_mm.into(), off_mm));
-    }
-    let mut one_view = None;
-    if let (Some((view, _)), Some(pose)) =
-        (stitched.views.first(), stitched.adjustment.poses.first())
-    {
-        let laid: Vec<[f64; 3]> = coordinates(&session.points(*view)?.points, SAMPLE)
-            .into_iter()
-            .map(|p| pose.apply(p))
-            .collect();
-        one_view = statistics(&deviations(&tool.surface, &laid)).map(Spread::from);
-    }
-    let exact = exact(&stitched.map);
-    Ok(MethodResult {
-        method: "surface",
-        start: "priors of stages and hand-eye, tooth phase searched",
-        registered_views: stitched.views.len(),
-        form: stitched.map.form().map(|form| match &tool.gear {
-            Some(gear) => {
-                let [low, high] = gear.height_mm;
-                Form::with_sigma(form, stitched.adjustment.form_sigma_mm(high - low))
-            }
-            None => form.into(),
-        }),
-        exact,
-        metric: "signed distance to the surface, of every view about the form of the whole bore",
-        one_view,
-        merged: exact,
-        iterations: None,
-        settings: None,
-        drift: ScanDrift::of(planned, &figures),
-        rms_um: rms_um(&figures),
-        stitching_ms: took.as_secs_f64() * 1e3,
-    })
+/// What the joint solve found.
+#[derive(Clone, Copy)]
+pub struct JointSolve<'a> {
+    /// Views that took part, and what each says of its pose.
+    pub views: &'a [(usize, ViewInformation)],
+    /// Their poses, and what all of them share.
+    pub adjustment: &'a Solution,
+    /// Root mean square distance of each of these views about the form of the whole bore, mm; absent where it is not known.
+    pub rms_about_form_mm: &'a [Option<f64>],
+    /// The map.
+    pub map: &'a CylinderMap,
 }
 
-/// The article's in figures; `shared` is what our adjustment found of die, head and stages.
-pub(super) fn of_hinz2019(
-    stitched: &Hinz2019Stitched,
-    shared: &Stages,
-    settings: &Hinz2019Settings,
-    planned: &[PlannedView],
-    took: Duration,
-) -> MethodResult {
-    let mut figures = vec![None; planned.len()];
-    let mut iterations = vec![None; planned.len()];
-    for laid in &stitched.views {
-        iterations[laid.view] = Some(laid.iterations);
-        let at = Pose {
-            rotation_rad: planned[laid.view].rotation_rad,
-            vertical_mm: planned[laid.view].vertical_mm,
-        };
-        let p_camera = laid
-            .tool_from_camera
-            .inverse_transform_point(&laid.centre_mm);
-        let off_mm = laid.centre_mm - shared.tool_from_camera(at).isometry() * p_camera;
-        figures[laid.view] = Some(ViewFigures::new(laid.rms_mm, laid.centre_mm, off_mm));
+impl MethodResult {
+    /// Ours in figures. `sample` are points of the first view that took part, in its camera's frame, mm.
+    #[must_use]
+    pub fn of_surface(
+        joint: JointSolve<'_>,
+        sample: &[[f64; 3]],
+        tool: &Tool,
+        planned: &[PlannedView],
+        took: Duration,
+    ) -> Self {
+        let mut figures = vec![None; planned.len()];
+        let pose_residuals = joint.adjustment.pose_residuals.iter();
+        let pose_residuals = pose_residuals.zip(joint.rms_about_form_mm);
+        for ((view, info), (residual, rms_mm)) in joint.views.iter().zip(pose_residuals) {
+            let off_mm = residual.fixed_rows::<3>(3).into_owned();
+            let rms_mm = rms_mm.unwrap_or(info.rms_mm);
+            figures[*view] = Some(ViewFigures::new(rms_mm, info.centre_mm.into(), off_mm));
+        }
+        let one_view = joint.adjustment.poses.first().and_then(|pose| {
+            let laid: Vec<[f64; 3]> = sample.iter().map(|&p| pose.apply(p)).collect();
+            statistics(&deviations(&tool.surface, &laid)).map(Spread::from)
+        });
+        let exact = exact(joint.map);
+        Self {
+            method: "surface",
+            start: "priors of stages and hand-eye, tooth phase searched",
+            registered_views: joint.views.len(),
+            form: joint.map.form().map(|form| match &tool.gear {
+                Some(gear) => {
+                    let [low, high] = gear.height_mm;
+                    Form::with_sigma(form, joint.adjustment.form_sigma_mm(high - low))
+                }
+                None => form.into(),
+            }),
+            exact,
+            metric: "signed distance to the surface, of every view about the form of the whole bore",
+            one_view,
+            merged: exact,
+            iterations: None,
+            settings: None,
+            drift: ScanDrift::of(planned, &figures),
+            rms_um: rms_um(&figures),
+            stitching_ms: took.as_secs_f64() * 1e3,
+        }
     }
-    MethodResult {
-        method: "paper",
-        start: match settings.first_pose {
-            Some(_) => "picked pairs",
-            None => "priors of stages and hand-eye, tooth phase searched; no pairs were picked",
-        },
-        registered_views: stitched.views.len(),
-        form: stitched.map.form().map(Form::from),
-        exact: exact(&stitched.map),
-        metric: match settings.order {
-            Order::One => "distance to the nearest of random CAD points, order 1",
-            Order::Two => "distance to the nearest of random CAD points, order 2",
-            Order::Infinity => "distance to the nearest of random CAD points, order infinity",
-        },
-        one_view: stitched.one_view.map(Spread::from),
-        merged: stitched.merged.map(Spread::from),
-        iterations: Some(iterations),
-        settings: Some(settings.clone()),
-        drift: ScanDrift::of(planned, &figures),
-        rms_um: rms_um(&figures),
-        stitching_ms: took.as_secs_f64() * 1e3,
+
+    /// The article's in figures; `shared` is what our adjustment found of die, head and stages.
+    #[must_use]
+    pub fn of_hinz2019(
+        stitched: &Hinz2019Stitched,
+        shared: &Stages,
+        settings: &Hinz2019Settings,
+        planned: &[PlannedView],
+        took: Duration,
+    ) -> Self {
+        let mut figures = vec![None; planned.len()];
+        let mut iterations = vec![None; planned.len()];
+        for laid in &stitched.views {
+            iterations[laid.view] = Some(laid.iterations);
+            let at = Pose::from(&planned[laid.view]);
+            let p_camera = laid
+                .tool_from_camera
+                .inverse_transform_point(&laid.centre_mm);
+            let off_mm = laid.centre_mm - shared.tool_from_camera(at).isometry() * p_camera;
+            figures[laid.view] = Some(ViewFigures::new(laid.rms_mm, laid.centre_mm, off_mm));
+        }
+        Self {
+            method: "paper",
+            start: match settings.first_pose {
+                Some(_) => "picked pairs",
+                None => "priors of stages and hand-eye, tooth phase searched; no pairs were picked",
+            },
+            registered_views: stitched.views.len(),
+            form: stitched.map.form().map(Form::from),
+            exact: exact(&stitched.map),
+            metric: match settings.order {
+                Order::One => "distance to the nearest of random CAD points, order 1",
+                Order::Two => "distance to the nearest of random CAD points, order 2",
+                Order::Infinity => "distance to the nearest of random CAD points, order infinity",
+            },
+            one_view: stitched.one_view.map(Spread::from),
+            merged: stitched.merged.map(Spread::from),
+            iterations: Some(iterations),
+            settings: Some(settings.clone()),
+            drift: ScanDrift::of(planned, &figures),
+            rms_um: rms_um(&figures),
+            stitching_ms: took.as_secs_f64() * 1e3,
+        }
     }
 }
 

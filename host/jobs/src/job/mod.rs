@@ -1,0 +1,139 @@
+//! What every job shares: a subject, the plan of its views, and the threads that make an outcome of each view's frames.
+//!
+//! The frames come from one of two [`Source`]s. Checks and scans differ only in how they plan, what they make of a view, and how
+//! they conclude.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `failure` | errors of frames, controller and head as reasons of a verdict |
+//! | `recording` | frames of a job written as a recording, and recorded frames as a source |
+
+mod failure;
+mod recording;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use flankscope_foundation::date::Date;
+use flankscope_metrology::verdict::Reason;
+use flankscope_profilometry::{Accumulator, Decoder};
+use tokio::runtime::Runtime;
+
+use crate::plan::ViewPlan;
+use crate::subject::Subject;
+use flankscope_frames::SharedRoot;
+use flankscope_instrument::acquisition::{Acquisition, AcquisitionError, Progress};
+use flankscope_instrument::controller::{Client, ClientSettings};
+use flankscope_instrument::poses::PoseProgram;
+use flankscope_record::die::DieKey;
+use flankscope_record::origin::Setting;
+
+pub(crate) use failure::{stopped, view_lost};
+pub use recording::{RecordError, RecordedFrames, recording_id};
+
+/// A job with its threads running. `O` is the outcome of one view.
+#[derive(Debug)]
+pub struct Job<O> {
+    pub(crate) subject: Subject,
+    /// Station, link and operator, as results state them.
+    pub(crate) setting: Setting,
+    pub(crate) plan: Arc<ViewPlan>,
+    pub(crate) acquisition: Acquisition<O>,
+    /// Program that is asked where the camera stands; checks only, where the station file names one.
+    pub(crate) poses: Option<PoseProgram>,
+}
+
+/// Where the frames of a job come from.
+pub(crate) enum Source<'a> {
+    /// A controller that is ready, and the camera that it triggers.
+    Live(&'a mut Client),
+    /// A folder of frames that were recorded.
+    Recorded(&'a mut RecordedFrames),
+}
+
+impl Source<'_> {
+    /// Firmware of the controller, where there is one.
+    pub fn firmware(&self) -> Option<[u8; 3]> {
+        match self {
+            Self::Live(client) => Some(client.identity().firmware),
+            Self::Recorded(_) => None,
+        }
+    }
+}
+
+impl<O: Send + 'static> Job<O> {
+    /// Starts the threads. Frames come from the camera process below `camera`, without one from a recording.
+    pub(crate) fn start(
+        subject: Subject,
+        setting: Setting,
+        plan: Arc<ViewPlan>,
+        decoder: &Arc<Decoder>,
+        camera: Option<Arc<SharedRoot>>,
+        evaluate: impl FnMut(usize, &Accumulator) -> O + Send + 'static,
+    ) -> Result<Self, AcquisitionError> {
+        let program = plan.program(&subject.station);
+        Ok(Self {
+            acquisition: Acquisition::start(program, decoder, camera, evaluate)?,
+            subject,
+            setting,
+            plan,
+            poses: None,
+        })
+    }
+
+    /// Name of the tool.
+    #[must_use]
+    pub fn tool(&self) -> &str {
+        &self.subject.tool.name
+    }
+
+    /// Key of the die in a history.
+    #[must_use]
+    pub fn die(&self) -> DieKey {
+        self.subject.die()
+    }
+
+    /// For every view of the plan, the tooth or patch in its middle.
+    #[must_use]
+    pub fn view_names(&self) -> Vec<String> {
+        let features = self.subject.tool.features();
+        let views = self.plan.views.iter();
+        views.map(|view| features.name(view.tooth)).collect()
+    }
+
+    /// Why the head must not judge frames of this source, if so: frames are as good as the head was on the day of their capture.
+    pub(crate) fn unfit(&self, source: &Source<'_>) -> Option<Reason> {
+        let taken = match source {
+            Source::Live(_) => None,
+            Source::Recorded(frames) => frames.taken,
+        };
+        self.unfit_on(taken)
+    }
+
+    /// Why the head must not judge what was captured on this day, today if it is not known.
+    pub(crate) fn unfit_on(&self, day: Option<Date>) -> Option<Reason> {
+        let fit = self.subject.head.fit_on(day.unwrap_or_else(Date::today));
+        fit.err().as_ref().map(failure::unfit)
+    }
+}
+
+/// Connects to the controller at `port` and makes it and the camera ready to capture.
+pub(crate) async fn connect<O: Send + 'static>(
+    acquisition: &Acquisition<O>,
+    port: &Path,
+    settings: ClientSettings,
+    watch: &mut impl FnMut(Progress),
+) -> Result<Client, AcquisitionError> {
+    let mut client = Client::connect(port, settings).await?;
+    watch(Progress::Connected);
+    acquisition.make_ready(&mut client, watch).await?;
+    Ok(client)
+}
+
+/// What drives the I/O of a job, on the calling thread.
+pub(crate) fn runtime() -> Result<Runtime, AcquisitionError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    runtime.map_err(|_| AcquisitionError::Thread { thread: "I/O" })
+}
