@@ -16,7 +16,7 @@ use flankscope_metrology::io::points::{Format, PointFile};
 use flankscope_metrology::verdict::Word;
 
 use super::tables;
-use flankscope_foundation::files::{stream_whole, write_whole};
+use flankscope_foundation::files::{make_folder_within, stream_whole, write_whole};
 use flankscope_jobs::scan::{Article, Scan};
 use flankscope_record::document::Inspection;
 use flankscope_record::sink::{ResultSink, SinkError, document_text};
@@ -163,7 +163,7 @@ impl ReportFolder {
     fn put_page(&self, page: &str, date: &str, what: &str, verdict: Word) -> Result<(), SinkError> {
         self.write(PAGE, page)?;
         let pages = self.0.join(Self::PAGES);
-        std::fs::create_dir_all(&pages).map_err(|source| SinkError::Write {
+        make_folder_within(&pages).map_err(|source| SinkError::Write {
             path: pages.clone(),
             source,
         })?;
