@@ -1,11 +1,11 @@
 //! Families of dies that the verdict once presumed away, drawn at random: how often each ends in which word.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt::Write as _;
 
 use flankscope_bench::damage::{Random, Rectangle, largest_mean_um};
-use flankscope_bench::world::FlankId;
+use flankscope_bench::world::{CoreTruth, FlankId};
 use flankscope_foundation::files::write_whole;
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use flankscope_metrology::verdict::Word;
@@ -29,6 +29,8 @@ const ROUGH_MM: f64 = 3e-3;
 const GRAIN_MM: f64 = 0.03;
 /// Raster of the truth of hairlines, mm.
 const RASTER_MM: f64 = 0.01;
+/// A place of a flank is in view where a core's light falls within such a square, mm: wider than cores lie apart on it.
+const SEEN_MM: f64 = 0.1;
 
 /// What a die is like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -168,8 +170,58 @@ struct Die {
     what: String,
     mesh: Mesh,
     truths_um: Option<[f64; 2]>,
-    /// Of neighbours: the worst truth in view, µm.
-    beside_um: f64,
+    /// What is wrong with a neighbour.
+    beside: Option<Beside>,
+}
+
+/// Damage of a neighbour of the judged tooth.
+struct Beside {
+    id: FlankId,
+    /// Loss of its flank, µm; infinite where the tooth is missing.
+    loss_um: f64,
+    /// Above this height, mm.
+    from_mm: f64,
+}
+
+impl Beside {
+    /// The largest mean loss over a disc as far as camera and projector see the flank, µm: what is turned away from them, or
+    /// beyond the circle of the projector that the head file states, is not in view and counts as no loss.
+    fn in_view_um(&self, stand: &Stand, lit: &[CoreTruth]) -> f64 {
+        if self.loss_um.is_infinite() {
+            return f64::INFINITY;
+        }
+        let base_mm = stand.gear().base_radius_mm();
+        let judged = stand.judged;
+        let cell = |profile_mm: f64, height_mm: f64| {
+            let [from, low] = [judged.profile_mm[0], judged.height_mm[0]];
+            [profile_mm - from, height_mm - low].map(|mm| (mm / SEEN_MM).floor() as i64)
+        };
+        let on_flank = |truth: &&CoreTruth| {
+            let [_, _, height_mm] = truth.point_tool_mm;
+            truth.lit
+                && stand.is_in_projector_circle(truth.projector_px)
+                && truth.flank == Some(self.id)
+                && height_mm >= self.from_mm
+        };
+        let seen: BTreeSet<[i64; 2]> = lit
+            .iter()
+            .filter(on_flank)
+            .map(|truth| {
+                let [x, y, height_mm] = truth.point_tool_mm;
+                let profile_mm = (x * x + y * y - base_mm * base_mm) / (2.0 * base_mm);
+                cell(profile_mm, height_mm)
+            })
+            .collect();
+        largest_mean_um(
+            judged,
+            stand.disc_area_mm2,
+            SEEN_MM,
+            |profile, height| match seen.contains(&cell(profile, height)) {
+                true => 1e-3 * self.loss_um,
+                false => 0.0,
+            },
+        )
+    }
 }
 
 /// Draws `views` dies of a family before each of `heads` heads, and judges them.
@@ -195,7 +247,7 @@ pub fn draws(
             let number = (family as u32) << 12 | view;
             let mut random = Random::new((stand.seed << 24) | u64::from(number), 9);
             let die = die(family, &mut random, &stand);
-            let outcome = stand.look(die.mesh, number)?;
+            let (outcome, lit) = stand.look_truly(die.mesh, number)?;
             let since = if since { ", since a baseline" } else { "" };
             let found = stand
                 .flanks()
@@ -203,7 +255,7 @@ pub fn draws(
                 .into_iter()
                 .collect::<anyhow::Result<Vec<Feature>>>()?;
             let what = format!("head {head} view {view}, {}{since}", die.what);
-            if family == Family::Neighbours {
+            if let Some(beside) = die.beside {
                 let own = found.iter().map(|of| of.verdict).max();
                 let word = own
                     .max(outcome.in_view.word())
@@ -212,7 +264,7 @@ pub fn draws(
                     family,
                     head,
                     what,
-                    truth_um: die.beside_um,
+                    truth_um: beside.in_view_um(&stand, &lit),
                     word,
                     found: None,
                 });
@@ -298,7 +350,7 @@ fn structured(
         what: words.join(" | "),
         mesh: cut(stand.gear(), &cuts),
         truths_um: Some(cuts.map(|(_, of)| of.largest_mean_um(judged, area_mm2))),
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -416,7 +468,7 @@ fn both_sides(random: &mut Random, stand: &Stand) -> Die {
         what: format!("{worn} worn {worn_um:.0}, other proud {proud_um:.0}, {reach} teeth around"),
         mesh,
         truths_um: None,
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -461,7 +513,14 @@ fn neighbours(random: &mut Random, stand: &Stand) -> Die {
         what,
         mesh: bore(loss, &[fine]),
         truths_um: None,
-        beside_um: if is_missing { f64::INFINITY } else { um },
+        beside: Some(Beside {
+            id: FlankId {
+                tooth: other,
+                flank,
+            },
+            loss_um: if is_missing { f64::INFINITY } else { um },
+            from_mm,
+        }),
     }
 }
 
@@ -483,7 +542,7 @@ fn scaled(random: &mut Random, stand: &Stand) -> Die {
         what: format!("{scale:.5} times as large, one flank worn {um:.0} um"),
         mesh,
         truths_um: None,
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -525,7 +584,7 @@ fn hairlines(random: &mut Random, stand: &Stand) -> Die {
         what: format!("{} and {} hairlines", counts[0], counts[1]),
         mesh: cut_lines(stand.gear(), &lines, judged),
         truths_um: Some(truths_um),
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -576,7 +635,7 @@ fn rough(random: &mut Random, stand: &Stand) -> Die {
         what: "white over 0.03 mm".into(),
         mesh: bore(loss, &fine),
         truths_um: None,
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -604,7 +663,7 @@ fn class7(random: &mut Random, stand: &Stand) -> Die {
         what: "pitch, slopes, crown".into(),
         mesh: bore(loss, &[]),
         truths_um: None,
-        beside_um: 0.0,
+        beside: None,
     }
 }
 
@@ -616,7 +675,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
          against the truth. *Texture*: grooves and pits 30 to 110 µm wide (what finer ones do is in [resolution](resolution.md)), 1.1 to 2.2 widths apart, flat, V-shaped or round, along, \
          across or at any angle. *Single openings*: the same alone, 80 µm to 0.8 mm wide. *One side worn*: 51 to 90 µm, the other \
          side 0 to 45 µm proud, of all teeth or of five, without a datum. *Neighbours*: one flank beside the judged tooth 55 to \
-         200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts. *Another size*: 0.02 \
+         200 µm worn, in full or above some height, or a tooth missing; the word of the whole check counts, and the truth is that of \
+         what camera and projector see of the flank within the head's stated field. *Another size*: 0.02 \
          to 0.2 % larger or smaller, one flank worn 65 to 160 µm. Of texture and worn sides every second head looks against a \
          baseline. Nothing of the estimator was chosen with these draws in sight. Bounds are one-sided (95 %, Clopper and Pearson); \
          draws before one head share its calibration.\n\n\

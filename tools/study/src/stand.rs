@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use flankscope_bench::damage::Rectangle;
-use flankscope_bench::world::{DieMesh, FlankId, World};
+use flankscope_bench::world::{CoreTruth, DieMesh, FlankId, World};
 use flankscope_bench::zones::{Judged, ZoneTruth, compare};
 use flankscope_gear_cad::{Flank, GearSpec, Mesh};
 use flankscope_jobs::inspection::ViewOutcome;
@@ -83,13 +83,30 @@ impl Stand {
 
     /// Puts a die there, approaches it anew and judges one view; `number` draws stages and noise.
     pub fn look(&mut self, die: Mesh, number: u32) -> anyhow::Result<ViewOutcome> {
+        Ok(self.look_truly(die, number)?.0)
+    }
+
+    /// The same with where the light of the view's cores really falls.
+    pub fn look_truly(
+        &mut self,
+        die: Mesh,
+        number: u32,
+    ) -> anyhow::Result<(ViewOutcome, Vec<CoreTruth>)> {
         self.world.stand(Some(Arc::new(DieMesh::new(die)?)))?;
         let draw = (self.seed << 24) | u64::from(number);
         let state = self
             .instrument
             .approach(&self.world, draw, Trouble::default())?;
-        self.instrument
-            .capture(&self.world, &state, number, Trouble::default())
+        let outcome = self
+            .instrument
+            .capture(&self.world, &state, number, Trouble::default())?;
+        Ok((outcome, self.world.truth(&state).to_vec()))
+    }
+
+    /// Whether light of a DMD pixel counts, by the head file.
+    pub fn is_in_projector_circle(&self, pixel: [f64; 2]) -> bool {
+        let circle = self.head.projector_circle.as_ref();
+        circle.is_none_or(|circle| circle.contains(pixel))
     }
 
     /// What is true of both flanks of the die that stands there, by exact distances.

@@ -23,7 +23,7 @@ pub struct Leakage {
     pub uniform: f64,
     /// Loss falling linearly from tip to root of the judged flank.
     pub slope: f64,
-    /// A round pit of 1 mm2 in the middle of the zone.
+    /// A round pit of 1 mm2 in the middle of the zone, or as near to it as the flank was seen.
     pub pit: f64,
     /// Uniform loss of this side of every tooth in view.
     pub side: f64,
@@ -88,6 +88,26 @@ impl Templates {
     }
 }
 
+/// Place of the pit on a side of a tooth: the middle of the zone, or the seen place nearest to it where the pit would lie outside of
+/// what was seen, as on a neighbour of which a view shows a part.
+fn place_of_pit(
+    middle: [f64; 2],
+    key: (u32, Flank),
+    zone: &Zone,
+    places: &[Option<FlankPlace>],
+) -> [f64; 2] {
+    let from_middle =
+        |place: &FlankPlace| (place.profile_mm - middle[0]).hypot(place.height_mm - middle[1]);
+    let on_side = places.iter().flatten().filter(|place| {
+        (place.tooth, place.flank) == key && zone.holds(place.radius_mm, place.height_mm)
+    });
+    let nearest = on_side.min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)));
+    match nearest {
+        Some(place) if from_middle(place) > PIT_RADIUS_MM => [place.profile_mm, place.height_mm],
+        _ => middle,
+    }
+}
+
 /// The leakage of both flanks of a tooth, left first, or of a patch. `places` says where each contact of the response lies, none
 /// off the features. A patch slopes from end to end of its zone.
 pub fn of_feature<'a>(
@@ -104,11 +124,12 @@ pub fn of_feature<'a>(
         [gear.tip_radius_mm, gear.root_radius_mm].map(|r| gear.profile_mm(r))
     });
     let [low, high] = zone.height_mm;
+    let middle = [0.5 * (from + to), 0.5 * (low + high)];
     let templates = features.sides().iter().map(|&flank| Templates {
         key: (tooth, flank),
         tip,
         root,
-        middle: [0.5 * (from + to), 0.5 * (low + high)],
+        middle: place_of_pit(middle, (tooth, flank), zone, places),
     });
     let templates: Vec<Templates> = templates.collect();
     // One pass over the contacts for all that is asked: five templates for either side, and the ring.
@@ -183,6 +204,7 @@ mod tests {
             0.5 * (from + to),
             0.5 * (zone.height_mm[0] + zone.height_mm[1]),
         ];
+        let middle = place_of_pit(middle, (tooth, flank), zone, places);
         let own = |place: &&FlankPlace| (place.tooth, place.flank) == (tooth, flank);
         let leaks = |shape: &dyn Fn(&FlankPlace) -> f64| {
             let field = |i: usize| places[i].as_ref().map_or(0.0, |place| -shape(place));
@@ -279,5 +301,44 @@ mod tests {
             assert_eq!(of, simple, "{flank}");
             assert!(of.uniform > 0.0 && of.ring > of.pit);
         }
+    }
+
+    /// A neighbour at the rim of the field shows a corner of its zone: what the pose may hide there is known, and not a number only
+    /// where nothing was seen.
+    #[test]
+    fn a_flank_seen_in_part_has_its_pit_where_it_was_seen() {
+        let gear = ring84();
+        let zone = Zone {
+            radius_mm: gear.active_flank_mm(),
+            height_mm: [29.0, 37.0],
+        };
+        let (contacts, places): (Vec<Contact>, Vec<Option<FlankPlace>>) = (0..4000)
+            .map(|i| {
+                let u = |k: u64| uniform(12, 4 * i + k);
+                let tooth = 39 + (2.0 * u(0)) as u32;
+                let flank = Flank::BOTH[usize::from(u(1) < 0.5)];
+                // Of tooth 40 the left flank is seen above 35.5 mm, the right one not at all.
+                let flank = if tooth == 40 { Flank::Left } else { flank };
+                let low = if tooth == 40 { 35.5 } else { 29.0 };
+                let height = low + (37.0 - low) * u(2);
+                let point = gear.flank_point(tooth, flank, 41.0 + u(3), height).unwrap();
+                let normal = gear.flank_normal(flank, point);
+                let weight = if tooth == 39 { 1e4 } else { 0.0 };
+                let contact = Contact {
+                    point,
+                    normal,
+                    weight,
+                };
+                (contact, gear.place(point, normal))
+            })
+            .unzip();
+        let pose = Rigid::from_isometry(Isometry3::identity());
+        let prior = Prior::independent(pose, [2e-4; 3], [1e-2; 3]);
+        let options = Options::default();
+        let centre = gear.flank_point(40, Flank::Left, 41.5, 33.0).unwrap();
+        let response = Response::of_points(&contacts, (centre, 4.0), Some(&prior), &options);
+        let both = of_feature(&gear, &zone, 40, &response, &contacts, &places);
+        assert!((0.0..1.0).contains(&both[0].worst()), "{:?}", both[0]);
+        assert!(both[1].worst().is_nan(), "{:?}", both[1]);
     }
 }
