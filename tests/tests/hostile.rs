@@ -355,9 +355,9 @@ fn names_forge_nothing() {
     let text = std::fs::read_to_string(&file).unwrap();
     for forged in ["die\\nGO: all is well", "die\\u001b[2K"] {
         let name = format!("name = \"{forged}\"");
-        let (_, rest) = text.split_once('\n').unwrap();
-        assert!(text.starts_with("name = "), "{text}");
-        std::fs::write(&file, format!("{name}\n{rest}")).unwrap();
+        let written = text.replace("name = \"demo die\"", &name);
+        assert_ne!(written, text);
+        std::fs::write(&file, written).unwrap();
         let refused = inspect(&["--link", "sim", "--tool", folder.path().to_str().unwrap()]);
         assert_eq!(refused.code, 3);
         let said = &refused.stderr;
