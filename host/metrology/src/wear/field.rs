@@ -69,9 +69,9 @@ struct Groove {
     level_mm: f64,
 }
 
-/// A groove reads this much more than an opening without a visible floor could whose deepest point is the groove's: of nine
-/// points spread evenly over a wall the deepest lies within a fifth of the wall's end in 87 of 100 cases.
-const FLOOR_SEEN: f64 = 1.6;
+/// Light would come back from an opening without a visible floor from this much deeper than it does from a groove whose floor counts as
+/// seen. Of ten points spread evenly over a wall the ratio of their moments tells its end to 11 % (standard deviation).
+const FLOOR_SEEN: f64 = 1.2;
 /// Least number of second differences for an estimate of noise.
 const LEAST_DIFFERENCES: usize = 8;
 /// A cell counts as a groove beyond so many standard deviations of noise: of the five thousand pairs of neighbours in a zone
@@ -175,16 +175,16 @@ impl Field {
     /// An opening too narrow for the camera to see its floor reads as a shallow groove: of width `w`, seen at an angle to the
     /// normal whose tangent is `slant`, its wall shows down to `w / slant`, and over cells of width `b` that reads
     /// `w² / (2 slant b)` in all. So a groove of one or two cells' width that reads `r` in all may be as wide as
-    /// `√(2 r slant b)`, and nothing says how deep. But then depths up to `w / slant` must have come back: a groove of which
-    /// the deepest point (`deepest_mm`, by cell) lies clearly higher shows its floor. In a wider one the rays tell (see
-    /// `sight.rs`).
+    /// `√(2 r slant b)`, and nothing says how deep. But then depths up to `w / slant` must have come back: a groove from
+    /// which light came back from clearly higher only (`reached_mm`, of its cells, below a level) shows its floor. In a wider one
+    /// the rays tell (see `sight.rs`).
     ///
     /// `noise_scale` is the ratio of the cells' noise to the stated one.
     pub(super) fn grooves(
         &self,
         slant: f64,
         noise_scale: f64,
-        deepest_mm: impl Fn(usize) -> f64,
+        reached_mm: impl Fn(&[usize], f64) -> f64,
     ) -> Vec<Unseen> {
         let cell_mm = self.cell_area_mm2().sqrt();
         let mut all = vec![Unseen::default(); self.wear_mm.len()];
@@ -199,10 +199,12 @@ impl Field {
                     continue;
                 };
                 let width_mm = (2.0 * read_mm * slant * cell_mm).sqrt();
-                // Of a few points along the groove.
+                // Points along the groove: a cell has too few.
                 let near = run.iter().flat_map(|&c| self.window(c, 1));
-                let deepest_mm = near.map(&deepest_mm).fold(0.0, f64::max) - level_mm;
-                if (deepest_mm * slant).powi(2) * FLOOR_SEEN < width_mm * width_mm {
+                let mut near: Vec<usize> = near.collect();
+                near.sort_unstable();
+                near.dedup();
+                if FLOOR_SEEN * reached_mm(&near, level_mm) * slant < width_mm {
                     continue;
                 }
                 let share = width_mm / cell_mm / run.len() as f64;
@@ -414,9 +416,9 @@ mod tests {
         field
     }
 
-    /// The deepest that comes back from an opening of that width.
-    fn deepest_mm(width_mm: f64) -> impl Fn(usize) -> f64 {
-        move |_| width_mm / SLANT
+    /// The depth from which light comes back out of an opening of that width.
+    fn reached_mm(width_mm: f64) -> impl Fn(&[usize], f64) -> f64 {
+        move |_, _| width_mm / SLANT
     }
 
     #[test]
@@ -431,7 +433,7 @@ mod tests {
         ] {
             let from = 0.7 + offset_mm;
             let field = seen_through([from, from + width_mm], 1.0, true);
-            let openings = field.grooves(SLANT, 1.0, deepest_mm(width_mm));
+            let openings = field.grooves(SLANT, 1.0, reached_mm(width_mm));
             let row: f64 = openings[16 * 40..16 * 41].iter().map(|o| o.share).sum();
             // Across the border of two cells up to twice as many points share what the opening reads.
             assert!(
@@ -442,8 +444,11 @@ mod tests {
         }
     }
 
-    fn first_opening(field: &Field, deepest_mm: impl Fn(usize) -> f64) -> Option<[usize; 2]> {
-        let openings = field.grooves(SLANT, 1.0, deepest_mm);
+    fn first_opening(
+        field: &Field,
+        reached_mm: impl Fn(&[usize], f64) -> f64,
+    ) -> Option<[usize; 2]> {
+        let openings = field.grooves(SLANT, 1.0, reached_mm);
         let found = openings.iter().position(|opening| opening.share > 0.0);
         found.map(|at| [at % 16, at / 16])
     }
@@ -460,19 +465,19 @@ mod tests {
             field(|x, y| (0.05 - 2e-3 * ((x - 8.0).powi(2) + (y - 40.0).powi(2))).max(0.0)),
         ];
         for (k, shape) in shapes.iter().enumerate() {
-            let found = first_opening(shape, |_| f64::INFINITY);
+            let found = first_opening(shape, |_, _| f64::INFINITY);
             assert_eq!(found, None, "{k}: {:?}", &shape.wear_mm[..16]);
         }
         // A groove of one cell 15 µm deep all over would have to be 0.07 mm wide if its floor were hidden, and light would come
         // back from 42 µm.
         let hairline = field(|x, _| if x == 7.0 { 15e-3 } else { 0.0 });
-        assert_eq!(first_opening(&hairline, |_| 16e-3), None);
-        assert!(first_opening(&hairline, |_| 40e-3).is_some());
+        assert_eq!(first_opening(&hairline, |_, _| 16e-3), None);
+        assert!(first_opening(&hairline, |_, _| 40e-3).is_some());
         // But where the noise is larger than what it reads, nothing is said.
         let mut loud = seen_through([0.72, 0.75], 1.0, false);
         let read_mm = loud.wear_mm.iter().copied().fold(0.0, f64::max);
         loud.variance_mm2.fill((0.2 * read_mm).powi(2));
-        assert_eq!(first_opening(&loud, deepest_mm(0.03)), None);
+        assert_eq!(first_opening(&loud, reached_mm(0.03)), None);
     }
 
     #[test]

@@ -81,17 +81,36 @@ pub(super) fn of_cells(
     let slant = visibility.map_or(SLANT, Visibility::slant);
     let mut all = textures(discs, slant);
     if let Some(visibility) = visibility {
-        let deepest_mm = |cell: usize| {
-            let wears = discs.of_cell(cell).map(|sample| sample.wear_mm);
-            wears.fold(f64::NEG_INFINITY, f64::max)
-        };
-        let grooves = field.grooves(slant, scale, deepest_mm);
+        let reached_mm = |cells: &[usize], level_mm: f64| reached_mm(discs, cells, level_mm, scale);
+        let grooves = field.grooves(slant, scale, reached_mm);
         let shadows = visibility.shadows(field, scale);
         for ((unseen, groove), shadow) in all.iter_mut().zip(grooves).zip(shadows) {
             *unseen = unseen.or(groove).or(shadow);
         }
     }
     all
+}
+
+/// Depth below a level from which light came back out of an opening with an unseen floor, mm: depths from nought to there are equally
+/// frequent, and the ratio of their second moment to their first is two thirds of the deepest. One outlier among the points hardly
+/// counts, as it would for the deepest of them. Points within two standard deviations of the level are noise on it. Infinite where
+/// nothing lies below.
+fn reached_mm(discs: &Discs<'_>, cells: &[usize], level_mm: f64, noise_scale: f64) -> f64 {
+    let (mut first, mut second) = (0.0, 0.0);
+    for sample in cells.iter().flat_map(|&cell| discs.of_cell(cell)) {
+        let depth_mm = sample.wear_mm - level_mm;
+        let noise_mm2 = noise_scale * noise_scale * sample.variance_mm2;
+        if depth_mm <= 2.0 * noise_mm2.sqrt() {
+            continue;
+        }
+        first += sample.merged * depth_mm;
+        second += sample.within_mm2 + sample.merged * (depth_mm * depth_mm - noise_mm2);
+    }
+    if first > 0.0 {
+        1.5 * second / first
+    } else {
+        f64::INFINITY
+    }
 }
 
 /// Variance of a cell's points about their plane, less that of their noise, over the quantile that chi-squared of as many
