@@ -200,3 +200,222 @@ fn a_stall_between_trigger_and_frame_is_evidence() {
         "{verdict} {frames}"
     );
 }
+
+/// A check of a bench with or without damage, stored.
+fn stored(file: &Path, arguments: &[&str]) -> flankscope_tests::Run {
+    let history = [
+        "--teeth",
+        "40",
+        "--link",
+        "sim",
+        "--history",
+        file.to_str().unwrap(),
+    ];
+    inspect(&[&history, arguments].concat())
+}
+
+/// A command that must refuse a history, and what it says.
+fn refused(arguments: &[&str], file: &Path) -> String {
+    let mut command = flankscope();
+    command.args(arguments).arg(file);
+    if arguments[0] != "history" {
+        command.args(["--teeth", "40", "--link", "sim", "--quiet"]);
+    }
+    let run = run(&mut command);
+    assert_eq!(run.code, 3, "{arguments:?}: {}", run.stderr);
+    run.stderr
+}
+
+#[test]
+fn a_no_go_is_shed_neither_by_a_planted_trigger_nor_by_a_copy() {
+    let folder = tempfile::tempdir().unwrap();
+    let [file, old] = ["press.db", "old.db"].map(|name| folder.path().join(name));
+    assert_eq!(stored(&file, &[]).code, 0);
+    std::fs::copy(&file, &old).unwrap();
+    assert_eq!(stored(&file, &["--wear", "40:left:80"]).code, 1);
+    let watch = ["watch", "--cycles", "1", "--speed", "max", "--history"];
+    let inspect = ["inspect", "--speed", "max", "--history"];
+    // The copy knows nothing of the no-go.
+    for command in [&watch[..], &inspect, &["history"]] {
+        let said = refused(command, &old);
+        assert!(
+            said.contains("an older copy") && said.contains("a no-go stands (demo die, check 2"),
+            "{said}"
+        );
+    }
+    // The true file shows it.
+    let mut true_one = flankscope();
+    let shown = run(true_one
+        .args(watch)
+        .arg(&file)
+        .args(["--teeth", "40", "--link", "sim", "--quiet", "--json", "-"]));
+    assert_eq!(
+        (shown.code, &shown.json["shown"]),
+        (1, &Value::from("no-go"))
+    );
+    // Whoever stores a go from now on is refused before, not believed afterwards.
+    let plant = "DROP TRIGGER inspection_keeps_UPDATE; \
+        CREATE TRIGGER e AFTER INSERT ON inspection WHEN new.verdict = 'no-go' BEGIN \
+        UPDATE inspection SET verdict = 'go', document = replace(document, 'no-go', 'go'), reason = '' WHERE id = new.id; END";
+    let connection = rusqlite::Connection::open(&file).unwrap();
+    connection.execute_batch(plant).unwrap();
+    drop(connection);
+    for command in [&watch[..], &inspect, &["history"]] {
+        let said = refused(command, &file);
+        assert!(
+            said.contains("trigger e on inspection is none of this program's")
+                && said.contains("trigger inspection_keeps_UPDATE on inspection is missing"),
+            "{said}"
+        );
+    }
+    // A hard link would have a journal of its own.
+    let hard = folder.path().join("hard.db");
+    std::fs::hard_link(&file, &hard).unwrap();
+    assert!(refused(&watch, &hard).contains("has 2 names"));
+}
+
+/// What ends never, or only when somebody comes, is refused at once by whoever reads it.
+#[test]
+fn pipes_and_devices_are_not_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+    rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+    let cube = folder.path().join("cube.stl");
+    std::fs::write(&cube, "solid\nendsolid\n").unwrap();
+    let cube = cube.to_str().unwrap();
+    for strange in [
+        pipe.to_str().unwrap(),
+        "/dev/zero",
+        folder.path().to_str().unwrap(),
+    ] {
+        for arguments in [
+            &[
+                "deviation",
+                "--cad",
+                strange,
+                "--cloud",
+                cube,
+                "-o",
+                "/dev/null",
+            ][..],
+            &[
+                "deviation",
+                "--cad",
+                cube,
+                "--cloud",
+                strange,
+                "-o",
+                "/dev/null",
+            ],
+            &["inspect", "--link", "sim", "--tool", strange],
+            &["inspect", "--link", "sim", "--head", strange],
+            &[
+                "inspect",
+                "--link",
+                "sim",
+                "--station",
+                "x.toml",
+                "--baseline",
+                strange,
+            ],
+            &["inspect", "--link", "sim", "--baseline", strange],
+            &["inspect", "--bench", strange],
+            &["inspect", "--die-mesh", strange],
+            &["history", strange],
+            &["inspect", "--link", "sim", "--history", strange],
+            &["trust", strange, "--name", "Ada"],
+            &[
+                "decode",
+                "--images",
+                strange,
+                "--plan",
+                strange,
+                "--head",
+                strange,
+                "-o",
+                "/dev/null",
+            ],
+        ] {
+            let refused = run(flankscope().args(arguments));
+            assert_eq!(refused.code, 3, "{arguments:?}: {}", refused.stderr);
+        }
+    }
+}
+
+/// Names that would paint a verdict, and cells that a spreadsheet would calculate.
+#[test]
+fn names_forge_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let made = run(flankscope()
+        .args(["bench", "demo-tool", "--out"])
+        .arg(folder.path()));
+    assert_eq!(made.code, 0, "{}", made.stderr);
+    let file = folder.path().join("tool.toml");
+    let text = std::fs::read_to_string(&file).unwrap();
+    for forged in ["die\\nGO: all is well", "die\\u001b[2K"] {
+        let name = format!("name = \"{forged}\"");
+        let written = text.replace("name = \"demo die\"", &name);
+        assert_ne!(written, text);
+        std::fs::write(&file, written).unwrap();
+        let refused = inspect(&["--link", "sim", "--tool", folder.path().to_str().unwrap()]);
+        assert_eq!(refused.code, 3);
+        let said = &refused.stderr;
+        assert!(
+            said.contains("words on one line") && !said.contains('\x1b'),
+            "{said:?}"
+        );
+    }
+    // Who is at work is told by the system; what it says is shown, not obeyed.
+    let history = folder.path().join("press.db");
+    let mut command = flankscope();
+    command
+        .env("USER", "=Ada\r\x1b[32mGO")
+        .args([
+            "inspect",
+            "--link",
+            "sim",
+            "--teeth",
+            "40",
+            "--speed",
+            "max",
+            "--history",
+        ])
+        .arg(&history);
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    for stream in [&output.stdout, &output.stderr] {
+        assert!(!stream.contains(&b'\x1b') && !stream.contains(&b'\r'));
+    }
+    let table = folder.path().join("table.csv");
+    let exported = run(flankscope()
+        .arg("history")
+        .arg(&history)
+        .args(["--quiet", "--csv"])
+        .arg(&table));
+    assert_eq!(exported.code, 0, "{}", exported.stderr);
+    let table = std::fs::read_to_string(table).unwrap();
+    assert!(table.contains(",'=Ada\\r\\u{1b}[32mGO,"), "{table}");
+    let unnamed = run(flankscope()
+        .arg("trust")
+        .arg(&history)
+        .args(["--name", "Ada\nGO"]));
+    assert_eq!(unnamed.code, 3);
+    assert!(unnamed.stderr.contains("one line"), "{}", unnamed.stderr);
+}
+
+#[test]
+fn a_link_where_pages_go_is_not_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let elsewhere = tempfile::tempdir().unwrap();
+    std::os::unix::fs::symlink(elsewhere.path(), folder.path().join("reports")).unwrap();
+    let report = folder.path().to_str().unwrap();
+    let refused = inspect(&["--link", "sim", "--teeth", "40", "--report", report]);
+    assert_eq!(refused.code, 3, "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("it is a link"),
+        "{}",
+        refused.stderr
+    );
+    assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 0);
+}

@@ -155,7 +155,11 @@ pub fn in_words(setup: &BenchSetup) -> String {
     }
     if let Some(mesh) = &setup.die_mesh {
         // Another content under the same name is another die; what cannot be read is refused by the bench.
-        let content = std::fs::read(mesh).map(|bytes| flankscope_foundation::files::hash(&bytes));
+        let content = flankscope_foundation::files::read_regular(
+            mesh,
+            flankscope_foundation::files::MOST_DATA_BYTES,
+        )
+        .map(|bytes| flankscope_foundation::files::hash(&bytes));
         what_stands += &format!(", mesh {}", content.unwrap_or_default());
     }
     what_stands
@@ -306,7 +310,12 @@ impl Bench {
         ClientSettings {
             heartbeat: Some(self.hello.heartbeat()),
             stall: settings.client().stall.filter(|_| self.real_time),
-            silence: RENDERING,
+            // In real time it keeps up, or what it says comes too late, as of a press.
+            silence: if self.real_time {
+                ClientSettings::default().silence
+            } else {
+                RENDERING
+            },
             ..ClientSettings::default()
         }
     }

@@ -249,7 +249,7 @@ fn autofocus(
 fn believed(path: &Path) -> anyhow::Result<HeadModel> {
     let head = HeadModel::load(path).context("head")?;
     if head.calibration.is_some() {
-        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
+        let document = toml_document(path, &flankscope_foundation::files::read_text(path)?)?;
         seals()?.believe(Kind::Head, path, &document)?;
     }
     Ok(head)

@@ -72,7 +72,7 @@ pub fn write(
     let heads = FocusSeries::load(series)?.heads(series)?;
     let seals = seals()?;
     for path in heads.files() {
-        let document = toml_document(path, &std::fs::read_to_string(path)?)?;
+        let document = toml_document(path, &flankscope_foundation::files::read_text(path)?)?;
         seals.believe(Kind::Head, path, &document)?;
     }
     let (head, record) = heads.at(setting_dpt, celsius)?;

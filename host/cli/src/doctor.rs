@@ -20,6 +20,7 @@ use crate::instrument::{Instrument, fits_bench, head_path, scratch, tool_folder}
 use crate::output::{Common, Outcome, in_words, say};
 use crate::scene::Scene;
 use crate::site::{Place, Site};
+use crate::terminal::Terminal;
 
 /// How long a camera process may take to come.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(3);
@@ -104,7 +105,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.common.shows_table() {
         let mut out = std::io::stdout().lock();
         for finding in &findings {
-            writeln!(out, "{}", finding.line())?;
+            writeln!(out, "{}", Terminal::of_stdout().text(&finding.line()))?;
         }
     }
     args.common.write_json(&Document {

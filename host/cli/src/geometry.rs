@@ -123,8 +123,11 @@ pub fn load_cloud(path: &Path, unit: impl Into<Unit>) -> anyhow::Result<Cloud> {
 
 /// The pose that picked pairs give.
 pub fn pose_of_pairs(path: &Path) -> anyhow::Result<Rigid<Tool, CloudFrame>> {
-    let fit =
-        || -> anyhow::Result<_> { Ok(fit_pairs(&parse_pairs(&std::fs::read_to_string(path)?)?)?) };
+    let fit = || -> anyhow::Result<_> {
+        Ok(fit_pairs(&parse_pairs(
+            &flankscope_foundation::files::read_text(path)?,
+        )?)?)
+    };
     fit().with_context(|| format!("cannot use pairs {}", path.display()))
 }
 

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use flankscope_foundation::display::plain;
 use flankscope_foundation::files::stream_whole;
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_record::history::{Check, Forecast, History, LEAST_POINTS, csv, series};
@@ -113,7 +114,8 @@ fn print_table(
     if let Some(last) = checks.last() {
         writeln!(
             out,
-            "{tool}: {} checks, the last (number {}) at {} after {} cycles: {}",
+            "{}: {} checks, the last (number {}) at {} after {} cycles: {}",
+            plain(tool),
             checks.len(),
             last.id,
             last.at,
@@ -137,7 +139,7 @@ fn print_table(
             out,
             "{:>5}  {:<wide$} {:>8} {:>8} {:>6}  {:<27} {:<31} {}",
             o.id.tooth,
-            o.id.side(),
+            plain(o.id.side()),
             o.points.len(),
             figure(last.map(|p| p.wear_um)),
             figure(last.map(|p| COVERAGE_95 * p.u_um)),

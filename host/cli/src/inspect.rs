@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use flankscope_foundation::display::plain;
 use flankscope_instrument::acquisition::{FrameIndex, RecordedIndex, Recording};
 use flankscope_jobs::job::recording_id;
 use flankscope_metrology::verdict::Word;
@@ -210,7 +211,7 @@ pub fn write_origin(out: &mut impl Write, origin: &Origin, date: &str) -> std::i
     }
     let particulars = origin.particulars().into_iter();
     let named: Vec<String> = particulars
-        .map(|(name, what)| format!("{name} {what}"))
+        .map(|(name, what)| format!("{name} {}", plain(&what)))
         .collect();
     let said = format!("{date}, {}", named.join(", "));
     writeln!(out, "{}", Terminal::of_stdout().sentence(&said))

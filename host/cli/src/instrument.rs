@@ -442,8 +442,11 @@ fn load(folder: &Path, head: Option<&Path>, scratch: &Path) -> anyhow::Result<(S
         files.push(("cores", head_path.with_file_name("").join(&cores.file)));
     }
     for (name, path) in files {
-        let bytes =
-            std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let bytes = flankscope_foundation::files::read_regular(
+            &path,
+            flankscope_foundation::files::MOST_DATA_BYTES,
+        )
+        .with_context(|| format!("cannot read {}", path.display()))?;
         hashes.insert(name, flankscope_foundation::files::hash(&bytes));
     }
     let subject = Subject {
@@ -466,7 +469,11 @@ fn believe_as_built(tool: &Tool, seals: &Seals) -> anyhow::Result<()> {
         return Ok(());
     };
     let path = tool.path.with_file_name("").join(scan);
-    let bytes = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes = flankscope_foundation::files::read_regular(
+        &path,
+        flankscope_foundation::files::MOST_DATA_BYTES,
+    )
+    .with_context(|| format!("cannot read {}", path.display()))?;
     let document = serde_json::from_slice(&bytes)
         .with_context(|| format!("{} (inspect.as_built_scan)", path.display()))?;
     seals.believe(Kind::Scan, &path, &document)?;

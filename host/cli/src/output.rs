@@ -121,13 +121,18 @@ pub fn try_folder(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
 /// As [`try_folder`].
 pub fn try_report(folder: &Path, files: &[&str]) -> anyhow::Result<()> {
     try_folder(folder, files)?;
-    try_folder(&folder.join(ReportFolder::PAGES), &["page.html"])
+    let pages = folder.join(ReportFolder::PAGES);
+    flankscope_foundation::files::make_folder_within(&pages)
+        .with_context(|| format!("cannot make the folder {}", pages.display()))?;
+    try_place(&pages.join("page.html"))
 }
 
 /// An error with its causes, each once: many name their cause themselves.
 pub fn in_words(error: &anyhow::Error) -> String {
     let mut words = String::new();
     for cause in error.chain().map(ToString::to_string) {
+        // A file's name may have lines of its own.
+        let cause = cause.replace('\n', "\\n");
         if !words.contains(&cause) {
             if !words.is_empty() {
                 words += ": ";

@@ -288,7 +288,7 @@ enum PoseFile {
 }
 
 fn read_pose(path: &Path) -> anyhow::Result<Rigid<Tool, Cloud>> {
-    let text = std::fs::read_to_string(path)?;
+    let text = flankscope_foundation::files::read_text(path)?;
     // First as any JSON, so that a slip in the syntax is named by line and column.
     let value: serde_json::Value = serde_json::from_str(&text)?;
     let pose: PoseFile = serde_json::from_value(value).map_err(|_| {

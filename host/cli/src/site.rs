@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use flankscope_foundation::date;
+use flankscope_foundation::display::plain;
 use flankscope_instrument::settings::StationSettings;
 use flankscope_jobs::subject::Subject;
 use flankscope_metrology::kinematics::Moves;
@@ -66,7 +67,7 @@ impl Place {
 
     fn at(&self, link: Link, settings: StationSettings, hash: Option<String>) -> Site {
         let named = self.station.as_deref().filter(|text| !is_file(text));
-        let named = named.map(str::to_owned);
+        let named = named.map(|name| plain(name).into_owned());
         Site {
             setting: Setting {
                 link,
@@ -94,7 +95,11 @@ pub fn station_file(file: Option<&Path>) -> anyhow::Result<(StationSettings, Opt
         return Ok((StationSettings::default(), None));
     };
     let settings = StationSettings::load(path)?;
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let bytes = flankscope_foundation::files::read_regular(
+        path,
+        flankscope_foundation::files::MOST_DOCUMENT_BYTES,
+    )
+    .with_context(|| format!("cannot read {}", path.display()))?;
     Ok((settings, Some(flankscope_foundation::files::hash(&bytes))))
 }
 
@@ -242,7 +247,7 @@ pub fn user_name() -> String {
     let name = ["USER", "LOGNAME"]
         .into_iter()
         .find_map(|name| std::env::var(name).ok());
-    name.unwrap_or_else(|| "unknown".into())
+    name.map_or_else(|| "unknown".into(), |name| plain(&name).into_owned())
 }
 
 /// Where a result comes from; images from elsewhere have no link.

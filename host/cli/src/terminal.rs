@@ -2,8 +2,12 @@
 
 use std::io::IsTerminal;
 
+use flankscope_foundation::display::plain;
 use flankscope_metrology::verdict::Word;
 use flankscope_report::with_micro;
+
+/// Of go, warning, no-go and indeterminate, and back to none.
+const COLOURS: [&str; 5] = ["\x1b[32m", "\x1b[33m", "\x1b[1;31m", "\x1b[35m", "\x1b[0m"];
 
 /// What standard output, or standard error, goes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,8 +46,9 @@ impl Terminal {
         }
     }
 
-    /// A text with its micrometres and signs as this terminal can show them.
+    /// A text with its micrometres and signs as this terminal can show them, and of commands to it only its own colours.
     pub fn text(self, text: &str) -> String {
+        let text = &self.harmless(text);
         if self.unicode {
             with_micro(text)
         } else {
@@ -52,6 +57,25 @@ impl Terminal {
                 .replace('±', "+-")
                 .replace('°', " deg")
         }
+    }
+
+    fn harmless(self, text: &str) -> String {
+        let mut shown = String::with_capacity(text.len());
+        let mut rest = text;
+        while let Some(first) = rest.chars().next() {
+            let own = COLOURS
+                .iter()
+                .find(|own| self.colours && rest.starts_with(**own));
+            let length = own.map_or(first.len_utf8(), |own| own.len());
+            let (now, later) = rest.split_at(length);
+            if own.is_some() || first == '\n' {
+                shown += now;
+            } else {
+                shown += &plain(now);
+            }
+            rest = later;
+        }
+        shown
     }
 
     /// A sentence of any length as this terminal can show it, wrapped at its width between words.
@@ -68,13 +92,14 @@ impl Terminal {
         if !self.colours {
             return text.to_owned();
         }
-        let code = match verdict {
-            Word::Go => "32",
-            Word::Warn => "33",
-            Word::NoGo => "1;31",
-            Word::Indeterminate => "35",
+        let [go, warn, no_go, indeterminate, end] = COLOURS;
+        let begin = match verdict {
+            Word::Go => go,
+            Word::Warn => warn,
+            Word::NoGo => no_go,
+            Word::Indeterminate => indeterminate,
         };
-        format!("\x1b[{code}m{text}\x1b[0m")
+        format!("{begin}{text}{end}")
     }
 }
 
@@ -102,8 +127,22 @@ mod tests {
             utf8.text("80.0 um of the drum, wear/um, limit_um, --taper-um 15 um"),
             "80.0 µm of the drum, wear/µm, limit_um, --taper-um 15 µm"
         );
+        assert_eq!(utf8.text("cannot read 10um.ply"), "cannot read 10um.ply");
         let c = terminal(false, &[("LANG", "de_DE.UTF-8"), ("LC_ALL", "C")]);
         assert_eq!(c.text("±4.5 µm, –"), "+-4.5 um, -");
+    }
+
+    #[test]
+    fn names_paint_no_verdict() {
+        let forged = "die\r\x1b[2K\x1b[32mGO\x1b[0m";
+        for plain in [terminal(false, &[]), terminal(true, &[("NO_COLOR", "1")])] {
+            let shown = plain.text(forged);
+            assert_eq!(shown, "die\\r\\u{1b}[2K\\u{1b}[32mGO\\u{1b}[0m");
+        }
+        let coloured = terminal(true, &[]);
+        let own = coloured.in_colour(Word::Go, "GO");
+        assert_eq!(coloured.text(&own), own);
+        assert!(coloured.text(forged).starts_with("die\\r\\u{1b}[2K"));
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use flankscope_foundation::display::{is_command, plain};
+use flankscope_foundation::files::{open_regular, read_text};
 use flankscope_record::history::History;
 use flankscope_record::seal::{Kind, Seals, toml_document};
 use serde_json::{Value, json};
@@ -40,13 +42,16 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         if name.is_empty() {
             bail!("--name is empty: who says so?");
         }
+        if name.contains(is_command) {
+            bail!("--name {name:?}: right would be a name on one line, without control characters");
+        }
         let what = trust(&seals, file, name)?;
         if args.common.shows_table() {
             let mut out = std::io::stdout().lock();
             writeln!(
                 out,
                 "{}: this {what} is believed as it is, says {name}",
-                file.display()
+                plain(&file.to_string_lossy())
             )?;
         }
     }
@@ -57,12 +62,14 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         let mut out = std::io::stdout().lock();
         writeln!(out, "station {}", seals.station())?;
         for entry in trusted {
-            let file = entry.file.display();
-            writeln!(
-                out,
-                "{} {file}, says {} since {}",
-                entry.what, entry.by, entry.date
-            )?;
+            let said = format!(
+                "{} {}, says {} since {}",
+                entry.what,
+                entry.file.display(),
+                entry.by,
+                entry.date
+            );
+            writeln!(out, "{}", plain(&said))?;
         }
     }
     Ok(Outcome::Done)
@@ -70,7 +77,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 fn trust(seals: &Seals, path: &Path, name: &str) -> anyhow::Result<&'static str> {
     let mut start = [0; 16];
-    let whole = match std::fs::File::open(path) {
+    let whole = match open_regular(path) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
         file => Some(file.with_context(|| format!("cannot read {}", path.display()))?),
     };
@@ -82,8 +89,7 @@ fn trust(seals: &Seals, path: &Path, name: &str) -> anyhow::Result<&'static str>
         History::trust(path, seals, name)?;
         return Ok("history");
     }
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     let json: Option<Value> = serde_json::from_str(&text).ok();
     let document = match json {
         Some(document) => document,

@@ -6,6 +6,7 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use flankscope_foundation::date;
+use flankscope_foundation::display::plain;
 use flankscope_jobs::watch::{Checked, WatchEvent, WatchSettings};
 use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_record::document::Inspection;
@@ -137,7 +138,7 @@ fn acknowledgements() -> mpsc::Receiver<String> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-            if sender.send(line.trim().to_owned()).is_err() {
+            if sender.send(plain(line.trim()).into_owned()).is_err() {
                 return;
             }
         }

@@ -1,7 +1,85 @@
-//! Files that appear whole or not at all.
+//! Files that appear whole or not at all, and files that are read: regular ones only, and no more of them than is asked for.
 
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
+
+/// No file that a person writes, and no document of a check, comes near this.
+pub const MOST_DOCUMENT_BYTES: u64 = 1 << 30;
+/// No mesh, cloud or image that fits in a station's memory is larger.
+pub const MOST_DATA_BYTES: u64 = 16 << 30;
+
+/// Makes a folder within another one, or takes the one that is there; somebody else's link of that name is not followed.
+///
+/// # Errors
+/// The operating system's; [`io::ErrorKind::NotADirectory`] for a link.
+pub fn make_folder_within(path: &Path) -> io::Result<()> {
+    if std::fs::symlink_metadata(path).is_ok_and(|meta| meta.is_symlink()) {
+        let why = "it is a link, where a folder of its own is needed";
+        return Err(io::Error::new(io::ErrorKind::NotADirectory, why));
+    }
+    std::fs::create_dir_all(path)
+}
+
+/// Opens a regular file for reading. A pipe, a device or a folder is refused without waiting for anybody: its reader may never
+/// come to an end.
+///
+/// # Errors
+/// The operating system's; [`io::ErrorKind::InvalidInput`] with what is there instead.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    let mut options = File::options();
+    // A pipe without a writer would keep this waiting.
+    options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits().cast_signed());
+    let file = options.read(true).open(path)?;
+    let kind = file.metadata()?.file_type();
+    if kind.is_file() {
+        return Ok(file);
+    }
+    let what = if kind.is_dir() {
+        "a folder"
+    } else if kind.is_fifo() {
+        "a pipe"
+    } else {
+        "a device"
+    };
+    let why = format!("it is {what}, where a regular file is needed");
+    Err(io::Error::new(io::ErrorKind::InvalidInput, why))
+}
+
+/// Reads a regular file of at most `most_bytes`, however long it says it is.
+///
+/// # Errors
+/// As [`open_regular`]; [`io::ErrorKind::FileTooLarge`].
+pub fn read_regular(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open_regular(path)?;
+    let mut bytes = Vec::new();
+    // One more: the end is found without making room again.
+    let says = file.metadata()?.len().min(most_bytes) + 1;
+    bytes
+        .try_reserve_exact(usize::try_from(says).unwrap_or(usize::MAX))
+        .map_err(io::Error::other)?;
+    file.take(most_bytes + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most_bytes {
+        let why =
+            format!("it has more than {most_bytes} bytes, the most that is read of such a file");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+    }
+    Ok(bytes)
+}
+
+/// As [`read_regular`], of text in UTF-8 of at most [`MOST_DOCUMENT_BYTES`].
+///
+/// # Errors
+/// As [`read_regular`]; [`io::ErrorKind::InvalidData`].
+pub fn read_text(path: &Path) -> io::Result<String> {
+    let bytes = read_regular(path, MOST_DOCUMENT_BYTES)?;
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let why = format!("it is no text: byte {at} is not UTF-8");
+        io::Error::new(io::ErrorKind::InvalidData, why)
+    })
+}
 
 /// Writes `bytes` to `path` whole or not at all: a temporary file in the same folder, flushed to the disk, then renamed.
 ///
@@ -121,6 +199,39 @@ mod tests {
             1,
             "no temporary file stays"
         );
+    }
+
+    #[test]
+    fn only_regular_files_are_read_and_only_so_much_of_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        rustix::fs::mknodat(
+            rustix::fs::CWD,
+            &pipe,
+            rustix::fs::FileType::Fifo,
+            rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR,
+            0,
+        )
+        .unwrap();
+        // A pipe with no writer, one that never ends, a folder: none is waited for.
+        for (path, said) in [
+            (&*pipe, "a pipe"),
+            (Path::new("/dev/zero"), "a device"),
+            (folder.path(), "a folder"),
+        ] {
+            let error = read_regular(path, 100).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+        let file = folder.path().join("file");
+        std::fs::write(&file, [b'x'; 100]).unwrap();
+        assert_eq!(read_regular(&file, 100).unwrap().len(), 100);
+        let error = read_regular(&file, 99).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
+        assert!(error.to_string().contains("99 bytes"), "{error}");
+        // It says nothing of its length, and is regular.
+        assert!(read_regular(Path::new("/proc/self/maps"), 1 << 20).is_ok_and(|b| !b.is_empty()));
+        std::fs::write(&file, b"abc\xff").unwrap();
+        assert!(read_text(&file).unwrap_err().to_string().contains("byte 3"));
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Files that people write: read with a size limit, complained about with file and line.
 
 use std::borrow::Cow;
-use std::io::Read;
 use std::path::{Path, PathBuf};
+
+use crate::files::read_regular;
 
 /// No head or plan file comes near this; a lying or wrong file must not fill the memory.
 pub const MAX_BYTES: u64 = 4 << 20;
@@ -115,18 +116,15 @@ pub fn read_up_to(path: &Path, limit_bytes: u64) -> Result<String, TextFileError
         path: path.to_owned(),
         source,
     };
-    let mut bytes = Vec::new();
-    std::fs::File::open(path)
-        .map_err(failed)?
-        .take(limit_bytes + 1)
-        .read_to_end(&mut bytes)
-        .map_err(failed)?;
-    if bytes.len() as u64 > limit_bytes {
-        return Err(TextFileError::TooLarge {
-            path: path.to_owned(),
-            limit_bytes,
-        });
-    }
+    let bytes = match read_regular(path, limit_bytes) {
+        Err(error) if error.kind() == std::io::ErrorKind::FileTooLarge => {
+            return Err(TextFileError::TooLarge {
+                path: path.to_owned(),
+                limit_bytes,
+            });
+        }
+        bytes => bytes.map_err(failed)?,
+    };
     String::from_utf8(bytes).map_err(|error| TextFileError::NotText {
         path: path.to_owned(),
         offset: error.utf8_error().valid_up_to(),

@@ -171,13 +171,7 @@ fn base_in(temporary: &Path) -> Result<PathBuf, RootError> {
     }
     let name = format!("flankscope-{}", getuid().as_raw());
     let usual = temporary.join(&name);
-    match make_private(&usual) {
-        Ok(()) => return Ok(usual),
-        Err(error) => {
-            tracing::warn!(%error, "somebody else may write to {}: another folder is taken", usual.display());
-        }
-    }
-    // One of an earlier start, so that there are not ever more of them.
+    // Taken by earlier starts, so that there are not ever more of them.
     let others = std::fs::read_dir(temporary)
         .map_err(failed)?
         .flatten()
@@ -185,10 +179,24 @@ fn base_in(temporary: &Path) -> Result<PathBuf, RootError> {
             let other = entry.file_name();
             other.to_string_lossy().starts_with(&format!("{name}-"))
         });
-    if let Some(mine) = others
+    let mut others = others
         .map(|entry| entry.path())
-        .find(|path| is_private(path))
-    {
+        .filter(|path| is_private(path));
+    match make_private(&usual) {
+        Ok(()) => {
+            // Nobody may ever start in them again.
+            for other in others {
+                if let Ok(_base) = lock_of_base(&other) {
+                    sweep(&other);
+                }
+            }
+            return Ok(usual);
+        }
+        Err(error) => {
+            tracing::warn!(%error, "somebody else may write to {}: another folder is taken", usual.display());
+        }
+    }
+    if let Some(mine) = others.next() {
         return Ok(mine);
     }
     let fresh = tempfile::Builder::new()
@@ -402,6 +410,15 @@ mod tests {
             std::os::unix::fs::symlink(&elsewhere, &usual).unwrap();
         });
         assert!(open != usual && link == open, "{}", open.display());
+        // What a killed run left there goes once the usual name is free.
+        let left = open.join("flankscope_0_0_");
+        std::fs::create_dir(&left).unwrap();
+        std::fs::write(left.join(LOCK_FILE), "").unwrap();
+        std::fs::remove_file(&usual).unwrap();
+        assert_eq!(base_in(temporary.path()).unwrap(), usual);
+        assert!(!left.exists());
+        std::fs::remove_dir_all(&usual).unwrap();
+        std::os::unix::fs::symlink(&elsewhere, &usual).unwrap();
         if mine == 0 {
             let foreign = taken(&|| {
                 std::fs::remove_file(&usual).unwrap();

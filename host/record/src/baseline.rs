@@ -199,7 +199,7 @@ impl Baseline {
                 bytes,
             });
         }
-        let text = std::fs::read(path).map_err(file)?;
+        let text = files::read_regular(path, files::MOST_DOCUMENT_BYTES).map_err(file)?;
         let syntax = |source| BaselineError::Syntax {
             path: path.to_owned(),
             source,

@@ -494,6 +494,7 @@ fn words_outlive_the_file_and_strange_ones_are_refused() {
         .unwrap()
         .execute_batch("DROP TRIGGER flank_keeps_UPDATE; UPDATE flank SET code = 'bewitched'")
         .unwrap();
+    History::trust(&path, &seals(), "Ada").unwrap();
     let error = History::read(&path, &seals())
         .unwrap()
         .checks("die")

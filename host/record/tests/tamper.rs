@@ -8,6 +8,7 @@ use flankscope_metrology::verdict::{Shown, Word};
 use flankscope_record::die::DieKey;
 use flankscope_record::document::Inspection;
 use flankscope_record::history::{History, HistoryError, HistoryWriter, Retention};
+use flankscope_record::seal::Seals;
 use flankscope_record::sink::ResultSink;
 use inspections::{inspection, seals};
 use rusqlite::types::Value;
@@ -65,22 +66,26 @@ fn changed(from: &Path, to: &Path, change: impl FnOnce(&Connection)) {
         let _ = std::fs::copy(name(from), name(to));
     }
     let connection = Connection::open(to).unwrap();
-    let triggers: Vec<String> = connection
-        .prepare("SELECT name FROM sqlite_schema WHERE type = 'trigger'")
+    let triggers: Vec<(String, String)> = connection
+        .prepare("SELECT name, sql FROM sqlite_schema WHERE type = 'trigger'")
         .unwrap()
-        .query_map([], |row| row.get(0))
+        .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))
         .unwrap()
         .collect::<rusqlite::Result<_>>()
         .unwrap();
     connection
         .execute_batch("PRAGMA ignore_check_constraints = ON; PRAGMA foreign_keys = OFF;")
         .unwrap();
-    for trigger in triggers {
+    for (trigger, _) in &triggers {
         connection
             .execute_batch(&format!("DROP TRIGGER {trigger}"))
             .unwrap();
     }
     change(&connection);
+    // They are put back: what the file defines is as it was.
+    for (_, sql) in triggers {
+        connection.execute_batch(&sql).unwrap();
+    }
 }
 
 const TABLES: [&str; 8] = [
@@ -208,7 +213,7 @@ fn another_layout_frees_nobody_from_the_chain() {
     }
 }
 
-/// The column says go, the document no-go; the chain apart, a replay compares them.
+/// The column says go, the document no-go; even where somebody trusts that, a replay compares them.
 #[test]
 fn a_row_that_says_otherwise_than_its_document_is_a_difference() {
     let folder = tempfile::tempdir().unwrap();
@@ -242,6 +247,8 @@ fn a_row_that_says_otherwise_than_its_document_is_a_difference() {
         changed(&path, &copy, |connection| {
             assert_eq!(connection.execute(sql, []).unwrap(), 1, "{sql}");
         });
+        assert!(History::read(&copy, &seals()).is_err(), "{sql}");
+        History::trust(&copy, &seals(), "Ada").unwrap();
         let found = of(&copy);
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!(found[0].what, named);
@@ -308,9 +315,8 @@ fn a_broken_or_foreign_history_counts_again_once_somebody_answers_for_it() {
     History::trust(&broken, &seals(), "Ada").unwrap();
     assert_eq!(shown_at_start(&broken, &die()).unwrap(), Shown::NoGo);
     // Another station's, by its own id.
-    let other = flankscope_record::seal::Seals::open(&folder.path().join("other")).unwrap();
-    let history = History::read(&path, &other).unwrap();
-    let error = history.verify().unwrap_err().to_string();
+    let other = Seals::open(&folder.path().join("other")).unwrap();
+    let error = History::read(&path, &other).unwrap_err().to_string();
     assert!(
         error.contains(&seals().station()) && error.contains(&other.station()),
         "{error}"
@@ -405,8 +411,243 @@ fn one_watch_at_a_time_holds_a_die() {
     drop(second.hold(&other).unwrap());
     drop(held);
     drop(second.hold(&die()).unwrap());
-    let left = std::fs::read_dir(folder.path().join("press.db.watches")).unwrap();
-    assert_eq!(left.count(), 0);
+    // By whatever name it is reached; one with two names is refused, because SQLite would keep two journals.
+    let held = first.hold(&die()).unwrap();
+    let link = folder.path().join("link.db");
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    let through_link = HistoryWriter::new(
+        History::open(&link, &seals()).unwrap(),
+        None,
+        keep(),
+        "tester".into(),
+    );
+    let error = through_link.hold(&die()).unwrap_err();
+    assert!(matches!(error, HistoryError::Held { .. }), "{error}");
+    drop((held, through_link));
+    let hard = folder.path().join("hard.db");
+    std::fs::hard_link(&path, &hard).unwrap();
+    for name in [&hard, &path] {
+        for found in [History::open(name, &seals()), History::read(name, &seals())] {
+            let error = found.unwrap_err();
+            assert!(
+                matches!(error, HistoryError::SeveralNames { names: 2, .. }),
+                "{error}"
+            );
+        }
+    }
+    std::fs::remove_file(&hard).unwrap();
+    drop(History::open(&path, &seals()).unwrap());
+}
+
+/// What the issue tried: somebody without the key plants a trigger that stores a go where a no-go is meant.
+#[test]
+fn a_planted_trigger_changes_nothing_and_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let worn = || Inspection {
+        die: die(),
+        ..inspection(7, Word::NoGo, "worn")
+    };
+    for (at, (plant, named)) in [
+        (
+            "DROP TRIGGER inspection_keeps_UPDATE; \
+             CREATE TRIGGER e AFTER INSERT ON inspection WHEN new.verdict = 'no-go' BEGIN \
+             UPDATE inspection SET verdict = 'go', document = replace(document, 'no-go', 'go'), reason = '' WHERE id = new.id; END",
+            "trigger e on inspection is none of this program's, trigger inspection_keeps_UPDATE on inspection is missing",
+        ),
+        (
+            "CREATE TRIGGER f BEFORE INSERT ON flank BEGIN SELECT raise(IGNORE); END",
+            "trigger f on flank is none of this program's",
+        ),
+        ("CREATE VIEW v AS SELECT 1", "view v is none of this program's"),
+        ("CREATE TABLE t (x)", "table t is none of this program's"),
+        (
+            "CREATE INDEX i ON inspection (verdict)",
+            "index i on inspection is none of this program's",
+        ),
+        (
+            "DROP INDEX inspection_of_tool; CREATE INDEX inspection_of_tool ON inspection (tool, id) WHERE verdict = 'go'",
+            "index inspection_of_tool on inspection is not as this program makes it",
+        ),
+        (
+            "DROP TRIGGER audit_keeps_DELETE",
+            "trigger audit_keeps_DELETE on audit is missing",
+        ),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let path = written(&{
+            let own = folder.path().join(at.to_string());
+            std::fs::create_dir(&own).unwrap();
+            own
+        });
+        // While a watch has it open, and before the next one begins.
+        let mut open = History::open(&path, &seals()).unwrap();
+        Connection::open(&path).unwrap().execute_batch(plant).unwrap();
+        for refused in [
+            open.record(&worn(), None).map(drop),
+            open.verify(),
+            History::open(&path, &seals()).map(drop),
+            History::read(&path, &seals()).map(drop),
+        ] {
+            let said = refused.expect_err(plant).to_string();
+            assert!(said.contains(named), "{plant}: {said}");
+        }
+        drop(open);
+        if plant.contains("TABLE t") {
+            continue;
+        }
+        // Somebody answers for it: what does not belong there is taken out.
+        History::trust(&path, &seals(), "Ada").unwrap();
+        let mut history = History::open(&path, &seals()).unwrap();
+        let id = history.record(&worn(), None).unwrap();
+        let check = history.check(id).unwrap();
+        assert_eq!((check.verdict, check.flanks.len()), (Word::NoGo, 6));
+        assert_eq!(history.row_differences(id).unwrap(), []);
+    }
+}
+
+/// An index that lacks a row hides it from whoever asks by the index, and the chain does not ask by it.
+#[test]
+fn an_index_that_hides_a_no_go_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let definition = |sql: &str| {
+        let connection = Connection::open(&path).unwrap();
+        let set = "PRAGMA writable_schema = ON";
+        connection.execute_batch(set).unwrap();
+        let edit = "UPDATE sqlite_schema SET sql = ?1 WHERE name = 'inspection_of_tool'";
+        assert_eq!(connection.execute(edit, [sql]).unwrap(), 1);
+    };
+    let own = "CREATE INDEX inspection_of_tool ON inspection (tool, id)";
+    definition(&format!("{own} WHERE verdict != 'no-go'"));
+    Connection::open(&path)
+        .unwrap()
+        .execute_batch("REINDEX")
+        .unwrap();
+    definition(own);
+    let hidden: i64 = Connection::open(&path)
+        .unwrap()
+        .query_row(
+            "SELECT count(*) FROM inspection WHERE tool = 'die' AND verdict = 'no-go'",
+            [],
+            |row| row.get(0),
+        )
+        .unwrap();
+    assert_eq!(hidden, 0, "the attack works");
+    let error = History::read(&path, &seals()).unwrap_err().to_string();
+    assert!(error.contains("inspection_of_tool"), "{error}");
+}
+
+#[test]
+fn a_copy_that_is_behind_is_refused_wherever_it_lies_until_somebody_restores_it_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    History::open(&path, &seals())
+        .unwrap()
+        .acknowledge(&die(), "Ada")
+        .unwrap();
+    let old = folder.path().join("old.db");
+    changed(&path, &old, |_| {});
+    // As long as nothing was added, the copy is as good.
+    let mut copy = History::open(&old, &seals()).unwrap();
+    let worn = |cycles| Inspection {
+        die: die(),
+        ..inspection(cycles, Word::NoGo, "worn")
+    };
+    let id = History::open(&path, &seals())
+        .unwrap()
+        .record(&worn(9), None)
+        .unwrap();
+    assert_eq!(shown_at_start(&path, &die()).unwrap(), Shown::NoGo);
+    // Also where it was opened before.
+    let go = Inspection {
+        die: die(),
+        ..inspection(10, Word::Go, "all is well")
+    };
+    for refused in [
+        copy.record(&go, None).map(drop),
+        shown_at_start(&old, &die()).map(drop),
+        History::read(&old, &seals()).map(drop),
+    ] {
+        let error = refused.unwrap_err();
+        let said = error.to_string();
+        assert!(
+            matches!(error, HistoryError::Broken { .. })
+                && said.contains(path.to_str().unwrap())
+                && said.contains(&format!("a no-go stands (die, check {id} of ")),
+            "{said}"
+        );
+    }
+    drop(copy);
+    History::trust(&old, &seals(), "Ada").unwrap();
+    assert_eq!(shown_at_start(&old, &die()).unwrap(), Shown::Unchecked);
+    let said: String = Connection::open(&old)
+        .unwrap()
+        .query_row(
+            "SELECT who || ': ' || detail FROM audit WHERE what = 'trust'",
+            [],
+            |row| row.get(0),
+        )
+        .unwrap();
+    assert!(
+        said.starts_with("Ada: 3 checks are believed") && said.contains(&format!("check {id} of ")),
+        "{said}"
+    );
+    let listed = seals().all_trusted().unwrap();
+    assert!(
+        listed
+            .iter()
+            .any(|entry| entry.file == old && entry.by == "Ada")
+    );
+    // From then on the other one is behind.
+    assert!(shown_at_start(&path, &die()).is_err());
+}
+
+/// The station remembers what stands against a real die, in whatever file its checks are.
+#[test]
+fn a_no_go_of_a_real_die_stands_in_every_history_of_the_station() {
+    let folder = tempfile::tempdir().unwrap();
+    let own = Seals::open(&folder.path().join("station")).unwrap();
+    let writer = |name: &str| {
+        let history = History::open(&folder.path().join(name), &own).unwrap();
+        let mut writer = HistoryWriter::new(history, None, keep(), "tester".into());
+        writer.begin(&die(), false, None).unwrap();
+        writer
+    };
+    let mut first = writer("press.db");
+    let mut worn = inspection(1, Word::NoGo, "worn");
+    worn.die = die();
+    worn.origin.simulated = false;
+    first.put(&mut worn).unwrap();
+    let second = writer("another.db");
+    let error = second.hold(&die()).unwrap_err();
+    let said = error.to_string();
+    assert!(
+        matches!(error, HistoryError::StandsElsewhere { .. }) && said.contains("press.db"),
+        "{said}"
+    );
+    let other = DieKey {
+        serial: Some("A 8".into()),
+        ..die()
+    };
+    assert!(second.hold(&other).is_ok());
+    first.acknowledge(&die(), "Ada").unwrap();
+    assert!(second.hold(&die()).is_ok());
+    // What it remembers is its own word, too.
+    let memory = folder.path().join("station/histories");
+    for entry in std::fs::read_dir(&memory).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|ending| ending == "json") {
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::write(&path, text.replace("\"link\":", "\"link\":1")).unwrap();
+        }
+    }
+    let error = History::open(&folder.path().join("press.db"), &own).unwrap_err();
+    assert!(
+        error.to_string().contains("not as this station wrote it"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -17,7 +17,7 @@ use flankscope_metrology::verdict::Word;
 
 use super::tables;
 use flankscope_article::Article;
-use flankscope_foundation::files::{stream_whole, write_whole};
+use flankscope_foundation::files::{make_folder_within, stream_whole, write_whole};
 use flankscope_jobs::scan::Scan;
 use flankscope_record::document::Inspection;
 use flankscope_record::sink::{ResultSink, SinkError, document_text};
@@ -164,7 +164,7 @@ impl ReportFolder {
     fn put_page(&self, page: &str, date: &str, what: &str, verdict: Word) -> Result<(), SinkError> {
         self.write(PAGE, page)?;
         let pages = self.0.join(Self::PAGES);
-        std::fs::create_dir_all(&pages).map_err(|source| SinkError::Write {
+        make_folder_within(&pages).map_err(|source| SinkError::Write {
             path: pages.clone(),
             source,
         })?;

@@ -89,7 +89,7 @@ fn part(detail: &FlankDetail, source: &str) -> String {
     um.map_or_else(|| "–".into(), |um| format!("{um:.2}"))
 }
 
-/// Sentences are plain ASCII; where µ can be shown, "um" becomes "µm" wherever it is a word of its own.
+/// Sentences are plain ASCII; where µ can be shown, "um" becomes "µm" wherever it is a word of its own, which it is not in `10um.ply`.
 #[must_use]
 pub fn with_micro(text: &str) -> String {
     let mut shown = String::with_capacity(text.len());
@@ -100,7 +100,7 @@ pub fn with_micro(text: &str) -> String {
         let begins = before
             .chars()
             .last()
-            .is_none_or(|c| !c.is_alphabetic() && c != '_' && c != '-');
+            .is_none_or(|c| !c.is_alphanumeric() && c != '_' && c != '-');
         let ends = after
             .chars()
             .next()

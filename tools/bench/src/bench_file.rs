@@ -297,7 +297,10 @@ impl BenchFile {
             path: path.to_path_buf(),
             source,
         };
-        let got_bytes = std::fs::metadata(path).map_err(read)?.len();
+        let got_bytes = crate::files::regular(path)
+            .and_then(std::fs::metadata)
+            .map_err(read)?
+            .len();
         if got_bytes > MAX_FILE_BYTES {
             return Err(BenchFileError::TooLong {
                 path: path.to_path_buf(),

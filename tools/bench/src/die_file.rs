@@ -141,7 +141,8 @@ fn promised_triangles(path: &Path) -> Result<Option<u64>, DieFileError> {
         });
     }
     let mut head = Vec::new();
-    std::fs::File::open(path)
+    crate::files::regular(path)
+        .and_then(std::fs::File::open)
         .and_then(|file| file.take(HEADER_BYTES).read_to_end(&mut head))
         .map_err(unreadable)?;
     if head.starts_with(b"ply") {

@@ -63,7 +63,7 @@ const ROOMS: &[Room] = &[
     ("firmware/mps2-an386", &[PROTOCOL, CONTROLLER, PIN_WIRE]),
     ("firmware/nucleo-h743zi", &[PROTOCOL, CONTROLLER]),
     (FRAMES, &[PROTOCOL]),
-    (CAMERA, &[FRAMES]),
+    (CAMERA, &[FRAMES, FOUNDATION]),
     (FOUNDATION, &[]),
     (PROFILOMETRY, &[FOUNDATION]),
     (METROLOGY, &[FOUNDATION]),

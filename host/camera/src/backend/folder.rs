@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
+use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular, read_text};
 use flankscope_frames::{FrameHeader, monotonic_ns};
 use serde::Deserialize;
 
@@ -82,7 +83,7 @@ impl Folder {
             setting: path.display().to_string(),
             reason,
         };
-        let text = std::fs::read_to_string(&path).map_err(|error| wrong(error.to_string()))?;
+        let text = read_text(&path).map_err(|error| wrong(error.to_string()))?;
         let file: File = toml::from_str(&text).map_err(|error| wrong(error.to_string()))?;
         let format: PixelFormat = file.format.parse()?;
         let largest = flankscope_frames::MAX_FRAME_PIXELS as u64;
@@ -137,7 +138,7 @@ impl Folder {
         let gone = |error: &dyn std::fmt::Display| CameraError::Gone {
             reason: format!("{}: {error}", image.display()),
         };
-        let bytes = std::fs::read(image).map_err(|error| gone(&error))?;
+        let bytes = read_regular(image, MOST_DATA_BYTES).map_err(|error| gone(&error))?;
         if image.extension().is_none_or(|is| is != "png") {
             // As a transfer that broke off.
             if bytes.len() < self.format.bytes(slot.len()) {

@@ -141,7 +141,11 @@ impl Adaptive {
             let path = path.clone();
             AdaptiveError::Read { path, reason }
         };
-        let text = std::fs::read(&path).map_err(|error| failed(error.to_string()))?;
+        let text = flankscope_foundation::files::read_regular(
+            &path,
+            flankscope_foundation::files::MOST_DOCUMENT_BYTES,
+        )
+        .map_err(|error| failed(error.to_string()))?;
         let read: Self =
             serde_json::from_slice(&text).map_err(|error| failed(error.to_string()))?;
         if read.format != Self::FORMAT {

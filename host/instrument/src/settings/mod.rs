@@ -33,6 +33,7 @@ use flankscope_metrology::kinematics::Moves;
 #[serde(deny_unknown_fields, default)]
 pub struct StationSettings {
     /// Name in every result.
+    #[serde(deserialize_with = "flankscope_foundation::display::some_name")]
     pub name: Option<String>,
     /// The controller.
     pub controller: Controller,

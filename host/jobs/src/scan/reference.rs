@@ -111,7 +111,11 @@ impl Reference {
         } else {
             path.to_path_buf()
         };
-        let text = std::fs::read(&path).map_err(|error| {
+        let text = flankscope_foundation::files::read_regular(
+            &path,
+            flankscope_foundation::files::MOST_DOCUMENT_BYTES,
+        )
+        .map_err(|error| {
             let path = path.clone();
             ReferenceError::Io { path, error }
         })?;

@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::view::KeptView;
 use flankscope_article::{ViewPoint, ViewPoints};
-use flankscope_foundation::files::{hash, write_whole};
+use flankscope_foundation::files::{self, hash, write_whole};
 use flankscope_record::seal::{Kind, SealError, Seals};
 
 const MANIFEST: &str = "manifest.json";
@@ -134,7 +134,7 @@ impl Session {
         if !path.exists() {
             return Ok(session);
         }
-        let text = std::fs::read(&path).map_err(io(&path))?;
+        let text = files::read_regular(&path, files::MOST_DOCUMENT_BYTES).map_err(io(&path))?;
         let no_manifest = |error| SessionError::Manifest {
             path: path.clone(),
             error,
@@ -195,7 +195,7 @@ impl Session {
             of: BTreeMap<String, String>,
         }
         let path = folder.join(MANIFEST);
-        let text = std::fs::read(&path).map_err(|error| {
+        let text = files::read_regular(&path, files::MOST_DOCUMENT_BYTES).map_err(|error| {
             let path = path.clone();
             SessionError::Io { path, error }
         })?;
@@ -276,7 +276,7 @@ impl Session {
             .map_or(0, |entry| entry.points);
         let most = most.min(points);
         let mut bytes = Vec::with_capacity(most * size_of::<ViewPoint>());
-        let read = std::fs::File::open(&path).and_then(|file| {
+        let read = files::open_regular(&path).and_then(|file| {
             file.take((most * size_of::<ViewPoint>()) as u64)
                 .read_to_end(&mut bytes)
         });
@@ -287,7 +287,7 @@ impl Session {
     /// The points of a view that is done, checked against their hash.
     pub fn points(&self, view: usize) -> Result<KeptView, SessionError> {
         let path = self.file(view);
-        let bytes = std::fs::read(&path).map_err(|error| {
+        let bytes = files::read_regular(&path, files::MOST_DATA_BYTES).map_err(|error| {
             let path = path.clone();
             SessionError::Io { path, error }
         })?;

@@ -148,7 +148,7 @@ impl<'a, T: FnMut(WatchEvent) -> bool> Watch<'a, T> {
     ) -> Result<Self, WatchError> {
         let die = job.die();
         let (hold, latch) = match &writer {
-            Some(writer) => (Some(writer.hold(&die)?), writer.latch(&die)?),
+            Some(writer) => (writer.hold(&die)?, writer.latch(&die)?),
             None => (None, Latch::default()),
         };
         let cycle = client.status().await?.press.cycles;

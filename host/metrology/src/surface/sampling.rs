@@ -7,6 +7,9 @@ use crate::random::uniform;
 
 const CHUNK: usize = 1 << 13;
 
+/// Twenty-four bytes each: no memory holds more for long.
+const MOST_POINTS: usize = 1_000_000_000;
+
 /// Reasons for which a mesh is not sampled.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
@@ -24,6 +27,12 @@ pub enum SampleError {
     /// No points wanted.
     #[error("0 points wanted; right would be at least 1")]
     NoPoints,
+    /// More points than fit anywhere.
+    #[error("{count} points wanted; right would be at most {MOST_POINTS}")]
+    TooMany {
+        /// How many.
+        count: usize,
+    },
     /// A box that contains nothing.
     #[error("no triangle lies in the region of interest")]
     NothingInRegion,
@@ -40,6 +49,9 @@ pub enum SampleError {
 pub fn sample(mesh: &TriMesh, count: usize, seed: u64) -> Result<Vec<[f64; 3]>, SampleError> {
     if count == 0 {
         return Err(SampleError::NoPoints);
+    }
+    if count > MOST_POINTS {
+        return Err(SampleError::TooMany { count });
     }
     let cumulative = cumulative_areas(mesh);
     let area_mm2 = cumulative.last().copied().unwrap_or(0.0);

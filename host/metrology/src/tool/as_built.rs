@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use flankscope_foundation::files::{MOST_DOCUMENT_BYTES, read_regular};
 use serde::Deserialize;
 
 use super::{Inspect, ToolError};
@@ -104,7 +105,7 @@ fn of_class_um(gear: &GearData, class: u32) -> f64 {
 /// Scatter of the flanks' mean deviations about the median of their side, µm: a deviation that all of a side share is not told
 /// from how the die sits.
 fn of_scan_um(path: &Path) -> Result<f64, AsBuiltError> {
-    let scan: Scan = serde_json::from_slice(&std::fs::read(path)?)?;
+    let scan: Scan = serde_json::from_slice(&read_regular(path, MOST_DOCUMENT_BYTES)?)?;
     let (mut squares, mut count) = (0.0, 0);
     for side in Flank::BOTH {
         let of_side = scan.features.iter().filter(|f| f.flank == side);

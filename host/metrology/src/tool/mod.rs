@@ -300,7 +300,12 @@ fn default_coverage() -> f64 {
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
+    #[serde(deserialize_with = "flankscope_foundation::display::name")]
     name: String,
+    #[serde(
+        default,
+        deserialize_with = "flankscope_foundation::display::some_name"
+    )]
     serial: Option<String>,
     cad: Cad,
     gear: Option<GearData>,
@@ -485,10 +490,11 @@ impl Tool {
         } else {
             dir_or_file.to_owned()
         };
-        let text = std::fs::read_to_string(&path).map_err(|source| ToolError::Read {
-            path: path.clone(),
-            source,
-        })?;
+        let text =
+            flankscope_foundation::files::read_text(&path).map_err(|source| ToolError::Read {
+                path: path.clone(),
+                source,
+            })?;
         let mut file = parse(&path, &text)?;
         check::values(&path, &file)?;
         let specs = std::mem::take(&mut file.patch).into_iter();

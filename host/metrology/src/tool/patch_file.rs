@@ -14,6 +14,7 @@ const MOST_SEED_ANGLE_DEG: f64 = 45.0;
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PatchFile {
+    #[serde(deserialize_with = "flankscope_foundation::display::name")]
     name: String,
     seed_mm: Option<[f64; 3]>,
     angle_deg: Option<f64>,

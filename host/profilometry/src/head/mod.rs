@@ -47,7 +47,8 @@ pub use volume::{DepthRange, ImageCircle};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeadModel {
-    /// Free text.
+    /// Free text, on one line.
+    #[serde(deserialize_with = "flankscope_foundation::display::name")]
     pub name: String,
     /// Distance from the front to the middle of the measuring volume.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -1,9 +1,9 @@
 //! Grey frames of other people's cameras: PNG, TIFF, and binary PGM (Netpbm's P5).
 
-use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::files::open_regular;
 use tiff::decoder::DecodingResult;
 use tiff::tags::Tag;
 
@@ -173,7 +173,7 @@ impl ImageHeader {
             path: path.to_owned(),
             source,
         };
-        let file = File::open(path).map_err(opened)?;
+        let file = open_regular(path).map_err(opened)?;
         Ok(Opened::new(path, BufReader::new(file))?.header())
     }
 
@@ -204,7 +204,7 @@ pub fn load_grey(path: &Path, size_px: [u32; 2]) -> Result<GreyImage, ImageError
         path: path.to_owned(),
         source,
     };
-    let file = File::open(path).map_err(opened)?;
+    let file = open_regular(path).map_err(opened)?;
     Opened::new(path, BufReader::new(file))?.read_image(path, size_px)
 }
 

@@ -1,14 +1,19 @@
 //! The chain of a history: every row that is written is a link, with a keyed digest over the row and the link before it.
 //!
-//! A row that is changed, added or removed breaks it. Rows that are cut off its end with their links are missed against what
-//! the station remembers of the file ([`crate::seal::Anchor`]).
+//! A digest is of what was meant to be stored, made before it is stored; what is then in the file is compared with it in the same
+//! transaction. A row that is changed, added or removed breaks the chain. Rows that are cut off its end with their links are
+//! missed against what the station remembers of the history ([`crate::seal::Anchor`]), wherever a copy of it lies.
 
-use rusqlite::types::ValueRef;
-use rusqlite::{Connection, OptionalExtension, params};
+use std::path::Path;
+
+use rusqlite::types::{Value, ValueRef};
+use rusqlite::{
+    Connection, OptionalExtension, Transaction, TransactionBehavior, params, params_from_iter,
+};
 
 use super::error::HistoryError;
-use super::store::History;
-use crate::seal::{Anchor, Seals};
+use super::store::{History, real_name};
+use crate::seal::{Alone, Anchor, Seals, TrustEntry};
 
 /// Tables whose rows are links, with the column that names a row, in the order in which [`History::trust`] links them anew.
 pub(super) const LINKED: [(&str, &str); 6] = [
@@ -20,21 +25,95 @@ pub(super) const LINKED: [(&str, &str); 6] = [
     ("audit", "id"),
 ];
 
-/// Links a row that has just been added.
-pub(super) fn link(
+/// A row that is to be stored: each column with its value, in the table's order.
+pub(super) struct Row {
+    pub table: &'static str,
+    pub values: Vec<(&'static str, Value)>,
+}
+
+impl Row {
+    fn insert(&self, connection: &Connection) -> rusqlite::Result<()> {
+        let names: Vec<&str> = self.values.iter().map(|(name, _)| *name).collect();
+        let places = vec!["?"; names.len()].join(", ");
+        let sql = format!(
+            "INSERT INTO {} ({}) VALUES ({places})",
+            self.table,
+            names.join(", ")
+        );
+        let values = params_from_iter(self.values.iter().map(|(_, value)| value));
+        connection.prepare(&sql)?.execute(values).map(drop)
+    }
+
+    fn append_to(&self, bytes: &mut Vec<u8>) {
+        append_row(
+            self.values
+                .iter()
+                .map(|(name, value)| (*name, ValueRef::from(value))),
+            bytes,
+        );
+    }
+
+    /// What names the row in its table.
+    fn key(&self) -> String {
+        let column = key_column(self.table);
+        let value = self.values.iter().find(|(name, _)| *name == column);
+        match value {
+            Some((_, Value::Integer(number))) => number.to_string(),
+            Some((_, Value::Text(text))) => text.clone(),
+            _ => String::new(),
+        }
+    }
+}
+
+/// Adds a row with the flanks that belong to it, and its link, whose digest is of what is to be stored. False where what is
+/// then in the file is anything else: something in it changes what is added.
+pub(super) fn add(
     connection: &Connection,
     seals: &Seals,
-    table: &str,
-    key: &str,
-) -> rusqlite::Result<()> {
+    row: &Row,
+    flanks: &[Row],
+) -> rusqlite::Result<bool> {
+    let mut meant = Vec::new();
+    let mut sorted: Vec<&Row> = flanks.iter().collect();
+    sorted.sort_by_cached_key(|flank| flank_place(flank));
+    for row in std::iter::once(row).chain(sorted) {
+        row.append_to(&mut meant);
+        row.insert(connection)?;
+    }
+    let key = row.key();
+    let digest = link(connection, seals, (row.table, &key), &meant)?;
+    let stored = content(connection, row.table, &key)?;
+    let last = last(connection)?.map(|(_, digest)| digest);
+    Ok(stored == meant && last == Some(digest))
+}
+
+/// Flanks are linked in the order in which they are read.
+fn flank_place(flank: &Row) -> (i64, String) {
+    let mut place = (0, String::new());
+    for (name, value) in &flank.values {
+        match (*name, value) {
+            ("tooth", Value::Integer(tooth)) => place.0 = *tooth,
+            ("flank", Value::Text(flank)) => place.1.clone_from(flank),
+            _ => {}
+        }
+    }
+    place
+}
+
+/// Adds a link to the chain; returns its digest.
+fn link(
+    connection: &Connection,
+    seals: &Seals,
+    (table, key): (&str, &str),
+    content: &[u8],
+) -> rusqlite::Result<String> {
     let (link, before) = last(connection)?.unwrap_or_default();
-    let place = (link + 1, table, key);
-    let digest = digest(seals, &before, place, &content(connection, table, key)?);
+    let digest = digest(seals, &before, (link + 1, table, key), content);
     connection.execute(
         "INSERT INTO chain (link, source, key, digest, station) VALUES (?1, ?2, ?3, ?4, ?5)",
         params![link + 1, table, key, digest, seals.station()],
     )?;
-    Ok(())
+    Ok(digest)
 }
 
 /// Links every row that is there, in a chain that is empty.
@@ -51,7 +130,8 @@ pub(super) fn link_all(connection: &Connection, seals: &Seals) -> rusqlite::Resu
             })?
             .collect::<rusqlite::Result<_>>()?;
         for key in keys {
-            link(connection, seals, table, &key)?;
+            let content = content(connection, table, &key)?;
+            link(connection, seals, (table, &key), &content)?;
         }
     }
     Ok(())
@@ -87,14 +167,11 @@ fn digest(
 /// All that a row says, with the flanks of a check: every value with its column's name, type and length. What is null is left
 /// out.
 fn content(connection: &Connection, table: &str, key: &str) -> rusqlite::Result<Vec<u8>> {
-    let column = LINKED
-        .iter()
-        .find(|(name, _)| *name == table)
-        .map_or("id", |(_, column)| *column);
+    let column = key_column(table);
     let mut bytes = Vec::new();
     append(
         connection,
-        &format!("SELECT * FROM {table} WHERE CAST({column} AS TEXT) = ?1"),
+        &format!("SELECT * FROM {table} WHERE {column} = ?1"),
         key,
         &mut bytes,
     )?;
@@ -109,6 +186,11 @@ fn content(connection: &Connection, table: &str, key: &str) -> rusqlite::Result<
     Ok(bytes)
 }
 
+fn key_column(table: &str) -> &'static str {
+    let found = LINKED.iter().find(|(name, _)| *name == table);
+    found.map_or("id", |(_, column)| *column)
+}
+
 fn append(
     connection: &Connection,
     sql: &str,
@@ -119,30 +201,38 @@ fn append(
     let names: Vec<String> = statement.column_names().map(str::to_owned).collect();
     let mut rows = statement.query([key])?;
     while let Some(row) = rows.next()? {
-        bytes.push(b'{');
+        let mut values = Vec::with_capacity(names.len());
         for (at, name) in names.iter().enumerate() {
-            let number_bytes;
-            let (kind, value): (u8, &[u8]) = match row.get_ref(at)? {
-                ValueRef::Null => continue,
-                ValueRef::Integer(number) => {
-                    number_bytes = number.to_le_bytes();
-                    (b'i', &number_bytes)
-                }
-                ValueRef::Real(number) => {
-                    number_bytes = number.to_bits().to_le_bytes();
-                    (b'r', &number_bytes)
-                }
-                ValueRef::Text(text) => (b't', text),
-                ValueRef::Blob(blob) => (b'b', blob),
-            };
-            bytes.extend_from_slice(name.as_bytes());
-            bytes.push(kind);
-            bytes.extend_from_slice(&(value.len() as u64).to_le_bytes());
-            bytes.extend_from_slice(value);
+            values.push((&name[..], row.get_ref(at)?));
         }
-        bytes.push(b'}');
+        append_row(values.into_iter(), bytes);
     }
     Ok(())
+}
+
+fn append_row<'a>(values: impl Iterator<Item = (&'a str, ValueRef<'a>)>, bytes: &mut Vec<u8>) {
+    bytes.push(b'{');
+    for (name, value) in values {
+        let number_bytes;
+        let (kind, value): (u8, &[u8]) = match value {
+            ValueRef::Null => continue,
+            ValueRef::Integer(number) => {
+                number_bytes = number.to_le_bytes();
+                (b'i', &number_bytes)
+            }
+            ValueRef::Real(number) => {
+                number_bytes = number.to_bits().to_le_bytes();
+                (b'r', &number_bytes)
+            }
+            ValueRef::Text(text) => (b't', text),
+            ValueRef::Blob(blob) => (b'b', blob),
+        };
+        bytes.extend_from_slice(name.as_bytes());
+        bytes.push(kind);
+        bytes.extend_from_slice(&(value.len() as u64).to_le_bytes());
+        bytes.extend_from_slice(value);
+    }
+    bytes.push(b'}');
 }
 
 struct Link {
@@ -154,15 +244,42 @@ struct Link {
 }
 
 impl History {
-    /// Looks through all of the chain: every row is what this station wrote, and none was added or removed.
+    /// Looks through all of the chain: every row is what this station wrote, and none was added or removed; what the file
+    /// defines is what this program makes; and its indices hold every row, because what is shown is found by them.
     ///
     /// # Errors
     /// [`HistoryError::Broken`] with the first place that is not, or the file cannot be read.
     pub fn verify(&self) -> Result<(), HistoryError> {
-        let broken = |why: String| HistoryError::Broken {
+        // As it is at one moment, whoever writes to it meanwhile.
+        let _moment = Transaction::new_unchecked(self.connection(), TransactionBehavior::Deferred)
+            .map_err(self.because("read it"))?;
+        self.verify_definitions()?;
+        let damage = self.rows("PRAGMA integrity_check(1)", [], |row| {
+            row.get::<_, String>(0)
+        })?;
+        if let Some(damage) = damage.into_iter().find(|said| said != "ok") {
+            return Err(self.broken(damage));
+        }
+        self.verify_links()
+    }
+
+    /// Whether anything in the file could change what is added, or hide it.
+    pub(super) fn verify_definitions(&self) -> Result<(), HistoryError> {
+        let strange = super::schema::strange(self.connection());
+        match strange.map_err(self.because("read what it consists of"))? {
+            Some(strange) => Err(self.broken(strange)),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn broken(&self, why: impl Into<String>) -> HistoryError {
+        HistoryError::Broken {
             path: self.path().to_owned(),
-            why,
-        };
+            why: why.into(),
+        }
+    }
+
+    fn verify_links(&self) -> Result<(), HistoryError> {
         let links = self.rows(
             "SELECT link, source, key, digest, station FROM chain ORDER BY link",
             [],
@@ -181,17 +298,20 @@ impl History {
         for link in links {
             let named = format!("link {} ({} {})", link.number, link.table, link.key);
             if link.station != own {
-                return Err(broken(format!(
+                return Err(self.broken(format!(
                     "{named} was written by station {}, this is station {own}",
                     link.station
                 )));
+            }
+            if !LINKED.iter().any(|(table, _)| *table == link.table) {
+                return Err(self.broken(format!("{named} is of no table whose rows are linked")));
             }
             let content = content(self.connection(), &link.table, &link.key)
                 .map_err(self.because("read its rows"))?;
             let place = (link.number, &link.table[..], &link.key[..]);
             let right = digest(self.seals(), &before, place, &content);
             if right != link.digest {
-                return Err(broken(format!(
+                return Err(self.broken(format!(
                     "{named} is not as it was written, or a row before it is gone"
                 )));
             }
@@ -207,9 +327,9 @@ impl History {
                 |row| row.get::<_, String>(0),
             )?;
             if let Some(key) = strange.first() {
-                return Err(broken(format!(
-                    "{table} {key} was added without the station's key"
-                )));
+                return Err(
+                    self.broken(format!("{table} {key} was added without the station's key"))
+                );
             }
         }
         let strange = self.rows(
@@ -218,37 +338,36 @@ impl History {
             |row| row.get::<_, i64>(0),
         )?;
         match strange.first() {
-            Some(id) => Err(broken(format!("flanks of check {id}, which is not there"))),
+            Some(id) => Err(self.broken(format!("flanks of check {id}, which is not there"))),
             None => Ok(()),
         }
     }
 
-    /// Whether it is the history that this station last wrote to at this place, and as long as it was.
-    pub(super) fn holds_anchor(&self, anchor: Option<&Anchor>) -> Result<(), HistoryError> {
-        let Some(anchor) = anchor else {
+    /// Whether it holds all that this station has written to the history, here or at another place.
+    pub(super) fn holds_anchor(&self) -> Result<(), HistoryError> {
+        let id = self.id()?;
+        if let Some(anchor) = self.seals().anchor_at(self.path())?
+            && anchor.id != id
+        {
+            return Err(self.broken("it is not the history that this station last wrote to here"));
+        }
+        let Some(anchor) = self.seals().anchor(&id)? else {
             return Ok(());
         };
-        let broken = |why: String| {
-            Err(HistoryError::Broken {
-                path: self.path().to_owned(),
-                why,
-            })
-        };
-        if self.id()? != anchor.id {
-            return broken("it is not the history that this station last wrote to here".into());
-        }
         let there = self.rows(
             "SELECT digest FROM chain WHERE link = ?1",
             [anchor.link],
             |row| row.get::<_, String>(0),
         )?;
-        if there.first() != Some(&anchor.digest) {
-            return broken(format!(
-                "it ends before link {}, which this station wrote: an older copy, or rows were cut off",
-                anchor.link
-            ));
+        if there.first() == Some(&anchor.digest) {
+            return Ok(());
         }
-        Ok(())
+        Err(self.broken(format!(
+            "it lacks link {}, which this station wrote to {}: an older copy, or rows were cut off{}",
+            anchor.link,
+            anchor.file.display(),
+            no_gos_there(&anchor),
+        )))
     }
 
     /// Its own id, made with the file.
@@ -260,13 +379,13 @@ impl History {
 
     /// Remembers how far it is. What was written is on the disk already: where nothing can be remembered, only cutting off
     /// its last rows stays unseen.
-    pub(super) fn remember(&self) {
-        if let Err(error) = self.try_remember(false) {
+    pub(super) fn remember(&self, alone: &Alone) {
+        if let Err(error) = self.try_remember(alone) {
             tracing::error!(%error, "how far the history is cannot be remembered");
         }
     }
 
-    pub(super) fn try_remember(&self, afresh: bool) -> Result<(), HistoryError> {
+    fn try_remember(&self, alone: &Alone) -> Result<(), HistoryError> {
         let last = last(self.connection()).map_err(self.because("read its last link"))?;
         let Some((link, digest)) = last else {
             return Ok(());
@@ -276,41 +395,125 @@ impl History {
             file: self.path().to_owned(),
             link,
             digest,
-            stands: self.standing_no_go()?,
+            simulated: self.kind()?.map(|(simulated, _)| simulated),
+            stands: self.standing_no_gos()?,
         };
-        let seals = self.seals();
-        Ok(seals.drop_anchor(self.path(), anchor, afresh)?)
+        Ok(self.seals().drop_anchor(alone, anchor)?)
     }
 
-    /// Somebody says that a history is to be believed as it is: every row is linked anew with this station's key, and that,
-    /// with the name, is its last row.
+    /// Somebody says that a history is to be believed as it is, be it changed, another station's, or an older copy that is
+    /// restored: every row is linked anew with this station's key, and that, with the name, is its last row. Every other copy
+    /// of it is behind from then on.
     ///
     /// # Errors
     /// It is no history, or cannot be written.
-    pub fn trust(path: &std::path::Path, seals: &Seals, by: &str) -> Result<(), HistoryError> {
+    pub fn trust(path: &Path, seals: &Seals, by: &str) -> Result<(), HistoryError> {
+        let path = &real_name(path);
+        let note = |digest: &str| {
+            seals.note_trust(&TrustEntry {
+                digest: digest.to_owned(),
+                what: "history".into(),
+                file: path.to_owned(),
+                by: by.to_owned(),
+                date: flankscope_foundation::date::now(),
+            })
+        };
         if !path.exists() {
-            if seals.anchor(path)?.is_none() {
+            let Some(id) = seals.history_at(path)? else {
                 let source = std::io::ErrorKind::NotFound.into();
                 let path = path.to_owned();
                 return Err(crate::seal::SealError::Memory { path, source }.into());
-            }
+            };
             // It was moved away or removed: the next check begins it anew.
+            note(&id)?;
             return Ok(seals.forget_anchor(path)?);
         }
-        let mut history = Self::open_unchecked(path, seals)?;
-        let relink = |history: &mut Self| -> rusqlite::Result<()> {
-            let transaction = history.connection_mut().transaction()?;
-            transaction.execute_batch(super::schema::CHAIN_ANEW)?;
-            transaction.execute(
-                "INSERT INTO audit (who, what, detail) SELECT ?1, 'trust', count(*) || ' checks are believed as they are' \
+        let history = Self::open_unchecked(path, seals)?;
+        let alone = seals.alone(&history.id()?)?;
+        let anchor = seals.anchor(&history.id()?)?;
+        let behind = match anchor {
+            Some(anchor) if history.holds_anchor().is_err() => format!(
+                "; it lacked link {} of {}{}",
+                anchor.link,
+                anchor.file.display(),
+                no_gos_there(&anchor)
+            ),
+            _ => String::new(),
+        };
+        let relink = || -> rusqlite::Result<()> {
+            let connection = history.connection();
+            let transaction =
+                Transaction::new_unchecked(connection, TransactionBehavior::Immediate)?;
+            super::schema::restore(connection)?;
+            connection.execute("DELETE FROM chain", [])?;
+            connection.execute(
+                "INSERT INTO audit (who, what, detail) SELECT ?1, 'trust', count(*) || ' checks are believed as they are' || ?2 \
                  FROM inspection",
-                [by],
+                [by, &behind],
             )?;
-            link_all(&transaction, seals)?;
+            connection.execute_batch("REINDEX")?;
+            link_all(connection, seals)?;
             transaction.commit()
         };
-        let result = relink(&mut history);
-        result.map_err(history.because("link its rows anew"))?;
-        history.try_remember(true)
+        relink().map_err(history.because("link its rows anew"))?;
+        history.verify()?;
+        history.try_remember(&alone)?;
+        Ok(note(&history.id()?)?)
+    }
+}
+
+/// What an older copy would shed.
+fn no_gos_there(anchor: &Anchor) -> String {
+    let stands: Vec<String> = anchor.stands.iter().map(ToString::to_string).collect();
+    if stands.is_empty() {
+        return String::new();
+    }
+    format!("; there a no-go stands ({})", stands.join("; "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_in_the_file_is_compared_with_what_was_meant() {
+        const FREE: &str = "DROP TRIGGER audit_keeps_UPDATE; DROP TRIGGER chain_keeps_UPDATE;";
+        for (plant, right) in [
+            ("", true),
+            (
+                "CREATE TRIGGER e AFTER INSERT ON audit BEGIN UPDATE audit SET who = 'nobody'; END",
+                false,
+            ),
+            (
+                "CREATE TRIGGER e BEFORE INSERT ON audit BEGIN SELECT raise(IGNORE); END",
+                false,
+            ),
+            (
+                "CREATE TRIGGER e BEFORE INSERT ON chain BEGIN SELECT raise(IGNORE); END",
+                false,
+            ),
+            (
+                "CREATE TRIGGER e AFTER INSERT ON chain BEGIN UPDATE chain SET digest = ''; END",
+                false,
+            ),
+        ] {
+            let connection = Connection::open_in_memory().unwrap();
+            super::super::schema::make(&connection).unwrap();
+            connection.execute_batch(FREE).unwrap();
+            connection.execute_batch(plant).unwrap();
+            let text = |text: &str| Value::from(text.to_owned());
+            let row = Row {
+                table: "audit",
+                values: vec![
+                    ("id", 1.into()),
+                    ("at", text("2026-01-31T12:00:00.000Z")),
+                    ("who", text("Ada")),
+                    ("what", text("open")),
+                    ("detail", text("")),
+                ],
+            };
+            let added = add(&connection, &Seals::passing().unwrap(), &row, &[]).unwrap();
+            assert_eq!(added, right, "{plant}");
+        }
     }
 }

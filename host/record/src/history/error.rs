@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::origin::looked_at;
+use crate::seal::StandingNoGo;
 
 /// Why a history cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -102,8 +103,32 @@ pub enum HistoryError {
     Gone {
         /// The file.
         path: PathBuf,
-        /// Of which tool, and when.
-        stands: String,
+        /// Against which die, and when.
+        stands: Box<StandingNoGo>,
+    },
+    /// A no-go stands against the die in another history of this station.
+    #[error("history {}: a no-go that nobody has acknowledged stands against this die ({stands}) in {}: acknowledge it in a watch with --history {}, or if that file was removed on purpose: flankscope trust {} --name WHO", path.display(), elsewhere.display(), elsewhere.display(), elsewhere.display())]
+    StandsElsewhere {
+        /// The file.
+        path: PathBuf,
+        /// The other one.
+        elsewhere: PathBuf,
+        /// Against which die, and when.
+        stands: Box<StandingNoGo>,
+    },
+    /// A file with more than one name.
+    #[error("history {} has {names} names (hard links): SQLite and other watches know a file by its name; leave it one, and copy it with sqlite3 {} \".backup COPY\"", path.display(), path.display())]
+    SeveralNames {
+        /// One of them.
+        path: PathBuf,
+        /// How many.
+        names: u64,
+    },
+    /// A folder, pipe or device.
+    #[error("history {}: not a regular file", path.display())]
+    NoFile {
+        /// What it is called.
+        path: PathBuf,
     },
     /// Another watch holds the die.
     #[error("history {}: {tool} is watched by {who} since {since}; one watch at a time holds a die. Dies of one design are told apart by `serial` in their tool files", path.display())]

@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 
+use flankscope_foundation::display::cell;
 use flankscope_metrology::verdict::Code;
 
 use super::rows::Check;
@@ -19,14 +20,14 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
     for check in checks {
         let origin = &check.origin;
-        let text = |text: Option<&str>| text.map_or_else(String::new, quoted);
+        let text = |text: Option<&str>| text.map_or_else(String::new, cell);
         for flank in &check.flanks {
             writeln!(
                 out,
                 "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
                 check.id,
                 check.at,
-                quoted(&check.tool),
+                cell(&check.tool),
                 check.tool_cycles,
                 check.press_cycles,
                 check.baseline.as_deref().unwrap_or_default(),
@@ -39,24 +40,15 @@ pub fn csv(checks: &[Check], out: &mut dyn Write) -> io::Result<()> {
                 flank.limit_um,
                 flank.verdict,
                 flank.code.map_or("", Code::word),
-                quoted(&origin.link),
+                cell(&origin.link),
                 origin.simulated,
-                quoted(&origin.head.name),
+                cell(&origin.head.name),
                 origin.head.blake3,
-                quoted(&origin.station),
+                cell(&origin.station),
                 text(origin.operator.as_deref()),
                 text(flank.id.patch.as_deref()),
             )?;
         }
     }
     Ok(())
-}
-
-/// A name that may hold anything.
-fn quoted(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_owned()
-    }
 }

@@ -2,6 +2,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock};
@@ -10,12 +11,13 @@ use serde::{Deserialize, Serialize};
 use super::error::HistoryError;
 use crate::die::DieKey;
 
-/// Who watches, for others to read.
+/// Who watches what, for others to read. A history is known by its device and inode, whatever name leads to it.
 #[derive(Serialize, Deserialize)]
 struct Holder {
-    tool: String,
-    geometry: String,
-    serial: Option<String>,
+    device: u64,
+    inode: u64,
+    #[serde(flatten)]
+    die: DieKey,
     who: String,
     since: String,
 }
@@ -33,27 +35,40 @@ impl Drop for Hold {
     }
 }
 
-/// Holds a die in the history at `history` for `who`.
-pub(super) fn hold(history: &Path, die: &DieKey, who: &str) -> Result<Hold, HistoryError> {
-    let mut name = history.as_os_str().to_owned();
-    name.push(".watches");
-    let folder = PathBuf::from(name);
+/// Holds a die in the history at `history` for `who`; `folder` is where the station keeps who watches what, if it keeps
+/// anything.
+pub(super) fn hold(
+    folder: Option<PathBuf>,
+    history: &Path,
+    die: &DieKey,
+    who: &str,
+) -> Result<Option<Hold>, HistoryError> {
+    let Some(folder) = folder else {
+        return Ok(None);
+    };
     let failed = |source| HistoryError::Watches {
         path: folder.clone(),
         source,
     };
-    match try_hold(&folder, die, who).map_err(failed)? {
-        Ok(hold) => Ok(hold),
+    match try_hold(&folder, history, die, who).map_err(failed)? {
+        Ok(hold) => Ok(Some(hold)),
         Err(by) => Err(HistoryError::Held {
             path: history.to_owned(),
-            tool: by.tool,
+            tool: by.die.tool,
             who: by.who,
             since: by.since,
         }),
     }
 }
 
-fn try_hold(folder: &Path, die: &DieKey, who: &str) -> io::Result<Result<Hold, Holder>> {
+fn try_hold(
+    folder: &Path,
+    history: &Path,
+    die: &DieKey,
+    who: &str,
+) -> io::Result<Result<Hold, Holder>> {
+    let meta = std::fs::metadata(history)?;
+    let (device, inode) = (meta.dev(), meta.ino());
     std::fs::create_dir_all(folder)?;
     // As long as this is held, nobody else looks or begins to hold.
     let all = File::open(folder)?;
@@ -71,12 +86,7 @@ fn try_hold(folder: &Path, die: &DieKey, who: &str) -> io::Result<Result<Hold, H
         let Ok(holder) = serde_json::from_slice::<Holder>(&holder) else {
             continue;
         };
-        let held = DieKey {
-            tool: holder.tool.clone(),
-            geometry: holder.geometry.clone(),
-            serial: holder.serial.clone(),
-        };
-        if held.is_same(die) {
+        if (holder.device, holder.inode) == (device, inode) && holder.die.is_same(die) {
             return Ok(Err(holder));
         }
     }
@@ -86,9 +96,9 @@ fn try_hold(folder: &Path, die: &DieKey, who: &str) -> io::Result<Result<Hold, H
         .tempfile_in(folder)?;
     flock(file.as_file(), FlockOperation::NonBlockingLockExclusive)?;
     let holder = Holder {
-        tool: die.tool.clone(),
-        geometry: die.geometry.clone(),
-        serial: die.serial.clone(),
+        device,
+        inode,
+        die: die.clone(),
         who: format!("{who}, process {}", std::process::id()),
         since: flankscope_foundation::date::now(),
     };

@@ -10,10 +10,10 @@
 //! | `store` | the file: made, opened, written in whole transactions |
 //! | `row_differences` | the row of a check against its document |
 //! | `rows` | what is read of it |
-//! | `schema` | its tables, and which version of them this is |
+//! | `schema` | its tables, which version of them this is, and what a file has beside them |
 //! | `chain` | a keyed digest over every row and the one before it |
 //! | `same_die` | which checks are of one die |
-//! | `hold` | one watch at a time holds a die |
+//! | `hold` | one watch at a time holds a die in a file, by device and inode |
 //! | `writer` | the sink that a verdict waits for: stores checks, and takes back a verdict that cannot be stored |
 //! | `series` | wear of each flank against cycles, over the tool's present life |
 //! | `change` | where the wear left its line |

@@ -102,7 +102,7 @@ impl History {
     /// The file is missing, unreadable, or not what was stored.
     pub fn phasors(&self, blake3: &str, length: usize) -> Result<Phasors, HistoryError> {
         let path = self.phasors_file(blake3);
-        let read = || unpack(&std::fs::read(&path)?, length);
+        let read = || unpack(&files::read_regular(&path, files::MOST_DATA_BYTES)?, length);
         let bytes = read().map_err(|source| HistoryError::Phasors {
             path: path.clone(),
             source,

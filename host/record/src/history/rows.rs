@@ -12,6 +12,7 @@ use super::store::History;
 use crate::die::DieKey;
 use crate::document::FeatureId;
 use crate::origin::{HeadId, Origin};
+use crate::seal::StandingNoGo;
 
 /// A stored check.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -267,18 +268,27 @@ impl History {
         )
     }
 
-    /// A no-go of any die that nobody has acknowledged: of which tool, and when.
-    pub(super) fn standing_no_go(&self) -> Result<Option<String>, HistoryError> {
-        let found = self.rows(
+    /// No-gos that nobody has acknowledged, the newest of each die.
+    pub(super) fn standing_no_gos(&self) -> Result<Vec<StandingNoGo>, HistoryError> {
+        self.rows(
             &format!(
-                "SELECT tool || ', check ' || id || ' of ' || at FROM inspection WHERE verdict = 'no-go' AND NOT {} \
-                 ORDER BY id DESC LIMIT 1",
+                "SELECT tool, geometry, serial, max(id), at FROM inspection WHERE verdict = 'no-go' AND NOT {} \
+                 GROUP BY tool, geometry, serial ORDER BY max(id) DESC",
                 acknowledged()
             ),
             [],
-            |row| row.get(0),
-        )?;
-        Ok(found.into_iter().next())
+            |row| {
+                Ok(StandingNoGo {
+                    die: DieKey {
+                        tool: row.get(0)?,
+                        geometry: row.get(1)?,
+                        serial: row.get(2)?,
+                    },
+                    check: row.get(3)?,
+                    at: row.get(4)?,
+                })
+            },
+        )
     }
 
     /// Refuses a head without a digest where a check was made with a signed one of its name.

@@ -1,4 +1,6 @@
-//! The tables of a history and which version of them this is.
+//! The tables of a history and which version of them this is; whatever else a file defines is found by name.
+
+use rusqlite::Connection;
 
 /// Says in the file's header that it is a history of this instrument: "FLNK".
 pub const APPLICATION_ID: i32 = 0x464C_4E4B;
@@ -8,7 +10,7 @@ pub const VERSION: i32 = 1;
 
 /// Rows are added to the tables of [`KEPT`], none is changed or removed. `phasors` says which checks keep which files of phasors, which are
 /// no part of what was found: its rows go with the files.
-pub const TABLES: &str = "
+const TABLES: &str = "
 CREATE TABLE baseline (
     blake3 TEXT PRIMARY KEY,
     at TEXT NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
@@ -91,26 +93,8 @@ CREATE INDEX phasors_by_hash ON phasors (blake3);
 INSERT INTO identity (one) VALUES (1);
 ";
 
-/// The chain of a history that somebody trusts is made anew.
-pub const CHAIN_ANEW: &str = "
-DROP TRIGGER IF EXISTS chain_keeps_UPDATE;
-DROP TRIGGER IF EXISTS chain_keeps_DELETE;
-DROP TABLE IF EXISTS chain;
-CREATE TABLE chain (
-    link INTEGER PRIMARY KEY AUTOINCREMENT,
-    source TEXT NOT NULL,
-    key TEXT NOT NULL,
-    digest TEXT NOT NULL,
-    station TEXT NOT NULL
-) STRICT;
-CREATE TRIGGER chain_keeps_UPDATE BEFORE UPDATE ON chain
-    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
-CREATE TRIGGER chain_keeps_DELETE BEFORE DELETE ON chain
-    BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END;
-";
-
-/// Tables whose rows nobody may change or remove.
-pub const KEPT: [&str; 8] = [
+/// Tables whose rows no other program may change or remove by mistake.
+const KEPT: [&str; 8] = [
     "baseline",
     "inspection",
     "flank",
@@ -120,3 +104,108 @@ pub const KEPT: [&str; 8] = [
     "identity",
     "chain",
 ];
+
+/// Makes everything that a history consists of, in an empty file.
+pub fn make(connection: &Connection) -> rusqlite::Result<()> {
+    connection.execute_batch(TABLES)?;
+    KEPT.into_iter().try_for_each(|table| {
+        ["UPDATE", "DELETE"].into_iter().try_for_each(|event| {
+            connection.execute_batch(&format!(
+                "CREATE TRIGGER {table}_keeps_{event} BEFORE {event} ON {table} \
+                 BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END"
+            ))
+        })
+    })
+}
+
+/// A table, index, trigger or view, as the file defines it.
+#[derive(Debug, PartialEq, Eq)]
+struct Object {
+    kind: String,
+    name: String,
+    table: String,
+    /// With single blanks; none of an index that SQLite makes itself.
+    definition: Option<String>,
+}
+
+impl Object {
+    fn same_name(&self, other: &Self) -> bool {
+        (&self.kind, &self.name) == (&other.kind, &other.name)
+    }
+
+    fn words(&self) -> String {
+        let Self {
+            kind, name, table, ..
+        } = self;
+        if name == table {
+            format!("{kind} {name}")
+        } else {
+            format!("{kind} {name} on {table}")
+        }
+    }
+}
+
+fn objects(connection: &Connection) -> rusqlite::Result<Vec<Object>> {
+    let mut all = connection.prepare("SELECT type, name, tbl_name, sql FROM sqlite_schema")?;
+    all.query_map([], |row| {
+        let definition: Option<String> = row.get(3)?;
+        Ok(Object {
+            kind: row.get(0)?,
+            name: row.get(1)?,
+            table: row.get(2)?,
+            definition: definition.map(|sql| sql.split_whitespace().collect::<Vec<_>>().join(" ")),
+        })
+    })?
+    .collect()
+}
+
+/// What the file defines and this program does not, and the other way around.
+struct Differences {
+    foreign: Vec<Object>,
+    missing: Vec<Object>,
+}
+
+fn differences(connection: &Connection) -> rusqlite::Result<Differences> {
+    let own = Connection::open_in_memory()?;
+    make(&own)?;
+    let mut foreign = objects(connection)?;
+    let mut missing = objects(&own)?;
+    missing.retain(|object| {
+        let found = foreign.iter().position(|there| there == object);
+        found.map(|at| foreign.swap_remove(at)).is_none()
+    });
+    Ok(Differences { foreign, missing })
+}
+
+/// In words, how what the file defines differs from what this program makes: what else runs when a row is added may change it.
+pub fn strange(connection: &Connection) -> rusqlite::Result<Option<String>> {
+    let Differences { foreign, missing } = differences(connection)?;
+    let among = |objects: &[Object], one: &Object| objects.iter().any(|other| other.same_name(one));
+    let mut said = Vec::new();
+    for object in &foreign {
+        let what = if among(&missing, object) {
+            "is not as this program makes it"
+        } else {
+            "is none of this program's"
+        };
+        said.push(format!("{} {what}", object.words()));
+    }
+    for object in missing.iter().filter(|object| !among(&foreign, object)) {
+        said.push(format!("{} is missing", object.words()));
+    }
+    Ok((!said.is_empty()).then(|| said.join(", ")))
+}
+
+/// Removes foreign triggers, views and indices, and makes missing ones anew; tables stay what they are.
+pub fn restore(connection: &Connection) -> rusqlite::Result<()> {
+    let Differences { foreign, missing } = differences(connection)?;
+    let not_table = |object: &&Object| object.kind != "table" && object.definition.is_some();
+    for Object { kind, name, .. } in foreign.iter().filter(not_table) {
+        let name = name.replace('"', "\"\"");
+        connection.execute_batch(&format!("DROP {kind} \"{name}\""))?;
+    }
+    for sql in missing.iter().filter(not_table).flat_map(|o| &o.definition) {
+        connection.execute_batch(sql)?;
+    }
+    Ok(())
+}

@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use flankscope_metrology::verdict::Code;
-use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, params};
+use rusqlite::config::DbConfig;
+use rusqlite::types::Value;
+use rusqlite::{
+    Connection, OpenFlags, OptionalExtension, Transaction, TransactionBehavior, params,
+};
 
-use super::chain;
+use super::chain::{self, Row};
 use super::error::HistoryError;
 use super::same_die::same_as_asked;
-use super::schema::{APPLICATION_ID, KEPT, TABLES, VERSION};
+use super::schema::{self, APPLICATION_ID, VERSION};
 use crate::die::DieKey;
 use crate::document::Inspection;
 use crate::origin::Origin;
@@ -30,24 +33,32 @@ impl History {
     /// Opens a history for writing; makes it where there is none.
     ///
     /// # Errors
-    /// The file cannot be opened, is none of this instrument, of another layout, or not the one that this station last
-    /// wrote to here.
+    /// The file cannot be opened, is none of this instrument, of another layout, not what this station wrote, or a copy that
+    /// lacks what it wrote.
     pub fn open(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
-        let mut anchor = seals.anchor(path)?;
+        let path = &real_name(path);
         if !std::fs::metadata(path).is_ok_and(|meta| meta.len() > 0) {
-            if let Some(stands) = anchor.take().and_then(|anchor| anchor.stands) {
+            let anchor = seals.anchor_at(path)?;
+            if let Some(stands) = anchor.and_then(|anchor| anchor.stands.into_iter().next()) {
                 let path = path.to_owned();
+                let stands = Box::new(stands);
                 return Err(HistoryError::Gone { path, stands });
             }
             seals.forget_anchor(path)?;
         }
-        let history = Self::open_unchecked(path, seals)?;
-        history.holds_anchor(anchor.as_ref())?;
-        Ok(history)
+        Self::open_unchecked(path, seals)?.believed()
+    }
+
+    /// Nothing is read of a history that is not what this station wrote.
+    fn believed(self) -> Result<Self, HistoryError> {
+        self.holds_anchor()?;
+        self.verify()?;
+        Ok(self)
     }
 
     pub(super) fn open_unchecked(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
         close_to_others(path);
+        only_name(path)?;
         let history = Self::connect(
             path,
             OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_CREATE,
@@ -55,6 +66,10 @@ impl History {
         )?;
         let sql = |doing| history.because(doing);
         let connection = &history.connection;
+        // Somebody else's database stays as it is.
+        if history.number("schema_version")? != 0 {
+            history.check_layout()?;
+        }
         // A reader sees the last whole state while a check is being stored, and a commit counts when it is on the disk.
         connection
             .pragma_update_and_check(None, "journal_mode", "wal", |_| Ok(()))
@@ -74,14 +89,18 @@ impl History {
     /// # Errors
     /// As [`History::open`].
     pub fn read(path: &Path, seals: &Seals) -> Result<Self, HistoryError> {
-        let mut history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_ONLY, seals)?;
+        let path = &real_name(path);
+        only_name(path)?;
+        // Whoever may only read a file cannot remove its journal, whoever may write does so when the last one leaves it.
+        let mut history = Self::connect(path, OpenFlags::SQLITE_OPEN_READ_WRITE, seals)?;
+        let only = history.connection.pragma_update(None, "query_only", "on");
+        only.map_err(history.because("open it"))?;
         // In a folder that only may be read no journal can be shared. Where there is none either, nobody writes.
         if history.number("schema_version").is_err() && journal_is_empty(path) {
             history = Self::connect_unchanging(path, seals)?;
         }
         history.check_layout()?;
-        history.holds_anchor(seals.anchor(path)?.as_ref())?;
-        Ok(history)
+        history.believed()
     }
 
     fn connect(path: &Path, flags: OpenFlags, seals: &Seals) -> Result<Self, HistoryError> {
@@ -93,6 +112,15 @@ impl History {
         let flags = flags | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(path, flags).map_err(failed)?;
         connection.busy_timeout(PATIENCE).map_err(failed)?;
+        // Whatever the file defines, none of it runs while this program reads or writes, and nothing writes past the tables.
+        for (setting, on) in [
+            (DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true),
+            (DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false),
+            (DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false),
+            (DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false),
+        ] {
+            connection.set_db_config(setting, on).map_err(failed)?;
+        }
         Ok(Self {
             connection,
             path: path.to_owned(),
@@ -127,10 +155,6 @@ impl History {
         &self.connection
     }
 
-    pub(super) fn connection_mut(&mut self) -> &mut Connection {
-        &mut self.connection
-    }
-
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -163,8 +187,7 @@ impl History {
                 self.connection
                     .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
             if objects == 0 {
-                self.connection.execute_batch(TABLES)?;
-                KEPT.into_iter().try_for_each(|table| self.protect(table))?;
+                schema::make(&self.connection)?;
                 chain::link_all(&self.connection, &self.seals)?;
                 self.connection
                     .pragma_update(None, "application_id", APPLICATION_ID)?;
@@ -177,17 +200,6 @@ impl History {
             let _ = self.connection.execute_batch("ROLLBACK");
             self.because("make its tables")(error)
         })
-    }
-
-    /// Rows of this table are only added.
-    fn protect(&self, table: &str) -> rusqlite::Result<()> {
-        for event in ["UPDATE", "DELETE"] {
-            self.connection.execute_batch(&format!(
-                "CREATE TRIGGER {table}_keeps_{event} BEFORE {event} ON {table} \
-                 BEGIN SELECT RAISE(ABORT, 'a history is only added to'); END"
-            ))?;
-        }
-        Ok(())
     }
 
     fn check_layout(&self) -> Result<(), HistoryError> {
@@ -248,63 +260,44 @@ impl History {
         inspection: &Inspection,
         tool_cycles: Option<u32>,
     ) -> Result<i64, HistoryError> {
-        self.takes(inspection.origin.simulated)?;
+        let simulated = inspection.origin.simulated;
+        self.takes(simulated)?;
         let document =
             serde_json::to_value(inspection).map_err(|source| HistoryError::Document {
                 path: self.path.clone(),
                 source,
             })?;
-        let path = self.path.clone();
-        let stored = self.insert(inspection, tool_cycles, document);
-        let stored = stored.map_err(|source| HistoryError::Database {
-            path: path.clone(),
-            doing: "store the check",
-            source,
-        })?;
-        match stored {
-            Ok(id) => {
-                self.remember();
-                Ok(id)
+        self.write("store the check", |history| {
+            // The first check decides whether the file is of the simulated bench.
+            if history.kind()?.is_none() {
+                let values = vec![
+                    ("one", 1.into()),
+                    ("at", history.now()?),
+                    ("simulated", simulated.into()),
+                ];
+                history.add_linked("kind", values, &[])?;
             }
-            // Somebody else stored the first check meanwhile, of the other kind.
-            Err((simulated, since)) => Err(HistoryError::OtherKind {
-                path,
-                simulated,
-                since,
-            }),
-        }
+            // Somebody else may have stored the first one meanwhile, of the other kind.
+            history.takes(simulated)?;
+            history.insert(inspection, tool_cycles, document)
+        })
     }
 
     fn insert(
-        &mut self,
+        &self,
         inspection: &Inspection,
         tool_cycles: Option<u32>,
         mut document: serde_json::Value,
-    ) -> rusqlite::Result<Result<i64, (bool, String)>> {
-        let transaction = self
-            .connection
-            .transaction_with_behavior(TransactionBehavior::Immediate)?;
-        // The first check decides whether the file is of the simulated bench.
-        let begun = transaction.execute(
-            "INSERT OR IGNORE INTO kind (one, simulated) VALUES (1, ?1)",
-            [inspection.origin.simulated],
-        )?;
-        if begun > 0 {
-            chain::link(&transaction, &self.seals, "kind", "1")?;
-        }
-        let kind = "SELECT simulated, at FROM kind";
-        let (holds, since) =
-            transaction.query_row(kind, [], |row| Ok((row.get(0)?, row.get(1)?)))?;
-        if holds != inspection.origin.simulated {
-            return Ok(Err((holds, since)));
-        }
+    ) -> Result<i64, HistoryError> {
+        let failed = self.because("store the check");
         let DieKey {
             tool,
             geometry,
             serial,
         } = &inspection.die;
         let counter = i64::from(inspection.press_cycles);
-        let last: Option<(i64, i64)> = transaction
+        let last: Option<(i64, i64)> = self
+            .connection
             .query_row(
                 &format!(
                     "SELECT tool_cycles, press_cycles FROM inspection WHERE {} ORDER BY id DESC LIMIT 1",
@@ -313,7 +306,8 @@ impl History {
                 params![tool, geometry, serial],
                 |row| Ok((row.get(0)?, row.get(1)?)),
             )
-            .optional()?;
+            .optional()
+            .map_err(failed)?;
         let tool_cycles = match (tool_cycles, last) {
             (Some(cycles), _) => i64::from(cycles),
             (None, None) => counter,
@@ -322,11 +316,7 @@ impl History {
             (None, Some((cycles, _))) => cycles + counter,
         };
         // Nobody else adds a row meanwhile: the check knows its number before it has one.
-        let id: i64 = transaction.query_row(
-            "SELECT 1 + coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'inspection'), 0)",
-            [],
-            |row| row.get(0),
-        )?;
+        let id = self.next_id("inspection")?;
         document["id"] = id.into();
         let Origin {
             link,
@@ -336,59 +326,118 @@ impl History {
             operator,
             recording: _, // in the document
         } = &inspection.origin;
-        transaction.execute(
-            "INSERT INTO inspection (id, tool, tool_cycles, press_cycles, baseline, verdict, reason, document, \
-             link, simulated, head, head_blake3, station, operator, geometry, serial, head_seal) \
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)",
-            params![
-                id,
-                tool,
-                tool_cycles,
-                counter,
-                inspection.hashes.get("baseline"),
-                inspection.verdict.as_str(),
-                inspection.reason,
-                document.to_string(),
-                link,
-                simulated,
-                head.name,
-                head.blake3,
-                station,
-                operator,
-                geometry,
-                serial,
-                head.seal
-            ],
-        )?;
-        {
-            let mut row = transaction.prepare(
-                "INSERT INTO flank (inspection, tooth, flank, wear_um, u95_um, warn_um, limit_um, verdict, code, patch) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
-            )?;
-            for feature in &inspection.features {
-                row.execute(params![
-                    id,
-                    feature.id.tooth,
-                    feature.id.flank.word(),
-                    feature.wear_um,
-                    feature.u95_um,
-                    feature.warn_um,
-                    feature.limit_um,
-                    feature.verdict.as_str(),
-                    feature.code.map(Code::word),
-                    feature.id.patch
-                ])?;
-            }
-        }
+        let values = vec![
+            ("id", id.into()),
+            ("at", self.now()?),
+            ("tool", tool.clone().into()),
+            ("tool_cycles", tool_cycles.into()),
+            ("press_cycles", counter.into()),
+            (
+                "baseline",
+                inspection.hashes.get("baseline").cloned().into(),
+            ),
+            ("verdict", inspection.verdict.as_str().to_owned().into()),
+            ("reason", inspection.reason.clone().into()),
+            ("document", document.to_string().into()),
+            ("link", link.clone().into()),
+            ("simulated", (*simulated).into()),
+            ("head", head.name.clone().into()),
+            ("head_blake3", head.blake3.clone().into()),
+            ("head_seal", head.seal.clone().into()),
+            ("station", station.clone().into()),
+            ("operator", operator.clone().into()),
+            ("geometry", geometry.clone().into()),
+            ("serial", serial.clone().into()),
+        ];
+        // Zero has no sign in a file, and what is no number is null.
+        let real = |value: f64| (!value.is_nan()).then_some(value + 0.0);
+        let flanks: Vec<Row> = inspection
+            .features
+            .iter()
+            .map(|feature| Row {
+                table: "flank",
+                values: vec![
+                    ("inspection", id.into()),
+                    ("tooth", i64::from(feature.id.tooth).into()),
+                    ("flank", feature.id.flank.word().to_owned().into()),
+                    ("wear_um", feature.wear_um.and_then(real).into()),
+                    ("u95_um", feature.u95_um.and_then(real).into()),
+                    ("warn_um", real(feature.warn_um).into()),
+                    ("limit_um", real(feature.limit_um).into()),
+                    ("verdict", feature.verdict.as_str().to_owned().into()),
+                    (
+                        "code",
+                        feature.code.map(|code| code.word().to_owned()).into(),
+                    ),
+                    ("patch", feature.id.patch.clone().into()),
+                ],
+            })
+            .collect();
+        self.add_linked("inspection", values, &flanks)?;
         for blake3 in inspection.evidence.iter().flat_map(|view| &view.phasors) {
-            transaction.execute(
-                "INSERT OR IGNORE INTO phasors (inspection, blake3) VALUES (?1, ?2)",
-                params![id, blake3],
-            )?;
+            self.connection
+                .execute(
+                    "INSERT OR IGNORE INTO phasors (inspection, blake3) VALUES (?1, ?2)",
+                    params![id, blake3],
+                )
+                .map_err(failed)?;
         }
-        chain::link(&transaction, &self.seals, "inspection", &id.to_string())?;
-        transaction.commit()?;
-        Ok(Ok(id))
+        Ok(id)
+    }
+
+    /// The host's clock, as SQLite tells it.
+    fn now(&self) -> Result<Value, HistoryError> {
+        let now = "SELECT strftime('%Y-%m-%dT%H:%M:%fZ', 'now')";
+        let now = self.connection.query_row(now, [], |row| row.get(0));
+        now.map_err(self.because("ask for the time"))
+    }
+
+    /// Number of the next row: one that no row had before.
+    fn next_id(&self, table: &str) -> Result<i64, HistoryError> {
+        let sql = format!(
+            "SELECT 1 + max(coalesce((SELECT seq FROM sqlite_sequence WHERE name = '{table}'), 0), \
+             coalesce((SELECT max(id) FROM {table}), 0))"
+        );
+        let next = self.connection.query_row(&sql, [], |row| row.get(0));
+        next.map_err(self.because("number a row"))
+    }
+
+    /// Adds a row with its link, and reads back what is then there.
+    fn add_linked(
+        &self,
+        table: &'static str,
+        values: Vec<(&'static str, Value)>,
+        flanks: &[Row],
+    ) -> Result<(), HistoryError> {
+        let row = Row { table, values };
+        let stored = chain::add(&self.connection, &self.seals, &row, flanks);
+        if stored.map_err(self.because("add a row"))? {
+            Ok(())
+        } else {
+            let why = format!(
+                "a row of {table} is not in it as it was to be stored: something in it changes what is added"
+            );
+            Err(self.broken(why))
+        }
+    }
+
+    /// Does everything or nothing; when this returns, it is on the disk. Nothing is added to a file that is not what this
+    /// station wrote, and no two copies of a history are written to at a time.
+    fn write<T>(
+        &self,
+        doing: &'static str,
+        work: impl FnOnce(&Self) -> Result<T, HistoryError>,
+    ) -> Result<T, HistoryError> {
+        let alone = self.seals.alone(&self.id()?)?;
+        let transaction =
+            Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)
+                .map_err(self.because(doing))?;
+        self.verify_definitions()?;
+        self.holds_anchor()?;
+        let done = work(self)?;
+        transaction.commit().map_err(self.because(doing))?;
+        self.remember(&alone);
+        Ok(done)
     }
 
     /// Keeps the baseline that following checks are judged by.
@@ -401,45 +450,18 @@ impl History {
         tool: &str,
         document: &str,
     ) -> Result<(), HistoryError> {
-        self.add(
-            "keep the baseline",
-            "baseline",
-            "INSERT OR IGNORE INTO baseline (blake3, tool, document) VALUES (?1, ?2, ?3) RETURNING blake3",
-            [blake3, tool, document],
-        )
-    }
-
-    /// Adds a row, linked, and on the disk when this returns.
-    fn add(
-        &mut self,
-        doing: &'static str,
-        table: &'static str,
-        sql: &str,
-        parameters: impl rusqlite::Params,
-    ) -> Result<(), HistoryError> {
-        let Self {
-            connection, seals, ..
-        } = self;
-        let add = || -> rusqlite::Result<()> {
-            let transaction =
-                connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-            let key: Option<String> = transaction
-                .query_row(sql, parameters, |row| {
-                    Ok(match row.get_ref(0)? {
-                        rusqlite::types::ValueRef::Integer(number) => number.to_string(),
-                        other => other.as_str()?.to_owned(),
-                    })
-                })
-                .optional()?;
-            if let Some(key) = key {
-                chain::link(&transaction, seals, table, &key)?;
+        self.write("keep the baseline", |history| {
+            if history.baseline(blake3)?.is_some() {
+                return Ok(());
             }
-            transaction.commit()
-        };
-        let added = add();
-        added.map_err(self.because(doing))?;
-        self.remember();
-        Ok(())
+            let values = vec![
+                ("blake3", blake3.to_owned().into()),
+                ("at", history.now()?),
+                ("tool", tool.to_owned().into()),
+                ("document", document.to_owned().into()),
+            ];
+            history.add_linked("baseline", values, &[])
+        })
     }
 
     /// Notes who acknowledged what stood at the press.
@@ -447,17 +469,29 @@ impl History {
     /// # Errors
     /// As [`History::record`]; what is not noted is not acknowledged.
     pub fn acknowledge(&mut self, die: &DieKey, who: &str) -> Result<(), HistoryError> {
-        let sql = format!(
-            "INSERT INTO acknowledgement (tool, geometry, serial, who, inspection) \
-             VALUES (?1, ?2, ?3, ?4, (SELECT max(id) FROM inspection WHERE {})) RETURNING id",
-            same_as_asked("inspection")
-        );
-        self.add(
-            "note the acknowledgement",
-            "acknowledgement",
-            &sql,
-            params![die.tool, die.geometry, die.serial, who],
-        )
+        let doing = "note the acknowledgement";
+        self.write(doing, |history| {
+            let last = format!(
+                "SELECT max(id) FROM inspection WHERE {}",
+                same_as_asked("inspection")
+            );
+            let shown: Value = history
+                .connection
+                .query_row(&last, params![die.tool, die.geometry, die.serial], |row| {
+                    row.get(0)
+                })
+                .map_err(history.because(doing))?;
+            let values = vec![
+                ("id", history.next_id("acknowledgement")?.into()),
+                ("at", history.now()?),
+                ("tool", die.tool.clone().into()),
+                ("who", who.to_owned().into()),
+                ("inspection", shown),
+                ("geometry", die.geometry.clone().into()),
+                ("serial", die.serial.clone().into()),
+            ];
+            history.add_linked("acknowledgement", values, &[])
+        })
     }
 
     /// Notes that somebody did something.
@@ -465,13 +499,44 @@ impl History {
     /// # Errors
     /// As [`History::record`].
     pub fn audit(&mut self, who: &str, what: &str, detail: &str) -> Result<(), HistoryError> {
-        self.add(
-            "write its audit",
-            "audit",
-            "INSERT INTO audit (who, what, detail) VALUES (?1, ?2, ?3) RETURNING id",
-            [who, what, detail],
-        )
+        self.write("write its audit", |history| {
+            let values = vec![
+                ("id", history.next_id("audit")?.into()),
+                ("at", history.now()?),
+                ("who", who.to_owned().into()),
+                ("what", what.to_owned().into()),
+                ("detail", detail.to_owned().into()),
+            ];
+            history.add_linked("audit", values, &[])
+        })
     }
+}
+
+/// Journal and locks go by a file's name: one with several names, each with its own, is two files to its writers.
+fn only_name(path: &Path) -> Result<(), HistoryError> {
+    use std::os::unix::fs::MetadataExt;
+    match std::fs::metadata(path) {
+        Ok(meta) if meta.is_file() && meta.nlink() > 1 => Err(HistoryError::SeveralNames {
+            path: path.to_owned(),
+            names: meta.nlink(),
+        }),
+        Ok(meta) if !meta.is_file() => Err(HistoryError::NoFile {
+            path: path.to_owned(),
+        }),
+        // A link that leads nowhere.
+        Err(_) if std::fs::symlink_metadata(path).is_ok() => Err(HistoryError::NoFile {
+            path: path.to_owned(),
+        }),
+        // SQLite says what is wrong with one that is not there.
+        _ => Ok(()),
+    }
+}
+
+/// Where a link leads, so that what belongs to a history is always beside the file itself.
+pub(super) fn real_name(path: &Path) -> PathBuf {
+    let link = std::fs::symlink_metadata(path).is_ok_and(|meta| meta.is_symlink());
+    let real = if link { path.canonicalize().ok() } else { None };
+    real.unwrap_or_else(|| path.to_owned())
 }
 
 /// Whether everything is in the file itself.

@@ -21,6 +21,7 @@ pub struct HistoryWriter {
     tool_cycles: Option<u32>,
     keep: Retention,
     operator: String,
+    simulated: bool,
 }
 
 impl HistoryWriter {
@@ -38,6 +39,7 @@ impl HistoryWriter {
             tool_cycles,
             keep,
             operator,
+            simulated: false,
         }
     }
 
@@ -61,6 +63,7 @@ impl HistoryWriter {
         baseline: Option<&Baseline>,
     ) -> Result<(), HistoryError> {
         self.history.takes(simulated)?;
+        self.simulated = simulated;
         if let Some(baseline) = baseline {
             self.history
                 .keep_baseline(&baseline.hash(), &die.tool, &baseline.document())?;
@@ -105,13 +108,26 @@ impl HistoryWriter {
         Ok(Latch::resumed(&self.history.open_verdicts(die)?))
     }
 
-    /// Holds a die for a watch, in a history of which every row is what was written.
+    /// Holds a die for a watch, in a history of which every row is what was written. None where the station keeps nothing that
+    /// another watch could see.
     ///
     /// # Errors
-    /// Its chain is broken, or another watch holds the die.
-    pub fn hold(&self, die: &DieKey) -> Result<Hold, HistoryError> {
+    /// Its chain is broken, another watch holds the die, or a no-go stands against it in another history of this station.
+    pub fn hold(&self, die: &DieKey) -> Result<Option<Hold>, HistoryError> {
         self.history.verify()?;
-        hold(self.history.path(), die, &self.operator)
+        let seals = self.history.seals();
+        // On the bench every history is of a die of its own.
+        if !self.simulated
+            && let Some((elsewhere, stands)) = seals.stands_elsewhere(die, &self.history.id()?)?
+        {
+            return Err(HistoryError::StandsElsewhere {
+                path: self.history.path().to_owned(),
+                elsewhere,
+                stands: Box::new(stands),
+            });
+        }
+        let folder = seals.place_for("watches");
+        hold(folder, self.history.path(), die, &self.operator)
     }
 }
 

@@ -5,6 +5,8 @@ use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::files::read_regular;
+
 use super::SealError;
 
 const FILE: &str = "station.key";
@@ -41,7 +43,7 @@ impl Key {
         }
         private(&path)?;
         let mut key = [0; 32];
-        let bytes = std::fs::read(&path).map_err(failed)?;
+        let bytes = read_regular(&path, 1 << 10).map_err(failed)?;
         if bytes.len() != key.len() {
             let what = format!("{} bytes, a key has {}", bytes.len(), key.len());
             return Err(failed(io::Error::new(io::ErrorKind::InvalidData, what)));

@@ -9,11 +9,12 @@ mod memory;
 
 use std::path::{Path, PathBuf};
 
+use flankscope_foundation::files::read_text;
 use flankscope_foundation::seal::Seal;
 use serde::Serialize;
 use serde_json::Value;
 
-pub use memory::{Anchor, TrustEntry};
+pub use memory::{Alone, Anchor, StandingNoGo, TrustEntry};
 
 /// What is sealed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +29,8 @@ pub enum Kind {
     Scan,
     /// The manifest of a scan's session folder.
     Session,
+    /// What a station remembers of a history.
+    Memory,
 }
 
 impl Kind {
@@ -40,6 +43,7 @@ impl Kind {
             Self::SelfTest => "self-test",
             Self::Scan => "scan",
             Self::Session => "scan session",
+            Self::Memory => "memory of a history",
         }
     }
 }
@@ -167,6 +171,11 @@ impl Seals {
         Ok(Self { key, folder: None })
     }
 
+    /// Where the station keeps something beside its key; none where nothing is kept.
+    pub(crate) fn place_for(&self, what: &str) -> Option<PathBuf> {
+        Some(self.folder.as_ref()?.join(what))
+    }
+
     /// Names the station's key.
     #[must_use]
     pub fn station(&self) -> String {
@@ -208,7 +217,15 @@ impl Seals {
     pub fn standing(&self, kind: Kind, document: &Value) -> Result<Standing, SealError> {
         let right = self.of(kind, document);
         let seal = document.get(Seal::KEY).cloned();
-        let seal: Option<Seal> = seal.map(serde_json::from_value).transpose()?;
+        // One that cannot be read is not what the station wrote.
+        let seal = match seal.map(serde_json::from_value::<Seal>).transpose() {
+            Ok(seal) => seal,
+            Err(_) => {
+                return Ok(self
+                    .trusted(&right)?
+                    .map_or(Standing::Changed, |by| Standing::Trusted { by }));
+            }
+        };
         let own = |seal: &&Seal| seal.station == self.station();
         if seal
             .as_ref()
@@ -289,7 +306,7 @@ impl Seals {
             path: path.to_owned(),
             source,
         };
-        let text = std::fs::read_to_string(path).map_err(failed)?;
+        let text = read_text(path).map_err(failed)?;
         let Seal { station, blake3 } = self.seal(kind, &toml_document(path, &text)?)?;
         let text = format!(
             "{}\n\n[{}]\nstation = \"{station}\"\nblake3 = \"{blake3}\"\n",
@@ -312,7 +329,7 @@ impl Seals {
     /// [`SealError::NotBelieved`] with the remedy.
     pub fn head(&self, path: &Path, calibrated: bool) -> Result<Standing, SealError> {
         let read = |path: &Path| {
-            std::fs::read_to_string(path).map_err(|source| SealError::Memory {
+            read_text(path).map_err(|source| SealError::Memory {
                 path: path.to_owned(),
                 source,
             })

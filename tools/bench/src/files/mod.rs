@@ -40,6 +40,16 @@ pub enum FileError {
         /// Cause, with its place.
         cause: Box<toml::de::Error>,
     },
+    /// An infinite number, or none.
+    #[error("{}: {key} = {got}; must be a finite number", path.display())]
+    NotFinite {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: String,
+        /// Its value.
+        got: f64,
+    },
     /// A number that nothing can have.
     #[error("{}: {key} = {got}; must be {expected}", path.display())]
     Value {
@@ -58,18 +68,61 @@ fn read<T: DeserializeOwned>(path: &Path) -> Result<T, FileError> {
     parse(path, &text(path)?)
 }
 
+/// What is at a path, if that is a regular file: a pipe or a device may never end.
+///
+/// # Errors
+/// The operating system's, or it is something else.
+pub fn regular(path: &Path) -> std::io::Result<&Path> {
+    if std::fs::metadata(path)?.is_file() {
+        return Ok(path);
+    }
+    let why = "it is no regular file";
+    Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, why))
+}
+
 fn text(path: &Path) -> Result<String, FileError> {
-    std::fs::read_to_string(path).map_err(|cause| FileError::Read {
+    let read = regular(path).and_then(std::fs::read_to_string);
+    read.map_err(|cause| FileError::Read {
         path: path.to_path_buf(),
         cause,
     })
 }
 
 fn parse<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T, FileError> {
-    toml::from_str(text).map_err(|cause| FileError::Toml {
+    let refused = |cause| FileError::Toml {
         path: path.to_path_buf(),
         cause: Box::new(cause),
-    })
+    };
+    let table: toml::Table = toml::from_str(text).map_err(refused)?;
+    if let Some((key, got)) = not_finite(&toml::Value::Table(table)) {
+        let path = path.to_path_buf();
+        return Err(FileError::NotFinite { path, key, got });
+    }
+    toml::from_str(text).map_err(refused)
+}
+
+/// The first number of a file that is none, under its key: nothing in a world is as large.
+fn not_finite(value: &toml::Value) -> Option<(String, f64)> {
+    let below = |key: String, value: &toml::Value| {
+        let (inner, got) = not_finite(value)?;
+        let joint = if inner.is_empty() || inner.starts_with('[') {
+            ""
+        } else {
+            "."
+        };
+        Some((format!("{key}{joint}{inner}"), got))
+    };
+    match value {
+        toml::Value::Float(got) if !got.is_finite() => Some((String::new(), *got)),
+        toml::Value::Array(all) => all
+            .iter()
+            .enumerate()
+            .find_map(|(at, value)| below(format!("[{at}]"), value)),
+        toml::Value::Table(table) => table
+            .iter()
+            .find_map(|(key, value)| below(key.clone(), value)),
+        _ => None,
+    }
 }
 
 /// A pose as files state it.
@@ -102,5 +155,27 @@ impl From<&Placement> for Isometry3<f64> {
             Translation3::from(Vector3::from(file.translation_mm)),
             rotation,
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_are_none_stop_at_the_border() {
+        let read = |text: &str| parse::<toml::Table>(Path::new("optics.toml"), text);
+        assert!(read("a = 1.0\n[b]\nc = [1e300, 2]").is_ok());
+        for (text, key) in [
+            ("a = -inf", "a = -inf"),
+            ("[b]\nc = nan", "b.c = NaN"),
+            ("[b]\nc = [1.0, [inf]]", "b.c[1][0] = inf"),
+        ] {
+            let error = read(text).unwrap_err().to_string();
+            assert!(
+                error.contains(&format!("optics.toml: {key}; must be")),
+                "{error}"
+            );
+        }
     }
 }

@@ -148,9 +148,11 @@ impl FolderSource {
     }
 
     fn image(&self, path: &Path, expected: Option<&String>) -> Result<GreyImage, ImageProblem> {
-        let content = std::fs::read(path).map_err(|source| ImageError::Open {
-            path: path.to_owned(),
-            source,
+        let content = files::read_regular(path, files::MOST_DATA_BYTES).map_err(|source| {
+            ImageError::Open {
+                path: path.to_owned(),
+                source,
+            }
         })?;
         if let Some(expected) = expected {
             let got = files::hash(&content);

@@ -176,9 +176,11 @@ impl CloudRecording {
     fn load(&self, view: &IndexedCloud) -> Result<ViewCloud, CloudsError> {
         let path = self.folder.join(&view.file);
         let named = || path.clone();
-        let bytes = std::fs::read(&path).map_err(|source| CloudsError::Read {
-            path: named(),
-            source,
+        let bytes = files::read_regular(&path, files::MOST_DATA_BYTES).map_err(|source| {
+            CloudsError::Read {
+                path: named(),
+                source,
+            }
         })?;
         let blake3 = files::hash(&bytes);
         if let Some(expected) = view.blake3.as_ref().filter(|said| **said != blake3) {

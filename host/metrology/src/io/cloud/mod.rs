@@ -6,6 +6,7 @@ mod text;
 use std::io::{self, Write};
 use std::path::Path;
 
+use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
 use flankscope_foundation::npz::NpzError;
 
 use crate::io::Unit;
@@ -143,6 +144,20 @@ pub enum CloudError {
         /// Position in the file.
         offset: usize,
     },
+    /// Where nothing that is measured can lie.
+    #[error(
+        "point {index}: coordinate {axis} is {value} mm; every coordinate must lie within {most_mm} mm of the origin"
+    )]
+    Far {
+        /// Point, from 0.
+        index: usize,
+        /// `x`, `y` or `z`.
+        axis: char,
+        /// The value.
+        value: f64,
+        /// Limit.
+        most_mm: f64,
+    },
     /// NaN or infinity.
     #[error("point {index}: coordinate {axis} is {value}; every coordinate must be finite")]
     NonFinite {
@@ -161,7 +176,7 @@ pub enum CloudError {
 /// # Errors
 /// [`CloudError`] names what is wrong and what would be right.
 pub fn load(path: &Path, unit: Unit) -> Result<Cloud, CloudError> {
-    parse(&std::fs::read(path)?, unit)
+    parse(&read_regular(path, MOST_DATA_BYTES)?, unit)
 }
 
 /// As [`load`], from memory.
@@ -204,6 +219,8 @@ const CHECKED_POINTS: usize = 100;
 const LEAST_DIAGONAL_MM: f64 = 0.5;
 /// Largest diagonal of the part that a cloud can be of, mm.
 const MOST_DIAGONAL_MM: f64 = 10_000.0;
+/// Largest coordinate, mm: the origin of a machine hall or of a survey is nearer, and squares of it have their digits.
+const MOST_COORDINATE_MM: f64 = 1e9;
 
 impl Cloud {
     fn in_unit(mut self, unit: Unit) -> Result<Self, CloudError> {
@@ -214,6 +231,17 @@ impl Cloud {
             }
             // Scaled coordinates are no longer the file's rounded ones.
             self.coordinate = Scalar::F64;
+        }
+        for (index, point) in self.points.iter().enumerate() {
+            // What overflows is infinite.
+            if let Some(axis) = point.iter().position(|c| c.abs() > MOST_COORDINATE_MM) {
+                return Err(CloudError::Far {
+                    index,
+                    axis: ['x', 'y', 'z'][axis],
+                    value: point[axis],
+                    most_mm: MOST_COORDINATE_MM,
+                });
+            }
         }
         let bounds = Aabb::around(&self.points);
         let diagonal_mm = (0..3)

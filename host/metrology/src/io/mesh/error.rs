@@ -87,6 +87,18 @@ pub enum MeshError {
         /// Its corners.
         corners: usize,
     },
+    /// A face that is not convex, with more corners than are cut into triangles.
+    #[error(
+        "face {face} has {corners} corners and is not convex; at most {most} are cut into triangles: right would be triangles"
+    )]
+    Corners {
+        /// Face, from 0.
+        face: usize,
+        /// Its corners.
+        corners: usize,
+        /// The limit.
+        most: usize,
+    },
     /// No triangles.
     #[error(
         "the mesh has {vertices} vertices but no triangles; a surface needs at least one triangle"

@@ -9,6 +9,8 @@ mod weld;
 
 use std::path::Path;
 
+use flankscope_foundation::files::{MOST_DATA_BYTES, read_regular};
+
 pub use error::MeshError;
 pub use stl::write_stl;
 pub(crate) use weld::weld;
@@ -136,7 +138,7 @@ impl TriMesh {
 /// # Errors
 /// [`MeshError`] names what is wrong and what would be right. Nothing is allocated for a count that the file cannot hold.
 pub fn load(path: &Path, unit: Unit) -> Result<TriMesh, MeshError> {
-    let bytes = std::fs::read(path).map_err(MeshError::Read)?;
+    let bytes = read_regular(path, MOST_DATA_BYTES).map_err(MeshError::Read)?;
     parse(&bytes, unit)
 }
 

@@ -12,6 +12,8 @@ use crate::io::faces::Faces;
 
 /// Triangles may cover this share more or less than the face: what rounding leaves of coordinates in single precision.
 const AREA_TOLERANCE: f64 = 1e-4;
+/// Cutting a face may take the square of its corners.
+const MOST_CORNERS: usize = 10_000;
 
 /// All faces as triangles, in their order.
 ///
@@ -75,6 +77,13 @@ impl Cutter {
         if is_fan && (0..count).all(|i| of([i, (i + 1) % count, (i + 2) % count]) >= 0.0) {
             into.extend(fan(corners));
             return Ok(());
+        }
+        if count > MOST_CORNERS {
+            return Err(MeshError::Corners {
+                face,
+                corners: count,
+                most: MOST_CORNERS,
+            });
         }
         self.found.clear();
         self.earcut
@@ -212,6 +221,25 @@ mod tests {
         assert!(matches!(
             cut(&tilted(&star)),
             Err(MeshError::Polygon { corners: 5, .. })
+        ));
+    }
+
+    #[test]
+    fn a_face_of_too_many_corners_is_cut_only_where_it_is_a_fan() {
+        let round = |count: usize, dent: f64| -> Vec<[f64; 2]> {
+            let at = |i: usize| {
+                let angle = i as f64 / count as f64 * std::f64::consts::TAU;
+                let radius = if i == 1 { dent } else { 1.0 };
+                [radius * angle.cos(), radius * angle.sin()]
+            };
+            (0..count).map(at).collect()
+        };
+        let many = MOST_CORNERS + 1;
+        assert!(cut(&tilted(&round(MOST_CORNERS, 0.5))).is_ok());
+        assert!(cut(&tilted(&round(many, 1.0))).is_ok());
+        assert!(matches!(
+            cut(&tilted(&round(many, 0.5))),
+            Err(MeshError::Corners { corners, most, .. }) if (corners, most) == (many, MOST_CORNERS)
         ));
     }
 

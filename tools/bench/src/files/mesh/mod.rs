@@ -8,6 +8,8 @@ use std::path::Path;
 
 use flankscope_gear_cad::Mesh;
 
+use super::regular;
+
 /// Bytes before the first triangle of a binary STL, and bytes of each.
 const STL_HEADER: usize = 84;
 const STL_RECORD: usize = 50;
@@ -126,7 +128,9 @@ pub enum MeshFileError {
 /// # Errors
 /// [`MeshFileError`].
 pub fn load(path: &Path, unit_mm: f64) -> Result<Mesh, MeshFileError> {
-    let bytes = std::fs::read(path).map_err(MeshFileError::Read)?;
+    let bytes = regular(path)
+        .and_then(std::fs::read)
+        .map_err(MeshFileError::Read)?;
     let mut mesh = parse(&bytes)?;
     if unit_mm != 1.0 {
         for vertex in &mut mesh.vertices {
