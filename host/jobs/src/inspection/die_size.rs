@@ -11,8 +11,8 @@ use flankscope_metrology::wear::WearSettings;
 
 use super::place::Place;
 
-/// Standard uncertainty that a scale of the die leaves in its flanks' wear, mm, where the teeth in view agree on one that the
-/// calibration may explain. From one side a larger bore is one that stands farther away: nothing else tells.
+/// Standard uncertainty that a scale of the die leaves in its flanks' wear, mm: by the scale that the teeth in view may have, be it one that
+/// the calibration's uncertainty explains. From one side a larger bore is one that stands farther away: nothing else tells.
 ///
 /// # Errors
 /// The die in view is not of the drawing's size.
@@ -30,7 +30,7 @@ pub(super) fn scale_mm(
     let form_mm = known_mm.hypot(settings.drift_mm);
     let stated_mm = [form_mm, settings.calibration_mm];
     let found = scale::of_view(gear, place.tooth, closest, places, stated_mm);
-    let Some(found) = found.filter(scale::Scale::is_told) else {
+    let Some(found) = found.filter(scale::Scale::may_be) else {
         return Ok(0.0);
     };
     if found.is_shown() {
