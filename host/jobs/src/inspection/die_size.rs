@@ -1,4 +1,4 @@
-//! Whether the die in view is of its drawing's size: what all teeth in view say together, which wear does not.
+//! Tests whether the die in view has the size of its drawing, by the scale that all teeth in view share and wear does not have.
 
 use flankscope_foundation::normal::COVERAGE_95;
 use flankscope_metrology::feature::Features;
@@ -11,11 +11,11 @@ use flankscope_metrology::wear::WearSettings;
 
 use super::place::Place;
 
-/// Standard uncertainty that a scale of the die leaves in its flanks' wear, mm, where the teeth in view agree on one that the
-/// calibration may explain. From one side a larger bore is one that stands farther away: nothing else tells.
+/// Standard uncertainty of the flanks' wear due to a scale of the die, mm, if the teeth in view agree on a scale that the
+/// calibration may explain. From one side, a larger bore is indistinguishable from one farther away; only the pitch tells.
 ///
 /// # Errors
-/// The die in view is not of the drawing's size.
+/// The die in view does not have the drawing's size.
 pub(super) fn scale_mm(
     features: Features<'_>,
     place: &Place,
@@ -44,7 +44,7 @@ pub(super) fn scale_mm(
     Ok(found.value.abs() * per_scale_mm)
 }
 
-/// Why a view in which everything agrees on another size is not judged.
+/// Why a view in which all teeth agree on another size is not judged.
 fn other_size(tooth: u32, scale: f64, u95: f64) -> String {
     format!(
         "the die in view of tooth {tooth} is {:.3} ± {:.3} % {} than the drawing: tips, roots and both flanks of the teeth beside it \
